@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from small_envs import small_env
-from vrcaps.env.rewards import Reward, frontier_length
+from small_envs import simulation_of, small_env
+from vrcaps.env.rewards import Reward, frontier_length, total_reward
 from vrcaps.errors import InputError
 
 _GRID = (10, 8)
@@ -59,3 +59,12 @@ def test_total_variation_pays_minus_the_frontiers_growth():
 def test_total_variation_is_of_the_map():
     with pytest.raises(InputError, match=r"has the level 'resolved'\. Allowed: 'visible'"):
         Reward("total-variation", level="resolved")
+
+
+def test_rewards_of_one_term_at_two_levels_both_count() -> None:
+    simulation = simulation_of()
+    both = (Reward("area-gain", 2.0, "visible"), Reward("area-gain", 3.0, "resolved"))
+    total, terms = total_reward(both, simulation)
+    assert total > 0.0  # what the start shows
+    assert total == pytest.approx(sum(reward.value(simulation) for reward in both))
+    assert terms["area-gain"] == pytest.approx(total)

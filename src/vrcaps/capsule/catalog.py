@@ -24,3 +24,13 @@ def read_device(name_or_path: str | Path) -> Device:
         InputError: If there is no such file, or it describes no possible device.
     """
     return read_device_file(_DEVICES.find(name_or_path))
+
+
+def device_of(given: str | Device) -> Device:
+    """A device in memory as it is, or that of a name or file.
+
+    Raises:
+        InputError: If a file holds no device.
+        UnknownNameError: If no device has the name.
+    """
+    return given if isinstance(given, Device) else read_device(given)

@@ -106,6 +106,7 @@ class Check:
         """
         from vrcaps.data.check_dataset import check_dataset
         from vrcaps.data.open_dataset import open_dataset
+        from vrcaps.data.plan import SPLITS
 
         dataset = open_dataset(self.dataset)
         with progress_bar("checking") as progress:
@@ -114,7 +115,7 @@ class Check:
             console.print(fault)
         if faults:
             raise InputError(f"{self.dataset} has {len(faults)} faults.")
-        splits = ", ".join(f"{len(dataset.patients(s))} {s}" for s in ("train", "val", "test"))
+        splits = ", ".join(f"{len(dataset.patients(s))} {s}" for s in SPLITS)
         console.print(
             f"{len(dataset)} recordings of {len(dataset.patients())} patients ({splits}) are whole."
         )
@@ -136,14 +137,15 @@ def _slice(text: str | None, count: int) -> range | None:
 
 def _estimate(units: Units, out: str) -> None:
     from vrcaps.data.estimate import estimate
+    from vrcaps.data.plan import SPLITS
     from vrcaps.data.store import open_store
 
     with console.status("recording a few frames to measure"):
         found = estimate(units)
     free = open_store(out).free_bytes()
-    splits = ", ".join(f"{units.splits.count(s)} {s}" for s in ("train", "val", "test"))
+    splits = ", ".join(f"{units.splits.count(s)} {s}" for s in SPLITS)
     console.print(
-        f"{len(units.splits)} patients ({splits}), {found.units} recordings, {found.frames} frames."
+        f"{len(units.splits)} patients ({splits}), {len(units)} recordings, {found.frames} frames."
     )
     console.print(
         f"About {found.seconds / _HOUR:.1f} hours on this machine and "

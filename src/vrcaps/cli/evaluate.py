@@ -78,14 +78,14 @@ class Evaluate:
 
     def run(self) -> None:
         """Judge, draw and report."""
-        from vrcaps.tools.evaluation.page import write_page
+        from vrcaps.tools.evaluation.page import VIDEO, write_page
         from vrcaps.tools.evaluation.run_video import write_run_video
 
         if not self.policies:
             raise InputError("No policy is given. Allowed: one or more, such as centerline.")
         subjects = self._judge()
         for subject in subjects:
-            video = subject.evaluation.folder / "median.mp4"
+            video = subject.evaluation.folder / VIDEO
             if self.video and not video.is_file():
                 with progress_bar(f"video of {subject.name}") as progress:
                     write_run_video(video, subject, progress)
@@ -110,6 +110,12 @@ class Evaluate:
                 policy.requires.check(settings, name)
                 label = " ".join(filter(None, [_short(name), capsule and _short(capsule)]))
                 to_judge.append((policy, settings, label))
+        labels = [label for *_, label in to_judge]
+        if len(set(labels)) < len(labels):
+            raise InputError(
+                f"Two would share a folder: {', '.join(labels)}. Rename one, or judge it into "
+                "another --out."
+            )
         subjects = []
         for policy, settings, label in to_judge:
             folder = self.out / label.replace(" ", "-")

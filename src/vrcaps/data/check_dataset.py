@@ -8,7 +8,7 @@ from pathlib import Path
 
 from vrcaps.data.ledger import EPISODES, entries, failures
 from vrcaps.data.store import LocalStore
-from vrcaps.files import file_sha256
+from vrcaps.files import file_sha256, files_in
 
 
 def check_dataset(
@@ -51,5 +51,5 @@ def _faults_of_files(folder: Path, files: dict[str, str]) -> list[str]:
             faults.append(f"{path} is missing")
         elif file_sha256(path) != checksum:
             faults.append(f"{path} has changed since it was made")
-    present = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+    present = {p.relative_to(folder).as_posix() for p in files_in(folder)}
     return faults + [f"{folder / name} belongs to no unit" for name in sorted(present - {*files})]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -15,14 +15,6 @@ PROBABILITY = "probability"
 
 Plain = Any
 """A value of TOML or JSON."""
-
-
-class Distribution(Protocol):
-    """Draws one value."""
-
-    def draw(self, rng: np.random.Generator) -> Plain:
-        """A value."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -183,8 +175,8 @@ class Probability:
             raise InputError(f"{path}: probability is {self.probability}. Allowed: 0 to 1.")
 
 
-KINDS = (Choice, Uniform, LogUniform, Normal, Integer, Each, Prevalence)
-_BY_KEY = {next(iter(cls.__dataclass_fields__)).replace("_", "-"): cls for cls in KINDS}
+_KINDS = (Choice, Uniform, LogUniform, Normal, Integer, Each, Prevalence)
+_BY_KEY = {next(iter(cls.__dataclass_fields__)).replace("_", "-"): cls for cls in _KINDS}
 
 
 def distribution_of(plain: Plain, path: str) -> Any:

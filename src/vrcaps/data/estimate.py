@@ -6,8 +6,10 @@ import tempfile
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import fmean
 
 from vrcaps.data.units import Units
+from vrcaps.files import files_in
 
 _FRAMES = 6
 
@@ -17,13 +19,11 @@ class Estimate:
     """What a data set takes.
 
     Attributes:
-        units: Number of recordings.
         frames: Number of frames.
-        seconds: Time on this machine, with as many workers as processors [s].
+        seconds: Time on this machine, one recording after the other on all processors [s].
         num_bytes: Size of all files.
     """
 
-    units: int
     frames: int
     seconds: float
     num_bytes: int
@@ -47,17 +47,15 @@ def estimate(units: Units) -> Estimate:
             folder = Path(scratch) / str(number)
             began = time.perf_counter()
             record(replace(scenario, frames=frames), folder)
-            size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+            size = sum(path.stat().st_size for path in files_in(folder))
             costs.append((time.perf_counter() - began, size))
     # The first one may have made the organ.
     (_, _), (short, short_size), (long, long_size) = costs
-    frames = sum(units[number].scenario.frames for number in _sample(len(units)))
-    mean_frames = frames / len(_sample(len(units)))
+    mean_frames = fmean(units[number].scenario.frames for number in _sample(len(units)))
     per_frame = max(long - short, 0.0) / _FRAMES
     size_per_frame = (long_size - short_size) / _FRAMES
     begin = max(short - per_frame * _FRAMES, 0.0)
     return Estimate(
-        len(units),
         round(mean_frames * len(units)),
         len(units) * (begin + per_frame * mean_frames),
         round(len(units) * (short_size + size_per_frame * (mean_frames - _FRAMES))),

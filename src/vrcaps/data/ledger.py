@@ -12,7 +12,7 @@ from typing import Any
 from vrcaps.data.store import Store
 from vrcaps.data.units import Unit
 from vrcaps.errors import InputError
-from vrcaps.files import file_sha256
+from vrcaps.files import file_sha256, files_in
 
 PLAN = "plan.json"
 EPISODES = "episodes"
@@ -22,7 +22,7 @@ FAILED = "failed"
 
 def entry_of(unit: Unit, folder: Path) -> dict[str, Any]:
     """Entry of a unit whose files lie in a folder."""
-    paths = sorted(path for path in folder.rglob("*") if path.is_file())
+    paths = files_in(folder)
     return {
         "number": unit.number,
         "patient": unit.patient,

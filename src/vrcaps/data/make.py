@@ -23,7 +23,7 @@ from vrcaps.data.ledger import (
 )
 from vrcaps.data.plan import Plan, plan_to_plain
 from vrcaps.data.store import Store, open_store
-from vrcaps.data.units import Unit, Units
+from vrcaps.data.units import Units
 from vrcaps.errors import VrcapsError, require
 
 _ATTEMPTS = 3
@@ -75,10 +75,12 @@ def make_dataset(
     whole = set(whole_units(store))
     missing = [number for number in chosen if units.name(number) not in whole]
     job = Job(plan, str(url), source)
-    count = os.cpu_count() or 1 if workers is None else workers
+    count = min(os.cpu_count() or 1 if workers is None else workers, len(missing))
+    here = ((number, attempt(units, store, number)) for number in missing)
+    results = _Pool(job, missing, count) if count else here
     done = len(chosen) - len(missing)
     failed: dict[str, str] = {}
-    for number, message in _results(job, missing, min(count, len(missing))):
+    for number, message in results:
         done += 1
         if message is not None:
             name = units.name(number)
@@ -120,7 +122,7 @@ def make_unit(units: Units, store: Store, number: int) -> None:
     """
     from vrcaps.recording.recorder import record
 
-    unit: Unit = units[number]
+    unit = units[number]
     with tempfile.TemporaryDirectory(prefix="vrcaps-") as scratch:
         folder = store.staging(unit.name, Path(scratch))
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -138,16 +140,6 @@ def attempt(units: Units, store: Store, number: int) -> str | None:
     except (VrcapsError, OSError) as error:
         return str(error)
     return None
-
-
-def _results(job: Job, missing: Sequence[int], workers: int) -> Any:
-    """Number of each unit that is done, and why it failed or None."""
-    if workers > 0 and missing:
-        yield from _Pool(job, missing, workers)
-        return
-    units, store = Units(job.plan), open_store(job.url)
-    for number in missing:
-        yield number, attempt(units, store, number)
 
 
 def _work(job: Job, connection: Connection, threads: int) -> None:

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Protocol
 
 from vrcaps.errors import InputError, MissingExtraError
-from vrcaps.files import sync_folder, write_bytes
+from vrcaps.files import files_in, sync_folder, write_bytes
 
 
 class Store(Protocol):
@@ -27,10 +26,6 @@ class Store(Protocol):
 
     def write(self, name: str, data: bytes) -> None:
         """Write a file whole or not at all; a file of that name is replaced."""
-        ...
-
-    def has(self, name: str) -> bool:
-        """Whether there is such a file."""
         ...
 
     def names(self, folder: str) -> list[str]:
@@ -67,10 +62,6 @@ class LocalStore:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_bytes(path, data)
         sync_folder(path.parent)
-
-    def has(self, name: str) -> bool:
-        """Whether there is such a file."""
-        return (self.folder / name).is_file()
 
     def names(self, folder: str) -> list[str]:
         """Names of the files in a folder, without those being written."""
@@ -135,10 +126,6 @@ class RemoteStore:
         self._system.pipe_file(self._path(name), data)
         self._system.invalidate_cache()
 
-    def has(self, name: str) -> bool:
-        """Whether there is such a file."""
-        return self._system.isfile(self._path(name))
-
     def names(self, folder: str) -> list[str]:
         """Names of the files in a folder."""
         self._system.invalidate_cache()
@@ -155,7 +142,7 @@ class RemoteStore:
 
     def put(self, staged: Path, name: str) -> None:
         """Copy all files; the ledger says when they are all there."""
-        for path in _files(staged):
+        for path in files_in(staged):
             remote = self._path(f"{name}/{path.relative_to(staged).as_posix()}")
             self._system.pipe_file(remote, path.read_bytes())
         shutil.rmtree(staged)
@@ -174,7 +161,3 @@ def open_store(url: str | Path) -> Store:
     if "://" in text and not text.startswith("file://"):
         return RemoteStore(text)
     return LocalStore(Path(text.removeprefix("file://")))
-
-
-def _files(folder: Path) -> Iterator[Path]:
-    return (path for path in sorted(folder.rglob("*")) if path.is_file())

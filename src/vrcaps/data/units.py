@@ -46,8 +46,8 @@ class Units:
     def __init__(self, plan: Plan) -> None:
         """Looks at the plan's distributions; draws nothing."""
         self.plan = plan
-        self._slots = list(slots(plan.scenario))
-        self._each = [(path, slot) for path, slot in self._slots if isinstance(slot, Each)]
+        self._slots = dict(slots(plan.scenario))
+        self._each = [(path, slot) for path, slot in self._slots.items() if isinstance(slot, Each)]
         patient_each = [path for path, _ in self._each if _is_patients(path)]
         if patient_each:
             raise InputError(
@@ -70,12 +70,11 @@ class Units:
         if not 0 <= number < len(self):
             raise IndexError(f"No unit {number}. Allowed: 0 to {len(self) - 1}.")
         patient, index = divmod(number, self.per_patient)
-        repeat, combination = divmod(index, self.per_patient // self.plan.settings.repeats)
+        repeat, combination = divmod(index, len(self._combinations))
         values = self._combinations[combination]
         drawn = self._draw(patient, False) | values
         # Twins have the draws of the recording that shows the lesions.
-        others = [value for path, value in values.items() if path != _TWIN]
-        key = self._kinds.index(others) + len(self._kinds) * repeat
+        key = self._kinds.index(_without_twin(values)) + len(self._kinds) * repeat
         drawn |= self._draw(patient, True, key)
         plain = _filled(self.plan.scenario, drawn)
         plain.setdefault("seed", self._number("seed", patient, key))
@@ -100,7 +99,7 @@ class Units:
         """Split of each patient; patients alike in what is stratified are spread evenly."""
         settings, groups = self.plan.settings, {}
         for patient in range(settings.patients):
-            drawn = self._draw(patient, False)
+            drawn = self._draw(patient, False) if settings.stratify else {}
             values = tuple(
                 str(drawn.get(path, _at(self.plan.scenario, path))) for path in settings.stratify
             )
@@ -123,7 +122,7 @@ class Units:
         """Values of all combinations without what tells twins apart, each once."""
         found: list[list[Any]] = []
         for values in self._combinations:
-            others = [value for path, value in values.items() if path != _TWIN]
+            others = _without_twin(values)
             if others not in found:
                 found.append(others)
         return found
@@ -133,10 +132,10 @@ class Units:
         seed = self.plan.settings.seed
         drawn = {
             path: slot.draw(rng.stream(seed, f"data/slot/{path}", patient, *key))
-            for path, slot in self._slots
+            for path, slot in self._slots.items()
             if not isinstance(slot, Each) and _is_patients(path) != of_recording
         }
-        if isinstance(dict(self._slots).get("lesions"), Prevalence) and not of_recording:
+        if isinstance(self._slots.get("lesions"), Prevalence) and not of_recording:
             drawn["lesions"] = drawn["lesions"] if self._has_colon(drawn) else []
         return drawn
 
@@ -148,6 +147,11 @@ class Units:
     def _number(self, purpose: str, *key: int) -> int:
         stream = rng.stream(self.plan.settings.seed, f"data/number/{purpose}", *key)
         return int(stream.integers(_SEEDS))
+
+
+def _without_twin(values: Mapping[str, Any]) -> list[Any]:
+    """Chosen values but for what tells twins apart."""
+    return [value for path, value in values.items() if path != _TWIN]
 
 
 def _is_patients(path: str) -> bool:

@@ -32,9 +32,8 @@ class CapsuleEnv(gymnasium.Env):
         Raises:
             InputError: If the render mode is unknown.
         """
-        require(render_mode in (None, "rgb_array"), "render_mode", render_mode, "rgb_array or None")
         self.settings, self.render_mode = settings or EnvSettings(), render_mode
-        self.episode = Episode(self.settings, 1, with_textures=render_mode is not None)
+        self.episode = Episode(self.settings, 1, render_mode=render_mode)
         self.action_space = self.episode.action_space
         self.observation_space = self.episode.observation_space
 

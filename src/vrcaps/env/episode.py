@@ -10,7 +10,7 @@ import numpy as np
 from vrcaps.env.rewards import frontier_length, total_reward
 from vrcaps.env.simulation import Simulation
 from vrcaps.env.views import View
-from vrcaps.errors import InputError
+from vrcaps.errors import InputError, require
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -42,13 +42,18 @@ class Episode:
     """Runs a task in many worlds."""
 
     def __init__(
-        self, settings: EnvSettings, num_worlds: int, *, with_textures: bool = False
+        self, settings: EnvSettings, num_worlds: int, *, render_mode: str | None = None
     ) -> None:
-        """Makes room; `begin` makes the worlds. See `Simulation`."""
+        """Makes room; `begin` makes the worlds. See `Simulation`.
+
+        Raises:
+            InputError: If the render mode is unknown.
+        """
         from gymnasium import spaces
 
+        require(render_mode in (None, "rgb_array"), "render_mode", render_mode, "rgb_array or None")
         self.settings = settings
-        self.simulation = Simulation(settings, num_worlds, with_textures=with_textures)
+        self.simulation = Simulation(settings, num_worlds, with_textures=render_mode is not None)
         self.rewards = settings.rewards or settings.task.rewards
         memory = self.simulation.memory
         self._best = memory.allocate("progress/best")

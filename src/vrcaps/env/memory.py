@@ -17,7 +17,7 @@ class Memory:
     without any part knowing of it.
 
     Example:
-        >>> memory["coverage/best"] = np.zeros(num_worlds)
+        >>> best = memory.allocate("coverage/best")
         >>> row = memory.row(3)
     """
 

@@ -9,7 +9,7 @@ from gymnasium.utils import seeding
 
 from vrcaps.env.episode import Episode, EpisodeStep
 from vrcaps.env.settings import EnvSettings
-from vrcaps.errors import InputError, MissingExtraError, require
+from vrcaps.errors import InputError, MissingExtraError
 
 try:
     from pettingzoo import ParallelEnv
@@ -55,12 +55,10 @@ class CapsuleParallelEnv(ParallelEnv):
             InputError: If the render mode is unknown.
         """
         settings = settings or EnvSettings()
-        allowed = "rgb_array or None"
-        require(render_mode in (None, "rgb_array"), "render_mode", render_mode, allowed)
         count = len(settings.organs)
         self.settings, self.render_mode = settings, render_mode
         self.is_reward_shared = is_reward_shared
-        self.episode = Episode(settings, count)
+        self.episode = Episode(settings, count, render_mode=render_mode)
         self.possible_agents = [f"capsule_{k}" for k in range(count)]
         self.agents: list[str] = []
         # Spaces have generators of their own: one for each agent.
@@ -140,7 +138,7 @@ class CapsuleParallelEnv(ParallelEnv):
             if isinstance(batch, dict):
                 rows[name] = {key: _copy(array[index]) for key, array in batch.items()}
             else:
-                rows[name] = _copy(batch[index])
+                rows[name] = batch[index]
         return rows
 
     def render(self) -> np.ndarray | None:
@@ -151,7 +149,8 @@ class CapsuleParallelEnv(ParallelEnv):
 
     def close(self) -> None:
         """Lets go of the worlds."""
-        self.episode = Episode(self.settings, len(self.possible_agents))
+        count = len(self.possible_agents)
+        self.episode = Episode(self.settings, count, render_mode=self.render_mode)
         self.agents = []
 
 

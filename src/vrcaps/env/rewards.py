@@ -11,7 +11,7 @@ import numpy as np
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.coverage import CoverageLevel
-from vrcaps.metrics.point_coverage import POINT_LEVELS
+from vrcaps.metrics.point_coverage import POINT_LEVELS, require_point_level
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -37,8 +37,7 @@ class Reward:
         check_fields(self)
         if self.term not in TERMS:
             raise UnknownNameError("reward", self.term, TERMS)
-        if self.level not in POINT_LEVELS:
-            raise UnknownNameError("level of coverage for a reward", self.level, POINT_LEVELS)
+        require_point_level(self.level, "reward")
         if self.term == "total-variation" and self.level != "visible":
             raise InputError(
                 f"The reward total-variation has the level {self.level!r}. Allowed: 'visible', "
@@ -53,8 +52,10 @@ class Reward:
 def total_reward(
     rewards: tuple[Reward, ...], simulation: Simulation
 ) -> tuple[Float[np.ndarray, " n"], dict[str, Float[np.ndarray, " n"]]]:
-    """Sum of all terms, and each by its name."""
-    terms = {reward.term: reward.value(simulation) for reward in rewards}
+    """Sum of all rewards, and those of each term."""
+    terms: dict[str, Float[np.ndarray, " n"]] = {}
+    for reward in rewards:  # two may be of one term, at different levels
+        terms[reward.term] = terms.get(reward.term, 0.0) + reward.value(simulation)
     return np.sum(list(terms.values()), axis=0), terms
 
 

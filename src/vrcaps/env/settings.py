@@ -137,7 +137,7 @@ def _part(noun: str, union: Any, given: Any) -> Any:
     """A part by its name, or as it is."""
     if not isinstance(given, str):
         return given
-    kinds = {cls.kind: cls for cls in get_args(union) or (union,)}
+    kinds = {cls.kind: cls for cls in get_args(union)}
     if given not in kinds:
         raise UnknownNameError(noun, given, kinds)
     return kinds[given]()

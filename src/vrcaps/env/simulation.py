@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.capsule.catalog import read_device
-from vrcaps.capsule.device import Device
+from vrcaps.capsule.catalog import device_of
 from vrcaps.env.course import Course
 from vrcaps.env.forked import require_threads
 from vrcaps.env.located_capsules import LocatedCapsules
@@ -20,7 +19,7 @@ from vrcaps.metrics.point_coverage import POINT_LEVELS, mark_points
 from vrcaps.transforms import invert
 from vrcaps.units import CM
 from vrcaps.world.control import Control
-from vrcaps.world.model import State
+from vrcaps.world.model import State, posture_transform
 from vrcaps.world.stepping import step_together
 from vrcaps.world.world import World
 from vrcaps.world.worlds import are_inside, batch_state
@@ -42,6 +41,7 @@ class Simulation:
         settings: What the worlds are made of.
         device: The capsule, as its file has it.
         devices: The capsule of each world, as it was drawn.
+        T_patient_world: From the world to the frame in which walls are kept.
         memory: What changes from step to step; part of a snapshot.
         worlds: The worlds; each is new at a reset.
         time: Since the episode began [s].
@@ -77,8 +77,8 @@ class Simulation:
             UnknownNameError: If an observation names no camera of the capsule.
         """
         self.settings, self.num_worlds = settings, num_worlds
-        capsule = settings.capsule
-        self.device = capsule if isinstance(capsule, Device) else read_device(capsule)
+        self.T_patient_world = invert(posture_transform(settings.posture))
+        self.device = device_of(settings.capsule)
         with_textures |= any(observation.needs_textures for observation in settings.observations)
         self.patients = Patients(settings, self.device, with_textures=with_textures)
         self.worlds: list[World] = []
@@ -246,13 +246,12 @@ class Simulation:
     def _look_alike(self, numbers: np.ndarray) -> None:
         """Mark what the cameras of worlds see whose cameras are the same."""
         cells = self.cells[numbers]
-        to_wall = np.stack([invert(self.patient(k).model.T_world_patient) for k in numbers])
         for camera in self.devices[numbers[0]].cameras:
             self.gain[numbers] += mark_points(
                 [self.worlds[k].wall for k in numbers],
                 [self.patient(k).points for k in numbers],
                 camera,
-                to_wall @ self.T_world_capsule[numbers] @ camera.T_capsule_camera,
+                self.T_patient_world @ self.T_world_capsule[numbers] @ camera.T_capsule_camera,
                 [self.flags[k] for k in numbers],
                 cells,
                 self.settings.criteria,

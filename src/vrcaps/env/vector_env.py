@@ -54,9 +54,8 @@ class CapsuleVectorEnv(gymnasium.vector.VectorEnv):
         self.num_envs = num_envs
         self.autoreset_mode = _autoreset_mode(autoreset_mode)
         self.metadata = {"render_modes": ["rgb_array"], "autoreset_mode": self.autoreset_mode}
-        require(render_mode in (None, "rgb_array"), "render_mode", render_mode, "rgb_array or None")
         self.render_mode = render_mode
-        self.episode = Episode(self.settings, num_envs, with_textures=render_mode is not None)
+        self.episode = Episode(self.settings, num_envs, render_mode=render_mode)
         self.single_observation_space = self.episode.observation_space
         self.single_action_space = self.episode.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -124,8 +123,9 @@ class CapsuleVectorEnv(gymnasium.vector.VectorEnv):
         final = np.full(self.num_envs, None, object)
         for index in np.flatnonzero(over):
             final[index] = {name: array[index].copy() for name, array in last.items()}
-        infos |= {"final_obs": final, "_final_obs": over.copy()}
         infos |= {
+            "final_obs": final,
+            "_final_obs": over.copy(),
             "final_info": self._masked(step.measures, over),
             "_final_info": over.copy(),
         }
@@ -191,7 +191,7 @@ class CapsuleVectorEnv(gymnasium.vector.VectorEnv):
 
     def close_extras(self, **kwargs: Any) -> None:
         """Lets go of the worlds."""
-        self.episode = Episode(self.settings, self.num_envs)
+        self.episode = Episode(self.settings, self.num_envs, render_mode=self.render_mode)
         self._was_reset = False
 
 

@@ -19,7 +19,6 @@ from vrcaps.render.batch import BATCH_CHANNELS, render_batch, renders_batches
 from vrcaps.render.channels import CHANNELS, Frame
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
-from vrcaps.transforms import invert
 from vrcaps.world.model import State
 
 if TYPE_CHECKING:
@@ -83,8 +82,10 @@ class Views:
         camera, kind = self.camera(view), CHANNELS[channel]
         shape, name = kind.shape(camera.height, camera.width), f"views/{len(self._images)}"
         self._images[view, channel] = memory.allocate(f"{name}/{channel}", shape, kind.dtype)
-        self._is_stale[view] = memory.allocate(f"{name}/is_stale", (), bool, 1)
-        self._exposure[view] = memory.allocate(f"{name}/exposure", fill=1.0)
+        if view not in self._is_stale:
+            self._is_stale[view] = memory.allocate(f"{name}/is_stale", (), bool)
+            self._exposure[view] = memory.allocate(f"{name}/exposure", fill=1.0)
+        self._is_stale[view][:] = True
         self._wanted[view] = (*self._wanted.get(view, ()), channel)
 
     def begin(self, index: int) -> None:
@@ -152,7 +153,7 @@ class Views:
     def _T_patient_capsule(self, index: int) -> np.ndarray:
         """Pose of a capsule in the frame in which its wall is kept."""
         s = self._simulation
-        return invert(s.patient(index).model.T_world_patient) @ s.T_world_capsule[index]
+        return s.T_patient_world @ s.T_world_capsule[index]
 
     def _render_alone(self, index: int, view: View) -> None:
         """Renders one world in the patient frame, in which its wall is kept."""

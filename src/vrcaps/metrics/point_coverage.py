@@ -16,7 +16,7 @@ import numpy as np
 
 from vrcaps import _core, rng
 from vrcaps.camera.camera import in_image, project_points
-from vrcaps.errors import require
+from vrcaps.errors import UnknownNameError, require
 from vrcaps.geometry import triangle_areas
 from vrcaps.metrics.coverage import CoverageCriteria, CoverageLevel, pixel_solid_angles
 from vrcaps.units import MM
@@ -39,6 +39,20 @@ _TABLE_SIZE = 512
 
 _RING = 5.0 * MM
 """Length of the rings of wall in whose order points are drawn."""
+
+
+def require_point_level(level: str, what: str) -> None:
+    """Check that points are marked at a level of coverage.
+
+    Args:
+        level: The level.
+        what: Whose level it is, for messages.
+
+    Raises:
+        UnknownNameError: If they are not.
+    """
+    if level not in POINT_LEVELS:
+        raise UnknownNameError(f"level of coverage for a {what}", level, POINT_LEVELS)
 
 
 @dataclass(frozen=True)

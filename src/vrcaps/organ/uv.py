@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.errors import InputError
-from vrcaps.geometry import triangle_areas, triangle_normals
+from vrcaps.geometry import triangle_areas, triangle_normals, unit
 from vrcaps.mesh.edges import find_edges
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.centerline.lumen import grid_crossings
@@ -139,8 +139,7 @@ def _require_smooth(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "
         InputError: If the work would exceed `_MOST_WORK`.
     """
     edges = find_edges(faces)
-    normals = triangle_normals(vertices[faces])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+    normals = unit(triangle_normals(vertices[faces]))
     one, other = (edges.with_count(2) // 3).T
     num_smooth = np.count_nonzero((normals[one] * normals[other]).sum(axis=1) > _SHARP)
     num_sharp = len(edges.counts) - num_smooth

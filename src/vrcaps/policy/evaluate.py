@@ -66,7 +66,8 @@ def evaluate(
     if progress is not None:
         progress(len(evaluation.done), total)
     for number, organ in enumerate(settings.organs):
-        trials = [t for t in plan.trials(number, num_organs) if t not in evaluation.done]
+        done = evaluation.done
+        trials = [t for t in plan.trials(number, num_organs) if t not in done]
         if not trials:
             continue
         envs = CapsuleVectorEnv(
@@ -76,10 +77,7 @@ def evaluate(
         )
         for first in range(0, len(trials), envs.num_envs):
             some = trials[first : first + envs.num_envs]
-            rows, curves = _run(policy, envs, some)
-            for row in rows:
-                row["organ"] = organ_name(organ)
-            evaluation.add(rows, curves)
+            evaluation.add(*_run(policy, envs, some))
             if progress is not None:
                 progress(len(evaluation.done), total)
 
@@ -115,8 +113,13 @@ def _run(
     rows, curves = [], []
     for index, (seed, episode) in enumerate(trials):
         curve = _curves(whole[were_active[:, index], index])
-        row = {"seed": seed, "episode": episode, "organ": "", "end": ends[index]}
-        row |= {"wall_escapes": int(ends[index] == "outside the wall")}
+        row = {
+            "seed": seed,
+            "episode": episode,
+            "organ": organ_name(envs.settings.organs[0]),
+            "end": ends[index],
+            "wall_escapes": int(ends[index] == "outside the wall"),
+        }
         row |= episode_measures(curve, envs.settings.episode_time)
         rows.append(row)
         curves.append(curve)

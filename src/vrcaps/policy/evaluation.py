@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.errors import InputError
-from vrcaps.files import write_bytes
+from vrcaps.files import write_bytes, write_csv
 from vrcaps.metrics.coverage import CoverageLevel
 from vrcaps.metrics.point_coverage import POINT_LEVELS
 from vrcaps.recording.table import FrameTable, read_table, write_table
@@ -24,7 +23,10 @@ EPISODES, CURVES, SETTINGS = "episodes.csv", "curves.parquet", "settings.json"
 PAPER_TIME = 47.62
 """Time at which VR-Caps states its coverage [s] (Incetan et al., Med. Image Anal. 70, 2021)."""
 
-TARGETS = (90.0, 95.0, 96.04)
+PAPER_COVERAGE = 96.04
+"""That coverage [%]."""
+
+TARGETS = (90.0, 95.0, PAPER_COVERAGE)
 """Coverages whose times are told [%]; the last is VR-Caps'."""
 
 FORCE_PERCENTILES = (50, 90, 99, 100)
@@ -75,7 +77,7 @@ def episode_measures(curves: EpisodeCurves, whole_time: float) -> dict[str, floa
     figures: dict[str, float] = {}
     for k, level in enumerate(POINT_LEVELS):
         percent = 100.0 * curves.fraction[:, k]
-        figures[f"{level}_at_{PAPER_TIME}_s"] = coverage_at(curves.time, percent, PAPER_TIME)
+        figures[f"{level}_at_{PAPER_TIME}_s"] = float(coverage_at(curves.time, percent, PAPER_TIME))
         figures[f"{level}_at_end"] = float(percent[-1])
         figures[f"{level}_area_under_curve"] = _mean_until(curves.time, percent, whole_time)
         for target in TARGETS:
@@ -89,10 +91,12 @@ def episode_measures(curves: EpisodeCurves, whole_time: float) -> dict[str, floa
 
 
 def coverage_at(
-    time: Float[np.ndarray, " t"], percent: Float[np.ndarray, " t"], when: float
-) -> float:
-    """Coverage that was reached at a time [s]; the last after the end."""
-    return float(percent[max(int(np.searchsorted(time, when, side="right")) - 1, 0)])
+    time: Float[np.ndarray, " t"],
+    percent: Float[np.ndarray, " t"],
+    when: float | Float[np.ndarray, " k"],
+) -> Float[np.ndarray, "*k"]:
+    """Coverage that was reached at times [s]; the last after the end."""
+    return percent[np.maximum(np.searchsorted(time, when, side="right") - 1, 0)]
 
 
 def _mean_until(
@@ -144,11 +148,8 @@ class Evaluation:
         self.curves = {k: np.concatenate([part[k] for part in parts]) for k in parts[0]}
         write_table(self.folder / CURVES, FrameTable(self.curves))
         self.rows = sorted([*self.rows, *rows], key=lambda row: (row["seed"], row["episode"]))
-        text = io.StringIO()
-        writer = csv.DictWriter(text, list(self.rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows({k: _text(v) for k, v in row.items()} for row in self.rows)
-        write_bytes(self.folder / EPISODES, text.getvalue().encode())
+        texts = [{k: _text(v) for k, v in row.items()} for row in self.rows]
+        write_csv(self.folder / EPISODES, texts)
 
     def column(self, name: str) -> np.ndarray:
         """One figure of all episodes."""
@@ -169,8 +170,7 @@ class Evaluation:
         found = []
         for row in self.rows:
             curve = self.episode_curves(row)
-            last = np.searchsorted(curve["time_s"], time, side="right") - 1
-            found.append(100.0 * curve[level][np.maximum(last, 0)])
+            found.append(coverage_at(curve["time_s"], 100.0 * curve[level], time))
         return np.array(found)
 
     def median_row(self, name: str) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from vrcaps.geometry import unit
 from vrcaps.metrics.point_coverage import POINT_LEVELS, mark_points
 from vrcaps.policy.policy import Requirements
 from vrcaps.policy.route import Route, Routes
-from vrcaps.policy.servo import SERVO_ACTUATIONS, Goal, heading_error, servo_actions, turning_time
+from vrcaps.policy.servo import SERVO_ACTUATIONS, Goal, heading_error, servo_actions
 from vrcaps.transforms import look_along, transform_from
 from vrcaps.units import CM, MM
 
@@ -110,7 +110,7 @@ class NextBestViewPolicy:
         )
         headings = unit(draw.normal(size=points.shape))
         is_free = route.is_free(points, headings)
-        turning = turning_time(T[:3, 2], headings, _TURN)
+        turning = np.arccos(np.clip(headings @ T[:3, 2], -1.0, 1.0)) / _TURN
         # The capsule turns on the way.
         time = np.maximum(way / _SPEED, turning) + _PAUSE
         gain = _gains(simulation, index, draw, points, headings)

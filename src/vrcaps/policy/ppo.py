@@ -136,7 +136,7 @@ class Ppo:
             self.learning_rate = share * self.settings.learning_rate
         watch = _watch(self.settings.num_envs)
         self.model.learn(
-            self.steps * self.settings.updates * self.settings.num_envs,
+            self.actions_per_round,
             callback=watch,
             reset_num_timesteps=False,
         )

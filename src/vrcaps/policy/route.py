@@ -61,12 +61,11 @@ class Route:
 
 def make_route(model: Model) -> Route:
     """The route through an organ."""
-    length = model.organ.centerline.length
-    arc_length = np.linspace(0.0, length, max(2, round(length / _SPACING)))
-    points = model.centerline_poses(arc_length)[:, :3, 3]
-    fitting = np.flatnonzero(np.asarray(model.wall.signed_distance(points)) > model.device.radius)
+    whole = Route(model, (0.0, model.organ.centerline.length))
+    arc_length = np.linspace(*whole.ends, max(2, round(whole.ends[1] / _SPACING)))
+    fitting = np.flatnonzero(whole.fits(whole.poses(arc_length)[:, :3, 3]))
     if len(fitting) == 0:
-        return Route(model, (0.0, length))
+        return whole
     return Route(model, (float(arc_length[fitting[0]]), float(arc_length[fitting[-1]])))
 
 

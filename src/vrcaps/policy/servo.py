@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -196,10 +195,3 @@ def _choices(force: Float[np.ndarray, "n 3"], strength: float) -> np.ndarray:
     largest = force[np.arange(len(force)), axis]
     action = 1 + axis + np.where(largest < 0.0, 3, 0)
     return np.where(np.abs(largest) > 0.5 * strength, action, 0)
-
-
-def turning_time(
-    front: Float[np.ndarray, "n 3"], heading: Float[np.ndarray, "n 3"], turn: float
-) -> Float[np.ndarray, " n"]:
-    """Time to turn from one heading to others at a rate [s]."""
-    return np.arccos(np.clip(heading @ front, -1.0, 1.0)) / max(turn, 1e-3 * math.pi)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import json
 import time
 from collections.abc import Callable
@@ -17,7 +15,7 @@ import numpy as np
 from vrcaps import __version__
 from vrcaps.env.settings import EnvSettings
 from vrcaps.errors import InputError
-from vrcaps.files import read_arrays, write_arrays, write_bytes, write_json
+from vrcaps.files import read_arrays, write_arrays, write_csv, write_json
 from vrcaps.limits import Range, check_fields
 from vrcaps.made_with import core_sha256, versions
 from vrcaps.organ.surface import OrganSurface
@@ -230,9 +228,4 @@ def _read_checkpoint(out: Path, learner: Ppo) -> Progress:
 def _write_checkpoint(out: Path, learner: Ppo, progress: Progress) -> None:
     stated = {"num_rounds": progress.num_rounds, "rows": progress.rows, "best": progress.best}
     write_arrays(out / CHECKPOINT, {**learner.state(), "progress": np.array(json.dumps(stated))})
-    names = list(dict.fromkeys(name for row in progress.rows for name in row))
-    table = io.StringIO()
-    writer = csv.DictWriter(table, names, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(progress.rows)
-    write_bytes(out / PROGRESS, table.getvalue().encode())
+    write_csv(out / PROGRESS, progress.rows)

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.capsule.catalog import read_device
-from vrcaps.capsule.device import Device
+from vrcaps.capsule.catalog import device_of
 from vrcaps.errors import InputError
 from vrcaps.file_ref import FileRef, path_of, with_checksums
 from vrcaps.lesion import AnyLesion, add_lesions, lesion_rng
@@ -37,7 +36,7 @@ def resolve(scenario: Scenario) -> Scenario:
             capsule's LEDs lack a color.
         UnknownNameError: If the capsule is unknown.
     """
-    device, organ = _catalog_device(scenario), scenario.organ
+    device, organ = device_of(scenario.capsule), scenario.organ
     make_imaging(device, scenario.render.imaging)
     if isinstance(organ, OrganFile):
         organ = replace(organ, unit=organ.unit or _own_unit(path_of(organ.path)))
@@ -74,7 +73,7 @@ def build(scenario: Scenario) -> tuple[Model, Motion]:
         UnknownNameError: As `resolve`.
     """
     scenario = resolve(scenario)
-    device = scenario.effects.device(_catalog_device(scenario))
+    device = scenario.effects.device(device_of(scenario.capsule))
     T_world_patient = posture_transform(scenario.posture)
     contents = scenario.effects.contents(scenario.contents)
 
@@ -126,12 +125,6 @@ def make_organ(scenario: Scenario, *, clean: bool = False) -> OrganSurface:
     plain = to_plain(scenario.lesions, tuple[AnyLesion, ...])
     key = {"lesions": plain, "organ": _key(scenario), "down": down.tolist(), "seed": seed}
     return cached_organ(f"lesions-{fingerprint({**key, 'clean': clean})}", make)
-
-
-def _catalog_device(scenario: Scenario) -> Device:
-    """The capsule before its effects."""
-    given = scenario.capsule
-    return given if isinstance(given, Device) else read_device(given)
 
 
 def _load_organ(scenario: Scenario) -> OrganSurface:

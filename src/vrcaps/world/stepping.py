@@ -123,9 +123,9 @@ def _on_threads(trips: dict[int, _Trip]) -> dict[int, str]:
 def _num_pieces(trip: _Trip) -> int:
     """Pieces of a step, so short that the force F = β (v_p − u) does not overshoot."""
     world = trip.world
-    propulsion = None if world.muscle is None else world.muscle.motility.propulsion
     if world.dynamics == "quasi-static":
         return 1
+    propulsion = None if world.muscle is None else world.muscle.motility.propulsion
     least = 1 if world._lumen is None else math.ceil(trip.dt / LUMEN_SUBSTEP * (1.0 - 1e-9))
     if propulsion is None:
         return least
@@ -193,7 +193,7 @@ def _add_propulsion(world: World, load: Float[np.ndarray, " 10"]) -> None:
 
 def _propulsion(world: World, time: float) -> Float[np.ndarray, " 3"]:
     """Propulsive force of the muscle on the capsule at a time [N], in the patient frame."""
-    if world.muscle is None or world.muscle.motility.propulsion is None:
+    if world.muscle is None:
         return np.zeros(3)
     position, _, velocity, _ = world._core.pose
     return world.muscle.propulsion(np.array(position) + world._center, np.array(velocity), time)

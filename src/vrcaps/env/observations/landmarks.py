@@ -9,13 +9,13 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.limits import Range, check_fields
-from vrcaps.transforms import invert
+from vrcaps.transforms import rotate_vectors, transform_points
 from vrcaps.units import CM, MM
-from vrcaps.world.model import posture_transform
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
+    from vrcaps.env.course import CoursePlace
     from vrcaps.env.simulation import Simulation
 
 _DISTANCE = 20.0 * MM
@@ -93,23 +93,30 @@ class LandmarksObservation:
         is_fixed = self.frame == "world"
         axes = np.eye(3)[None].repeat(s.num_worlds, 0) if is_fixed else s.T_world_capsule[:, :3, :3]
         to_regions, facts = self._regions(s)
-        ways = np.concatenate([RAYS @ np.swapaxes(axes, 1, 2), _directions(to_regions)], axis=1)
+        looks = _directions(to_regions)
+        ways = np.concatenate([RAYS @ np.swapaxes(axes, 1, 2), looks], axis=1)
         distances = self._distances(s, ways)
         is_free = distances[:, len(RAYS) :] > np.linalg.norm(to_regions, axis=-1) - _HIDDEN
         facts = np.concatenate([facts, (is_free & (facts[..., 2] > 0.0))[..., None]], axis=-1)
         attitude = s.T_world_capsule[:, None, :3, 2] if is_fixed else [[[0.0, 0.0, -1.0]]]
-        vectors = [*self._guides(s), np.broadcast_to(attitude, (s.num_worlds, 1, 3))]
+        here = s.course.at(s.arc_length)
+        vectors = [*self._guides(s, here), np.broadcast_to(attitude, (s.num_worlds, 1, 3))]
         vectors += [_soft_vectors(s.velocity_world, np.array([[_SPEED], [_SPIN]]))]
-        vectors += [_soft_vectors(s.contact_force_world[:, None], _FORCE), _directions(to_regions)]
+        vectors += [_soft_vectors(s.contact_force_world[:, None], _FORCE), looks]
         if "magnet/T" in s.memory:
             T_magnet = s.memory["magnet/T"]
             offset = T_magnet[:, None, :3, 3] - s.T_world_capsule[:, None, :3, 3]
             vectors += [_soft_vectors(offset, _FAR), T_magnet[:, None, :3, 2]]
         told = np.concatenate(vectors, axis=1) @ axes
-        return self._ordered(s, told, distances[:, : len(RAYS)], facts)
+        return self._ordered(s, here, told, distances[:, : len(RAYS)], facts)
 
     def _ordered(
-        self, s: Simulation, told: np.ndarray, distances: np.ndarray, facts: np.ndarray
+        self,
+        s: Simulation,
+        here: CoursePlace,
+        told: np.ndarray,
+        distances: np.ndarray,
+        facts: np.ndarray,
     ) -> Float[np.ndarray, "n k"]:
         """All numbers in the order of the docstring."""
         n, last = s.num_worlds, 7 + self.regions
@@ -119,7 +126,7 @@ class LandmarksObservation:
             s.time[:, None] / s.settings.episode_time,
             s.fraction,
             told[:, :3].reshape(n, -1),
-            _soft(s.course.at(s.arc_length).radius[:, None], _DISTANCE),
+            _soft(here.radius[:, None], _DISTANCE),
             told[:, 3:7].reshape(n, -1),
             _soft(distances, _DISTANCE),
             regions.reshape(n, -1),
@@ -129,10 +136,10 @@ class LandmarksObservation:
             parts.append(_soft(s.memory["navigate/goal"] - s.arc_length, _FAR)[:, None])
         return np.concatenate(parts, axis=1).clip(-1.0, 1.0).astype(np.float32)
 
-    def _guides(self, s: Simulation) -> list[Float[np.ndarray, "n 1 3"]]:
+    def _guides(self, s: Simulation, here: CoursePlace) -> list[Float[np.ndarray, "n 1 3"]]:
         """Ways to the centerline, along it, and on, in the world frame."""
         place = s.T_world_capsule[:, :3, 3]
-        here, ahead = s.course.at(s.arc_length), s.course.at(s.arc_length + _AHEAD)
+        ahead = s.course.at(s.arc_length + _AHEAD)
         vectors = [
             _soft_vectors(here.point - place, _DISTANCE),
             here.axes[:, 2],
@@ -174,10 +181,11 @@ class LandmarksObservation:
     @staticmethod
     def _distances(s: Simulation, ways: Float[np.ndarray, "n k 3"]) -> Float[np.ndarray, "n k"]:
         """Distances to the wall [m] along directions in the world frame."""
-        T_patient_world = invert(posture_transform(s.settings.posture))
-        origins = s.T_world_capsule[:, :3, 3] @ T_patient_world[:3, :3].T + T_patient_world[:3, 3]
+        origins = transform_points(s.T_patient_world, s.T_world_capsule[:, :3, 3])
         is_none = np.einsum("nki,nki->nk", ways, ways) == 0.0
-        ways = np.where(is_none[..., None], [0.0, 0.0, 1.0], ways) @ T_patient_world[:3, :3].T
+        ways = rotate_vectors(
+            s.T_patient_world, np.where(is_none[..., None], [0.0, 0.0, 1.0], ways)
+        )
         walls = [world.wall for world in s.worlds]
         return _core.wall_distances(walls, origins, ways, _REACH).astype(float)
 

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from vrcaps.env.rewards import Reward
-from vrcaps.errors import UnknownNameError
 from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.coverage import CoverageLevel
-from vrcaps.metrics.point_coverage import POINT_LEVELS
+from vrcaps.metrics.point_coverage import POINT_LEVELS, require_point_level
 
 if TYPE_CHECKING:
     import numpy as np
@@ -34,8 +33,7 @@ class CoverageTask:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if self.level not in POINT_LEVELS:
-            raise UnknownNameError("level of coverage for a task", self.level, POINT_LEVELS)
+        require_point_level(self.level, "task")
 
     @property
     def rewards(self) -> tuple[Reward, ...]:

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 
 from vrcaps.env.rewards import Reward
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.errors import InputError
 from vrcaps.lesion import Angioectasia, Polyp, Ulcer
 from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.coverage import CoverageLevel
-from vrcaps.metrics.point_coverage import POINT_LEVELS
+from vrcaps.metrics.point_coverage import POINT_LEVELS, require_point_level
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -43,8 +43,7 @@ class InspectTask:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if self.level not in POINT_LEVELS:
-            raise UnknownNameError("level of coverage for a task", self.level, POINT_LEVELS)
+        require_point_level(self.level, "task")
 
     @property
     def rewards(self) -> tuple[Reward, ...]:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.errors import InputError
+from vrcaps.files import files_in
 from vrcaps.tools.ct.itk import import_sitk, itk_reason
 from vrcaps.tools.ct.volume import Volume, require_voxels
 from vrcaps.units import MM
@@ -111,7 +112,7 @@ def list_series(folder: Path) -> list[Series]:
     """
     groups: dict[tuple, list[Slice]] = {}
     about: dict[tuple, Series] = {}
-    for path in sorted(file for file in folder.rglob("*") if file.is_file()):
+    for path in files_in(folder):
         found = _read_header(path)
         if found is not None:
             key, one, series = found

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import base64
-import csv
 import html
-import io
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from vrcaps.files import write_bytes
-from vrcaps.policy.evaluation import PAPER_TIME
-from vrcaps.tools.evaluation.subject import Subject, ends, summary
+from vrcaps.files import write_bytes, write_csv
+from vrcaps.policy.evaluation import PAPER_COVERAGE, PAPER_TIME
+from vrcaps.tools.evaluation.subject import MEDIAN_OF, Subject, ends, summary
 from vrcaps.tools.evaluation.summary_figure import summary_picture
 
 PAGE, PICTURE, TABLE, VIDEO = "index.html", "summary.png", "summary.csv", "median.mp4"
@@ -34,9 +32,9 @@ in the field of view through walls (the definition of VR-Caps), <i>visible</i> w
 <i>resolved</i> what is also seen close and steeply enough. After the end of an episode its coverage
 stays. Lines: mean over episodes with its 95 % confidence band, as if all episodes were independent,
 though those in one organ are alike; pale: 10th to 90th percentile.
-Star: VR-Caps, 96.04 % at {PAPER_TIME} s of one stomach. Times: median over episodes, where one
-that never got there counts as the longest, and how many got there. Forces: median over episodes of
-percentiles over the actions of an episode."""
+Star: VR-Caps, {PAPER_COVERAGE} % at {PAPER_TIME} s of one stomach. Times: median over episodes,
+where one that never got there counts as the longest, and how many got there. Forces: median over
+episodes of percentiles over the actions of an episode."""
 
 
 def write_page(folder: Path, subjects: Sequence[Subject]) -> list[Path]:
@@ -56,18 +54,15 @@ def write_page(folder: Path, subjects: Sequence[Subject]) -> list[Path]:
         {"figure": name, **{subject: column[name] for subject, column in columns.items()}}
         for name in names
     ]
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_bytes(folder / TABLE, text.getvalue().encode())
+    write_csv(folder / TABLE, rows)
     write_bytes(folder / PAGE, _page(folder, subjects, rows).encode())
     return [folder / name for name in (PAGE, PICTURE, TABLE)]
 
 
 def _page(folder: Path, subjects: Sequence[Subject], rows: list[dict[str, str]]) -> str:
     dynamics = ", ".join(sorted({subject.settings.dynamics for subject in subjects}))
-    organs = sorted({str(o) for s in subjects for o in s.evaluation.column("organ")})
+    by_organ = _by_organ(subjects)
+    organs = [row["organ"] for row in by_organ]
     whole = ", ".join(sorted({f"{s.settings.episode_time:g}" for s in subjects}))
     said = (
         f"{len(organs)} organs ({', '.join(organs[:4])}{', …' if len(organs) > 4 else ''}); "
@@ -81,13 +76,13 @@ def _page(folder: Path, subjects: Sequence[Subject], rows: list[dict[str, str]])
         f"<p class='note'>{_NOTE}</p>",
         _table(rows),
         "<h2>Organs</h2><p class='note'>Median visible coverage "
-        f"at {PAPER_TIME} s [%].</p>{_table(_by_organ(subjects))}",
+        f"at {PAPER_TIME} s [%].</p>{_table(by_organ)}",
         f"<h2>Ends of episodes</h2>{_table(_ends(subjects))}",
     ]
     for subject in subjects:
         video = subject.evaluation.folder / VIDEO
         if video.is_file():
-            row = subject.evaluation.median_row("visible_area_under_curve")
+            row = subject.evaluation.median_row(MEDIAN_OF)
             parts.append(
                 f"<h2>{html.escape(subject.name)}: the median run</h2>"
                 f"<p>{row['organ']}, seed {row['seed']}, episode {row['episode']}; twice as fast "

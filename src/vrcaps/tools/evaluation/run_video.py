@@ -9,19 +9,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.capsule.catalog import device_of
 from vrcaps.env.patient import Patients
 from vrcaps.env.views import resized_camera
 from vrcaps.files import write_bytes
 from vrcaps.mesh.mesh import wall_of
 from vrcaps.metrics.point_coverage import POINT_LEVELS, mark_points, wall_points
 from vrcaps.policy.evaluate import organ_name
+from vrcaps.policy.evaluation import POSE
 from vrcaps.recording.preview import Preview
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
 from vrcaps.tools.coverage.coverage_figure import LEVEL_COLORS
-from vrcaps.tools.evaluation.subject import Subject
+from vrcaps.tools.evaluation.subject import MEDIAN_OF, Subject
 from vrcaps.tools.overview.inside import exposed_image
-from vrcaps.tools.overview.outside import VIEWS, outside_view, project
+from vrcaps.tools.overview.outside import VIEWS, outside_view, project, view_rays
 from vrcaps.transforms import invert, matrix_from_quaternion, transform_from
 from vrcaps.world.model import Model, State
 
@@ -30,9 +32,6 @@ if TYPE_CHECKING:
 
     from vrcaps.env.patient import Patient
     from vrcaps.env.settings import EnvSettings
-
-MEDIAN_OF = "visible_area_under_curve"
-"""Figure whose median run is shown."""
 
 _FASTER, _EVERY = 2.0, 2
 """How many times as fast the run is shown, and every how many actions there is a frame."""
@@ -82,7 +81,8 @@ def faces_first_seen(
     """Pose at which the middle of each triangle was first visible; `len(poses)` where never."""
     points = wall_points(model.organ, None)
     num_faces, bit = len(model.organ.faces), 1 << POINT_LEVELS.index("visible")
-    flags = np.zeros(len(points), np.uint8)
+    flags, cells = np.zeros(len(points), np.uint8), np.zeros((1, int(points.cell.max()) + 1))
+    last = points.first_of_lesions
     first = np.full(num_faces, len(poses))
     for number, pose in enumerate(poses):
         for camera in model.device.cameras:
@@ -92,10 +92,10 @@ def faces_first_seen(
                 camera,
                 (pose @ camera.T_capsule_camera)[None],
                 [flags],
-                np.zeros((1, int(points.cell.max()) + 1)),
+                cells,
                 settings.criteria,
             )
-        seen = (flags[-num_faces:] & bit) > 0
+        seen = (flags[last - num_faces : last] & bit) > 0
         first[seen & (first == len(poses))] = number
     return first
 
@@ -112,11 +112,7 @@ class _View:
         white = np.ones((len(organ.label_names), 3))
         args = (axes, self._center, self._half)
         self._shade = outside_view(organ, wall, *args, colors=white, size_px=_SIZE_PX)
-        right, up, forward = axes
-        steps = self._half * (2.0 * (np.arange(_SIZE_PX) + 0.5) / _SIZE_PX - 1.0)
-        origins = steps[None, :, None] * right - steps[:, None, None] * up
-        origins = (origins + self._center - 2.0 * self._half * forward).reshape(-1, 3)
-        _, face = wall.cast(origins, np.broadcast_to(forward, origins.shape).copy())
+        _, face = wall.cast(*view_rays(*args, _SIZE_PX))
         self._face = face.reshape(_SIZE_PX, _SIZE_PX)
 
     def at(self, seen: np.ndarray, pose: Float[np.ndarray, "4 4"]) -> np.ndarray:
@@ -154,17 +150,12 @@ def _strip(curves: dict[str, np.ndarray], number: int, width: int) -> np.ndarray
 
 def _poses(curves: dict[str, np.ndarray]) -> Float[np.ndarray, "t 4 4"]:
     """Poses of the capsule over time."""
-    position = np.stack([curves[f"{axis}_m"] for axis in "xyz"], axis=-1)
-    wxyz = np.stack([curves[name] for name in ("qw", "qx", "qy", "qz")], axis=-1)
-    return transform_from(matrix_from_quaternion(wxyz), position)
+    pose = np.stack([curves[name] for name in POSE], axis=-1)
+    return transform_from(matrix_from_quaternion(pose[:, 3:]), pose[:, :3])
 
 
 def _patient(settings: EnvSettings, name: str) -> Patient:
     """The patient of a name, with its textures."""
-    from vrcaps.capsule.catalog import read_device
-    from vrcaps.capsule.device import Device
-
     organ = next(o for o in settings.organs if organ_name(o) == name)
-    capsule = settings.capsule
-    device = capsule if isinstance(capsule, Device) else read_device(capsule)
-    return Patients(replace(settings, organs=(organ,)), device, with_textures=True)[0]
+    settings = replace(settings, organs=(organ,))
+    return Patients(settings, device_of(settings.capsule), with_textures=True)[0]

@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from vrcaps.env.settings import EnvSettings
 
 
+MEDIAN_OF = "visible_area_under_curve"
+"""Figure whose median run is shown."""
+
+
 @dataclass(frozen=True)
 class Subject:
     """What was judged.
@@ -49,9 +53,14 @@ def summary(subject: Subject) -> dict[str, str]:
     return row
 
 
+def median_time(times: np.ndarray) -> float:
+    """Median of times [s], where one that was never reached is the longest."""
+    return float(np.median(np.where(np.isnan(times), np.inf, times)))
+
+
 def time_text(times: np.ndarray) -> str:
     """Median time, where one that was never reached is the longest, and how many reached it."""
-    middle = np.median(np.where(np.isnan(times), np.inf, times))
+    middle = median_time(times)
     reached = f"{np.isfinite(times).sum()}/{len(times)}"
     return f"{middle:.1f} ({reached})" if np.isfinite(middle) else f"not ({reached})"
 

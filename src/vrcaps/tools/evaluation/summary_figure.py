@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.metrics.point_coverage import POINT_LEVELS
-from vrcaps.policy.evaluation import PAPER_TIME, TARGETS
-from vrcaps.tools.evaluation.subject import Subject
+from vrcaps.policy.evaluation import PAPER_COVERAGE, PAPER_TIME, TARGETS
+from vrcaps.tools.evaluation.subject import Subject, median_time
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 COLORS = ("#3b6fb6", "#e0982f", "#1a8a4a", "#a23b72", "#7f5f3f", "#5f5f5f", "#27a5a5", "#c44536")
 """One for each subject, in turn."""
 
-_PAPER_COVERAGE = 96.04
 _SIZE_INCH, _DPI = (14.0, 8.2), 110
 _POINTS = 241
 _CONFIDENCE = 1.96
@@ -62,10 +61,10 @@ def _draw_over_time(view: Axes, subjects: Sequence[Subject], column: int) -> Non
                 time, mean - error, np.minimum(mean + error, 100), color=color, alpha=0.25, lw=0
             )
     if level == "frustum":
-        view.plot(PAPER_TIME, _PAPER_COVERAGE, marker="*", ms=11, color="#222222", ls="")
+        view.plot(PAPER_TIME, PAPER_COVERAGE, marker="*", ms=11, color="#222222", ls="")
         view.annotate(
-            "VR-Caps, 96.04 %",
-            (PAPER_TIME, _PAPER_COVERAGE),
+            f"VR-Caps, {PAPER_COVERAGE} %",
+            (PAPER_TIME, PAPER_COVERAGE),
             (-8, -18),
             ha="right",
             textcoords="offset points",
@@ -108,7 +107,7 @@ def _draw_times(view: Axes, subjects: Sequence[Subject]) -> None:
         color = COLORS[number % len(COLORS)]
         for row, target in enumerate(TARGETS):
             times = subject.evaluation.column(f"visible_time_to_{target:g}_s")
-            middle = float(np.median(np.where(np.isnan(times), np.inf, times)))
+            middle = median_time(times)
             y = row + (number - 0.5 * (len(subjects) - 1)) * 0.7 / len(subjects)
             marker = "o" if np.isfinite(middle) else "x"
             view.plot(min(middle, whole), y, color=color, ls="", ms=7, marker=marker)

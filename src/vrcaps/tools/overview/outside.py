@@ -47,13 +47,10 @@ def outside_view(
     Returns:
         sRGB image, 0 to 1, white where there is no wall.
     """
-    right, up, forward = axes
-    steps = half * ((np.arange(2 * size_px) + 0.5) / size_px - 1.0)
-    origins = steps[None, :, None] * right - steps[:, None, None] * up
-    origins = (origins + center - 2.0 * half * forward).reshape(-1, 3)
-    distance, face = wall.cast(origins, np.broadcast_to(forward, origins.shape).copy())
+    origins, directions = view_rays(axes, center, half, 2 * size_px)
+    distance, face = wall.cast(origins, directions)
     hit = np.flatnonzero(face >= 0)
-    points = origins[hit] + distance[hit, None] * forward
+    points = origins[hit] + distance[hit, None] * axes[2]
     corners = organ.faces[face[hit]]
     weights = barycentric(points, organ.vertices[corners])
     normals = -np.einsum("nc,ncx->nx", weights, organ.normals[corners])  # out of the lumen
@@ -65,6 +62,24 @@ def outside_view(
     image = np.ones((len(origins), 3))
     image[hit] = np.clip(color * (shade * (1.12 - 0.30 * near))[:, None], 0.0, 1.0)
     return image.reshape(size_px, 2, size_px, 2, 3).mean(axis=(1, 3))
+
+
+def view_rays(
+    axes: Float[np.ndarray, "3 3"], center: Float[np.ndarray, " 3"], half: float, size_px: int
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+    """Origins and directions of the rays of a view, row by row.
+
+    Args:
+        axes: Rows are the image's right and up and the viewing direction, unit vectors.
+        center: Point in the middle of the image [m].
+        half: Half the side of the square seen [m].
+        size_px: Rays along a side.
+    """
+    right, up, forward = axes
+    steps = half * (2.0 * (np.arange(size_px) + 0.5) / size_px - 1.0)
+    origins = steps[None, :, None] * right - steps[:, None, None] * up
+    origins = (origins + center - 2.0 * half * forward).reshape(-1, 3)
+    return origins, np.broadcast_to(forward, origins.shape).copy()
 
 
 def project(

@@ -8,7 +8,7 @@ RUST_VERSION = $(shell sed -n 's/^rust-version = "\(.*\)"/\1/p' rust/Cargo.toml)
 PYTHON = $(shell for python in python3.11 python3.12 python3.13 python3.14 python3; do \
 	$$python -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null \
 	&& command -v $$python && break; done)
-INSTALL = VIRTUAL_ENV=$(CURDIR)/$(VENV) $(BIN)/python -m pip install --quiet --constraint constraints.txt \
+INSTALL = VIRTUAL_ENV=$(CURDIR)/$(VENV) $(BIN)/uv pip install --quiet --constraint constraints.txt \
 	--no-build-isolation
 
 export PATH := $(CURDIR)/$(BIN):$(PATH):$(HOME)/.cargo/bin
@@ -62,7 +62,7 @@ wheel: $(VENV)/.stamp-dev
 	$(BIN)/python -m pytest tests/test_packaging.py -m wheel
 
 constraints: $(VENV)/.stamp-dev
-	$(BIN)/python -m pip install --quiet --upgrade --upgrade-strategy eager --editable '.[dev,docs]'
+	$(BIN)/python -m pip install --quiet --upgrade --upgrade-strategy eager --editable '.[dev,docs]' uv
 	head -1 constraints.txt > constraints.new
 	$(BIN)/python -m pip freeze --exclude-editable >> constraints.new
 	mv constraints.new constraints.txt
@@ -83,7 +83,7 @@ $(VENV)/.stamp-venv:
 		echo "cargo $(RUST_VERSION) or newer is needed, found $$found. Install Rust with rustup" >&2; exit 1; }
 	@echo "Setting up $(VENV) with $(PYTHON) (once, a few minutes)"
 	@$(PYTHON) -m venv --clear $(VENV)
-	@$(BIN)/python -m pip install --quiet --constraint constraints.txt 'maturin>=1.9,<2'
+	@$(BIN)/python -m pip install --quiet --constraint constraints.txt 'maturin>=1.9,<2' 'uv>=0.5'
 	@touch $@
 
 $(VENV)/.stamp-run: $(VENV)/.stamp-venv $(SOURCES)

@@ -37,6 +37,7 @@ LAYERS = (
     ("scenario",),
     ("recording",),
     ("data",),
+    ("formats",),
     ("env",),
     ("policy",),
     ("tools",),

@@ -64,9 +64,9 @@ def test_records_an_episode_and_loads_it_as_arrays(folder: Path):
     assert all(isinstance(value, np.ndarray) for value in item.values())
     np.testing.assert_array_equal(item["depth"], names["depth"][-1])
     with pytest.raises(IndexError, match="No frame 2"):
-        names["dataset"][2]
+        names["sequence"][2]
     with pytest.raises(vrcaps.VrcapsError, match="No channel named 'normal'"):
-        names["episode"].dataset("front", ("normal",))
+        names["episode"].sequence("front", ("normal",))
 
 
 @pytest.mark.slow

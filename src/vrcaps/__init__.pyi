@@ -30,6 +30,7 @@ from .organ.write_organ import write_organ as write_organ
 from .recording.check import check_episode as check_episode
 from .recording.episode import Episode as Episode
 from .recording.episode import read_episode as read_episode
+from .recording.frame_sequence import FrameSequence as FrameSequence
 from .recording.recorder import record as record
 from .render.channels import Frame as Frame
 from .render.renderer import Renderer as Renderer

@@ -10,6 +10,7 @@ from importlib import import_module
 from typing import Protocol
 
 from vrcaps.errors import VrcapsError
+from vrcaps.formats.registry import FORMATS
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
@@ -46,6 +47,10 @@ _VERBS = {
     "bench record": ("vrcaps.cli.bench", "Record", "Measure recording to disk."),
     "bench world": ("vrcaps.cli.bench", "World", "Measure the physics."),
     "train coverage": ("vrcaps.cli.train", "Coverage", "Learn to see the whole wall, by PPO."),
+    **{
+        f"export {kind}": ("vrcaps.cli.export", kind, form.summary)
+        for kind, form in FORMATS.items()
+    },
     "doctor": ("vrcaps.cli.doctor", "Doctor", "Say what is installed and what can be used."),
 }
 """Module, dataclass and summary of each verb."""
@@ -53,6 +58,7 @@ _VERBS = {
 _GROUPS = {
     "train": "Learn: policies that steer a capsule.",
     "dataset": "Make and verify data sets of many recordings, split by patient.",
+    "export": "Write episodes and data sets in the layouts that other tools read.",
     "organ": "Generate organs, make them from CT, dress them from photographs; measure, draw.",
     "calibrate": "Make a capsule file of a real capsule from its photographs and frames.",
     "bench": "Measure speed on this machine.",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ from vrcaps.camera.camera import Camera, check_names
 from vrcaps.errors import InputError, UnknownNameError, require
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.read_mesh import read_mesh
+from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.recording.image_files import read_image
 from vrcaps.recording.layout import (
     COMPLETE,
@@ -37,13 +38,12 @@ if TYPE_CHECKING:
 class Episode:
     """A recorded run; images are read when asked for.
 
-    `episode[i]` is a dictionary of arrays and numbers of one frame, which the `default_collate` of
-    PyTorch's `DataLoader` accepts.
+    `episode[i]` is a dictionary of arrays and numbers of one frame of the first camera.
 
     Example:
         >>> episode = vrcaps.read_episode("runs/colon")
         >>> episode[0]["depth"], episode[0]["T_world_camera"]
-        >>> loader = torch.utils.data.DataLoader(episode.dataset("front", ("rgb", "depth")))
+        >>> loader = torch.utils.data.DataLoader(episode.sequence("front", ("rgb", "depth")))
 
     Attributes:
         path: Its folder.
@@ -61,13 +61,13 @@ class Episode:
         return self.head["frames"]
 
     def __getitem__(self, index: int) -> dict[str, NDArray]:
-        """Arrays of one frame of the first camera, see `EpisodeDataset`."""
-        return self.dataset()[index]
+        """Arrays of one frame of the first camera, see `FrameSequence`."""
+        return self._first_sequence[index]
 
-    def dataset(
+    def sequence(
         self, camera: str | None = None, channels: Sequence[str] | None = None
-    ) -> EpisodeDataset:
-        """The frames of one camera as dictionaries of arrays.
+    ) -> FrameSequence:
+        """The frames of one camera.
 
         Args:
             camera: Name of the camera; None takes the first.
@@ -76,12 +76,26 @@ class Episode:
         Raises:
             UnknownNameError: If camera or channel was not recorded.
         """
-        name = self.cameras[0].name if camera is None else self.camera(camera).name
-        chosen = self.channels if channels is None else tuple(channels)
-        for channel in chosen:
-            if channel not in self.channels:
-                raise UnknownNameError("channel", channel, self.channels)
-        return EpisodeDataset(self, name, chosen)
+        own = self.cameras[0] if camera is None else self.camera(camera)
+        found = FrameSequence(
+            f"{self.path.name}/{own.name}",
+            self.channels,
+            {
+                TIME: self.times,
+                CAMERA_POSE: self.Ts_world_camera(own.name),
+                "T_world_capsule": self.Ts_world_capsule,
+                "capsule_arc_length": self.table.columns["arc_length_m"],
+            },
+            partial(self.image, own.name),
+            own,
+            self.label_names,
+            episode=self,
+        )
+        return found if channels is None else found.with_channels(channels)
+
+    @cached_property
+    def _first_sequence(self) -> FrameSequence:
+        return self.sequence()
 
     @cached_property
     def scenario(self) -> Scenario:
@@ -247,51 +261,6 @@ class Episode:
     def _require_frame(self, frame: int) -> None:
         if not 0 <= frame < len(self):
             raise InputError(f"No frame {frame} in {self.path}. Allowed: 0 to {len(self) - 1}.")
-
-
-@dataclass(frozen=True)
-class EpisodeDataset:
-    """Map-style dataset of the frames of one camera: dictionaries of arrays.
-
-    An item has an array for each channel, `T_world_camera`, `T_world_capsule`, `time` [s],
-    `capsule_arc_length` [m] and `index`. Nothing in it is None. It needs no PyTorch, but PyTorch's
-    `DataLoader` takes it.
-
-    Attributes:
-        episode: The episode.
-        camera: Name of the camera.
-        channels: Image channels.
-    """
-
-    episode: Episode
-    camera: str
-    channels: tuple[str, ...]
-
-    def __len__(self) -> int:
-        return len(self.episode)
-
-    def __getitem__(self, index: int) -> dict[str, NDArray]:
-        """Arrays of one frame; a negative index counts from the end.
-
-        Raises:
-            IndexError: If there is no such frame, so that a loop over the dataset ends.
-        """
-        if not -len(self) <= index < len(self):
-            raise IndexError(f"No frame {index}. Allowed: 0 to {len(self) - 1}.")
-        k = index % len(self)
-        images = {name: self.episode.image(self.camera, name, k) for name in self.channels}
-        columns = self.episode.table.columns
-        return images | {
-            "T_world_camera": self._Ts_world_camera[k],
-            "T_world_capsule": self.episode.Ts_world_capsule[k],
-            "time": np.asarray(columns["time_s"][k]),
-            "capsule_arc_length": np.asarray(columns["arc_length_m"][k]),
-            "index": np.asarray(k),
-        }
-
-    @cached_property
-    def _Ts_world_camera(self) -> Float[np.ndarray, "n 4 4"]:
-        return self.episode.Ts_world_camera(self.camera)
 
 
 def read_episode(path: str | Path, *, unfinished: bool = False) -> Episode:

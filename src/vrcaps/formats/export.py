@@ -1,0 +1,65 @@
+"""Write sequences in a format, whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from vrcaps.errors import InputError
+from vrcaps.files import sync_folder
+from vrcaps.formats.format import Format, require_needs
+from vrcaps.recording.frame_sequence import FrameSequence
+
+
+def export(
+    form: Format,
+    sequences: Sequence[FrameSequence],
+    out: str | Path,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Write sequences in a format; the folder appears when all is written.
+
+    Example:
+        >>> episode = vrcaps.read_episode("runs/colon")
+        >>> export(Tum(), [episode.sequence("front")], "runs/colon-tum")
+
+    Args:
+        form: The format with its options.
+        sequences: What to write; `sequences_of` gives those of an episode or a data set.
+        out: Folder to make.
+        progress: Called with the number of frames written and of all.
+
+    Returns:
+        The folder.
+
+    Raises:
+        InputError: If the format cannot hold them, the folder exists, or an image is damaged;
+            nothing is left behind.
+    """
+    require_needs(form, sequences)
+    out = Path(out)
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(f"{out} exists. Give a new or empty folder.")
+    total, done = sum(map(len, sequences)), 0
+
+    def advance() -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(done, total)
+
+    partial = out.with_name(f".{out.name}.{os.getpid()}.partial")
+    shutil.rmtree(partial, ignore_errors=True)  # of a process of this number that was killed
+    partial.mkdir(parents=True)
+    try:
+        form.write(sequences, partial, advance)
+        if out.exists():
+            out.rmdir()
+        partial.rename(out)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    sync_folder(out.parent)
+    return out

@@ -1,0 +1,19 @@
+"""All formats: one line each."""
+
+from vrcaps.errors import UnknownNameError
+from vrcaps.formats.format import Format
+from vrcaps.formats.tum import Tum
+
+FORMATS: dict[str, type[Format]] = {form.kind: form for form in (Tum,)}
+"""Formats by their names."""
+
+
+def format_named(kind: str) -> type[Format]:
+    """A format by its name.
+
+    Raises:
+        UnknownNameError: If there is none.
+    """
+    if kind not in FORMATS:
+        raise UnknownNameError("format", kind, FORMATS)
+    return FORMATS[kind]

@@ -1,0 +1,126 @@
+"""Frames of one camera over time, wherever they come from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.camera.camera import Camera
+from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.render.channels import CHANNELS, Frame
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+    from numpy.typing import NDArray
+
+    from vrcaps.recording.episode import Episode
+
+TIME, CAMERA_POSE = "time", "T_world_camera"
+"""Names of values that sequences of all sources use."""
+
+
+@dataclass(frozen=True)
+class FrameSequence:
+    """Frames of one camera over time: of an episode, or of a data set that others made.
+
+    Images are read when asked for. `sequence[i]` is a dictionary of arrays and numbers, none of
+    them None: an array for each channel, the values of the frame, and `index`. It needs no PyTorch,
+    but PyTorch's `DataLoader` takes it as a map-style dataset.
+
+    Example:
+        >>> sequence = vrcaps.read_episode("runs/colon").sequence("front", ("rgb", "depth"))
+        >>> sequence[0]["depth"], sequence[0]["T_world_camera"]
+        >>> loader = torch.utils.data.DataLoader(sequence)
+
+    Attributes:
+        name: What its source calls it.
+        channels: Image channels that a frame has, in the order of `Frame`.
+        values: An array with a row per frame for each number that is known. `time` [s] is always
+            there; `T_world_camera` [m] where poses are known; an episode has `T_world_capsule` and
+            `capsule_arc_length` [m] too.
+        load: Reads an image, from channel and number of the frame, in SI units.
+        camera: Lens and size of the images; None where the source has no calibration.
+        label_names: Class names of `label` by number; 0 is `background`.
+        patient: Whose organ it is; None if not known. Data sets are split by it.
+        split: `train`, `val` or `test`; None if the source has no splits.
+        episode: The episode that it is of; None for data of others.
+    """
+
+    name: str
+    channels: tuple[str, ...]
+    values: Mapping[str, NDArray]
+    load: Callable[[str, int], NDArray] = field(repr=False)
+    camera: Camera | None = None
+    label_names: tuple[str, ...] = ()
+    patient: str | None = None
+    split: str | None = None
+    episode: Episode | None = field(default=None, repr=False)
+
+    def __len__(self) -> int:
+        return len(self.values[TIME])
+
+    def __iter__(self) -> Iterator[dict[str, NDArray]]:
+        return (self[index] for index in range(len(self)))
+
+    def __getitem__(self, index: int) -> dict[str, NDArray]:
+        """Arrays of one frame; a negative index counts from the end.
+
+        Raises:
+            IndexError: If there is no such frame, so that a loop over the sequence ends.
+        """
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"No frame {index}. Allowed: 0 to {len(self) - 1}.")
+        k = index % len(self)
+        images = {channel: self.load(channel, k) for channel in self.channels}
+        values = {name: np.asarray(rows[k]) for name, rows in self.values.items()}
+        return images | values | {"index": np.asarray(k)}
+
+    @property
+    def times(self) -> Float[np.ndarray, " n"]:
+        """Time of each frame [s]."""
+        return self.values[TIME]
+
+    @property
+    def Ts_world_camera(self) -> Float[np.ndarray, "n 4 4"]:
+        """Pose of the camera at each frame [m].
+
+        Raises:
+            InputError: If poses are not known.
+        """
+        if CAMERA_POSE not in self.values:
+            raise InputError(f"{self.name} has no poses of its camera.")
+        return self.values[CAMERA_POSE]
+
+    def image(self, channel: str, index: int) -> NDArray:
+        """One channel [h w] or [h w c] of a frame in SI units; NaN where there is no value.
+
+        Raises:
+            UnknownNameError: If the sequence has no such channel.
+            InputError: If there is no such frame or its file cannot be read.
+        """
+        self._require_channels((channel,))
+        if not 0 <= index < len(self):
+            raise InputError(f"No frame {index} in {self.name}. Allowed: 0 to {len(self) - 1}.")
+        return self.load(channel, index)
+
+    def frame(self, index: int) -> Frame:
+        """All channels of one frame."""
+        return Frame(**{channel: self.image(channel, index) for channel in self.channels})
+
+    def with_channels(self, channels: Iterable[str]) -> FrameSequence:
+        """The same frames with these channels only.
+
+        Raises:
+            UnknownNameError: If a channel is not there.
+        """
+        chosen = tuple(channels)
+        self._require_channels(chosen)
+        return replace(self, channels=tuple(name for name in CHANNELS if name in chosen))
+
+    def _require_channels(self, channels: Sequence[str]) -> None:
+        for channel in channels:
+            if channel not in self.channels:
+                raise UnknownNameError("channel", channel, self.channels)

@@ -1,0 +1,73 @@
+"""Confidence intervals by resampling (Efron and Tibshirani, An Introduction to the Bootstrap)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import require
+
+if TYPE_CHECKING:
+    from jaxtyping import Int
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A figure with its confidence interval.
+
+    Attributes:
+        value: Of all items.
+        low: Lower end.
+        high: Upper end.
+    """
+
+    value: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.value:.3f} [{self.low:.3f}, {self.high:.3f}]"
+
+
+def bootstrap(
+    statistic: Callable[[Int[np.ndarray, " k"]], float],
+    count: int,
+    *,
+    groups: NDArray | None = None,
+    level: float = 0.95,
+    resamples: int = 1000,
+    seed: int = 0,
+) -> Interval:
+    """Percentile interval of a figure of items that are drawn anew with replacement.
+
+    Args:
+        statistic: The figure, from numbers of items.
+        count: Number of items.
+        groups: Group of each item [count]. Whole groups are drawn, so that items of one patient,
+            which are alike, do not count as independent. None draws items.
+        level: Share of resamples within the interval.
+        resamples: Number of draws; those in which the figure is undefined (NaN) are left out.
+        seed: Of the draws.
+
+    Raises:
+        InputError: If a number is out of range.
+    """
+    require(count > 0, "number of items", count, "1 or more")
+    require(0.0 < level < 1.0, "level of confidence", level, "above 0, below 1")
+    require(resamples > 1, "number of resamples", resamples, "2 or more")
+    rng = np.random.default_rng(seed)
+    keys = np.arange(count) if groups is None else np.unique(groups, return_inverse=True)[1]
+    order = np.argsort(keys, kind="stable")
+    members = np.split(order, np.cumsum(np.bincount(keys))[:-1])
+    drawn = (
+        np.concatenate([members[k] for k in rng.integers(len(members), size=len(members))])
+        for _ in range(resamples)
+    )
+    values = np.array([statistic(items) for items in drawn])
+    tail = 0.5 * (1.0 - level)
+    low, high = np.nanquantile(values, [tail, 1.0 - tail])
+    return Interval(float(statistic(np.arange(count))), float(low), float(high))

@@ -1,0 +1,127 @@
+"""Errors of estimated depth, by the definitions that papers report.
+
+With estimate d and truth t over the pixels that have both::
+
+    AbsRel   = mean |d − t| / t             RMSE     = √ mean (d − t)²
+    SqRel    = mean (d − t)² / t            RMSE log = √ mean (ln d − ln t)²
+    δ < 1.25ᵏ = share of max(d/t, t/d) < 1.25ᵏ, k = 1, 2, 3
+
+(Eigen, Puhrsch, Fergus, NIPS 2014, section 4.2.) SqRel has the unit of depth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+
+from vrcaps.errors import InputError, UnknownNameError
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+DepthAlignment = Literal["none", "median", "scale", "scale-and-shift"]
+"""What is fitted to the truth before errors are taken: nothing; the ratio of medians; the least
+squares factor; the least squares factor and offset (Ranftl et al., TPAMI 2022, eq. 3, in depth)."""
+
+_LEAST_DEPTH = 1e-6
+"""Depth that an estimate is raised to, so that its logarithm exists [m]."""
+
+
+@dataclass(frozen=True)
+class DepthErrors:
+    """Errors of one image, or means over images.
+
+    Attributes:
+        abs_rel: Mean relative error.
+        sq_rel: Mean squared error over truth [m].
+        rmse: Root mean square error [m].
+        rmse_log: Root mean square error of logarithms.
+        delta_1: Share within a factor of 1.25.
+        delta_2: Share within 1.25².
+        delta_3: Share within 1.25³.
+    """
+
+    abs_rel: float
+    sq_rel: float
+    rmse: float
+    rmse_log: float
+    delta_1: float
+    delta_2: float
+    delta_3: float
+
+
+def depth_errors(
+    estimate: Float[np.ndarray, "*shape"],
+    truth: Float[np.ndarray, "*shape"],
+    *,
+    align: DepthAlignment = "none",
+) -> DepthErrors:
+    """Errors over the pixels where both are finite and the truth is above 0.
+
+    Args:
+        estimate: Estimated depth [m].
+        truth: True depth [m]; NaN where there is none.
+        align: What is fitted to the truth first, on the same pixels.
+
+    Raises:
+        InputError: If the shapes differ or no pixel has both.
+        UnknownNameError: If there is no such alignment.
+    """
+    d, t = _both(estimate, truth)
+    d = np.maximum(_aligned(d, t, align), _LEAST_DEPTH)
+    ratio = np.maximum(d / t, t / d)
+    difference = d - t
+    return DepthErrors(
+        abs_rel=float(np.mean(np.abs(difference) / t)),
+        sq_rel=float(np.mean(difference**2 / t)),
+        rmse=float(np.sqrt(np.mean(difference**2))),
+        rmse_log=float(np.sqrt(np.mean((np.log(d) - np.log(t)) ** 2))),
+        delta_1=float(np.mean(ratio < 1.25)),
+        delta_2=float(np.mean(ratio < 1.25**2)),
+        delta_3=float(np.mean(ratio < 1.25**3)),
+    )
+
+
+def mean_depth_errors(errors: Iterable[DepthErrors]) -> DepthErrors:
+    """Means over images, each counting once.
+
+    Raises:
+        InputError: If there is none.
+    """
+    rows = [list(asdict(one).values()) for one in errors]
+    if not rows:
+        raise InputError("There is no image to take a mean of.")
+    return DepthErrors(*np.mean(rows, axis=0).tolist())
+
+
+def _both(estimate: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    _require_one_shape(estimate, truth)
+    with np.errstate(invalid="ignore"):
+        valid = np.isfinite(estimate) & np.isfinite(truth) & (truth > 0.0)
+    if not valid.any():
+        raise InputError("No pixel has both an estimate and a true depth above 0.")
+    return np.asarray(estimate[valid], float), np.asarray(truth[valid], float)
+
+
+def _require_one_shape(estimate: np.ndarray, truth: np.ndarray) -> None:
+    if np.shape(estimate) != np.shape(truth):
+        raise InputError(
+            f"The estimate has the shape {np.shape(estimate)}, the truth {np.shape(truth)}. "
+            "Allowed: one shape."
+        )
+
+
+def _aligned(d: np.ndarray, t: np.ndarray, align: str) -> np.ndarray:
+    if align == "none":
+        return d
+    if align == "median":
+        return d * (np.median(t) / np.median(d))
+    if align == "scale":
+        return d * (np.dot(d, t) / np.dot(d, d))
+    if align == "scale-and-shift":
+        columns = np.column_stack([d, np.ones_like(d)])
+        return columns @ np.linalg.lstsq(columns, t, rcond=None)[0]
+    raise UnknownNameError("alignment of depth", align, get_args(DepthAlignment))

@@ -1,0 +1,61 @@
+"""Distances between a reconstructed surface and the true one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import require
+from vrcaps.mesh.mesh import wall_of
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.mesh.mesh import Mesh
+
+
+@dataclass(frozen=True)
+class SurfaceErrors:
+    """Distances of points from a surface.
+
+    Attributes:
+        rmse: Root mean square [m].
+        mean: [m].
+        median: [m].
+        percentile_95: [m].
+    """
+
+    rmse: float
+    mean: float
+    median: float
+    percentile_95: float
+
+
+def surface_distances(points: Float[np.ndarray, "n 3"], surface: Mesh) -> Float[np.ndarray, " n"]:
+    """Distance of each point from the nearest point of a surface [m].
+
+    Raises:
+        InputError: If a point is not finite.
+    """
+    require(bool(np.isfinite(points).all()), "a point", "not finite", "finite numbers")
+    wall = wall_of(surface.vertices, surface.faces)
+    nearest, _ = wall.closest_point(np.ascontiguousarray(points, float))
+    return np.linalg.norm(nearest - points, axis=1)
+
+
+def surface_errors(points: Float[np.ndarray, "n 3"], surface: Mesh) -> SurfaceErrors:
+    """Errors of points that should lie on a surface.
+
+    Raises:
+        InputError: If there is no point, or one is not finite.
+    """
+    require(len(points) > 0, "number of points", len(points), "1 or more")
+    found = surface_distances(points, surface)
+    return SurfaceErrors(
+        float(np.sqrt(np.mean(found**2))),
+        float(np.mean(found)),
+        float(np.median(found)),
+        float(np.percentile(found, 95)),
+    )

@@ -1,0 +1,169 @@
+"""Errors of an estimated camera trajectory.
+
+Definitions after Sturm et al., IROS 2012: the absolute trajectory error (ATE) compares positions
+after one alignment of the whole; the relative pose error (RPE) compares motions between frames.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+
+from vrcaps.errors import InputError, UnknownNameError, require
+from vrcaps.transforms import invert, transform_from
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+TrajectoryAlignment = Literal["none", "se3", "sim3"]
+"""What is fitted first: nothing, a rigid motion, or a rigid motion and a scale."""
+
+_LEAST_POSES = 3
+"""Fewer positions leave a rotation open."""
+
+
+@dataclass(frozen=True)
+class Similarity:
+    """Rotation, translation and scale that map points: ``s R p + t``.
+
+    Attributes:
+        rotation: Proper rotation [3 3].
+        translation: [m].
+        scale: Above 0.
+    """
+
+    rotation: Float[np.ndarray, "3 3"]
+    translation: Float[np.ndarray, " 3"]
+    scale: float
+
+    def poses(self, Ts: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 4 4"]:
+        """Poses moved with the points; their rotations stay rotations."""
+        positions = self.scale * Ts[:, :3, 3] @ self.rotation.T + self.translation
+        return transform_from(self.rotation @ Ts[:, :3, :3], positions)
+
+
+@dataclass(frozen=True)
+class RelativePoseError:
+    """Error of the motion over a number of frames.
+
+    Attributes:
+        translation: Size of the translation's error of each pair [m].
+        rotation: Angle of the rotation's error of each pair [rad].
+    """
+
+    translation: Float[np.ndarray, " n"]
+    rotation: Float[np.ndarray, " n"]
+
+
+def fit_similarity(
+    source: Float[np.ndarray, "n 3"], target: Float[np.ndarray, "n 3"], *, scale: bool
+) -> Similarity:
+    """The least squares similarity from points to points (Umeyama, TPAMI 13(4), 1991).
+
+    Args:
+        source: Points to be mapped [m].
+        target: Where they belong [m].
+        scale: Whether a scale is fitted; 1 otherwise.
+
+    Raises:
+        InputError: If the shapes differ, or the points do not fix a rotation.
+    """
+    require(
+        source.shape == target.shape and len(source) >= _LEAST_POSES,
+        "shapes of points to align",
+        f"{source.shape} and {target.shape}",
+        f"[n 3] twice, n of at least {_LEAST_POSES}",
+    )
+    center, goal = source.mean(axis=0), target.mean(axis=0)
+    covariance = (target - goal).T @ (source - center) / len(source)
+    u, d, vt = np.linalg.svd(covariance)
+    if d[1] <= 1e-12 * d[0]:  # eq. 43 needs a rank of at least 2
+        raise InputError("The positions lie on one line, so they fix no rotation to align by.")
+    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])
+    rotation = u * sign @ vt
+    variance = np.mean(np.sum((source - center) ** 2, axis=1))
+    factor = float(np.dot(d, sign) / variance) if scale else 1.0
+    return Similarity(rotation, goal - factor * rotation @ center, factor)
+
+
+def aligned_poses(
+    estimate: Float[np.ndarray, "n 4 4"],
+    truth: Float[np.ndarray, "n 4 4"],
+    align: TrajectoryAlignment,
+) -> Float[np.ndarray, "n 4 4"]:
+    """The estimated poses after alignment of their positions to the true ones.
+
+    Raises:
+        InputError: If the numbers of poses differ, or the positions fix no rotation.
+        UnknownNameError: If there is no such alignment.
+    """
+    if align not in get_args(TrajectoryAlignment):
+        raise UnknownNameError("alignment of a trajectory", align, get_args(TrajectoryAlignment))
+    _require_pairs(estimate, truth)
+    if align == "none":
+        return estimate
+    source, target = estimate[:, :3, 3], truth[:, :3, 3]
+    return fit_similarity(source, target, scale=align == "sim3").poses(estimate)
+
+
+def absolute_trajectory_error(
+    estimate: Float[np.ndarray, "n 4 4"],
+    truth: Float[np.ndarray, "n 4 4"],
+    *,
+    align: TrajectoryAlignment = "sim3",
+) -> Float[np.ndarray, " n"]:
+    """Distance of each aligned position from the true one [m]; papers state its RMSE.
+
+    Args:
+        estimate: Estimated ``T_world_camera``.
+        truth: True ones, of the same frames.
+        align: What is fitted first.
+
+    Raises:
+        InputError: If the numbers of poses differ, or the positions fix no rotation.
+        UnknownNameError: If there is no such alignment.
+    """
+    moved = aligned_poses(estimate, truth, align)
+    return np.linalg.norm(moved[:, :3, 3] - truth[:, :3, 3], axis=1)
+
+
+def relative_pose_error(
+    estimate: Float[np.ndarray, "n 4 4"], truth: Float[np.ndarray, "n 4 4"], *, delta: int = 1
+) -> RelativePoseError:
+    """Error of the motion between frames i and i + delta, for all i.
+
+    Args:
+        estimate: Estimated ``T_world_camera``.
+        truth: True ones, of the same frames.
+        delta: Number of frames between.
+
+    Raises:
+        InputError: If the numbers of poses differ, or no pair is that far apart.
+    """
+    _require_pairs(estimate, truth)
+    require(1 <= delta < len(truth), "delta of relative poses", delta, f"1 to {len(truth) - 1}")
+    moved = invert(estimate[:-delta]) @ estimate[delta:]
+    error = invert(invert(truth[:-delta]) @ truth[delta:]) @ moved
+    return RelativePoseError(
+        np.linalg.norm(error[:, :3, 3], axis=1), rotation_angle(error[:, :3, :3])
+    )
+
+
+def rotation_angle(rotation: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch"]:
+    """Angle of a rotation [rad], exact for small ones too.
+
+    ‖R − 1‖ = 2√2 sin(θ/2) in the Frobenius norm.
+    """
+    chord = np.linalg.norm(rotation - np.eye(3), axis=(-2, -1))
+    return 2.0 * np.arcsin(np.minimum(chord / np.sqrt(8.0), 1.0))
+
+
+def _require_pairs(estimate: np.ndarray, truth: np.ndarray) -> None:
+    require(
+        np.shape(estimate) == np.shape(truth) and np.shape(truth)[1:] == (4, 4),
+        "shapes of trajectories",
+        f"{np.shape(estimate)} and {np.shape(truth)}",
+        "[n 4 4] twice",
+    )

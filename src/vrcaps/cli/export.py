@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from dataclasses import dataclass, fields
+from math import radians
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -32,6 +33,10 @@ class Export:
     split: str | None = None
     """Only this split of a data set: train, val or test."""
 
+    rectify: float | None = None
+    """Resample to a pinhole with this angle from left to right [degrees], below 180; depth, flow
+    and masks follow. The middle keeps its resolution."""
+
     form: ClassVar[type[Format]]
 
     def run(self) -> None:
@@ -42,12 +47,15 @@ class Export:
         """
         from vrcaps.data.sequences import sequences_of
         from vrcaps.formats.export import export
+        from vrcaps.formats.rectify import rectified
 
         if self.split is not None and self.split not in SPLITS:
             raise UnknownNameError("split", self.split, SPLITS)
         options = [f.name for f in fields(self.form)]  # type: ignore[arg-type]
         form = self.form(**{name: getattr(self, name) for name in options})
         sequences = sequences_of(self.source, camera=self.camera, split=self.split)
+        if self.rectify is not None:
+            sequences = tuple(rectified(one, radians(self.rectify)) for one in sequences)
         with progress_bar("exporting") as progress:
             export(form, sequences, self.out, progress=progress)
         frames = sum(map(len, sequences))

@@ -86,7 +86,7 @@ def test_challenge_score_is_zero_for_scaled_truth_and_finds_the_scale():
 
 def test_bad_input_is_one_clear_line():
     poses = _poses()
-    with pytest.raises(InputError, match=r"shapes of trajectories is \(29, 4, 4\)"):
+    with pytest.raises(InputError, match=r"estimate has the shape \(29, 4, 4\)"):
         absolute_trajectory_error(poses[1:], poses)
     with pytest.raises(UnknownNameError, match="alignment of a trajectory"):
         absolute_trajectory_error(poses, poses, align="affine")  # type: ignore[arg-type]

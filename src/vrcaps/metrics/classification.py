@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.errors import require
+from vrcaps.metrics.shapes import require_one_shape
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -29,7 +30,7 @@ def confusion_matrix(
     Raises:
         InputError: If the numbers of items differ or a class is out of range.
     """
-    require(estimate.shape == truth.shape, "shape of the estimate", estimate.shape, truth.shape)
+    require_one_shape(estimate, truth)
     both = np.concatenate([estimate, truth])
     is_valid = not both.size or (both.min() >= 0 and both.max() < num_classes)
     require(is_valid, "a class", both.max(initial=0), f"0 to {num_classes - 1}")

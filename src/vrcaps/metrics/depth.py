@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.metrics.shapes import require_one_shape
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -98,20 +99,12 @@ def mean_depth_errors(errors: Iterable[DepthErrors]) -> DepthErrors:
 
 
 def _both(estimate: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    _require_one_shape(estimate, truth)
+    require_one_shape(estimate, truth)
     with np.errstate(invalid="ignore"):
         valid = np.isfinite(estimate) & np.isfinite(truth) & (truth > 0.0)
     if not valid.any():
         raise InputError("No pixel has both an estimate and a true depth above 0.")
     return np.asarray(estimate[valid], float), np.asarray(truth[valid], float)
-
-
-def _require_one_shape(estimate: np.ndarray, truth: np.ndarray) -> None:
-    if np.shape(estimate) != np.shape(truth):
-        raise InputError(
-            f"The estimate has the shape {np.shape(estimate)}, the truth {np.shape(truth)}. "
-            "Allowed: one shape."
-        )
 
 
 def _aligned(d: np.ndarray, t: np.ndarray, align: str) -> np.ndarray:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from vrcaps.errors import require
+from vrcaps.metrics.shapes import require_one_shape
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -62,24 +63,25 @@ def ssim(
     from skimage.metrics import structural_similarity
 
     d, t = _cropped(estimate, truth, crop)
-    require(min(d.shape[:2]) >= _WINDOW_PX, "size of the image", d.shape[:2], f"{_WINDOW_PX} px")
-    return float(
-        structural_similarity(
-            d,
-            t,
-            data_range=data_range,
-            channel_axis=-1 if d.ndim == 3 else None,
-            gaussian_weights=True,
-            sigma=1.5,
-            use_sample_covariance=False,
-        )
+    require(
+        min(d.shape[:2]) >= _WINDOW_PX, "size of the image", d.shape[:2], f"{_WINDOW_PX} px or more"
     )
+    found: Any = structural_similarity(
+        d,
+        t,
+        data_range=data_range,
+        channel_axis=-1 if d.ndim == 3 else None,
+        gaussian_weights=True,
+        sigma=1.5,
+        use_sample_covariance=False,
+    )
+    return float(found)
 
 
 def _cropped(
     estimate: np.ndarray, truth: np.ndarray, crop: int
 ) -> tuple[Float[np.ndarray, "h w *c"], Float[np.ndarray, "h w *c"]]:
-    require(estimate.shape == truth.shape, "shape of the estimate", estimate.shape, truth.shape)
+    require_one_shape(estimate, truth)
     limit = (min(truth.shape[:2]) - 1) // 2
     require(0 <= crop <= limit, "crop", crop, f"0 to {limit} px")
     inner = slice(crop, -crop if crop else None)

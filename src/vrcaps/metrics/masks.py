@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import require
+from vrcaps.metrics.shapes import require_one_shape
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -24,7 +24,7 @@ def dice(estimate: Bool[np.ndarray, "h w"], truth: Bool[np.ndarray, "h w"]) -> f
     Raises:
         InputError: If the shapes differ.
     """
-    _require_one_shape(estimate, truth)
+    require_one_shape(estimate, truth)
     total = int(estimate.sum()) + int(truth.sum())
     return 2.0 * int((estimate & truth).sum()) / total if total else 1.0
 
@@ -35,7 +35,7 @@ def iou(estimate: Bool[np.ndarray, "h w"], truth: Bool[np.ndarray, "h w"]) -> fl
     Raises:
         InputError: If the shapes differ.
     """
-    _require_one_shape(estimate, truth)
+    require_one_shape(estimate, truth)
     union = int((estimate | truth).sum())
     return int((estimate & truth).sum()) / union if union else 1.0
 
@@ -76,7 +76,7 @@ def _outline_distances(
     """Distance of each outline pixel of either mask from the other's outline [px]."""
     from scipy.ndimage import distance_transform_edt
 
-    _require_one_shape(estimate, truth)
+    require_one_shape(estimate, truth)
     own, other = _outline(estimate), _outline(truth)
     if not own.any() or not other.any():
         return np.zeros(int(own.sum())), np.zeros(int(other.sum()))
@@ -90,7 +90,3 @@ def _outline(mask: np.ndarray) -> np.ndarray:
     from scipy.ndimage import binary_erosion
 
     return mask & ~binary_erosion(mask)
-
-
-def _require_one_shape(estimate: np.ndarray, truth: np.ndarray) -> None:
-    require(estimate.shape == truth.shape, "shape of the estimate", estimate.shape, truth.shape)

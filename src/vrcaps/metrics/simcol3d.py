@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import require
+from vrcaps.metrics.shapes import require_one_shape
 from vrcaps.metrics.trajectory import relative_pose_error
 from vrcaps.transforms import invert, transform_from
 from vrcaps.units import CM
@@ -68,7 +68,7 @@ def score_depth(
     Raises:
         InputError: If the shapes differ.
     """
-    _require_one_shape(estimates.shape, truths.shape)
+    require_one_shape(estimates, truths)
     d, t = np.clip(estimates, 0.0, _FULL_SCALE), truths
     means, goals = d.mean(axis=(1, 2)), t.mean(axis=(1, 2))
     scale = float(np.sum(means * goals) / np.sum(means**2))
@@ -93,8 +93,8 @@ def score_poses(
     Raises:
         InputError: If there is not one motion between each two frames.
     """
-    _require_one_shape(relative.shape, (len(truth) - 1, 4, 4))
     motions = invert(truth[:-1]) @ truth[1:]
+    require_one_shape(relative, motions)
     steps, goals = relative[:, :3, 3], motions[:, :3, 3]
     scale = float(np.sum(steps * goals) / np.sum(steps**2))
     path = _chained(relative)
@@ -112,7 +112,3 @@ def _chained(motions: np.ndarray) -> np.ndarray:
     for motion in motions:
         poses.append(poses[-1] @ motion)
     return np.stack(poses)
-
-
-def _require_one_shape(given: tuple[int, ...], needed: tuple[int, ...]) -> None:
-    require(given == needed, "shape of the estimates", given, f"{needed}")

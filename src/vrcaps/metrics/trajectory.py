@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from vrcaps.errors import InputError, UnknownNameError, require
+from vrcaps.metrics.shapes import require_one_shape
 from vrcaps.transforms import invert, transform_from
 
 if TYPE_CHECKING:
@@ -70,12 +71,9 @@ def fit_similarity(
     Raises:
         InputError: If the shapes differ, or the points do not fix a rotation.
     """
-    require(
-        source.shape == target.shape and len(source) >= _LEAST_POSES,
-        "shapes of points to align",
-        f"{source.shape} and {target.shape}",
-        f"[n 3] twice, n of at least {_LEAST_POSES}",
-    )
+    require_one_shape(source, target)
+    count = len(source)
+    require(count >= _LEAST_POSES, "number of positions", count, f"{_LEAST_POSES} or more")
     center, goal = source.mean(axis=0), target.mean(axis=0)
     covariance = (target - goal).T @ (source - center) / len(source)
     u, d, vt = np.linalg.svd(covariance)
@@ -101,7 +99,7 @@ def aligned_poses(
     """
     if align not in get_args(TrajectoryAlignment):
         raise UnknownNameError("alignment of a trajectory", align, get_args(TrajectoryAlignment))
-    _require_pairs(estimate, truth)
+    require_one_shape(estimate, truth)
     if align == "none":
         return estimate
     source, target = estimate[:, :3, 3], truth[:, :3, 3]
@@ -142,7 +140,7 @@ def relative_pose_error(
     Raises:
         InputError: If the numbers of poses differ, or no pair is that far apart.
     """
-    _require_pairs(estimate, truth)
+    require_one_shape(estimate, truth)
     require(1 <= delta < len(truth), "delta of relative poses", delta, f"1 to {len(truth) - 1}")
     moved = invert(estimate[:-delta]) @ estimate[delta:]
     error = invert(invert(truth[:-delta]) @ truth[delta:]) @ moved
@@ -158,12 +156,3 @@ def rotation_angle(rotation: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarra
     """
     chord = np.linalg.norm(rotation - np.eye(3), axis=(-2, -1))
     return 2.0 * np.arcsin(np.minimum(chord / np.sqrt(8.0), 1.0))
-
-
-def _require_pairs(estimate: np.ndarray, truth: np.ndarray) -> None:
-    require(
-        np.shape(estimate) == np.shape(truth) and np.shape(truth)[1:] == (4, 4),
-        "shapes of trajectories",
-        f"{np.shape(estimate)} and {np.shape(truth)}",
-        "[n 4 4] twice",
-    )

@@ -1,3 +1,4 @@
+from . import data as data
 from ._core import __version__ as __version__
 from .actuation.arm.arm import read_arm as read_arm
 from .actuation.steering_program import MagnetSteering as MagnetSteering
@@ -15,7 +16,6 @@ from .camera_pipeline.pipeline import CameraPipeline as CameraPipeline
 from .capsule.catalog import device_names as device_names
 from .capsule.catalog import read_device as read_device
 from .capsule.device import Device as Device
-from .data.open_dataset import open_dataset as open_dataset
 from .errors import VrcapsError as VrcapsError
 from .lumen.contents import Contents as Contents
 from .magnet.presets import read_magnet as read_magnet

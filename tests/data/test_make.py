@@ -35,7 +35,7 @@ def test_slices_make_the_same_bytes_as_one_run(made: Path, plan_file: Path, tmp_
 
 
 def test_it_is_read_by_split_and_patient(made: Path) -> None:
-    dataset = vrcaps.open_dataset(made)
+    dataset = vrcaps.data.open(made)
     assert len(dataset) == 8
     assert len(dataset.patients("train")) == 2
     shared = set(dataset.patients("train")) & set(dataset.patients("test"))
@@ -61,7 +61,7 @@ def test_a_unit_without_an_entry_does_not_count_and_is_made_again(made: Path, pl
     name = next(iter(entries(LocalStore(made))))
     before = files(made)
     (made / "ledger" / f"{name}.json").unlink()
-    assert len(vrcaps.open_dataset(made)) == 7
+    assert len(vrcaps.data.open(made)) == 7
     assert make_dataset(read_plan(plan_file), made, workers=0).made == 1
     assert files(made) == before
 
@@ -93,7 +93,7 @@ def test_a_failed_unit_is_noted_and_does_not_stop_the_rest(plan_file: Path, tmp_
         main(["dataset", "make", str(fast), "--out", str(out), "--workers", "0"])
     found = failures(LocalStore(out))
     assert len(found) == 4
-    assert len(vrcaps.open_dataset(out)) == 4
+    assert len(vrcaps.data.open(out)) == 4
     failure = next(iter(found.values()))
     assert f"--units {failure['number']}:{failure['number'] + 1}" in failure["reproduce"]
 
@@ -108,7 +108,7 @@ def test_bad_targets_are_one_clear_line(
     with pytest.raises(InputError, match="A unit is 99"):
         make_dataset(read_plan(plan_file), made, numbers=[99], workers=0)
     with pytest.raises(InputError, match="no data set"):
-        vrcaps.open_dataset(tmp_path)
+        vrcaps.data.open(tmp_path)
     for flags in (["--units", "3"], ["--units", "9:12"], ["--workers", "-1"]):
         with pytest.raises(SystemExit):
             main(["dataset", "make", str(plan_file), "--out", str(made), *flags])

@@ -105,7 +105,7 @@ class Check:
             InputError: If something is wrong.
         """
         from vrcaps.data.check_dataset import check_dataset
-        from vrcaps.data.open_dataset import open_dataset
+        from vrcaps.data.dataset import open as open_dataset
         from vrcaps.data.plan import SPLITS
 
         dataset = open_dataset(self.dataset)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
+from vrcaps.data.dataset import open as open_dataset
 from vrcaps.data.ledger import PLAN
-from vrcaps.data.open_dataset import open_dataset
-from vrcaps.recording.episode import Episode, read_episode
+from vrcaps.data.store import open_store
+from vrcaps.data.stored_files import episode_files
+from vrcaps.recording.episode import read_episode
 from vrcaps.recording.frame_sequence import FrameSequence
 
 
@@ -17,23 +18,17 @@ def sequences_of(
     """Sequences of an episode or of the whole recordings of a data set.
 
     Args:
-        source: Folder of an episode or a data set.
+        source: Folder or URL of an episode or a data set.
         camera: Only the camera of this name; None takes all.
         split: Only this split of a data set; None takes all.
 
     Raises:
-        InputError: If the folder holds neither.
+        InputError: If it holds neither.
         UnknownNameError: If there is no such camera or split.
     """
-    if not (Path(source) / PLAN).exists():
-        return _cameras_of(read_episode(source), camera)
-    return tuple(
-        replace(sequence, patient=str(member.patient), split=member.split)
-        for member in open_dataset(source).members(split)
-        for sequence in _cameras_of(member.read(), camera)
-    )
-
-
-def _cameras_of(episode: Episode, camera: str | None) -> tuple[FrameSequence, ...]:
-    chosen = episode.cameras if camera is None else (episode.camera(camera),)
-    return tuple(episode.sequence(one.name) for one in chosen)
+    store = open_store(source)
+    try:
+        store.read(PLAN)
+    except OSError:
+        return read_episode(episode_files(store)).sequences(camera)
+    return open_dataset(source).sequences(split, camera)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,8 +14,9 @@ from vrcaps.camera.camera import Camera, check_names
 from vrcaps.errors import InputError, UnknownNameError, require
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.read_mesh import read_mesh
+from vrcaps.recording.episode_files import EpisodeFiles, LocalFiles, file_here
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
-from vrcaps.recording.image_files import read_image
+from vrcaps.recording.image_files import decode_image
 from vrcaps.recording.layout import (
     COMPLETE,
     EPISODE_JSON,
@@ -24,8 +25,8 @@ from vrcaps.recording.layout import (
     camera_from_plain,
     read_head,
 )
-from vrcaps.recording.table import FrameTable, read_table, require_table
-from vrcaps.recording.walls import read_wall, wall_path
+from vrcaps.recording.table import FrameTable, decode_table, require_table
+from vrcaps.recording.walls import decode_wall, wall_path
 from vrcaps.render.channels import CHANNELS, Frame
 from vrcaps.scenario.scenario import MOST_FRAMES, Scenario, scenario_from_plain
 
@@ -46,16 +47,37 @@ class Episode:
         >>> loader = torch.utils.data.DataLoader(episode.sequence("front", ("rgb", "depth")))
 
     Attributes:
-        path: Its folder.
+        files: Where its files lie.
         head: Contents of `episode.json`.
         cameras: The capsule's cameras; `camera.lens.project` and `unproject` work.
         channels: Image channels that were recorded, in the order of `Frame`.
     """
 
-    path: Path
+    files: EpisodeFiles
     head: dict[str, Any]
     cameras: tuple[Camera, ...]
     channels: tuple[str, ...]
+
+    @property
+    def url(self) -> str:
+        """Its folder, or the URL where it lies."""
+        return self.files.url
+
+    @property
+    def name(self) -> str:
+        """Name of its folder."""
+        return Path(self.url).name
+
+    @property
+    def path(self) -> Path:
+        """Its folder on this machine.
+
+        Raises:
+            InputError: If it lies elsewhere.
+        """
+        if not isinstance(self.files, LocalFiles):
+            raise InputError(f"{self.url} is not on this machine. Copy the episode here first.")
+        return self.files.folder
 
     def __len__(self) -> int:
         return self.head["frames"]
@@ -78,7 +100,7 @@ class Episode:
         """
         own = self.cameras[0] if camera is None else self.camera(camera)
         found = FrameSequence(
-            f"{self.path.name}/{own.name}",
+            f"{self.name}/{own.name}",
             self.channels,
             {
                 TIME: self.times,
@@ -92,6 +114,15 @@ class Episode:
             episode=self,
         )
         return found if channels is None else found.with_channels(channels)
+
+    def sequences(self, camera: str | None = None) -> tuple[FrameSequence, ...]:
+        """The frames of each camera, or of the one that is named.
+
+        Raises:
+            UnknownNameError: If the capsule has no such camera.
+        """
+        chosen = self.cameras if camera is None else (self.camera(camera),)
+        return tuple(self.sequence(one.name) for one in chosen)
 
     @cached_property
     def _first_sequence(self) -> FrameSequence:
@@ -110,11 +141,13 @@ class Episode:
             InputError: If the file is missing or damaged, or lacks a column or a row.
         """
         try:
-            table = read_table(self.path / FRAMES_PARQUET)
+            table = decode_table(self.files.read(FRAMES_PARQUET), FRAMES_PARQUET)
             require_table(table, tuple(camera.name for camera in self.cameras), len(self))
+        except OSError as error:
+            raise self._unreadable(FRAMES_PARQUET, error) from error
         except InputError as error:
             raise InputError(
-                f"{self.path}: {error} `vrcaps check {self.path}` lists all faults."
+                f"{self.url}: {error} `vrcaps check {self.url}` lists all faults."
             ) from error
         return table
 
@@ -149,7 +182,16 @@ class Episode:
         raise UnknownNameError("camera", name, [camera.name for camera in self.cameras])
 
     def image_path(self, camera: str, channel: str, frame: int) -> Path:
-        """Where an image is stored.
+        """Where an image is stored on this machine.
+
+        Raises:
+            UnknownNameError: If camera or channel was not recorded.
+            InputError: If there is no such frame, or the episode is not on this machine.
+        """
+        return self.path / self.image_name(camera, channel, frame)
+
+    def image_name(self, camera: str, channel: str, frame: int) -> str:
+        """Name of an image's file in the episode.
 
         Raises:
             UnknownNameError: If camera or channel was not recorded.
@@ -159,7 +201,7 @@ class Episode:
         if channel not in self.channels:
             raise UnknownNameError("channel", channel, self.channels)
         self._require_frame(frame)
-        return self.path / CHANNELS[channel].encoding.path(camera, channel, frame)
+        return CHANNELS[channel].encoding.path(camera, channel, frame)
 
     def image(self, camera: str, channel: str, frame: int) -> NDArray:
         """One channel [h w] or [h w c] of one image, SI units; NaN where there is no value.
@@ -168,13 +210,11 @@ class Episode:
             UnknownNameError: If camera or channel was not recorded.
             InputError: If there is no such frame or its file cannot be read.
         """
-        path = self.image_path(camera, channel, frame)
+        name = self.image_name(camera, channel, frame)
         try:
             return CHANNELS[channel].encoding.decode(self.stored_image(camera, channel, frame))
         except (OSError, ValueError) as error:
-            raise InputError(
-                f"Cannot read {path} ({error}). `vrcaps check {self.path}` lists all faults."
-            ) from error
+            raise self._unreadable(name, error) from error
 
     def stored_image(self, camera: str, channel: str, frame: int) -> NDArray:
         """The numbers of an image as its file holds them.
@@ -183,7 +223,8 @@ class Episode:
             OSError: If the file cannot be read.
             ValueError: If it is no image, or one of another size or type.
         """
-        stored = read_image(self.image_path(camera, channel, frame))
+        name = self.image_name(camera, channel, frame)
+        stored = decode_image(self.files.read(name), PurePosixPath(name).suffix)
         encoding, own = CHANNELS[channel].encoding, self.camera(camera)
         shape = (own.height, own.width, *((encoding.planes,) if encoding.planes > 1 else ()))
         if stored.shape != shape or stored.dtype != encoding.dtype:
@@ -212,7 +253,11 @@ class Episode:
     @cached_property
     def organ(self) -> Mesh:
         """The wall at rest in the world frame [m]."""
-        return read_mesh(self.path / ORGAN_GLB, unit="m")
+        try:
+            with file_here(self.files, ORGAN_GLB) as path:
+                return read_mesh(path, unit="m")
+        except OSError as error:
+            raise self._unreadable(ORGAN_GLB, error) from error
 
     def wall(self, index: int) -> Mesh:
         """The wall of a frame in the world frame [m], as `organ` but where it is then.
@@ -220,17 +265,16 @@ class Episode:
         Raises:
             InputError: If walls were not recorded, there is no such frame or its file is damaged.
         """
-        path = self.wall_path(index)
+        name = self._wall_name(index)
         try:
-            vertices = read_wall(path)
+            vertices = decode_wall(self.files.read(name))
         except (OSError, ValueError) as error:
-            raise InputError(
-                f"Cannot read {path} ({error}). `vrcaps check {self.path}` lists all faults."
-            ) from error
+            raise self._unreadable(name, error) from error
         if vertices.shape != self.organ.vertices.shape:
             raise InputError(
-                f"{path} has the shape {vertices.shape}, not {self.organ.vertices.shape} as "
-                f"{ORGAN_GLB}. `vrcaps check {self.path}` lists all faults."
+                f"{self.url}/{name} has the shape {vertices.shape}, not "
+                f"{self.organ.vertices.shape} as {ORGAN_GLB}. `vrcaps check {self.url}` lists all "
+                "faults."
             )
         return replace(self.organ, vertices=vertices.astype(float))
 
@@ -241,51 +285,60 @@ class Episode:
             OSError: If the file cannot be read.
             ValueError: If it is no such array.
         """
-        vertices = read_wall(self.wall_path(frame))
+        vertices = decode_wall(self.files.read(self._wall_name(frame)))
         shape = (self.head["wall"]["num_vertices"], 3)
         if vertices.shape != shape or vertices.dtype != np.float32:
             raise ValueError(f"it holds {vertices.dtype} {vertices.shape}, not float32 {shape}")
         return vertices
 
     def wall_path(self, frame: int) -> Path:
-        """Where the wall of a frame is stored.
+        """Where the wall of a frame is stored on this machine.
 
         Raises:
-            InputError: If walls were not recorded or there is no such frame.
+            InputError: If walls were not recorded, there is no such frame, or the episode is not
+                on this machine.
         """
+        return self.path / self._wall_name(frame)
+
+    def _wall_name(self, frame: int) -> str:
         if "wall" not in self.head:
-            raise InputError(f"{self.path} holds no walls. Record with --wall to store them.")
+            raise InputError(f"{self.url} holds no walls. Record with --wall to store them.")
         self._require_frame(frame)
-        return self.path / wall_path(frame)
+        return wall_path(frame)
+
+    def _unreadable(self, name: str, error: Exception) -> InputError:
+        return InputError(
+            f"Cannot read {self.url}/{name} ({error}). `vrcaps check {self.url}` lists all faults."
+        )
 
     def _require_frame(self, frame: int) -> None:
         if not 0 <= frame < len(self):
-            raise InputError(f"No frame {frame} in {self.path}. Allowed: 0 to {len(self) - 1}.")
+            raise InputError(f"No frame {frame} in {self.url}. Allowed: 0 to {len(self) - 1}.")
 
 
-def read_episode(path: str | Path, *, unfinished: bool = False) -> Episode:
+def read_episode(path: str | Path | EpisodeFiles, *, unfinished: bool = False) -> Episode:
     """Open an episode; only `episode.json` is read at once.
 
     Args:
-        path: Folder of the episode.
+        path: Folder of the episode, or where else its files lie.
         unfinished: Accept one whose recording was broken off; some files may be missing.
 
     Raises:
         InputError: If the folder holds no whole episode of this format.
     """
-    path = Path(path)
-    head = read_head(path)
+    files = LocalFiles(Path(path)) if isinstance(path, str | Path) else path
+    head, where = read_head(files), f"{files.url}/{EPISODE_JSON}"
     if head.get("status") != COMPLETE and not unfinished:
         raise InputError(
-            f"The recording of {path} was broken off. To go on: vrcaps record "
-            f"{path / EPISODE_JSON} --out {path}"
+            f"The recording of {files.url} was broken off. To go on: vrcaps record {where} --out "
+            f"{files.url}"
         )
-    require_head(head, str(path / EPISODE_JSON))
+    require_head(head, where)
     cameras = tuple(
         camera_from_plain(plain, at=f"cameras[{i}]") for i, plain in enumerate(head["cameras"])
     )
     check_names(cameras)
-    return Episode(path, head, cameras, tuple(head["channels"]))
+    return Episode(files, head, cameras, tuple(head["channels"]))
 
 
 def require_head(head: dict[str, Any], where: str) -> None:

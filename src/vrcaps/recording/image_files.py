@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,3 +34,15 @@ def read_image(path: Path) -> NDArray:
     if path.suffix == ".npy":
         return np.load(path, allow_pickle=False)
     return _core.read_png(str(path))
+
+
+def decode_image(data: bytes, suffix: str) -> NDArray:
+    """Numbers stored in an image, given as the bytes of a file with this suffix.
+
+    Raises:
+        ValueError: If they are no such image.
+    """
+    if suffix == ".npy":
+        return np.load(io.BytesIO(data), allow_pickle=False)
+    # A single image is decoded by the calling thread: this works in forked processes, too.
+    return _core.decode_pngs([np.frombuffer(data, np.uint8)])[0]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import fields
-from pathlib import Path
 from typing import Any
 
 from vrcaps import _core
@@ -13,6 +12,7 @@ from vrcaps.capsule.device import Device
 from vrcaps.errors import InputError
 from vrcaps.made_with import EPISODE_PACKAGES, core_sha256, versions
 from vrcaps.organ.arrays import json_safe
+from vrcaps.recording.episode_files import EpisodeFiles
 from vrcaps.recording.walls import wall_to_plain
 from vrcaps.render.channels import CHANNELS
 from vrcaps.scenario.scenario import Scenario, scenario_to_plain
@@ -136,17 +136,17 @@ def channel_to_plain(channel: str) -> dict[str, Any]:
     }
 
 
-def read_head(folder: Path) -> dict[str, Any]:
-    """Contents of a folder's `episode.json`.
+def read_head(files: EpisodeFiles) -> dict[str, Any]:
+    """Contents of the `episode.json` of a folder or URL.
 
     Raises:
         InputError: If there is none or it is not an episode's.
     """
-    path = folder / EPISODE_JSON
+    path = f"{files.url}/{EPISODE_JSON}"
     try:
-        head = json.loads(path.read_text(encoding="utf-8"))
+        head = json.loads(files.read(EPISODE_JSON))
     except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{folder} is no episode: cannot read {path} ({error}).") from error
+        raise InputError(f"{files.url} is no episode: cannot read {path} ({error}).") from error
     if not isinstance(head, dict) or head.get("format") != FORMAT:
         given = head.get("format") if isinstance(head, dict) else None
         raise InputError(f"{path} has the format {given!r}. Allowed: {FORMAT!r}.")

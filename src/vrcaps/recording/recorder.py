@@ -26,6 +26,7 @@ from vrcaps.recording.checkpoint import (
 )
 from vrcaps.recording.damage import remove_damaged
 from vrcaps.recording.episode import Episode, read_episode
+from vrcaps.recording.episode_files import LocalFiles
 from vrcaps.recording.image_files import write_images
 from vrcaps.recording.layout import (
     COMPLETE,
@@ -189,7 +190,7 @@ def _require_same(out: Path, scenario: Scenario) -> None:
     """
     if not (out / EPISODE_JSON).exists():
         return
-    if read_head(out).get("scenario") != scenario_to_plain(scenario):
+    if read_head(LocalFiles(out)).get("scenario") != scenario_to_plain(scenario):
         raise InputError(
             f"{out} holds an episode of a different scenario. Give a new or empty folder; "
             f"to go on with that episode, record {out / EPISODE_JSON}."
@@ -201,7 +202,7 @@ def _begin(out: Path, head: dict[str, Any]) -> None:
     path = out / EPISODE_JSON
     if not path.exists():
         write_json(path, {"status": RECORDING, **head})
-    before = read_head(out)
+    before = read_head(LocalFiles(out))
     before.pop("status", None)
     changed = [key for key in head if before.get(key) != head[key]]
     if changed or set(before) != set(head):

@@ -224,16 +224,32 @@ def read_table(path: Path) -> FrameTable:
     Raises:
         InputError: If the file cannot be read or is no Parquet file.
     """
+    try:
+        return decode_table(path.read_bytes(), path.name)
+    except OSError as error:
+        raise InputError(f"{path.name} cannot be read ({error}).") from error
+
+
+def decode_table(data: bytes, name: str) -> FrameTable:
+    """A table, given as the bytes of its file.
+
+    Args:
+        data: The bytes.
+        name: Of the file, for messages.
+
+    Raises:
+        InputError: If they are no Parquet file.
+    """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     try:
-        with pq.ParquetFile(path) as file:
+        with pq.ParquetFile(pa.BufferReader(data)) as file:
             table = file.read()
         columns = {n: table[n].to_numpy(zero_copy_only=False) for n in table.column_names}
     except (OSError, ValueError, pa.ArrowException) as error:
         lines = str(error).splitlines() or [type(error).__name__]
-        raise InputError(f"{path.name} cannot be read ({lines[0]}).") from error
+        raise InputError(f"{name} cannot be read ({lines[0]}).") from error
     return FrameTable(columns)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import io
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -51,11 +51,10 @@ def stored_wall(model: Model, state: State, vertices: np.ndarray) -> Float32[np.
     return np.ascontiguousarray(here[vertices], _DTYPE)
 
 
-def read_wall(path: Path) -> Float32[np.ndarray, "k 3"]:
-    """A stored wall.
+def decode_wall(data: bytes) -> Float32[np.ndarray, "k 3"]:
+    """A stored wall, given as the bytes of its file.
 
     Raises:
-        OSError: If the file cannot be read.
-        ValueError: If it is no such file.
+        ValueError: If they are no such file.
     """
-    return np.load(path, allow_pickle=False)
+    return np.load(io.BytesIO(data), allow_pickle=False)

@@ -1,0 +1,133 @@
+"""Read a data set: its splits, patients and recordings."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from vrcaps.data.ledger import EPISODES, PLAN, read_entry, whole_units
+from vrcaps.data.plan import SPLITS
+from vrcaps.data.store import open_store
+from vrcaps.data.stored_files import episode_files, read_at_once
+from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.recording.episode import Episode, read_episode
+from vrcaps.recording.episode_files import EpisodeFiles
+from vrcaps.recording.frame_sequence import FrameSequence
+
+
+@dataclass(frozen=True)
+class Member:
+    """One recording of a data set.
+
+    Attributes:
+        name: Of its folder.
+        patient: Number of the patient.
+        split: `train`, `val` or `test`.
+        files: Where its files lie.
+    """
+
+    name: str
+    patient: int
+    split: str
+    files: EpisodeFiles
+
+    def read(self) -> Episode:
+        """The episode; images are read when asked for."""
+        return read_episode(self.files)
+
+    def sequences(self, camera: str | None = None) -> tuple[FrameSequence, ...]:
+        """The frames of each of its cameras, or of one.
+
+        Raises:
+            UnknownNameError: If there is no such camera.
+        """
+        return tuple(
+            replace(sequence, patient=str(self.patient), split=self.split)
+            for sequence in self.read().sequences(camera)
+        )
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Recordings that are whole, by split and patient.
+
+    Example:
+        >>> dataset = vrcaps.data.open("s3://bucket/cohort")
+        >>> for sequence in dataset.sequences("train"):
+        ...     sequence[0]["rgb"], sequence[0]["T_world_camera"]
+
+    Attributes:
+        url: Folder or URL where it lies.
+        plan: What it was made of.
+        all_members: Its recordings, by number.
+    """
+
+    url: str
+    plan: dict[str, Any]
+    all_members: tuple[Member, ...]
+
+    def __len__(self) -> int:
+        return len(self.all_members)
+
+    def __iter__(self) -> Iterator[Member]:
+        return iter(self.all_members)
+
+    def members(self, split: str | None = None) -> tuple[Member, ...]:
+        """Recordings of one split, or all.
+
+        Raises:
+            UnknownNameError: If there is no such split.
+        """
+        if split is not None and split not in SPLITS:
+            raise UnknownNameError("split", split, SPLITS)
+        return tuple(m for m in self.all_members if split in (None, m.split))
+
+    def patients(self, split: str | None = None) -> tuple[int, ...]:
+        """Numbers of the patients of one split, or all."""
+        return tuple(sorted({member.patient for member in self.members(split)}))
+
+    def sequences(
+        self, split: str | None = None, camera: str | None = None
+    ) -> tuple[FrameSequence, ...]:
+        """Sequences of frames: one for each camera of each recording.
+
+        The tables of all recordings are read at once; images when they are asked for.
+
+        Raises:
+            UnknownNameError: If there is no such split or camera.
+        """
+        found = read_at_once(partial(Member.sequences, camera=camera), self.members(split))
+        return tuple(sequence for sequences in found for sequence in sequences)
+
+
+def open(url: str | Path) -> Dataset:
+    """Open a data set; only its plan and its ledger are read at once.
+
+    Units that are not whole are left out.
+
+    Args:
+        url: Its folder, or a URL such as ``s3://bucket/cohort``.
+
+    Raises:
+        InputError: If there is no data set, or its ledger is damaged.
+        MissingExtraError: If what reads this kind of URL is not installed.
+    """
+    store = open_store(url)
+    try:
+        plan = json.loads(store.read(PLAN))
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"{store.url} holds no data set ({error}). Give the --out of `vrcaps dataset make`."
+        ) from error
+    names = whole_units(store)
+    entries = read_at_once(partial(read_entry, store), names)
+    found = sorted(zip(names, entries, strict=True), key=lambda item: item[1]["number"])
+    members = (
+        Member(name, entry["patient"], entry["split"], episode_files(store, f"{EPISODES}/{name}"))
+        for name, entry in found
+    )
+    return Dataset(store.url, plan, tuple(members))

@@ -1,0 +1,62 @@
+"""The files of an episode in a store, read one by one when they are asked for."""
+
+from __future__ import annotations
+
+import os
+import posixpath
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TypeVar
+
+from vrcaps.data.store import LocalStore, Store, open_store
+from vrcaps.recording.episode_files import EpisodeFiles, LocalFiles
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+_READS = 16
+"""Reads at once; those of a remote store mostly wait."""
+
+
+@dataclass(frozen=True)
+class StoredFiles:
+    """The files of an episode in a remote store, in this process and those that it starts.
+
+    Attributes:
+        store_url: Where the store lies.
+        folder: Of the episode in the store; names may lead out of it, to what episodes share.
+    """
+
+    store_url: str
+    folder: str = "."
+
+    @property
+    def url(self) -> str:
+        """URL of the episode."""
+        return self.store_url if self.folder == "." else f"{self.store_url}/{self.folder}"
+
+    def read(self, name: str) -> bytes:
+        """A file's bytes."""
+        path = posixpath.normpath(posixpath.join(self.folder, name))
+        return _connection(self.store_url, os.getpid()).read(path)
+
+
+def episode_files(store: Store, folder: str = ".") -> EpisodeFiles:
+    """The files of an episode in a folder of a store, or of one that is the store."""
+    if isinstance(store, LocalStore):
+        return LocalFiles(store.folder / folder)
+    return StoredFiles(store.url, folder)
+
+
+def read_at_once(read: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+    """What reading each of some items gives, several at once, in their order."""
+    with ThreadPoolExecutor(_READS) as pool:
+        return list(pool.map(read, items))
+
+
+@lru_cache(maxsize=16)
+def _connection(url: str, process: int) -> Store:
+    """The store of a URL as a process reaches it: a forked one cannot use its parent's."""
+    return open_store(url)

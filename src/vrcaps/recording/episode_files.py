@@ -1,0 +1,59 @@
+"""Where the files of an episode lie: in a folder of this machine, or elsewhere."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Protocol
+
+
+class EpisodeFiles(Protocol):
+    """The files of an episode by their names, such as ``front/rgb/000000.png``."""
+
+    @property
+    def url(self) -> str:
+        """Folder or URL that they lie in."""
+        ...
+
+    def read(self, name: str) -> bytes:
+        """A file's bytes.
+
+        Raises:
+            OSError: If it cannot be read.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class LocalFiles:
+    """Files in a folder of this machine."""
+
+    folder: Path
+
+    @property
+    def url(self) -> str:
+        """The folder."""
+        return str(self.folder)
+
+    def read(self, name: str) -> bytes:
+        """A file's bytes."""
+        return (self.folder / name).read_bytes()
+
+
+@contextmanager
+def file_here(files: EpisodeFiles, name: str) -> Iterator[Path]:
+    """A file on this machine: itself, or a copy that is there during the block.
+
+    Raises:
+        OSError: If it cannot be read.
+    """
+    if isinstance(files, LocalFiles):
+        yield files.folder / name
+        return
+    with tempfile.TemporaryDirectory(prefix="vrcaps-") as folder:
+        path = Path(folder) / PurePosixPath(name).name
+        path.write_bytes(files.read(name))
+        yield path

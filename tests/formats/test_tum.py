@@ -40,3 +40,21 @@ def test_folder_that_holds_something_is_kept(pinhole_episode, tmp_path):
     with pytest.raises(InputError, match="exists"):
         export(Tum(), [pinhole_episode.sequence()], tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
+
+
+@pytest.mark.slow
+def test_evo_reads_the_same_trajectory(pinhole_episode, tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))  # evo writes its settings there
+    from evo.core import metrics
+    from evo.core.trajectory import PoseTrajectory3D
+    from evo.tools.file_interface import read_tum_trajectory_file
+
+    sequence = pinhole_episode.sequence()
+    out = export(Tum(), [sequence], tmp_path / "out")
+    read = read_tum_trajectory_file(next(out.rglob("groundtruth.txt")))
+    poses = list(sequence.Ts_world_camera)
+    truth = PoseTrajectory3D(poses_se3=poses, timestamps=sequence.times)
+    np.testing.assert_allclose(read.timestamps, truth.timestamps, atol=1e-9)
+    error = metrics.APE(metrics.PoseRelation.full_transformation)
+    error.process_data((truth, read))
+    assert error.get_statistic(metrics.StatisticsType.max) < 1e-10

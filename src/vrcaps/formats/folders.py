@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from vrcaps.data.plan import SPLITS
 from vrcaps.errors import InputError
+from vrcaps.files import write_json
 from vrcaps.recording.frame_sequence import FrameSequence
+
+_NAMES = "sequences.json"
 
 
 def folder_name(sequence: FrameSequence) -> str:
@@ -31,17 +37,22 @@ def found_folders(folder: Path, mark: str) -> Iterator[tuple[Path, str | None]]:
 
     Args:
         folder: One sequence, or a folder of sequences at any depth.
-        mark: Name of a file that every sequence has.
+        mark: Name or pattern of a file that every sequence has.
 
     Raises:
         InputError: If there is none.
     """
-    places = sorted(path.parent for path in folder.rglob(mark))
+    places = sorted({path.parent for path in folder.rglob(mark)})
     if not places:
         raise InputError(f"{folder} holds no {mark}, so no sequence in this layout.")
     for place in places:
-        above = place.relative_to(folder).parts[:-1]
-        yield place, above[0] if above and above[0] in ("train", "val", "test") else None
+        yield place, split_of(place, folder)
+
+
+def split_of(place: Path, folder: Path) -> str | None:
+    """Split that a sequence lies in: the first folder on its path that is named like one."""
+    above = place.relative_to(folder).parts[:-1]
+    return next((part for part in above if part in SPLITS), None)
 
 
 def read_rows(path: Path, columns: int) -> np.ndarray:
@@ -57,3 +68,35 @@ def read_rows(path: Path, columns: int) -> np.ndarray:
     if rows.shape[1] != columns:
         raise InputError(f"{path} has {rows.shape[1]} columns. Allowed: {columns}.")
     return rows
+
+
+def write_names(folder: Path, places: Mapping[str, FrameSequence]) -> None:
+    """Note what the sequences of a layout that numbers them are called; others do not look."""
+    rows = {
+        place: {"name": one.name, "patient": one.patient, "split": one.split}
+        for place, one in places.items()
+    }
+    write_json(folder / _NAMES, rows)
+
+
+def with_names(
+    folder: Path, found: Iterable[tuple[str, FrameSequence]]
+) -> tuple[FrameSequence, ...]:
+    """Sequences with the names, patients and splits that `write_names` noted for their places.
+
+    Raises:
+        InputError: If the file of names is damaged.
+    """
+    path = folder / _NAMES
+    if not path.exists():
+        return tuple(sequence for _, sequence in found)
+    try:
+        rows = json.loads(path.read_text())
+        return tuple(
+            replace(sequence, **rows[place]) if place in rows else sequence
+            for place, sequence in found
+        )
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(
+            f"Cannot read {path}: {error}. Remove it to read without names."
+        ) from error

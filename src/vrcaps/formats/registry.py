@@ -2,9 +2,16 @@
 
 from vrcaps.errors import UnknownNameError
 from vrcaps.formats.format import Format
+from vrcaps.formats.kitti import Kitti
 from vrcaps.formats.tum import Tum
 
-FORMATS: dict[str, type[Format]] = {form.kind: form for form in (Tum,)}
+FORMATS: dict[str, type[Format]] = {
+    form.kind: form
+    for form in (
+        Tum,
+        Kitti,
+    )
+}
 """Formats by their names."""
 
 

@@ -1,0 +1,117 @@
+"""Files of frames: in the order of their numbers, matched between channels, read when asked for."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.files import write_bytes
+from vrcaps.formats.folders import read_rows
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+    from numpy.typing import NDArray
+
+    from vrcaps.recording.frame_sequence import FrameSequence
+
+TIMES = "times.txt"
+"""Times of the frames [s], a row each; for layouts that hold none. Other readers do not look."""
+_NUMBER = re.compile(r"\d+")
+
+Reader = Callable[[Path], "NDArray"]
+"""Reads the image of one channel in SI units."""
+
+
+def by_number(paths: Iterable[Path], part: str = "") -> dict[int, Path]:
+    """Files by the number in their names, in its order: 10 comes after 9 without leading zeros.
+
+    Args:
+        paths: Files of one channel.
+        part: Of names like ``0005_color_v2``, what the number stands before; otherwise the last
+            number in the name counts.
+
+    Raises:
+        InputError: If a name has no number, or two have the same.
+    """
+    found: dict[int, Path] = {}
+    for path in paths:
+        stem = path.stem.split(part)[0] if part else path.stem
+        numbers = _NUMBER.findall(stem)
+        if not numbers:
+            raise InputError(f"{path} has no number of a frame in its name.")
+        if found.setdefault(int(numbers[-1]), path) != path:
+            raise InputError(f"{path} and {found[int(numbers[-1])].name} have the same number.")
+    return dict(sorted(found.items()))
+
+
+def matched(channels: Mapping[str, Mapping[int, Path]]) -> dict[str, list[Path]]:
+    """Files of each channel for the frames of `rgb`; channels without any file are left out.
+
+    Raises:
+        InputError: If a channel lacks a frame.
+    """
+    frames = channels["rgb"]
+    paths = {"rgb": list(frames.values())}
+    for name, found in channels.items():
+        if not found:
+            continue
+        missing = [number for number in frames if number not in found]
+        if missing:
+            raise InputError(
+                f"{frames[missing[0]]} has no {name} beside it; {len(missing)} frames lack it. "
+                f"Add the files, or take those of {name} away."
+            )
+        paths[name] = [found[number] for number in frames]
+    return paths
+
+
+def image_loader(
+    paths: Mapping[str, Sequence[Path]], readers: Mapping[str, Reader]
+) -> Callable[[str, int], NDArray]:
+    """Reads an image, from channel and number of the frame, by the reader of its channel."""
+    return partial(_load, paths, readers)
+
+
+def _load(
+    paths: Mapping[str, Sequence[Path]], readers: Mapping[str, Reader], channel: str, index: int
+) -> NDArray:
+    return readers[channel](paths[channel][index])
+
+
+def write_times(folder: Path, sequence: FrameSequence) -> None:
+    """Write the times of a sequence's frames."""
+    text = "".join(f"{time:.9f}\n" for time in sequence.times)
+    write_bytes(folder / TIMES, text.encode())
+
+
+def read_times(folder: Path, numbers: Iterable[int], fps: float) -> Float[np.ndarray, " n"]:
+    """Times of frames [s]: by their numbers the rows of `times.txt`, or number / `fps` without it.
+
+    Raises:
+        InputError: If the file cannot be read or has too few rows.
+    """
+    frames = np.fromiter(numbers, int)
+    path = folder / TIMES
+    if not path.exists():
+        return frames / fps
+    return rows_of(read_rows(path, 1), frames, path)[:, 0]
+
+
+def rows_of(
+    rows: Float[np.ndarray, "n c"], frames: Iterable[int], path: Path
+) -> Float[np.ndarray, "m c"]:
+    """Rows of frames, by their numbers from 0.
+
+    Raises:
+        InputError: If there are too few.
+    """
+    wanted = np.fromiter(frames, int)
+    if len(wanted) and wanted.max() >= len(rows):
+        raise InputError(f"{path} has {len(rows)} rows, but there is a frame {wanted.max()}.")
+    return rows[wanted]

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from small_envs import small_settings
+from small_envs import simulation_of, small_settings
 from vrcaps.actuation.arm.arm_with_payload import clearances, magnet_pose_at
 from vrcaps.env.actuation.arm import ArmActuation
 from vrcaps.env.actuation.magnet import MagnetActuation
@@ -135,3 +135,16 @@ def test_a_wrench_in_the_capsules_frame_turns_with_it() -> None:
     (turned,) = Wrench(frame="capsule").controls(worlds, action, numbers)  # type: ignore[arg-type]
     assert np.allclose(turned.force_world, R @ fixed.force_world)
     assert np.allclose(turned.torque_world, R @ fixed.torque_world)
+
+
+def test_momentum_lasts_as_long_under_both_dynamics() -> None:
+    """A weightless capsule that F pushes ends at v = F τ/m; nothing spins it up further."""
+    for dynamics in ("quasi-static", "physics"):
+        actuation = Wrench(force=1e-3, torque=2e-8, is_weightless=True)
+        simulation = simulation_of(1, dynamics=dynamics, actuation=actuation)
+        for _ in range(6):
+            simulation.step(np.array([[1.0, 0, 0, 0, 1.0, 0]]), np.ones(1, bool))
+        speed, spin = np.linalg.norm(simulation.velocity_world[0], axis=1)
+        body = simulation.worlds[0].body
+        assert speed == pytest.approx(1e-3 * 0.1 / body.mass, rel=1e-3)
+        assert spin == pytest.approx(2e-8 * 0.1 / body.inertia[1, 1], rel=0.01)

@@ -78,7 +78,7 @@ def test_no_push_leads_through_the_wall() -> None:
 
 
 def test_a_throw_through_the_lumen_earns_nothing_and_ends_the_episode() -> None:
-    episode = episode_of(1, actuation=Wrench(force=0.5, is_weightless=True), control_period=0.03)
+    episode = episode_of(1, actuation=Wrench(force=1.0, is_weightless=True), control_period=0.03)
     before, ends = episode.simulation.fraction.copy(), False
     for _ in range(10):
         step = episode.step(np.array([[1.0, 0, 0, 0, 0, 0]]), np.ones(1, bool))

@@ -50,6 +50,7 @@ def test_factors_act_on_tissue_and_capsule():
     assert world.tissue.deformation.stiffness / settings.deformation.stiffness == stiffness
     assert world.tissue.drag.friction == pytest.approx(friction * settings.drag.friction)
     assert world.tissue.drag.constant == pytest.approx(drag * settings.drag.constant)
+    assert world.tissue.drag.relaxation_time == pytest.approx(0.1 / drag)
     assert world.body.mass == pytest.approx(mass * known.mass)
     device = simulation.devices[0]
     assert device is world.model.device

@@ -18,8 +18,8 @@ from vrcaps.policy.servo import Goal, heading_error, servo_actions
 from vrcaps.transforms import rotation_from_vector
 
 DEVICE = read_device("magnetic")
-MOMENTUM_TIME = 0.1
-"""In which a free capsule loses its momentum in quasi-static motion [s]."""
+TAU = 0.1
+"""Relaxation time of a free capsule in environments [s]."""
 
 
 def free_body(settings: EnvSettings) -> Any:
@@ -33,18 +33,18 @@ def free_body(settings: EnvSettings) -> Any:
 
 
 def drift(body: Any, force: np.ndarray, torque: np.ndarray) -> None:
-    """Newton's law over a control period, or drag that takes all momentum."""
+    """Motion over a control period: v = v₀ a + (1 − a) F τ/m, a = exp(−Δt/τ), 0 without inertia."""
     dt, mass = body.settings.control_period, homogeneous_body(DEVICE)
     R = body.T_world_capsule[:, :3, :3]
     inertia = R @ mass.inertia @ np.swapaxes(R, 1, 2)
     before = body.velocity_world.copy()
     change = np.stack([force / mass.mass, np.linalg.solve(inertia, torque[..., None])[..., 0]], 1)
+    steady, way = TAU * change, dt * TAU * change
+    body.velocity_world = steady
     if body.settings.dynamics == "physics":
-        body.velocity_world = before + dt * change
-        way = 0.5 * dt * (before + body.velocity_world)
-    else:
-        body.velocity_world = MOMENTUM_TIME * change
-        way = dt * body.velocity_world
+        lost = 1.0 - np.exp(-dt / TAU)
+        body.velocity_world = before + lost * (steady - before)
+        way = way + TAU * lost * (before - steady)
     body.T_world_capsule[:, :3, 3] += way[:, 0]
     body.T_world_capsule[:, :3, :3] = rotation_from_vector(way[:, 1]) @ R
 

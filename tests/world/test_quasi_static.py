@@ -23,6 +23,7 @@ from vrcaps.tissue.winkler_foundation import WinklerFoundation
 from vrcaps.transforms import rotation_from_vector, transform_from
 from vrcaps.units import MM
 from vrcaps.world.control import Control
+from vrcaps.world.dynamics import RELAXATION_TIME
 from vrcaps.world.model import Model
 from vrcaps.world.world import World
 from vrcaps.world.worlds import step_worlds
@@ -31,7 +32,6 @@ from walls import RADIUS, creased, floor, world_on
 FREE, STILL, GRAVITY = (0.0,) * 6, (0.0,) * 3, 9.81
 DOWN = (0.0, 0.0, -GRAVITY)
 MASS, FRICTION, FRAME = 3e-3, 0.3, 1.0 / 30.0
-MOMENTUM_TIME = 0.1
 ALONG_X = (np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0)
 
 
@@ -64,13 +64,13 @@ def test_above_the_limit_drag_balances_the_pull() -> None:
     resistance = -world.contact()[0][0]
     assert FRICTION * MASS * GRAVITY < resistance < 1.05 * FRICTION * MASS * GRAVITY
     speed = (world.pose[0][0] - before) / (6 * FRAME)
-    assert speed == pytest.approx((force - resistance) * MOMENTUM_TIME / MASS, rel=1e-3)
+    assert speed == pytest.approx((force - resistance) * RELAXATION_TIME / MASS, rel=1e-3)
 
 
 def test_a_capsule_sinks_at_a_bounded_speed() -> None:
     world = world_on(floor(8.0 * MM), position=(0.0, 0.0, 1.0), is_quasi_static=True)
     world.step(FRAME, 1, FREE, DOWN)
-    assert world.pose[2] == pytest.approx((0.0, 0.0, -GRAVITY * MOMENTUM_TIME))
+    assert world.pose[2] == pytest.approx((0.0, 0.0, -GRAVITY * RELAXATION_TIME))
 
 
 @pytest.mark.parametrize("spring_wall", [None, SpringWall()])

@@ -68,8 +68,8 @@ impl World {
         };
         let spring_wall = spring_wall.map(SpringWall::from);
         let body = Body::try_from(body)?;
-        let laws = laws(foundation, drag, body.radius);
         let dynamics = if is_quasi_static { Dynamics::QuasiStatic } else { Dynamics::Physics };
+        let laws = laws(foundation, drag, body.radius, dynamics);
         let stepper = Stepper {
             dynamics,
             body,

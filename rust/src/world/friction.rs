@@ -175,7 +175,8 @@ mod tests {
             half_axis: 7.5e-3,
             radius: 5.5e-3,
         };
-        let laws = Laws { foundation, drag: Drag::Physical { friction: 0.5 }, viscosity: 0.01 };
+        let drag = Drag::Physical { friction: 0.5 };
+        let laws = Laws { foundation, drag, viscosity: 0.01, relaxation_rate: 0.0 };
         let mut vector = numbers();
         for case in 0..300 {
             let (pull, dt) = (0.01 * f64::from(case % 30), [5e-5, 2e-4, 1e-3][case as usize % 3]);

@@ -4,6 +4,7 @@ use super::body::Body;
 use super::laws::Laws;
 use super::solve::Twist;
 use super::substep::Load;
+use super::time_stepping::Dynamics;
 use crate::poses::{three_rows, vector};
 use crate::tissue::drag::{Drag, LogLaw};
 use crate::tissue::spring_wall::SpringWall;
@@ -42,7 +43,11 @@ pub struct DragParameters {
     c: f64,
     constant: f64,
     threshold: f64,
+    relaxation_time: Option<f64>,
 }
+
+/// Time τ in which a capsule in quasi-static motion loses its momentum where none is given [s].
+const QUASI_STATIC_RELAXATION: f64 = 0.1;
 
 /// The spring wall: `vrcaps.tissue.spring_wall.SpringWall`.
 #[derive(FromPyObject)]
@@ -54,8 +59,17 @@ pub struct SpringWallParameters {
     damping: f64,
 }
 
-/// Laws between the wall and a capsule of a radius [m].
-pub fn laws(foundation: FoundationParameters, drag: DragParameters, radius: f64) -> Laws {
+/// Laws between a capsule of a radius [m], the wall and what fills the lumen.
+pub fn laws(
+    foundation: FoundationParameters,
+    drag: DragParameters,
+    radius: f64,
+    dynamics: Dynamics,
+) -> Laws {
+    let usual = match dynamics {
+        Dynamics::Physics => f64::INFINITY,
+        Dynamics::QuasiStatic => QUASI_STATIC_RELAXATION,
+    };
     let law = LogLaw {
         a: drag.a,
         b: drag.b,
@@ -79,6 +93,7 @@ pub fn laws(foundation: FoundationParameters, drag: DragParameters, radius: f64)
             _ => Drag::Physical { friction: drag.friction },
         },
         viscosity: drag.viscosity,
+        relaxation_rate: 1.0 / drag.relaxation_time.unwrap_or(usual),
     }
 }
 

@@ -8,7 +8,7 @@
 //! with the wrench F of sources (at the end of the part), gravity and commands, K the part of their
 //! stiffness that holds the capsule back, and P the load of each piece of the wall, linear about the
 //! last twist and never below 0. There is no inertia: what is left of the mass is the drag M/τ of
-//! what fills the lumen, by which momentum is lost within `MOMENTUM_TIME`.
+//! what fills the lumen, by which momentum is lost within τ.
 
 use super::barrier::keep_out;
 use super::body::Motion;
@@ -21,8 +21,6 @@ use super::time_stepping::{StepTotals, Stepper, fastest_point, look_around};
 use crate::wall::Wall;
 use glam::DQuat;
 
-/// Time τ in which what fills the lumen takes a capsule's momentum [s].
-const MOMENTUM_TIME: f64 = 0.1;
 /// Farthest that any point of the capsule goes in one part [m].
 const LONGEST_WAY: f64 = 5e-4;
 /// Longest part [s].
@@ -155,7 +153,7 @@ impl Stepper {
         let (body, motion) = (&self.body, &self.motion);
         let mut wrench = load.wrench;
         wrench.linear += body.mass * load.gravity;
-        let mut resistance = body.mass_matrix(motion.rotation).scaled(1.0 / MOMENTUM_TIME);
+        let mut resistance = body.mass_matrix(motion.rotation).scaled(self.laws.relaxation_rate);
         for k in 0..3 {
             resistance.0[k][k] += load.damping;
         }

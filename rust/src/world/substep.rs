@@ -7,7 +7,7 @@ use super::contact_patch::{FacetLoad, Patch, Samples};
 use super::friction::Resistance;
 use super::laws::Laws;
 use super::sliding::Grip;
-use super::solve::{System, Twist};
+use super::solve::{Symmetric6, System, Twist};
 use crate::simd::f64x8::{LANES, Lane, sum};
 use crate::tissue::spring_wall::ContactForce;
 use glam::DVec3;
@@ -54,7 +54,8 @@ pub fn substep(
     barred: &[Facet],
     dt: f64,
 ) -> Reaction {
-    let system = elastic_system(body, load, motion, patch, dt);
+    let mut system = elastic_system(body, load, motion, patch, dt);
+    let lumen_drag = slow_down(body, laws, motion, &mut system, dt);
     let (change, resistance) = if laws.resist() && !patch.facet_loads.is_empty() {
         let grip = Grip::new(&patch.facet_loads, laws.drag.friction(), motion.position);
         Resistance { laws, body, motion, grip, dt }.solve(&system)
@@ -65,7 +66,42 @@ pub fn substep(
     let change = keep_out(moving, barred, &system.matrix, change, facet_loads, dt);
     let before = *motion;
     body.drift(motion, change, dt);
-    reaction(body, load, &before, change, &resistance, patch, dt)
+    let mut told = reaction(body, load, &before, change, &resistance, patch, dt);
+    if let Some(drag) = lumen_drag {
+        told.wrench += drag.mean_force(&before, change);
+    }
+    told
+}
+
+/// Drag of what fills the lumen, `M ξ/τ`.
+struct LumenDrag(Symmetric6);
+
+impl LumenDrag {
+    /// Force and torque over a substep with a change of twist, at the velocity in its middle.
+    fn mean_force(&self, before: &Motion, change: Twist) -> Twist {
+        let linear = before.velocity + 0.5 * change.linear;
+        let angular = before.angular_velocity + 0.5 * change.angular;
+        Twist::from_array(self.0.times(&Twist { linear, angular }.to_array()))
+    }
+}
+
+/// Adds the drag of what fills the lumen to a system, by the implicit midpoint rule:
+/// `(M + dt/2 M/τ) δ = dt (F − M ξ/τ)`.
+fn slow_down(
+    body: &Body,
+    laws: &Laws,
+    m: &Motion,
+    system: &mut System,
+    dt: f64,
+) -> Option<LumenDrag> {
+    if laws.relaxation_rate == 0.0 {
+        return None;
+    }
+    let drag = LumenDrag(body.mass_matrix(m.rotation).scaled(laws.relaxation_rate));
+    let now = drag.mean_force(m, Twist::default()).to_array();
+    system.matrix.add(&drag.0.scaled(0.5 * dt));
+    system.impulse.iter_mut().zip(now).for_each(|(impulse, force)| *impulse -= dt * force);
+    Some(drag)
 }
 
 /// Elastic and viscoelastic loads by the implicit midpoint rule, linearized about the start.

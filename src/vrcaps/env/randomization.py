@@ -53,7 +53,8 @@ class Randomization:
     Attributes:
         stiffness: Of the wall: its foundation's modulus, and its springs' or layer's stiffness.
         friction: Coefficient of friction of the wall.
-        drag: Viscosity of the mucus, and resistance of the laws `incetan2021` and `continuous`.
+        drag: Drag of what fills the lumen, viscosity of the mucus, and resistance of the laws
+            `incetan2021` and `continuous`.
         mass: Of the capsule. Who balances its weight knows only the mass in its file.
         magnet: Moment of the magnets in the capsule.
         focal: Focal length of its cameras; of a range one of nine equal steps is drawn.
@@ -123,6 +124,7 @@ def varied_tissue(tissue: Tissue, factors: Float[np.ndarray, " 6"]) -> Tissue:
         viscosity=drag * law.viscosity,
         a=drag * law.a,
         constant=drag * law.constant,
+        relaxation_time=None if law.relaxation_time is None else law.relaxation_time / drag,
     )
     foundation = replace(foundation, youngs_modulus=modulus)
     return replace(tissue, foundation=foundation, drag=law, deformation=wall)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Annotated, Any, Literal, get_args
 
 from vrcaps.capsule.device import Device
@@ -22,6 +22,7 @@ from vrcaps.metrics.coverage import CoverageCriteria
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.scenario.scenario import OrganFile, OrganGenerated, organ_named
 from vrcaps.tissue.tissue import Tissue
+from vrcaps.world.dynamics import RELAXATION_TIME
 from vrcaps.world.model import posture_transform
 
 Organ = OrganGenerated | OrganFile | OrganSurface | str
@@ -46,7 +47,8 @@ class EnvSettings:
         lesions: Lesions to put into each organ.
         dynamics: `quasi-static` leaves out inertia and is fast; `physics` is the full simulation.
         substep: Longest substep of `physics` [s].
-        tissue: How the wall behaves.
+        tissue: How the wall behaves. Where its drag has no relaxation time it takes that of
+            quasi-static motion, so that the capsule's momentum lasts as long under both dynamics.
         randomization: What of tissue, capsule and camera varies from episode to episode.
         start: Where an episode begins.
         control_period: Time between actions [s].
@@ -87,6 +89,9 @@ class EnvSettings:
             raise InputError("organs is empty. Allowed: at least one.")
         named = tuple(organ_named(o) if isinstance(o, str) else o for o in self.organs)
         object.__setattr__(self, "organs", named)
+        if self.tissue.drag.relaxation_time is None:
+            drag = replace(self.tissue.drag, relaxation_time=RELAXATION_TIME)
+            object.__setattr__(self, "tissue", replace(self.tissue, drag=drag))
         names = [observation.name for observation in self.observations]
         if not names or len(set(names)) < len(names):
             raise InputError(
@@ -94,6 +99,11 @@ class EnvSettings:
             )
         if min(self.grid) < 1:
             raise InputError(f"grid is {self.grid}. Allowed: 1 or more cells each way.")
+
+    @property
+    def relaxation_time(self) -> float:
+        """Time within which what fills the lumen takes a capsule's momentum [s]."""
+        return self.tissue.drag.relaxation_time or RELAXATION_TIME
 
 
 def env_settings(**keywords: Any) -> EnvSettings:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,6 @@ from vrcaps.magnet.presets import read_magnet
 from vrcaps.transforms import rotation_from_vector, vector_from_rotation
 from vrcaps.units import MM
 from vrcaps.world.control import GRAVITY
-from vrcaps.world.dynamics import MOMENTUM_TIME
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -109,15 +109,18 @@ def _limited(vectors: Float[np.ndarray, "n 3"], most: float) -> Float[np.ndarray
 def _loads(
     simulation: Simulation, velocity: Float[np.ndarray, "n 3"], spin: Float[np.ndarray, "n 3"]
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """Forces [N] and torques [N·m] that give a twist at the end of a control period.
+    """Forces [N] and torques [N·m] that give a twist at the end of a control period Δt.
 
-    With inertia, F = m (v − v₀) / Δt; quasi-static, F = m v / τ. Torques alike.
+    With inertia and drag, v = v₀ a + (1 − a) F τ/m with a = exp(−Δt/τ); quasi-static, a = 0.
+    Torques alike.
     """
     settings, body = simulation.settings, homogeneous_body(simulation.device)
     linear, angular = simulation.velocity_world[:, 0], simulation.velocity_world[:, 1]
-    lasting, time = 1.0, settings.control_period
-    if settings.dynamics == "quasi-static":
-        lasting, time = 0.0, MOMENTUM_TIME
+    tau = settings.relaxation_time
+    lasting, time = 0.0, tau
+    if settings.dynamics == "physics":
+        lasting = math.exp(-settings.control_period / tau)
+        time = (1.0 - lasting) * tau if math.isfinite(tau) else settings.control_period
     R = simulation.T_world_capsule[:, :3, :3]
     inertia = R @ body.inertia @ np.swapaxes(R, 1, 2)
     torque = np.einsum("nij,nj->ni", inertia, spin - lasting * angular) / time

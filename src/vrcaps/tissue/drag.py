@@ -1,4 +1,4 @@
-"""Drag laws: resistance of the gut against a capsule that slides along it."""
+"""Drag laws: resistance of the gut, and of what fills it, against a capsule that moves."""
 
 from __future__ import annotations
 
@@ -34,6 +34,10 @@ class Drag:
     of the contact pressure itself, see `WinklerFoundation`; and −γ v. The viscous term belongs to
     all three.
 
+    What fills the lumen takes a capsule's momentum within the relaxation time τ, also where nothing
+    touches it: force and torque are −m v/τ and −I ω/τ, with mass m and inertia I. So v and ω decay
+    as exp(−t/τ), and a constant force F leads to v = F τ/m. Mucus of about 0.3 Pa·s has τ = 0.1 s.
+
     Attributes:
         law: `incetan2021`, `continuous` or `physical`.
         friction: Coefficient of friction of `physical`. Measured in pig small bowel: 0.0004 to
@@ -44,6 +48,9 @@ class Drag:
         c: Offset in it.
         constant: Resistance C [N].
         threshold: Speed up to which `incetan2021` is constant [m/s].
+        relaxation_time: Relaxation time τ of the momentum [s]; infinite: no such drag, which only
+            `physics` can do without. None: no such drag in `physics`, `RELAXATION_TIME` in
+            quasi-static motion, see `vrcaps.world.dynamics`.
     """
 
     law: Literal["incetan2021", "continuous", "physical"] = "physical"
@@ -54,6 +61,7 @@ class Drag:
     c: float = 1.04
     constant: float = 100.0 * _MILLINEWTON
     threshold: float = 1.0 * MM
+    relaxation_time: float | None = None
 
     def __post_init__(self) -> None:
         if self.law not in _LAWS:
@@ -61,6 +69,8 @@ class Drag:
         for name in ("friction", "viscosity", "a", "b", "constant", "threshold"):
             value = getattr(self, name)
             require(0.0 <= value < math.inf, name, value, "0 or more")
+        tau = self.relaxation_time
+        require(tau is None or tau >= 1e-3, "relaxation_time", tau, "0.001 s or more, or None")
         require(
             1.0 <= self.c < math.inf, "c", self.c, "1 or more, so that the logarithm is not below 0"
         )

@@ -247,3 +247,19 @@ def test_organs_used_longest_ago_make_room(folder: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(cache, "_MOST_BYTES", 0)
     cached_organ("e", make_organ)
     assert {path.stem for path in (folder / "organs").iterdir()} == {"e"}
+
+
+def test_passing_organs_are_few_and_drive_out_no_others(folder: Path, monkeypatch):
+    cached_organ("mine", make_organ)
+    size = (folder / "organs" / "mine.npz").stat().st_size
+    monkeypatch.setattr(cache, "_MOST_PASSING_BYTES", 2.5 * size)
+    made = []
+    with cache.passing_organs():
+        for age, name in enumerate(("a", "b", "c", "mine")):
+            cached_organ(name, lambda name=name: made.append(name) or make_organ())
+            path = folder / "organs" / "passing" / f"{name}.npz"
+            if path.exists():
+                os.utime(path, (age, age))
+    assert made == ["a", "b", "c"]
+    assert {path.stem for path in (folder / "organs").rglob("*.npz")} == {"mine", "b", "c"}
+    cached_organ("c", lambda: pytest.fail("it is there"))

@@ -38,16 +38,18 @@ def estimate(units: Units) -> Estimate:
     Raises:
         InputError: If the first unit cannot be recorded.
     """
+    from vrcaps.recording.layout import ORGAN_GLB
     from vrcaps.recording.recorder import record
 
-    scenario = units[0].scenario
+    scenario, organ = units[0].scenario, 0
     costs = []
     with tempfile.TemporaryDirectory(prefix="vrcaps-estimate-") as scratch:
         for number, frames in enumerate((_FRAMES, _FRAMES, 2 * _FRAMES)):
             folder = Path(scratch) / str(number)
             began = time.perf_counter()
             record(replace(scenario, frames=frames), folder)
-            size = sum(path.stat().st_size for path in files_in(folder))
+            organ = (folder / ORGAN_GLB).stat().st_size  # stored once for each patient
+            size = sum(path.stat().st_size for path in files_in(folder)) - organ
             costs.append((time.perf_counter() - began, size))
     # The first one may have made the organ.
     (_, _), (short, short_size), (long, long_size) = costs
@@ -58,7 +60,8 @@ def estimate(units: Units) -> Estimate:
     return Estimate(
         round(mean_frames * len(units)),
         len(units) * (begin + per_frame * mean_frames),
-        round(len(units) * (short_size + size_per_frame * (mean_frames - _FRAMES))),
+        len(units.splits) * organ
+        + round(len(units) * (short_size + size_per_frame * (mean_frames - _FRAMES))),
     )
 
 

@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
@@ -21,10 +22,12 @@ from vrcaps.data.ledger import (
     require_same_plan,
     whole_units,
 )
+from vrcaps.data.organs import organ_entry, store_organ
 from vrcaps.data.plan import Plan, plan_to_plain
 from vrcaps.data.store import Store, open_store
 from vrcaps.data.units import Units
 from vrcaps.errors import VrcapsError, require
+from vrcaps.organ.cache import passing_organs
 
 _ATTEMPTS = 3
 """Times that a unit may kill its worker before it counts as failed."""
@@ -127,8 +130,9 @@ def make_unit(units: Units, store: Store, number: int) -> None:
         folder = store.staging(unit.name, Path(scratch))
         folder.parent.mkdir(parents=True, exist_ok=True)
         # One that was broken off goes on where it stopped.
-        record(unit.scenario, folder)
-        entry = entry_of(unit, folder)
+        with passing_organs():
+            record(unit.scenario, folder, store_organ=partial(store_organ, store))
+        entry = entry_of(unit, folder) | {"organ": organ_entry(store, folder)}
         store.put(folder, f"{EPISODES}/{unit.name}")
         enter(store, unit, entry)
 

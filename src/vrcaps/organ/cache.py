@@ -8,7 +8,8 @@ import json
 import os
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 from functools import cache
 from pathlib import Path
 from types import CodeType
@@ -34,8 +35,16 @@ _MAKER_MODULES = (
 )
 """Other modules that they use, and the one that calls them."""
 
-_MOST_BYTES = 20 * 10**9
-"""Size of the kept organs beyond which those that were not used for longest are removed."""
+_MOST_BYTES = 10 * 10**9
+"""Size of the kept organs beyond which those that were not used for longest are removed.
+
+Organs that an older version made are among them: no other version reads them.
+"""
+
+_MOST_PASSING_BYTES = 4 * 10**9
+"""The same for organs that are needed for a short time only (`passing_organs`)."""
+
+_is_passing: ContextVar[bool] = ContextVar("is_passing", default=False)
 
 _ABANDONED = 3600.0
 """Age of an unfinished file [s] from which the process that wrote it must have been stopped."""
@@ -56,24 +65,26 @@ def cached_organ(name: str, make: Callable[[], OrganSurface]) -> OrganSurface:
     """The organ stored under a name, or else the made one, stored for the next time.
 
     A file that cannot be read is made again. A folder that cannot be written to is a warning. The
-    organs used last are kept, up to 20 GB of them.
+    organs used last are kept, up to 10 GB of them, and 4 GB of `passing_organs`.
 
     Args:
         name: Names the organ, all its parameters and the code that makes it.
         make: Makes the organ.
     """
-    path = cache_folder() / "organs" / f"{name}.npz"
-    if path.is_file():
-        try:
-            organ = _read_organ(path)
-            _mark_used(path)
-            return organ
-        except _BROKEN:
-            pass  # Made again and overwritten below.
-    organ = make()
+    kept = cache_folder() / "organs" / f"{name}.npz"
+    passing = kept.parent / "passing" / kept.name
+    for path in (kept, passing):
+        if path.is_file():
+            try:
+                organ = _read_organ(path)
+                _mark_used(path)
+                return organ
+            except _BROKEN:
+                pass  # Made again and overwritten below.
+    organ, path = make(), passing if _is_passing.get() else kept
     try:
         _write_organ(path, organ)
-        _forget_unused(path.parent)
+        _forget_unused(path.parent, _MOST_PASSING_BYTES if _is_passing.get() else _MOST_BYTES)
     except OSError as error:
         warnings.warn(
             f"Cannot write to the cache folder {path.parent}: {error.strerror}. The organ is made "
@@ -81,6 +92,20 @@ def cached_organ(name: str, make: Callable[[], OrganSurface]) -> OrganSurface:
             stacklevel=2,
         )
     return organ
+
+
+@contextlib.contextmanager
+def passing_organs() -> Iterator[None]:
+    """In this block organs are stored for a short time: few of them, apart from all others.
+
+    A data set of many patients needs each organ for the recordings of one patient, and would drive
+    out those that the user comes back to.
+    """
+    token = _is_passing.set(True)
+    try:
+        yield
+    finally:
+        _is_passing.reset(token)
 
 
 def fingerprint(parameters: dict[str, Any]) -> str:
@@ -145,7 +170,7 @@ def _mark_used(path: Path) -> None:
         os.utime(path)
 
 
-def _forget_unused(folder: Path) -> None:
+def _forget_unused(folder: Path, most_bytes: float) -> None:
     """Remove the organs used longest ago where all take too much space, and abandoned files."""
     found, total = [], 0
     for path in [*folder.glob("*.npz"), *folder.glob(f".*{TEMPORARY}")]:
@@ -159,7 +184,7 @@ def _forget_unused(folder: Path) -> None:
                 total += stat.st_size
     for rank, (_, size, path) in enumerate(sorted(found, reverse=True)):
         total += size
-        if rank > 0 and total > _MOST_BYTES:
+        if rank > 0 and total > most_bytes:
             with contextlib.suppress(OSError):  # open in another process, on Windows
                 path.unlink()
 

@@ -39,7 +39,14 @@ _ZERO = 32768  # stored for a height of 0
 def write_organ(
     path: Path, organ: OrganSurface, *, T_world_patient: Float[np.ndarray, "4 4"] | None = None
 ) -> None:
-    """Write an organ with its texture coordinates, textures, labels, lesions and centerline.
+    """Write `organ_glb` to a file, which is replaced; it appears whole or not at all."""
+    write_bytes(path, organ_glb(organ, T_world_patient=T_world_patient))
+
+
+def organ_glb(
+    organ: OrganSurface, *, T_world_patient: Float[np.ndarray, "4 4"] | None = None
+) -> list[bytes]:
+    """An organ file with texture coordinates, textures, labels, lesions and centerline, in pieces.
 
     For viewers, positions are in the world frame [m], in single precision, without a node
     transform. Vertices are copied where their texture coordinates differ. The vertex
@@ -51,7 +58,6 @@ def write_organ(
     back equals what was written, to the last bit. The same organ gives the same bytes.
 
     Args:
-        path: File to write or replace; it appears whole or not at all.
         organ: The organ, in the patient frame.
         T_world_patient: Pose of the patient in the world; None: they coincide.
     """
@@ -74,7 +80,7 @@ def write_organ(
         "meshes": [{"name": organ.name, "primitives": [primitive], "extras": extras}],
         **material_json(organ.appearance, images[:_NUM_IMAGES]),
     }
-    write_bytes(path, glb.pack(document))
+    return glb.pack(document)
 
 
 def split_at_seams(

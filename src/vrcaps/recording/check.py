@@ -20,7 +20,6 @@ from vrcaps.recording.layout import (
     COMPLETE,
     EPISODE_JSON,
     FRAMES_PARQUET,
-    ORGAN_GLB,
     channel_to_plain,
 )
 from vrcaps.recording.sensing import pad_column_names
@@ -172,15 +171,16 @@ def _is_rigid(Ts: NDArray) -> NDArray:
 
 def _load_organ(episode: Episode) -> tuple[Mesh | None, list[Problem]]:
     """The wall at rest, if it is whole."""
+    where = episode.organ_path.name
     try:
         mesh = episode.organ
     except VrcapsError as error:
-        return None, [Problem(ORGAN_GLB, f"cannot be read ({error})")]
+        return None, [Problem(where, f"cannot be read ({error})")]
     expected = episode.head["organ"].get("num_faces")
     if len(mesh.faces) != expected:
-        return None, [Problem(ORGAN_GLB, f"has {len(mesh.faces)} triangles, not {expected}")]
+        return None, [Problem(where, f"has {len(mesh.faces)} triangles, not {expected}")]
     if not np.isfinite(mesh.vertices).all():
-        return None, [Problem(ORGAN_GLB, "holds vertices that are not finite")]
+        return None, [Problem(where, "holds vertices that are not finite")]
     return mesh, []
 
 
@@ -322,7 +322,7 @@ def _check_cast(
         near |= stored < expected  # a particle may hide the wall
     if near.mean() < _MIN_AGREEMENT:
         where = episode.image_path(camera.name, channel, frame).relative_to(episode.path)
-        against = wall_path(frame) if "wall" in episode.head else ORGAN_GLB
+        against = wall_path(frame) if "wall" in episode.head else episode.organ_path.name
         yield Problem(
             str(where),
             f"agrees with {against} within {_STEP / UM:.0f} um at only {near.mean():.1%} of "

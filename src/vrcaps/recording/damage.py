@@ -12,6 +12,7 @@ from vrcaps.recording.episode import Episode
 from vrcaps.recording.image_files import read_image
 from vrcaps.recording.layout import FRAMES_PARQUET, ORGAN_GLB, PREVIEW_MP4, SHEET_PNG
 from vrcaps.recording.preview import require_preview
+from vrcaps.recording.stored_organ import organ_name
 
 
 def remove_damaged(episode: Episode) -> None:
@@ -25,7 +26,8 @@ def remove_damaged(episode: Episode) -> None:
     """
     readers = {**_frames(episode), **pictures_of(episode)}
     readers[episode.path / FRAMES_PARQUET] = lambda: episode.table
-    readers[episode.path / ORGAN_GLB] = partial(_read_organ, episode)
+    if organ_name(episode.head) == ORGAN_GLB:  # a shared one is not this recorder's to remove
+        readers[episode.organ_path] = partial(_read_organ, episode)
 
     def remove_if_damaged(path: Path) -> None:
         try:

@@ -13,18 +13,17 @@ import numpy as np
 from vrcaps.camera.camera import Camera, check_names
 from vrcaps.errors import InputError, UnknownNameError, require
 from vrcaps.mesh.mesh import Mesh
-from vrcaps.mesh.read_mesh import read_mesh
-from vrcaps.recording.episode_files import EpisodeFiles, LocalFiles, file_here
+from vrcaps.recording.episode_files import EpisodeFiles, LocalFiles
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.recording.image_files import decode_image
 from vrcaps.recording.layout import (
     COMPLETE,
     EPISODE_JSON,
     FRAMES_PARQUET,
-    ORGAN_GLB,
     camera_from_plain,
     read_head,
 )
+from vrcaps.recording.stored_organ import organ_name, read_stored_organ, require_organ_name
 from vrcaps.recording.table import FrameTable, decode_table, require_table
 from vrcaps.recording.walls import decode_wall, wall_path
 from vrcaps.render.channels import CHANNELS, Frame
@@ -250,14 +249,26 @@ class Episode:
         """All images of a camera in time, of the first unless another is named."""
         return (self.frame(index, camera) for index in range(len(self)))
 
+    @property
+    def organ_path(self) -> Path:
+        """Where the organ is stored: in the episode, or once for many episodes of a data set.
+
+        Raises:
+            InputError: If the episode is not on this machine.
+        """
+        return self.path / organ_name(self.head)
+
     @cached_property
     def organ(self) -> Mesh:
-        """The wall at rest in the world frame [m]."""
+        """The wall at rest in the world frame [m].
+
+        Raises:
+            InputError: If its file is missing or damaged.
+        """
         try:
-            with file_here(self.files, ORGAN_GLB) as path:
-                return read_mesh(path, unit="m")
+            return read_stored_organ(self.files, self.head)
         except OSError as error:
-            raise self._unreadable(ORGAN_GLB, error) from error
+            raise self._unreadable(organ_name(self.head), error) from error
 
     def wall(self, index: int) -> Mesh:
         """The wall of a frame in the world frame [m], as `organ` but where it is then.
@@ -273,7 +284,7 @@ class Episode:
         if vertices.shape != self.organ.vertices.shape:
             raise InputError(
                 f"{self.url}/{name} has the shape {vertices.shape}, not "
-                f"{self.organ.vertices.shape} as {ORGAN_GLB}. `vrcaps check {self.url}` lists all "
+                f"{self.organ.vertices.shape} as the organ. `vrcaps check {self.url}` lists all "
                 "faults."
             )
         return replace(self.organ, vertices=vertices.astype(float))
@@ -362,6 +373,7 @@ def require_head(head: dict[str, Any], where: str) -> None:
     unknown = sorted(set(head["channels"]) - set(CHANNELS))
     if unknown:
         raise UnknownNameError("channel", unknown[0], CHANNELS)
+    require_organ_name(head, where)
     names = head["organ"].get("label_names")
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise InputError(f"{where}: organ.label_names is missing or no list of texts.")

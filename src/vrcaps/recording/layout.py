@@ -27,6 +27,9 @@ ORGAN_GLB = "organ.glb"
 SHEET_PNG = "sheet.png"
 PREVIEW_MP4 = "preview.mp4"
 
+SHARED_ORGANS = "organs"
+"""Folder of a data set that holds the organs of its episodes, two folders above each episode."""
+
 RECORDING, COMPLETE = "recording", "complete"
 
 
@@ -37,8 +40,17 @@ _LESION_KEYS = ("lesions", "clean_twin_of")
 """What the organ's lesions are; of a clean twin, which it is without."""
 
 
-def make_head(scenario: Scenario, model: Model, notes: tuple[str, ...]) -> dict[str, Any]:
-    """Contents of `episode.json` for a resolved scenario, without its `status`."""
+def make_head(
+    scenario: Scenario, model: Model, notes: tuple[str, ...], organ_path: str = ORGAN_GLB
+) -> dict[str, Any]:
+    """Contents of `episode.json` for a resolved scenario, without its `status`.
+
+    Args:
+        scenario: What is recorded.
+        model: Made of it.
+        notes: Of the motion.
+        organ_path: Of the organ's file, relative to the episode.
+    """
     organ, device = model.organ, model.device
     return {
         "format": FORMAT,
@@ -50,7 +62,8 @@ def make_head(scenario: Scenario, model: Model, notes: tuple[str, ...]) -> dict[
         "scenario": scenario_to_plain(scenario),
         "organ": {
             "name": organ.name,
-            "path": ORGAN_GLB,
+            "path": organ_path,
+            "frame": "world" if organ_path == ORGAN_GLB else "patient",
             "label_names": list(model.label_names),
             "num_vertices": len(organ.vertices),
             "num_faces": len(organ.faces),

@@ -54,6 +54,7 @@ from vrcaps.world.moving_wall import MovingWall
 
 if TYPE_CHECKING:
     from vrcaps.motion.motion import Motion
+    from vrcaps.organ.surface import OrganSurface
     from vrcaps.recording.table import FrameTable
     from vrcaps.render.channels import Frame
     from vrcaps.world.model import Model
@@ -69,6 +70,7 @@ def record(
     *,
     progress: Callable[[int, int], None] | None = None,
     simulated: Callable[[float, float], None] | None = None,
+    store_organ: Callable[[OrganSurface], str] | None = None,
 ) -> Path:
     """Record a scenario into a folder; the same scenario gives the same bytes.
 
@@ -80,6 +82,8 @@ def record(
         out: Folder of the episode: new, empty, or this scenario's own from before.
         progress: Called with the number of whole frames and of all frames.
         simulated: Called by a motion of physics with the time simulated so far and the whole [s].
+        store_organ: Stores the organ elsewhere and gives its path relative to the episode, see
+            `vrcaps.data.organs`; None stores it in the episode.
 
     Returns:
         The folder.
@@ -94,12 +98,13 @@ def record(
         scenario = resolve(with_stored_organ(scenario, out))
         _require_same(out, scenario)
         model, motion = build(scenario)
-        head = make_head(scenario, model, motion.notes)
         try:
+            organ_path = ORGAN_GLB if store_organ is None else store_organ(model.organ)
+            head = make_head(scenario, model, motion.notes, organ_path)
             _begin(out, head)
             remove_damaged(read_episode(out, unfinished=True))
             run = _Recording(out, scenario, model, motion, progress or _silent, simulated)
-            if not (out / ORGAN_GLB).exists():
+            if store_organ is None and not (out / ORGAN_GLB).exists():
                 _write_organ(out, model)
             _write_frames(out, run)
             _finish(out, head)

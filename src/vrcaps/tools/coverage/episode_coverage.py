@@ -21,7 +21,6 @@ from vrcaps.metrics.coverage import (
 )
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import OrganSurface, face_label
-from vrcaps.recording.layout import ORGAN_GLB
 from vrcaps.transforms import transform_points
 
 if TYPE_CHECKING:
@@ -95,7 +94,7 @@ def episode_coverage(
             f"the channels {', '.join(COVERAGE_CHANNELS)}."
         )
     criteria = criteria or CoverageCriteria()
-    organ = read_organ(episode.path / ORGAN_GLB)
+    organ = read_organ(episode.organ_path)
     area = triangle_areas(organ.vertices[organ.faces])
     coverage = CoverageMap(area, len(organ.vertices))
     T_world_patient = np.array(episode.head["T_world_patient"])

@@ -1,0 +1,53 @@
+"""Organs of a data set: each is stored once, however many recordings show it.
+
+An organ's file is named after all that the organ is, so equal organs have one file, whichever
+worker was first. It is in the patient frame: recordings in other postures share it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from vrcaps.data.store import Store
+from vrcaps.organ.arrays import organ_sha256
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.organ.write_organ import organ_glb
+from vrcaps.recording.episode_files import LocalFiles
+from vrcaps.recording.layout import SHARED_ORGANS, read_head
+
+
+def store_organ(store: Store, organ: OrganSurface) -> str:
+    """Store an organ if it is not there yet.
+
+    Returns:
+        The path of its file, relative to an episode of the data set.
+    """
+    name = f"{SHARED_ORGANS}/{organ_sha256(organ)}.glb"
+    if _read_entry(store, name) is None:
+        data = b"".join(organ_glb(organ))
+        entry = {"path": name, "sha256": hashlib.sha256(data).hexdigest(), "bytes": len(data)}
+        store.write(name, data)
+        # Last: where it is there, the organ is whole.
+        store.write(_entry_name(name), (json.dumps(entry) + "\n").encode())
+    return f"../../{name}"
+
+
+def organ_entry(store: Store, episode: Path) -> dict[str, Any] | None:
+    """Path in the data set, checksum and size of the organ that an episode names."""
+    file = PurePosixPath(read_head(LocalFiles(episode))["organ"]["path"]).name
+    return _read_entry(store, f"{SHARED_ORGANS}/{file}")
+
+
+def _entry_name(name: str) -> str:
+    return name.removesuffix(".glb") + ".json"
+
+
+def _read_entry(store: Store, name: str) -> dict[str, Any] | None:
+    """What was entered of a stored organ; None if it is not there, or that is damaged."""
+    try:
+        return json.loads(store.read(_entry_name(name)))
+    except (FileNotFoundError, ValueError):
+        return None

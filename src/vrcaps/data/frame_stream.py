@@ -77,30 +77,30 @@ class FrameStream:
         """A pass over the windows of this worker."""
         from torch.utils.data import get_worker_info
 
-        worker = get_worker_info()
-        number, count = (0, 1) if worker is None else (worker.id, worker.num_workers)
+        info = get_worker_info()
+        number, count = (0, 1) if info is None else (info.id, info.num_workers)
         self._epoch, self._done, self._skip = self._next_epoch, self._skip, 0
         self._next_epoch += 1
         order = self.order(self._epoch, self.rank * count + number, self.num_ranks * count)
         return self._pass(order[self._done :])
 
-    def order(self, epoch: int, share: int, num_shares: int) -> NDArray:
+    def order(self, epoch: int, worker: int, num_workers: int) -> NDArray:
         """Numbers of the windows that one of several workers gives in an epoch.
 
         Args:
             epoch: Number of the pass.
-            share: Number of the worker among all of all ranks.
-            num_shares: Number of all workers.
+            worker: Its number among those of all ranks.
+            num_workers: How many there are.
         """
         shards = np.arange(0, len(self.windows), self.shard)
         if self.shuffle:
             shards = rng.stream(self.seed, "data/stream/shards", epoch).permutation(shards)
         size = len(self.windows)
-        own = [np.arange(k, min(k + self.shard, size)) for k in shards[share::num_shares]]
+        own = [np.arange(k, min(k + self.shard, size)) for k in shards[worker::num_workers]]
         numbers = np.concatenate([np.arange(0), *own])
         if not self.shuffle:
             return numbers
-        generator = rng.stream(self.seed, "data/stream/buffer", epoch, share, num_shares)
+        generator = rng.stream(self.seed, "data/stream/buffer", epoch, worker, num_workers)
         return _drawn_from_buffer(numbers, self.buffer, generator)
 
     def _pass(self, order: NDArray) -> Iterator[Any]:

@@ -3,6 +3,7 @@
 from vrcaps.errors import UnknownNameError
 from vrcaps.formats.format import Format
 from vrcaps.formats.kitti import Kitti
+from vrcaps.formats.simcol3d import SimCol3D
 from vrcaps.formats.tum import Tum
 
 FORMATS: dict[str, type[Format]] = {
@@ -10,6 +11,7 @@ FORMATS: dict[str, type[Format]] = {
     for form in (
         Tum,
         Kitti,
+        SimCol3D,
     )
 }
 """Formats by their names."""

@@ -28,17 +28,17 @@ if TYPE_CHECKING:
 _IDENTITY = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 _HEADER = ["tX", "tY", "tZ", "rX", "rY", "rZ", "rW", "time(s)"]
 
-# The world (z up) from a y-up world: left-handed (x right, y up, z ahead) or right-handed
-# (x right, y up, z back).
-_WORLD_FROM_Y_UP = {
+WORLD_FROM_Y_UP = {
     "left": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]),
     "right": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
 }
-# A y-up camera's own axes (y up; looks along +z if left-handed, −z if right-handed) from ours.
-_Y_UP_CAMERA_FROM_CAMERA = {
+"""The world (z up) from a y-up world: left-handed (x right, y up, z ahead) or right-handed
+(x right, y up, z back)."""
+Y_UP_CAMERA_FROM_CAMERA = {
     "left": np.diag([1.0, -1.0, 1.0]),
     "right": np.diag([1.0, -1.0, -1.0]),
 }
+"""A y-up camera's own axes (y up; looks along +z if left-handed, −z if right-handed) from ours."""
 
 
 @dataclass(frozen=True)
@@ -174,8 +174,8 @@ def read_unity_csv(
         InputError: If the file cannot be read or a row is wrong; names the line.
     """
     scale = parse_length(unit)
-    if handedness not in _WORLD_FROM_Y_UP:
-        raise UnknownNameError("handedness", handedness, _WORLD_FROM_Y_UP)
+    if handedness not in WORLD_FROM_Y_UP:
+        raise UnknownNameError("handedness", handedness, WORLD_FROM_Y_UP)
     lines = _read_lines(path)
     separator = ";" if lines and ";" in lines[0] else ","
     header = [cell.strip() for cell in lines[0].lstrip("\ufeff").split(separator)] if lines else []
@@ -191,7 +191,7 @@ def read_unity_csv(
         notes.append(f"Dropped line {rows[-1][0]}, the last, which is cut off.")
         rows.pop()
     numbers, values = _numbers(path, rows, columns=len(_HEADER))
-    world, camera = _WORLD_FROM_Y_UP[handedness], _Y_UP_CAMERA_FROM_CAMERA[handedness]
+    world, camera = WORLD_FROM_Y_UP[handedness], Y_UP_CAMERA_FROM_CAMERA[handedness]
     rotations = world @ _rotations(path, numbers, values[:, 3:7]) @ camera
     poses = transform_from(rotations, scale * values[:, :3] @ world.T)
     if _first_jumps(poses):

@@ -64,7 +64,7 @@ def matched(channels: Mapping[str, Mapping[int, Path]]) -> dict[str, list[Path]]
         missing = [number for number in frames if number not in found]
         if missing:
             raise InputError(
-                f"{frames[missing[0]]} has no {name} beside it, nor have {len(missing) - 1} others. "
+                f"{frames[missing[0]]} has no {name} beside it, nor have {len(missing) - 1} more. "
                 f"Add the files, or take those of {name} away."
             )
         paths[name] = [found[number] for number in frames]

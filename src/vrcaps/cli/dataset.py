@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -60,8 +61,7 @@ class Make:
         from vrcaps.data.plan import read_plan
         from vrcaps.data.units import Units
 
-        if self.workers is not None and self.workers < 0:
-            raise InputError(f"--workers is {self.workers}. Allowed: 0 or more.")
+        workers = _workers(self.workers)
         plan = read_plan(self.plan)
         units = Units(plan)
         numbers = _slice(self.units, len(units))
@@ -73,7 +73,7 @@ class Make:
                 plan,
                 self.out,
                 numbers=numbers,
-                workers=self.workers,
+                workers=workers,
                 progress=progress,
                 source=str(self.plan),
             )
@@ -89,14 +89,24 @@ class Make:
 
 @dataclass(frozen=True)
 class Check:
-    """Verify a data set: every file's checksum, splits without shared patients, no doubles.
+    """Verify a data set: every file and label, splits without shared patients, no doubles.
+
+    Compares every file with its checksum, looks at every label image as `vrcaps check` does for an
+    episode, and says which recordings hold the same images. Prints one line a fault.
 
     For example:
       vrcaps dataset check runs/cohort
+      vrcaps dataset check s3://bucket/cohort --quick
     """
 
-    dataset: Positional[Path]
-    """Folder of the data set."""
+    dataset: Positional[str]
+    """Folder or URL of the data set."""
+
+    quick: bool = False
+    """Compare checksums only."""
+
+    workers: int | None = None
+    """Processes; by default one for each processor. 0 checks in this one."""
 
     def run(self) -> None:
         """Check and report.
@@ -105,20 +115,33 @@ class Check:
             InputError: If something is wrong.
         """
         from vrcaps.data.check_dataset import check_dataset
-        from vrcaps.data.dataset import open as open_dataset
-        from vrcaps.data.plan import SPLITS
+        from vrcaps.data.counts import by_split, count, rows_of, shared_organs
+        from vrcaps.data.store import open_store
 
-        dataset = open_dataset(self.dataset)
+        workers = _workers(self.workers)
         with progress_bar("checking") as progress:
-            faults = check_dataset(self.dataset, progress)
+            faults = check_dataset(self.dataset, progress, quick=self.quick, workers=workers)
         for fault in faults:
             console.print(fault)
         if faults:
-            raise InputError(f"{self.dataset} has {len(faults)} faults.")
-        splits = ", ".join(f"{len(dataset.patients(s))} {s}" for s in SPLITS)
+            noun = "fault" if len(faults) == 1 else "faults"
+            raise InputError(f"{self.dataset} has {len(faults)} {noun}.")
+        rows = rows_of(open_store(self.dataset))
+        splits = ", ".join(f"{found.patients} {name}" for name, found in by_split(rows).items())
+        total = count(rows)
         console.print(
-            f"{len(dataset)} recordings of {len(dataset.patients())} patients ({splits}) are whole."
+            f"{total.recordings} recordings of {total.patients} patients ({splits}) are whole."
         )
+        shared = len(shared_organs(rows))
+        if shared:
+            console.print(f"Note: patients in different splits share an organ ({shared} organs).")
+
+
+def _workers(given: int | None) -> int:
+    """Number of processes."""
+    if given is not None and given < 0:
+        raise InputError(f"--workers is {given}. Allowed: 0 or more.")
+    return os.cpu_count() or 1 if given is None else given
 
 
 def _slice(text: str | None, count: int) -> range | None:

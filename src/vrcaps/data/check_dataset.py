@@ -1,60 +1,187 @@
-"""Check of a data set: every file against its checksum, every patient in one split, no doubles."""
+"""Check of a data set: every file, every label, every patient in one split, no doubles."""
 
 from __future__ import annotations
 
+import hashlib
+import multiprocessing
+import tempfile
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
+from vrcaps.data.about import ABOUT
+from vrcaps.data.card import read_plan_of
 from vrcaps.data.ledger import EPISODES, entries, failures
-from vrcaps.data.store import LocalStore
-from vrcaps.files import file_sha256, files_in
+from vrcaps.data.store import LocalStore, Store, open_store
+from vrcaps.data.stored_files import read_at_once
+from vrcaps.data.units import Units
+from vrcaps.files import files_in
+from vrcaps.recording.check import check_episode
+
+_Entry = Mapping[str, Any]
 
 
 def check_dataset(
-    path: str | Path, progress: Callable[[int, int], None] | None = None
+    url: str | Path,
+    progress: Callable[[int, int], None] | None = None,
+    *,
+    quick: bool = False,
+    workers: int = 0,
 ) -> list[str]:
     """Faults of a data set, one line each.
 
     Args:
-        path: Its folder.
-        progress: Called with the number of units checked and of all.
+        url: Its folder or URL.
+        progress: Called with the number of recordings checked and of all.
+        quick: Compare checksums only; labels are not looked at.
+        workers: Processes that check recordings; 0 checks in this one.
 
     Raises:
-        InputError: If its ledger is damaged.
+        InputError: If it is no data set, or its ledger is damaged.
     """
-    folder, store = Path(path), LocalStore(Path(path))
-    found, faults = entries(store), []
-    splits: dict[int, set[str]] = defaultdict(set)
-    organs: dict[str, str] = {}
-    seen: dict[frozenset[str], tuple[str, int]] = {}
-    for done, (name, entry) in enumerate(found.items(), 1):
-        splits[entry["patient"]].add(entry["split"])
-        faults += _faults_of_files(folder / EPISODES / name, entry["files"])
-        if entry.get("organ"):  # many show the same one
-            organs[entry["organ"]["path"]] = entry["organ"]["sha256"]
-        images = frozenset(sha for file, sha in entry["files"].items() if file.endswith(".png"))
-        other, patient = seen.setdefault(images, (name, entry["patient"]))
-        if patient != entry["patient"]:
-            faults.append(f"{name} holds the same images as {other}, of another patient")
+    store = open_store(url)
+    units, found = Units(read_plan_of(store)), entries(store)
+    faults = [*_faults_of_plan(units, found), *_shared_patients(found), *_doubles(found)]
+    organs = {e["organ"]["path"]: e["organ"]["sha256"] for e in found.values() if e.get("organ")}
+    wrong = {path: _fault_of(store, path, checksum) for path, checksum in organs.items()}
+    faults += [fault for fault in wrong.values() if fault is not None]
+    jobs = []
+    for name, entry in found.items():
+        organ = (entry.get("organ") or {}).get("path")
+        # Labels cannot be judged against an organ that is damaged.
+        is_quick = quick or wrong.get(organ) is not None
+        jobs.append(_Job(str(url), name, entry["files"], organ, is_quick))
+    for done, faults_of_job in enumerate(_all_checked(jobs, workers), 1):
+        faults += faults_of_job
         if progress is not None:
-            progress(done, len(found))
-    for name, checksum in organs.items():
-        faults += _faults_of_file(folder / name, checksum)
-    for patient, names in sorted(splits.items()):
-        if len(names) > 1:
-            faults.append(f"patient {patient} is in {' and '.join(sorted(names))}")
-    faults += [f"{name} could not be made: {f['error']}" for name, f in failures(store).items()]
+            progress(done, len(jobs))
+    failed = failures(store)
+    faults += [f"{name} could not be made: {f['error']}" for name, f in failed.items()]
+    missing = len(units) - len(found) - len(failed)
+    if missing > 0:
+        faults.append(
+            f"{missing} of {len(units)} recordings are not made yet; the command that made the "
+            "others goes on."
+        )
     return faults
 
 
-def _faults_of_files(folder: Path, files: dict[str, str]) -> list[str]:
-    faults = [f for name, sha in files.items() for f in _faults_of_file(folder / name, sha)]
+@dataclass(frozen=True)
+class _Job:
+    """A recording to check.
+
+    Attributes:
+        url: Of the data set.
+        name: Of the recording.
+        files: Checksum of each of its files.
+        organ: Name of the organ's file in the data set; None if it is the episode's own.
+        quick: Whether checksums are enough.
+    """
+
+    url: str
+    name: str
+    files: Mapping[str, str]
+    organ: str | None
+    quick: bool
+
+
+def _all_checked(jobs: Sequence[_Job], workers: int) -> Iterator[list[str]]:
+    """Faults of each recording; in their order without processes, as they come with them."""
+    if not workers:
+        yield from map(_check_unit, jobs)
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(workers, max(len(jobs), 1)), mp_context=context) as pool:
+        results = [pool.submit(_check_unit, job) for job in jobs]
+        yield from (result.result() for result in as_completed(results))
+
+
+def _check_unit(job: _Job) -> list[str]:
+    """Faults of one recording; a remote one is fetched for it."""
+    store = open_store(job.url)
+    if isinstance(store, LocalStore):
+        return _faults_of_folder(store.folder / EPISODES / job.name, job)
+    with tempfile.TemporaryDirectory(prefix="vrcaps-check-") as scratch:
+        names = [f"{EPISODES}/{job.name}/{file}" for file in job.files]
+        names += [job.organ] if job.organ and not job.quick else []
+        read_at_once(partial(_fetch, store, Path(scratch)), names)
+        return _faults_of_folder(Path(scratch) / EPISODES / job.name, job)
+
+
+def _fetch(store: Store, folder: Path, name: str) -> None:
+    """Copy a file of a store into a folder; one that is missing is left out."""
+    path = folder / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with suppress(FileNotFoundError):
+        path.write_bytes(store.read(name))
+
+
+def _faults_of_folder(folder: Path, job: _Job) -> list[str]:
+    store = LocalStore(folder)
+    changed = [_fault_of(store, name, checksum) for name, checksum in job.files.items()]
+    faults = [fault for fault in changed if fault is not None]
+    # What has changed needs no second reason.
+    if not job.quick and not faults:
+        faults = [f"{folder / str(problem)}" for problem in check_episode(folder)]
     present = {p.relative_to(folder).as_posix() for p in files_in(folder)}
-    return faults + [f"{folder / name} belongs to no unit" for name in sorted(present - {*files})]
+    extra = sorted(present - {*job.files})
+    return faults + [f"{folder / name} belongs to no unit" for name in extra]
 
 
-def _faults_of_file(path: Path, checksum: str) -> list[str]:
-    if not path.is_file():
-        return [f"{path} is missing"]
-    return [] if file_sha256(path) == checksum else [f"{path} has changed since it was made"]
+def _fault_of(store: Store, name: str, checksum: str) -> str | None:
+    """What is wrong with a file; None if nothing."""
+    where = f"{store.url}/{name}"
+    try:
+        found = hashlib.sha256(store.read(name)).hexdigest()
+    except FileNotFoundError:
+        return f"{where} is missing"
+    return None if found == checksum else f"{where} has changed since it was made"
+
+
+def _faults_of_plan(units: Units, found: Mapping[str, _Entry]) -> Iterator[str]:
+    """Entries that the plan does not have so."""
+    for name, entry in found.items():
+        number = entry["number"]
+        if not 0 <= number < len(units) or units.name(number) != name:
+            yield f"{name} is no recording of the plan"
+            continue
+        patient = number // units.per_patient
+        planned = (patient, units.splits[patient])
+        if (entry["patient"], entry["split"]) != planned:
+            yield (
+                f"{name} is entered as patient {entry['patient']} in {entry['split']}; the plan "
+                f"has patient {planned[0]} in {planned[1]}"
+            )
+
+
+def _shared_patients(found: Mapping[str, _Entry]) -> Iterator[str]:
+    splits: dict[int, set[str]] = defaultdict(set)
+    for entry in found.values():
+        splits[entry["patient"]].add(entry["split"])
+    for patient, names in sorted(splits.items()):
+        if len(names) > 1:
+            yield f"patient {patient} is in {' and '.join(sorted(names))}"
+
+
+def _doubles(found: Mapping[str, _Entry]) -> Iterator[str]:
+    """Recordings with the same images; a clean twin of a patient without lesions may have them."""
+    seen: dict[frozenset[tuple[str, str]], str] = {}
+    for name, entry in found.items():
+        images = frozenset(item for item in entry["files"].items() if item[0].count("/") == 2)
+        other = seen.setdefault(images, name)
+        if other == name or not images:
+            continue
+        before = found[other]
+        if before["patient"] != entry["patient"]:
+            yield f"{name} holds the same images as {other}, of another patient"
+        elif _is_twin(before) == _is_twin(entry):
+            yield f"{name} holds the same images as {other}"
+
+
+def _is_twin(entry: _Entry) -> bool:
+    return bool(entry.get(ABOUT, {}).get("clean_twin"))

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from vrcaps.data.ledger import EPISODES, PLAN, read_entry, whole_units
+from vrcaps.data.ledger import EPISODES, read_entry, read_plain_plan, whole_units
 from vrcaps.data.plan import SPLITS
 from vrcaps.data.store import open_store
 from vrcaps.data.stored_files import episode_files, read_at_once
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.errors import UnknownNameError
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.episode_files import EpisodeFiles
 from vrcaps.recording.frame_sequence import FrameSequence
@@ -117,12 +116,7 @@ def open(url: str | Path) -> Dataset:
         MissingExtraError: If what reads this kind of URL is not installed.
     """
     store = open_store(url)
-    try:
-        plan = json.loads(store.read(PLAN))
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"{store.url} holds no data set ({error}). Give the --out of `vrcaps dataset make`."
-        ) from error
+    plan = read_plain_plan(store)
     names = whole_units(store)
     entries = read_at_once(partial(read_entry, store), names)
     found = sorted(zip(names, entries, strict=True), key=lambda item: item[1]["number"])

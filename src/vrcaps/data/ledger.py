@@ -9,6 +9,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from vrcaps.data.about import ABOUT, about_recording
 from vrcaps.data.store import Store
 from vrcaps.data.units import Unit
 from vrcaps.errors import InputError
@@ -29,6 +30,7 @@ def entry_of(unit: Unit, folder: Path) -> dict[str, Any]:
         "split": unit.split,
         "files": {path.relative_to(folder).as_posix(): file_sha256(path) for path in paths},
         "bytes": sum(path.stat().st_size for path in paths),
+        ABOUT: about_recording(folder),
     }
 
 
@@ -87,6 +89,20 @@ def read_entry(store: Store, name: str) -> dict[str, Any]:
         raise InputError(
             f"{store.url}/{where} is damaged ({error}). Delete it and make the data "
             "set again: the unit is made anew."
+        ) from error
+
+
+def read_plain_plan(store: Store) -> dict[str, Any]:
+    """The plan of a data set, as `plan_to_plain` made it.
+
+    Raises:
+        InputError: If the store holds no data set.
+    """
+    try:
+        return json.loads(store.read(PLAN))
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"{store.url} holds no data set ({error}). Give the --out of `vrcaps dataset make`."
         ) from error
 
 

@@ -14,11 +14,13 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
+from vrcaps.data.card import write_card
 from vrcaps.data.ledger import (
     EPISODES,
     enter,
     enter_failure,
     entry_of,
+    failures,
     require_same_plan,
     whole_units,
 )
@@ -59,6 +61,8 @@ def make_dataset(
 ) -> Made:
     """Record the units of a plan that are not whole yet; the same plan gives the same bytes.
 
+    When none is left to be made, the data card is written.
+
     Args:
         plan: What to make.
         url: Folder or URL of the data set: new, or this plan's own from before.
@@ -91,6 +95,8 @@ def make_dataset(
             enter_failure(store, name, number, message, job.command(number))
         if progress is not None:
             progress(done, len(chosen))
+    if len(whole_units(store)) + len(failures(store)) == len(units):
+        write_card(store)
     return Made(len(missing) - len(failed), len(chosen) - len(missing), failed)
 
 

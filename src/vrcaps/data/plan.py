@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 from vrcaps.data.distribution import slots
 from vrcaps.decimals import as_floats
-from vrcaps.errors import InputError
+from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.limits import Range, check_fields
 from vrcaps.plain_files import read_plain
 from vrcaps.serialization import from_plain, to_plain
@@ -23,6 +23,13 @@ PATIENT_SLOTS = ("organ", "lesions")
 """Keys of a scenario that belong to the patient."""
 
 SPLITS = ("train", "val", "test")
+
+LICENSES = (
+    *("apache-2.0", "bsd-3-clause", "cc0-1.0", "cc-by-4.0", "cc-by-nc-4.0", "cc-by-nc-nd-4.0"),
+    *("cc-by-nc-sa-4.0", "cc-by-nd-4.0", "cc-by-sa-4.0", "cdla-permissive-2.0", "mit", "odbl"),
+    *("odc-by", "other", "pddl", "unknown"),
+)
+"""Identifiers of licenses as the Hugging Face Hub calls them."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +64,9 @@ class DatasetSettings:
         repeats: Recordings of each patient with each combination of `each`.
         split: Fractions of the patients.
         stratify: Paths of a scenario whose values are spread evenly over the splits.
+        license: Under which others may use it, such as ``cc-by-4.0``, for its data card. `unknown`
+            grants nothing; `other` is said in the description.
+        description: What it is for, for its data card.
     """
 
     name: str
@@ -65,11 +75,15 @@ class DatasetSettings:
     repeats: Annotated[int, Range(least=1, most=10**6)] = 1
     split: Split = field(default_factory=Split)
     stratify: tuple[str, ...] = ()
+    license: str = "unknown"
+    description: str = ""
 
     def __post_init__(self) -> None:
         check_fields(self)
         if not self.name.strip():
             raise InputError("name is empty. Allowed: a name for the data set.")
+        if self.license not in LICENSES:
+            raise UnknownNameError("license", self.license, LICENSES)
         for path in self.stratify:
             if path.split(".")[0] not in PATIENT_SLOTS:
                 raise InputError(
@@ -124,3 +138,19 @@ def plan_to_plain(plan: Plan) -> dict[str, Any]:
         "scenario": scenario,
         "units": plan.has_units,
     }
+
+
+def plan_from_plain(plain: Mapping[str, Any], *, at: str) -> Plan:
+    """The plan that `plan_to_plain` wrote.
+
+    Args:
+        plain: As JSON holds it.
+        at: Where it was read, for messages.
+
+    Raises:
+        InputError: If it is no plan.
+    """
+    if not isinstance(plain.get("scenario"), dict):
+        raise InputError(f"{at} is no plan of a data set: it has no scenario.")
+    settings = from_plain(DatasetSettings, plain.get("dataset"), at=f"{at}: dataset")
+    return Plan(settings, plain["scenario"], has_units=bool(plain.get("units")))

@@ -1,0 +1,56 @@
+"""What a recording holds, in the few words that its entry in the ledger keeps.
+
+So a data card, a count or a table of all recordings needs the ledger and no other file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from vrcaps.recording.episode import Episode, read_episode
+
+ABOUT = "about"
+"""Key of an entry of the ledger."""
+
+_CONTENTS = ("bubbles", "chyme", "liquid")
+
+
+def about_recording(folder: Path) -> dict[str, Any]:
+    """What the episode in a folder holds, as JSON keeps it.
+
+    Raises:
+        InputError: If the folder holds no whole episode.
+    """
+    episode = read_episode(folder)
+    head, scenario = episode.head, episode.head["scenario"]
+    segments = Counter(str(name) for name in episode.table.columns["segment"])
+    return {
+        "frames": len(episode),
+        "seconds": len(episode) / head["fps"],
+        "organ": head["organ"]["name"],
+        "organ_sha256": _organ_sha256(episode),
+        "capsule": head["capsule"]["name"],
+        "cameras": {c.name: [c.lens.kind, c.width, c.height] for c in episode.cameras},
+        "posture": scenario["posture"],
+        "motion": scenario["motion"]["kind"],
+        "steered": scenario["motion"].get("magnet") is not None,
+        "light": scenario["render"]["light"],
+        "contents": [k for k in _CONTENTS if scenario["contents"][k] != 0],
+        "effects": sorted(k for k, v in scenario["effects"].items() if v not in (None, 0)),
+        "lesions": [lesion["kind"] for lesion in head["organ"]["lesions"]],
+        "clean_twin": scenario["clean_twin"],
+        "segments": dict(sorted(segments.items())),
+        "channels": list(episode.channels),
+        "columns": list(episode.table.columns),
+        "versions": {"vrcaps": head["vrcaps_version"], **head["made_with"]},
+    }
+
+
+def _organ_sha256(episode: Episode) -> str:
+    """A checksum of how the organ was made: equal for the same anatomy in any posture."""
+    plain = json.dumps(episode.head["scenario"]["organ"], sort_keys=True)
+    return hashlib.sha256(plain.encode()).hexdigest()

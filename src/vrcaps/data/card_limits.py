@@ -1,0 +1,54 @@
+"""Known limits of a data set, for its card: of the simulator, and of what its plan left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from vrcaps.data.counts import Row
+
+_ALWAYS = (
+    "Appearance is a model: colors, vessels, mucus and relief of the mucosa are fitted to frames "
+    "of a few real colons and drawn from noise. Images resemble those of real capsules, no more. "
+    "Judge a method on real images before you believe its figures.",
+    "Generated anatomy follows published lengths and diameters of adults. Diseased, operated, "
+    "pediatric or unusual anatomy is not in it, unless organs of your own were given.",
+    "Colors of lesions are fitted by eye, lesions stand apart from each other, and a kind has the "
+    "variation that its parameters have. Prevalence is that of the plan, not of any hospital.",
+    "Labels are exact for the geometry that was rendered: at centers of pixels, without blur or "
+    "mixed pixels at edges. People who label real images are not that exact.",
+    "This is no medical device. Nothing in it was judged for diagnosis.",
+)
+_MOTIONS = {
+    "fly-through": "The capsule flies along a smooth path in the middle of the lumen: there is no "
+    "contact, sliding or tumbling, and the wall makes way where it is narrow.",
+    "replay": "The capsule follows poses that were given; they are as real as their source.",
+    "dynamics": "Contact, drag and motility follow published laws with parameters from the "
+    "literature. They differ between people and were fitted to no patient.",
+}
+_LIGHTS = {
+    "direct": "Light is reflected once: images have no indirect illumination, so deep lumen and "
+    "folds are darker than in real ones.",
+    "radiosity": "Indirect light is diffuse and interpolated between points of the wall.",
+    "path": "Light is path traced: images carry the noise of their samples.",
+}
+
+
+def limits_text(rows: Sequence[Row]) -> str:
+    """The section of a card.
+
+    Args:
+        rows: Recordings of the data set.
+    """
+    found = [*_ALWAYS]
+    found += [_MOTIONS[m] for m in _MOTIONS if any(row.about["motion"] == m for row in rows)]
+    found += [_LIGHTS[k] for k in _LIGHTS if any(row.about["light"] == k for row in rows)]
+    clean = sum(not row.about["effects"] for row in rows)
+    if clean:
+        found.append(
+            f"{clean:,} of {len(rows):,} recordings have no effects of lens and sensor: no noise, "
+            "blur, bubbles or compression, which real images have."
+        )
+    without = sum(not row.about["contents"] for row in rows)
+    if without:
+        found.append(f"{without:,} of {len(rows):,} recordings show an empty, clean lumen.")
+    return "## Known limits\n\n" + "".join(f"- {line}\n" for line in found)

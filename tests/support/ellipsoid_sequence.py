@@ -13,14 +13,17 @@ AXES = np.array([0.031, 0.024, 0.019])
 CHANNELS = ("rgb", "depth", "normal", "label", "flow_backward")
 
 
-def ellipsoid_sequence(lens, width, height, *, frames=5, name="ball/front") -> FrameSequence:
-    """Frames of a path in the ellipsoid, seen through a lens."""
-    camera = Camera("front", lens, width, height)
+def ellipsoid_sequence(
+    lens, width, height, *, frames=5, name="ball/front", mount=None
+) -> FrameSequence:
+    """Frames of a path in the ellipsoid, seen through a lens, at a pose `mount` on the path."""
+    camera = Camera(name.split("/")[-1], lens, width, height)
     times = 0.5 + 0.25 * np.arange(frames)
     step = np.arange(frames)[:, None]
     turns = np.array([0.3, -0.2, 0.1]) + step * np.array([0.04, -0.08, 0.06])
     places = 1e-3 * (np.array([-4.0, 2.0, -1.0]) + step * np.array([1.0, 0.5, -0.7]))
     poses = transform_from(rotation_from_vector(turns), places)
+    poses = poses if mount is None else poses @ mount
     values = {TIME: times, CAMERA_POSE: poses}
     load = partial(_channel, camera, poses)
     labels = ("background", "left", "right")

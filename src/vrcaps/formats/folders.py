@@ -32,6 +32,24 @@ def each_folder(
         yield sequence, place
 
 
+def each_rig(
+    sequences: Sequence[FrameSequence], folder: Path
+) -> Iterator[tuple[tuple[FrameSequence, ...], Path]]:
+    """Sequences of the cameras of one capsule together, with a new folder for each recording.
+
+    A sequence of no episode is by itself.
+    """
+    rigs: dict[tuple[str | None, str], list[FrameSequence]] = {}
+    for sequence in sequences:
+        episode = sequence.episode
+        name = folder_name(sequence) if episode is None else episode.name
+        rigs.setdefault((sequence.split, name), []).append(sequence)
+    for (split, name), rig in rigs.items():
+        place = folder / (split or "") / name
+        place.mkdir(parents=True)
+        yield tuple(rig), place
+
+
 def found_folders(folder: Path, mark: str) -> Iterator[tuple[Path, str | None]]:
     """Folders that hold a file of a name, sorted, with the split that they lie in.
 

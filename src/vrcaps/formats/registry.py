@@ -1,6 +1,7 @@
 """All formats: one line each."""
 
 from vrcaps.errors import UnknownNameError
+from vrcaps.formats.colmap import Colmap
 from vrcaps.formats.format import Format
 from vrcaps.formats.kitti import Kitti
 from vrcaps.formats.simcol3d import SimCol3D
@@ -12,6 +13,7 @@ FORMATS: dict[str, type[Format]] = {
         Tum,
         Kitti,
         SimCol3D,
+        Colmap,
     )
 }
 """Formats by their names."""

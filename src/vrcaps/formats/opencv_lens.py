@@ -1,0 +1,95 @@
+"""Lenses as COLMAP and nerfstudio have them: OpenCV's models, with pixel centers at 0.5.
+
+There the center of the top-left pixel is (0.5, 0.5); here it is (0, 0). Parameters by model are
+those of https://colmap.github.io/cameras.html; distortion is OpenCV's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from vrcaps.camera.lens import AnyLens, LensEquidistant, LensKannalaBrandt, LensPinhole
+from vrcaps.errors import InputError, UnknownNameError
+
+OPENCV_LENSES = (LensPinhole, LensKannalaBrandt, LensEquidistant)
+"""Lenses that these models hold."""
+
+HALF = 0.5
+"""Coordinate of a pixel's center, less its number [px]."""
+
+_ONE, _TWO = ("f", "cx", "cy"), ("fx", "fy", "cx", "cy")
+MODELS: dict[str, tuple[str, ...]] = {
+    "SIMPLE_PINHOLE": _ONE,
+    "PINHOLE": _TWO,
+    "SIMPLE_RADIAL": (*_ONE, "k1"),
+    "RADIAL": (*_ONE, "k1", "k2"),
+    "OPENCV": (*_TWO, "k1", "k2", "p1", "p2"),
+    "FULL_OPENCV": (*_TWO, "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    "SIMPLE_RADIAL_FISHEYE": (*_ONE, "k1"),
+    "RADIAL_FISHEYE": (*_ONE, "k1", "k2"),
+    "OPENCV_FISHEYE": (*_TWO, "k1", "k2", "k3", "k4"),
+}
+"""Names of the parameters of each model, in its order."""
+
+
+def opencv_model(lens: AnyLens, name: str) -> tuple[str, dict[str, float]]:
+    """The simplest model that a lens is exactly, and its parameters [px, as a multiple].
+
+    Args:
+        lens: One of `OPENCV_LENSES`.
+        name: Whose lens it is, for messages.
+
+    Raises:
+        InputError: If it is a pinhole with skew, which no model has.
+    """
+    center = {"cx": lens.cx + HALF, "cy": lens.cy + HALF}
+    if isinstance(lens, LensEquidistant):
+        return "OPENCV_FISHEYE", {"fx": lens.focal, "fy": lens.focal, **center, **_zeros("1234")}
+    if isinstance(lens, LensKannalaBrandt):
+        bends = {"k1": lens.k1, "k2": lens.k2, "k3": lens.k3, "k4": lens.k4}
+        return "OPENCV_FISHEYE", {"fx": lens.fx, "fy": lens.fy, **center, **bends}
+    assert isinstance(lens, LensPinhole)
+    if lens.skew != 0.0:
+        raise InputError(
+            f"The lens of {name} has a skew of {lens.skew:g} px, which this format cannot hold. "
+            "Add --rectify DEGREES to resample to a pinhole of that field of view."
+        )
+    focal = {"fx": lens.fx, "fy": lens.fy, **center}
+    bends = {"k1": lens.k1, "k2": lens.k2, "p1": lens.p1, "p2": lens.p2}
+    if lens.k3 != 0.0:
+        return "FULL_OPENCV", {**focal, **bends, "k3": lens.k3, **_zeros("456")}
+    return ("OPENCV", {**focal, **bends}) if any(bends.values()) else ("PINHOLE", focal)
+
+
+def lens_of(model: str, parameters: Mapping[str, float], where: str) -> AnyLens:
+    """The lens that a model with its parameters is.
+
+    Args:
+        model: One of `MODELS`.
+        parameters: By name; those of distortion may be left out.
+        where: File that they are from, for messages.
+
+    Raises:
+        UnknownNameError: If there is no such model here.
+        InputError: If a parameter is missing, or bends as no lens here does.
+    """
+    if model not in MODELS:
+        raise UnknownNameError("camera model", model, MODELS)
+    given = dict(parameters)
+    if any(given.get(name, 0.0) != 0.0 for name in ("k4", "k5", "k6")) and "FISHEYE" not in model:
+        raise InputError(f"{where} has distortion k4 to k6 of a pinhole. Allowed: k1 to k3.")
+    try:
+        focal = {"fx": given.get("fx", given.get("f")), "fy": given.get("fy", given.get("f"))}
+        center = {"cx": given["cx"] - HALF, "cy": given["cy"] - HALF}
+    except KeyError as error:
+        raise InputError(f"{where} has no {error.args[0]} of its camera.") from error
+    bends = {name: given.get(name, 0.0) for name in ("k1", "k2", "k3")}
+    if "FISHEYE" in model:
+        bends["k4"] = given.get("k4", 0.0)
+        return LensKannalaBrandt(**focal, **center, **bends)  # type: ignore[arg-type]
+    bends |= {name: given.get(name, 0.0) for name in ("p1", "p2")}
+    return LensPinhole(**focal, **center, **bends)  # type: ignore[arg-type]
+
+
+def _zeros(numbers: str) -> dict[str, float]:
+    return {f"k{number}": 0.0 for number in numbers}

@@ -3,9 +3,11 @@
 from vrcaps.errors import UnknownNameError
 from vrcaps.formats.colmap import Colmap
 from vrcaps.formats.format import Format
+from vrcaps.formats.hugging_face import HuggingFace
 from vrcaps.formats.kitti import Kitti
 from vrcaps.formats.simcol3d import SimCol3D
 from vrcaps.formats.tum import Tum
+from vrcaps.formats.webdataset import WebDataset
 
 FORMATS: dict[str, type[Format]] = {
     form.kind: form
@@ -14,6 +16,8 @@ FORMATS: dict[str, type[Format]] = {
         Kitti,
         SimCol3D,
         Colmap,
+        WebDataset,
+        HuggingFace,
     )
 }
 """Formats by their names."""

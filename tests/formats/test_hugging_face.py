@@ -105,7 +105,7 @@ def test_bad_folders_are_one_clear_line(tmp_path):
     import pyarrow as pa
 
     pq.write_table(pa.table({"image": [b""]}), path)
-    with pytest.raises(InputError, match="A sample in .* lacks 'sequence'"):
+    with pytest.raises(InputError, match=r"A sample in .* lacks 'sequence'"):
         HuggingFace().read(tmp_path)
     with pytest.raises(InputError, match="shard_mb is -1"):
         HuggingFace(shard_mb=-1.0)

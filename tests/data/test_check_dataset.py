@@ -32,14 +32,14 @@ def test_a_label_against_its_schema_is_found_though_its_checksum_fits(made: Path
     (fault,) = check_dataset(made)
     assert "front/depth/000001.png" in fault
     assert "(3, 3)" in fault
-    assert check_dataset(made, quick=True) == []
+    assert check_dataset(made, checksums_only=True) == []
 
 
 def test_a_patient_in_two_splits_is_found(made: Path) -> None:
     name, entry = next(iter(entries(LocalStore(made)).items()))
     other = "test" if entry["split"] != "test" else "train"
     enter(made, name, split=other)
-    faults = check_dataset(made, quick=True)
+    faults = check_dataset(made, checksums_only=True)
     assert any(f"patient {entry['patient']} is in " in fault for fault in faults)
     assert any(f"the plan has patient {entry['patient']} in {entry['split']}" in f for f in faults)
 
@@ -51,24 +51,26 @@ def test_the_same_images_under_two_names_are_found(made: Path) -> None:
         shutil.rmtree(folder)
         shutil.copytree(made / "episodes" / names[source], folder)
         enter(made, names[target], files=entries(LocalStore(made))[names[source]]["files"])
-    faults = check_dataset(made, quick=True)
+    faults = check_dataset(made, checksums_only=True)
     assert f"{names[1]} holds the same images as {names[0]}" in faults
     assert f"{names[4]} holds the same images as {names[2]}, of another patient" in faults
     about = entries(LocalStore(made))[names[1]]["about"]
     enter(made, names[1], about=about | {"clean_twin": True})
-    assert not any(fault.startswith(names[1]) for fault in check_dataset(made, quick=True))
+    assert not any(fault.startswith(names[1]) for fault in check_dataset(made, checksums_only=True))
 
 
 def test_what_is_not_made_yet_or_not_planned_is_said(made: Path, capsys) -> None:
     names = list(entries(LocalStore(made)))
     (made / "ledger" / f"{names[0]}.json").rename(made / "ledger" / "p00009-000009.json")
-    assert check_dataset(made, quick=True)[0] == "p00009-000009 is no recording of the plan"
+    assert (
+        check_dataset(made, checksums_only=True)[0] == "p00009-000009 is no recording of the plan"
+    )
     (made / "ledger" / "p00009-000009.json").unlink()
-    assert check_dataset(made, quick=True) == [
+    assert check_dataset(made, checksums_only=True) == [
         "1 of 8 recordings are not made yet; the command that made the others goes on."
     ]
     with pytest.raises(SystemExit):
-        main(["dataset", "check", str(made), "--quick", "--workers", "0"])
+        main(["dataset", "check", str(made), "--checksums-only", "--workers", "0"])
     assert "has 1 fault." in capsys.readouterr().err
     with pytest.raises(SystemExit):
         main(["dataset", "check", str(made), "--workers", "-1"])
@@ -92,5 +94,5 @@ def test_a_remote_one_is_checked_as_a_local_one(made: Path) -> None:
             store.write(path.relative_to(made).as_posix(), path.read_bytes())
     name = next(iter(entries(store)))
     store.write(f"episodes/{name}/frames.parquet", b"other")
-    (fault,) = check_dataset(url, quick=True)
+    (fault,) = check_dataset(url, checksums_only=True)
     assert "frames.parquet has changed" in fault

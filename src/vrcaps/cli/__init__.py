@@ -28,6 +28,7 @@ _VERBS = {
     "dataset make": ("vrcaps.cli.dataset", "Make", "Make a data set from a plan."),
     "dataset check": ("vrcaps.cli.dataset", "Check", "Verify a data set."),
     "dataset card": ("vrcaps.cli.dataset_show", "Card", "Write the data card of a data set."),
+    "dataset show": ("vrcaps.cli.dataset_show", "Show", "Show what a data set holds."),
     "evaluate": ("vrcaps.cli.evaluate", "Evaluate", "Judge policies that move the capsule."),
     "organ list": ("vrcaps.cli.organ_list", "List", "List organs, lesions, mucosae, capsules."),
     "organ inspect": ("vrcaps.cli.organ", "Inspect", "Measure and draw an organ."),

@@ -96,13 +96,13 @@ class Check:
 
     For example:
       vrcaps dataset check runs/cohort
-      vrcaps dataset check s3://bucket/cohort --quick
+      vrcaps dataset check s3://bucket/cohort --checksums-only
     """
 
     dataset: Positional[str]
     """Folder or URL of the data set."""
 
-    quick: bool = False
+    checksums_only: bool = False
     """Compare checksums only."""
 
     workers: int | None = None
@@ -120,7 +120,9 @@ class Check:
 
         workers = _workers(self.workers)
         with progress_bar("checking") as progress:
-            faults = check_dataset(self.dataset, progress, quick=self.quick, workers=workers)
+            faults = check_dataset(
+                self.dataset, progress, checksums_only=self.checksums_only, workers=workers
+            )
         for fault in faults:
             console.print(fault)
         if faults:

@@ -30,7 +30,7 @@ def check_dataset(
     url: str | Path,
     progress: Callable[[int, int], None] | None = None,
     *,
-    quick: bool = False,
+    checksums_only: bool = False,
     workers: int = 0,
 ) -> list[str]:
     """Faults of a data set, one line each.
@@ -38,7 +38,7 @@ def check_dataset(
     Args:
         url: Its folder or URL.
         progress: Called with the number of recordings checked and of all.
-        quick: Compare checksums only; labels are not looked at.
+        checksums_only: Compare checksums only; labels are not looked at.
         workers: Processes that check recordings; 0 checks in this one.
 
     Raises:
@@ -54,8 +54,8 @@ def check_dataset(
     for name, entry in found.items():
         organ = (entry.get("organ") or {}).get("path")
         # Labels cannot be judged against an organ that is damaged.
-        is_quick = quick or wrong.get(organ) is not None
-        jobs.append(_Job(str(url), name, entry["files"], organ, is_quick))
+        is_enough = checksums_only or wrong.get(organ) is not None
+        jobs.append(_Job(str(url), name, entry["files"], organ, is_enough))
     for done, faults_of_job in enumerate(_all_checked(jobs, workers), 1):
         faults += faults_of_job
         if progress is not None:
@@ -80,14 +80,14 @@ class _Job:
         name: Of the recording.
         files: Checksum of each of its files.
         organ: Name of the organ's file in the data set; None if it is the episode's own.
-        quick: Whether checksums are enough.
+        checksums_only: Whether checksums are enough.
     """
 
     url: str
     name: str
     files: Mapping[str, str]
     organ: str | None
-    quick: bool
+    checksums_only: bool
 
 
 def _all_checked(jobs: Sequence[_Job], workers: int) -> Iterator[list[str]]:
@@ -108,7 +108,7 @@ def _check_unit(job: _Job) -> list[str]:
         return _faults_of_folder(store.folder / EPISODES / job.name, job)
     with tempfile.TemporaryDirectory(prefix="vrcaps-check-") as scratch:
         names = [f"{EPISODES}/{job.name}/{file}" for file in job.files]
-        names += [job.organ] if job.organ and not job.quick else []
+        names += [job.organ] if job.organ and not job.checksums_only else []
         read_at_once(partial(_fetch, store, Path(scratch)), names)
         return _faults_of_folder(Path(scratch) / EPISODES / job.name, job)
 
@@ -126,7 +126,7 @@ def _faults_of_folder(folder: Path, job: _Job) -> list[str]:
     changed = [_fault_of(store, name, checksum) for name, checksum in job.files.items()]
     faults = [fault for fault in changed if fault is not None]
     # What has changed needs no second reason.
-    if not job.quick and not faults:
+    if not job.checksums_only and not faults:
         faults = [f"{folder / str(problem)}" for problem in check_episode(folder)]
     present = {p.relative_to(folder).as_posix() for p in files_in(folder)}
     extra = sorted(present - {*job.files})

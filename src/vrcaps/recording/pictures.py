@@ -84,7 +84,7 @@ def contact_sheet(episode: Episode) -> UInt8[np.ndarray, "h w 3"]:
         top = _TITLE + row * row_height
         images = [episode.image(camera.name, channel, int(frame)) for frame in chosen]
         limits = limits_of(channel, images)
-        caption = f"{camera.name} · {channel}{_legend(episode, channel, images, limits)}"
+        caption = f"{camera.name} · {channel}{legend(channel, images, limits, episode.label_names)}"
         draw.text((_MARGIN, top), caption, fill=_TEXT, font=font)
         tile = (round(camera.width * _TILE_HEIGHT / camera.height), _TILE_HEIGHT)
         for column, image in enumerate(images):
@@ -103,9 +103,20 @@ def _title(episode: Episode, chosen: np.ndarray) -> str:
     return f"{names} · {len(episode)} frames · at {times} s"
 
 
-def _legend(
-    episode: Episode, channel: str, images: list[NDArray], limits: tuple[float, float]
+def legend(
+    channel: str,
+    images: list[NDArray],
+    limits: tuple[float, float],
+    label_names: tuple[str, ...],
 ) -> str:
+    """What the colors of some pictures of a channel mean, to follow its name.
+
+    Args:
+        channel: Its name.
+        images: What is shown.
+        limits: Values at both ends of the color map.
+        label_names: Class names of `label` by number.
+    """
     declared, (low, high) = CHANNELS[channel], limits
     if declared.display == "scalar":
         return f", {low / MM:.0f} to {high / MM:.0f} mm (blue to red)"
@@ -117,7 +128,7 @@ def _legend(
         return ""
     seen = np.unique(np.concatenate([np.unique(image) for image in images]))
     if declared.display == "classes":
-        return f": {', '.join(episode.label_names[i] for i in seen if i > 0)}"
+        return f": {', '.join(label_names[i] for i in seen if i > 0)}"
     return f": {', '.join(str(i) for i in seen if i > 0) or 'none'}"
 
 

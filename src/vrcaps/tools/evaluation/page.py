@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import html
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,19 +12,9 @@ from vrcaps.files import write_bytes, write_csv
 from vrcaps.policy.evaluation import PAPER_COVERAGE, PAPER_TIME
 from vrcaps.tools.evaluation.subject import MEDIAN_OF, Subject, ends, summary
 from vrcaps.tools.evaluation.summary_figure import summary_picture
+from vrcaps.tools.html_page import STYLE, data_url, html_table
 
 PAGE, PICTURE, TABLE, VIDEO = "index.html", "summary.png", "summary.csv", "median.mp4"
-
-_STYLE = """
-body { font: 15px/1.45 system-ui, sans-serif; margin: 2em auto; max-width: 1280px; padding: 0 1em; }
-h1 { font-size: 1.5em; } h2 { font-size: 1.15em; margin-top: 2em; }
-img, video { max-width: 100%; }
-.wide { overflow-x: auto; }
-table { border-collapse: collapse; font-size: 13px; }
-th, td { padding: .3em .7em; text-align: right; border-bottom: 1px solid #ddd; }
-th { vertical-align: bottom; } th:first-child, td:first-child { text-align: left; }
-p.note { color: #555; font-size: 13px; }
-"""
 
 _NOTE = f"""Coverage: points on the wall that stand for its area; <i>frustum</i> counts vertices
 in the field of view through walls (the definition of VR-Caps), <i>visible</i> what nothing hides,
@@ -69,25 +58,26 @@ def _page(folder: Path, subjects: Sequence[Subject], rows: list[dict[str, str]])
         f"episodes of {whole} s; dynamics: {dynamics}."
     )
     parts = [
-        f"<!doctype html><meta charset='utf-8'><title>Evaluation</title><style>{_STYLE}</style>",
+        f"<!doctype html><meta charset='utf-8'><title>Evaluation</title><style>{STYLE}</style>",
         f"<h1>Evaluation of {html.escape(', '.join(s.name for s in subjects))}</h1>",
         f"<p>{html.escape(said)}</p>",
-        f"<img alt='coverage' src='{_data(folder / PICTURE, 'image/png')}'>",
+        f"<img alt='coverage' src='{data_url((folder / PICTURE).read_bytes(), 'image/png')}'>",
         f"<p class='note'>{_NOTE}</p>",
-        _table(rows),
+        html_table(rows),
         "<h2>Organs</h2><p class='note'>Median visible coverage "
-        f"at {PAPER_TIME} s [%].</p>{_table(by_organ)}",
-        f"<h2>Ends of episodes</h2>{_table(_ends(subjects))}",
+        f"at {PAPER_TIME} s [%].</p>{html_table(by_organ)}",
+        f"<h2>Ends of episodes</h2>{html_table(_ends(subjects))}",
     ]
     for subject in subjects:
         video = subject.evaluation.folder / VIDEO
         if video.is_file():
+            source = data_url(video.read_bytes(), "video/mp4")
             row = subject.evaluation.median_row(MEDIAN_OF)
             parts.append(
                 f"<h2>{html.escape(subject.name)}: the median run</h2>"
                 f"<p>{row['organ']}, seed {row['seed']}, episode {row['episode']}; twice as fast "
                 "as it was. Left: the camera. Right: the organ, green where it was seen.</p>"
-                f"<video controls loop muted src='{_data(video, 'video/mp4')}'></video>"
+                f"<video controls loop muted src='{source}'></video>"
             )
     return "\n".join(parts)
 
@@ -114,17 +104,3 @@ def _ends(subjects: Sequence[Subject]) -> list[dict[str, str]]:
         {"policy": subject.name, **{r: str(count.get(r, 0)) for r in reasons}}
         for subject, count in zip(subjects, counts, strict=True)
     ]
-
-
-def _table(rows: list[dict[str, str]]) -> str:
-    head = "".join(f"<th>{html.escape(name)}</th>" for name in rows[0])
-    body = "".join(
-        f"<tr>{''.join(f'<td>{html.escape(value)}</td>' for value in row.values())}</tr>"
-        for row in rows
-    )
-    return f"<div class='wide'><table><tr>{head}</tr>{body}</table></div>"
-
-
-def _data(path: Path, kind: str) -> str:
-    """A file as an address that holds it."""
-    return f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode()}"

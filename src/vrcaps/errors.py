@@ -13,6 +13,10 @@ class InputError(VrcapsError, ValueError):
     """A value, file or combination that vrcaps cannot work with."""
 
 
+class StorageError(InputError):
+    """A place that cannot be written or reached: a full disk, no permission, a lost network."""
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """A question after the name that was probably meant, with a space before it; empty if none."""
     import difflib

@@ -8,6 +8,7 @@ import pytest
 from small_episode import *  # noqa: F403
 from vrcaps.data.make import make_dataset
 from vrcaps.data.plan import read_plan
+from vrcaps.data.runners.in_process import InProcess
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.organ.write_organ import write_organ
 
@@ -55,7 +56,7 @@ def plan_file(
 def whole(plan_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The data set, made in this process; tests that change it work on a copy."""
     out = tmp_path_factory.mktemp("whole") / "tubes"
-    result = make_dataset(read_plan(plan_file), out, workers=0)
+    result = make_dataset(read_plan(plan_file), out, runner=InProcess())
     assert (result.made, result.present, result.failed) == (8, 0, {})
     return out
 

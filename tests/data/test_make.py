@@ -1,10 +1,5 @@
 """Making a data set: exactly once, the same bytes whoever makes it and whatever dies."""
 
-import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -12,10 +7,11 @@ import pytest
 import vrcaps
 from vrcaps.cli import main
 from vrcaps.data.check_dataset import check_dataset
-from vrcaps.data.ledger import enter_failure, entries, failures
+from vrcaps.data.ledger import entries, failures
 from vrcaps.data.make import make_dataset
 from vrcaps.data.plan import read_plan
-from vrcaps.data.store import LocalStore, open_store
+from vrcaps.data.runners.in_process import InProcess
+from vrcaps.data.store import LocalStore
 from vrcaps.errors import InputError
 
 
@@ -28,9 +24,9 @@ def files(folder: Path) -> dict[str, bytes]:
 def test_slices_make_the_same_bytes_as_one_run(made: Path, plan_file: Path, tmp_path: Path) -> None:
     plan, out = read_plan(plan_file), tmp_path / "slices"
     for numbers in (range(5, 8), range(3), range(2, 6)):
-        make_dataset(plan, out, numbers=numbers, workers=0)
+        make_dataset(plan, out, numbers=numbers, runner=InProcess())
     assert files(out) == files(made)
-    again = make_dataset(plan, out, workers=0)
+    again = make_dataset(plan, out, runner=InProcess())
     assert (again.made, again.present) == (0, 8)
 
 
@@ -62,26 +58,8 @@ def test_a_unit_without_an_entry_does_not_count_and_is_made_again(made: Path, pl
     before = files(made)
     (made / "ledger" / f"{name}.json").unlink()
     assert len(vrcaps.data.open(made)) == 7
-    assert make_dataset(read_plan(plan_file), made, workers=0).made == 1
+    assert make_dataset(read_plan(plan_file), made, runner=InProcess()).made == 1
     assert files(made) == before
-
-
-@pytest.mark.slow
-def test_a_killed_run_goes_on_to_the_same_bytes(made, plan_file, tmp_path) -> None:
-    """Head and workers die at once, three times, then only a worker."""
-    out = tmp_path / "killed"
-    words = ["dataset", "make", str(plan_file), "--out", str(out), "--workers", "2"]
-    script = tmp_path / "run.py"
-    script.write_text(
-        f"from vrcaps.cli import main\nif __name__ == '__main__':\n    main({words!r})\n"
-    )
-    for seconds in (1.5, 2.5):
-        process = subprocess.Popen([sys.executable, script], start_new_session=True)
-        time.sleep(seconds)
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-    subprocess.run([sys.executable, script], check=True, timeout=120)
-    assert files(out) == files(made)
 
 
 @pytest.mark.slow
@@ -104,30 +82,15 @@ def test_bad_targets_are_one_clear_line(
     other = tmp_path / "other.toml"
     other.write_text(plan_file.read_text().replace("seed = 3", "seed = 4"))
     with pytest.raises(InputError, match="another plan"):
-        make_dataset(read_plan(other), made, workers=0)
+        make_dataset(read_plan(other), made, runner=InProcess())
     with pytest.raises(InputError, match="A unit is 99"):
-        make_dataset(read_plan(plan_file), made, numbers=[99], workers=0)
+        make_dataset(read_plan(plan_file), made, numbers=[99], runner=InProcess())
     with pytest.raises(InputError, match="no data set"):
         vrcaps.data.open(tmp_path)
     for flags in (["--units", "3"], ["--units", "9:12"], ["--workers", "-1"]):
         with pytest.raises(SystemExit):
             main(["dataset", "make", str(plan_file), "--out", str(made), *flags])
     assert capsys.readouterr().err.count("vrcaps: --") == 3
-
-
-@pytest.mark.slow
-def test_a_remote_store_holds_what_a_local_one_does(made, plan_file) -> None:
-    pytest.importorskip("fsspec")
-    url = "memory://cohort"
-    make_dataset(read_plan(plan_file), url, numbers=range(2), workers=0)
-    store, local = open_store(url), LocalStore(made)
-    assert len(entries(store)) == 2
-    for name, entry in entries(store).items():
-        for file in entry["files"]:
-            where = f"episodes/{name}/{file}"
-            assert store.read(where) == local.read(where)
-    enter_failure(store, "p0", 0, "told", "again")
-    assert failures(store)["p0"]["error"] == "told"
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ from vrcaps.cli.console import console, progress_bar
 from vrcaps.errors import InputError
 
 if TYPE_CHECKING:
+    from vrcaps.data.runners.runner import Runner
     from vrcaps.data.units import Units
 
 _MB, _HOUR = 1e6, 3600.0
@@ -33,6 +34,7 @@ class Make:
     For example:
       vrcaps dataset make cohort.toml --out runs/cohort --dry-run
       vrcaps dataset make cohort.toml --out runs/cohort --workers 2
+      vrcaps dataset make cohort.toml --out runs/cohort --ray local
       vrcaps dataset make cohort.toml --out s3://bucket/cohort --units 0:100
     """
 
@@ -43,10 +45,14 @@ class Make:
     """Folder or URL of the data set: new, or an unfinished one of the same plan."""
 
     units: str | None = None
-    """Only these units, such as 0:100 for the first hundred: a slice for each machine."""
+    """Only these units, FIRST:END without END, such as 0:100 for the first hundred: a slice for
+    each machine."""
 
     workers: int | None = None
-    """Processes; by default one for each processor. 0 records in this one."""
+    """Recordings made at once; by default one for each processor. 0 records in this process."""
+
+    ray: str | None = None
+    """Ray cluster that records: local starts one here, auto joins this machine's, or HOST:PORT."""
 
     dry_run: bool = False
     """Say what will be made, how long it takes here and how much room it needs, and stop."""
@@ -61,7 +67,7 @@ class Make:
         from vrcaps.data.plan import read_plan
         from vrcaps.data.units import Units
 
-        workers = _workers(self.workers)
+        runner = _runner(self.workers, self.ray)
         plan = read_plan(self.plan)
         units = Units(plan)
         numbers = _slice(self.units, len(units))
@@ -73,7 +79,7 @@ class Make:
                 plan,
                 self.out,
                 numbers=numbers,
-                workers=workers,
+                runner=runner,
                 progress=progress,
                 source=str(self.plan),
             )
@@ -144,6 +150,23 @@ def _workers(given: int | None) -> int:
     if given is not None and given < 0:
         raise InputError(f"--workers is {given}. Allowed: 0 or more.")
     return os.cpu_count() or 1 if given is None else given
+
+
+def _runner(workers: int | None, ray: str | None) -> Runner:
+    """What runs the units.
+
+    Raises:
+        InputError: If there is no such thing.
+    """
+    from vrcaps.data.runners.in_process import InProcess
+    from vrcaps.data.runners.pool import Pool
+    from vrcaps.data.runners.ray_cluster import RayCluster
+
+    if ray is None:
+        return Pool(count) if (count := _workers(workers)) else InProcess()
+    if workers is not None and workers < 1:
+        raise InputError(f"--workers is {workers}. Allowed with --ray: 1 or more.")
+    return RayCluster(ray, workers)
 
 
 def _slice(text: str | None, count: int) -> range | None:

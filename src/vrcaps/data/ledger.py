@@ -6,6 +6,7 @@ A unit counts as there when its entry is written, which happens last. So readers
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,9 @@ PLAN = "plan.json"
 EPISODES = "episodes"
 LEDGER = "ledger"
 FAILED = "failed"
+
+_FEW = 128
+"""Units that are asked for one by one; a listing gives a thousand at once."""
 
 
 def entry_of(unit: Unit, folder: Path) -> dict[str, Any]:
@@ -35,7 +39,7 @@ def entry_of(unit: Unit, folder: Path) -> dict[str, Any]:
 
 
 def enter(store: Store, unit: Unit, entry: dict[str, Any]) -> None:
-    """Make a unit count; an earlier failure of it is forgotten by readers."""
+    """Make a unit count; readers forget an earlier failure of it."""
     store.write(f"{LEDGER}/{unit.name}.json", _json(entry))
 
 
@@ -62,15 +66,33 @@ def entries(store: Store) -> dict[str, dict[str, Any]]:
     return {name: read_entry(store, name) for name in whole_units(store)}
 
 
-def whole_units(store: Store) -> list[str]:
-    """Names of the units that are whole."""
+def whole_units(store: Store, asked: Sequence[str] | None = None) -> list[str]:
+    """Names of the units that are whole.
+
+    Args:
+        store: Of the data set.
+        asked: Only these; None gives all. A few are asked for one by one, so that the slices of
+            a large data set do not each list all of it.
+    """
+    if asked is not None and len(asked) <= _FEW:
+        return [name for name in asked if is_whole(store, name)]
     return [name.removesuffix(".json") for name in store.names(LEDGER)]
+
+
+def is_whole(store: Store, name: str) -> bool:
+    """Whether a unit is whole."""
+    return store.has(f"{LEDGER}/{name}.json")
+
+
+def forget_failure(store: Store, name: str) -> None:
+    """Remove the note of a unit that has been made since."""
+    store.remove(f"{FAILED}/{name}.json")
 
 
 def failures(store: Store) -> dict[str, dict[str, Any]]:
     """Units that could not be made and were not made since."""
-    whole = set(whole_units(store))
     names = [name.removesuffix(".json") for name in store.names(FAILED)]
+    whole = set(whole_units(store, names))
     return {
         name: json.loads(store.read(f"{FAILED}/{name}.json")) for name in names if name not in whole
     }
@@ -83,8 +105,9 @@ def read_entry(store: Store, name: str) -> dict[str, Any]:
         InputError: If it is damaged.
     """
     where = f"{LEDGER}/{name}.json"
+    text = store.read(where)
     try:
-        return json.loads(store.read(where))
+        return json.loads(text)
     except ValueError as error:
         raise InputError(
             f"{store.url}/{where} is damaged ({error}). Delete it and make the data "
@@ -96,14 +119,12 @@ def read_plain_plan(store: Store) -> dict[str, Any]:
     """The plan of a data set, as `plan_to_plain` made it.
 
     Raises:
-        InputError: If the store holds no data set.
+        InputError: If the store holds no data set, or its plan is damaged.
     """
-    try:
-        return json.loads(store.read(PLAN))
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"{store.url} holds no data set ({error}). Give the --out of `vrcaps dataset make`."
-        ) from error
+    plan = _stored_plan(store)
+    if plan is None:
+        raise InputError(f"{store.url} holds no data set. Give the --out of `vrcaps dataset make`.")
+    return plan
 
 
 def require_same_plan(store: Store, plan: dict[str, Any]) -> None:
@@ -112,17 +133,57 @@ def require_same_plan(store: Store, plan: dict[str, Any]) -> None:
     Raises:
         InputError: If it holds the data set of another plan.
     """
-    try:
-        before = json.loads(store.read(PLAN))
-    except FileNotFoundError:
-        store.write(PLAN, _json(plan))
-        return
-    if before != json.loads(_json(plan)):
-        differs = next((key for key in plan if before.get(key) != plan[key]), "a key")
+    before = _stored_plan(store)
+    if before is None:
+        if not store.is_empty():
+            before = _stored_plan(store)  # another process may have been first
+            if before is None:
+                raise InputError(
+                    f"{store.url} holds something else, and no data set. Give a new or empty "
+                    "--out, or that of an unfinished data set."
+                )
+        elif store.create(PLAN, _json(plan)):
+            return
+        else:
+            before = _stored_plan(store)
+    differs = _difference(before, json.loads(_json(plan)))
+    if differs is not None:
         raise InputError(
             f"{store.url} holds a data set of another plan (its {differs} differs). Give another "
             "--out, or the plan it was made with."
         )
+
+
+def _stored_plan(store: Store) -> Any:
+    """The plan in a store as JSON holds it; None if there is none.
+
+    Raises:
+        InputError: If it is damaged.
+    """
+    try:
+        text = store.read(PLAN)
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    try:
+        return json.loads(text)
+    except ValueError as error:
+        raise InputError(
+            f"{store.url}/{PLAN} is damaged ({error}). Give another --out, or delete that file to "
+            "go on with the plan that made the data set."
+        ) from error
+
+
+def _difference(a: Any, b: Any, path: str = "") -> str | None:
+    """Path of the first value in which two plain trees differ; None if they are equal."""
+    if isinstance(a, dict) and isinstance(b, dict):
+        for key in dict.fromkeys([*a, *b]):
+            where = f"{path}.{key}" if path else key
+            if key not in a or key not in b:
+                return where
+            if (found := _difference(a[key], b[key], where)) is not None:
+                return found
+        return None
+    return None if a == b else path or "content"
 
 
 def _json(value: Any) -> bytes:

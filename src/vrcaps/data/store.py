@@ -8,15 +8,18 @@ from __future__ import annotations
 
 import os
 import shutil
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
-from vrcaps.errors import InputError, MissingExtraError
-from vrcaps.files import files_in, sync_folder, write_bytes
+from vrcaps.errors import StorageError
+from vrcaps.files import TEMPORARY, sync_folder, write_bytes
 
 
 class Store(Protocol):
-    """Where a data set lies."""
+    """Where a data set lies; each method raises StorageError if it cannot be reached or written."""
 
     url: str
 
@@ -24,16 +27,32 @@ class Store(Protocol):
         """A file's bytes; FileNotFoundError if there is none."""
         ...
 
+    def has(self, name: str) -> bool:
+        """Whether a file is there."""
+        ...
+
     def write(self, name: str, data: bytes) -> None:
         """Write a file whole or not at all; a file of that name is replaced."""
+        ...
+
+    def create(self, name: str, data: bytes) -> bool:
+        """Write a file that is not there yet; False if it is, also if another was first."""
+        ...
+
+    def remove(self, name: str) -> None:
+        """Remove a file, if it is there."""
+        ...
+
+    def is_empty(self) -> bool:
+        """Whether nothing is there that is seen."""
         ...
 
     def names(self, folder: str) -> list[str]:
         """Names of the files right in a folder, sorted; none where there is no folder."""
         ...
 
-    def staging(self, name: str, scratch: Path) -> Path:
-        """A local folder in which to prepare a folder of this name."""
+    def staging(self, name: str) -> Path:
+        """The local folder in which to prepare a folder of this name."""
         ...
 
     def put(self, staged: Path, name: str) -> None:
@@ -50,41 +69,76 @@ class LocalStore:
 
     def __init__(self, folder: Path) -> None:
         """The folder need not exist yet."""
-        self.folder, self.url = folder, str(folder)
+        self.folder = Path(os.path.abspath(folder))
+        self.url = str(self.folder)
 
     def read(self, name: str) -> bytes:
         """A file's bytes."""
         return (self.folder / name).read_bytes()
 
+    def has(self, name: str) -> bool:
+        """Whether a file is there."""
+        return (self.folder / name).is_file()
+
     def write(self, name: str, data: bytes) -> None:
         """Write a file whole or not at all."""
         path = self.folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_bytes(path, data)
-        sync_folder(path.parent)
+        with _told(self.url):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_bytes(path, data)
+            sync_folder(path.parent)
+
+    def create(self, name: str, data: bytes) -> bool:
+        """Write a file under another name and give it its own if that is free, in one step."""
+        path = self.folder / name
+        other = path.with_name(f".{path.name}.{uuid.uuid4().hex}{TEMPORARY}")
+        with _told(self.url):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_bytes(other, data)
+            try:
+                os.link(other, path)
+            except FileExistsError:
+                return False
+            finally:
+                other.unlink()
+            sync_folder(path.parent)
+        return True
+
+    def remove(self, name: str) -> None:
+        """Remove a file, if it is there."""
+        with _told(self.url):
+            (self.folder / name).unlink(missing_ok=True)
+
+    def is_empty(self) -> bool:
+        """Whether the folder holds nothing but hidden files."""
+        if self.folder.exists() and not self.folder.is_dir():
+            return False
+        return not self.folder.is_dir() or all(p.name[0] == "." for p in self.folder.iterdir())
 
     def names(self, folder: str) -> list[str]:
         """Names of the files in a folder, without those being written."""
         path = self.folder / folder
         if not path.is_dir():
             return []
-        return sorted(p.name for p in path.iterdir() if p.is_file() and p.name[0] != ".")
+        with os.scandir(path) as found:
+            return sorted(entry.name for entry in found if entry.name[0] != "." and entry.is_file())
 
-    def staging(self, name: str, scratch: Path) -> Path:
+    def staging(self, name: str) -> Path:
         """A hidden folder beside the data, so that a move is one step."""
         return self.folder / ".staging" / name.replace("/", "_")
 
     def put(self, staged: Path, name: str) -> None:
         """Move a folder to its name in one step."""
         path = self.folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            os.rename(staged, path)
-        except OSError:
-            if not path.is_dir():
-                raise
-            shutil.rmtree(staged)  # another worker was first, with the same bytes
-        sync_folder(path.parent)
+        with _told(self.url):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                os.rename(staged, path)
+            except OSError:
+                if not path.is_dir():
+                    raise
+                shutil.rmtree(staged)  # another worker was first, with the same bytes
+            sync_folder(path.parent)
 
     def free_bytes(self) -> int | None:
         """Room on the disk."""
@@ -94,70 +148,28 @@ class LocalStore:
         return shutil.disk_usage(folder).free
 
 
-class RemoteStore:
-    """A place that fsspec reaches."""
+@contextmanager
+def _told(url: str) -> Iterator[None]:
+    """Errors of the file system in one line.
 
-    def __init__(self, url: str) -> None:
-        """Connects.
-
-        Raises:
-            MissingExtraError: If fsspec or what it needs for this kind of URL is not installed.
-            InputError: If the kind of URL is unknown.
-        """
-        try:
-            import fsspec
-        except ImportError as error:
-            raise MissingExtraError("fsspec", "scale") from error
-        self.url = url.rstrip("/")
-        try:
-            self._system: Any
-            self._system, self._root = fsspec.core.url_to_fs(self.url)
-        except ImportError as error:
-            raise MissingExtraError(str(error), "scale") from error
-        except ValueError as error:
-            raise InputError(f"Cannot open {url}: {error}. Allowed: a folder or a URL.") from error
-
-    def read(self, name: str) -> bytes:
-        """A file's bytes."""
-        return self._system.cat_file(self._path(name))
-
-    def write(self, name: str, data: bytes) -> None:
-        """Write a file; object stores show it when it is whole."""
-        self._system.pipe_file(self._path(name), data)
-        self._system.invalidate_cache()
-
-    def names(self, folder: str) -> list[str]:
-        """Names of the files in a folder."""
-        self._system.invalidate_cache()
-        try:
-            found = self._system.ls(self._path(folder), detail=True)
-        except FileNotFoundError:
-            return []
-        files = (entry["name"] for entry in found if entry["type"] == "file")
-        return sorted(name.rpartition("/")[2] for name in files)
-
-    def staging(self, name: str, scratch: Path) -> Path:
-        """A folder of this machine."""
-        return scratch / name.replace("/", "_")
-
-    def put(self, staged: Path, name: str) -> None:
-        """Copy all files; the ledger says when they are all there."""
-        for path in files_in(staged):
-            remote = self._path(f"{name}/{path.relative_to(staged).as_posix()}")
-            self._system.pipe_file(remote, path.read_bytes())
-        shutil.rmtree(staged)
-
-    def free_bytes(self) -> int | None:
-        """Not known."""
-        return None
-
-    def _path(self, name: str) -> str:
-        return f"{self._root}/{name}"
+    Raises:
+        StorageError: If the block raises OSError.
+    """
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise StorageError(
+            f"Cannot write the data set {url}: {reason}. What is whole there stays whole; mend "
+            "this and run the same command again to go on."
+        ) from error
 
 
 def open_store(url: str | Path) -> Store:
     """The store at a path or URL; nothing is made yet."""
     text = str(url)
     if "://" in text and not text.startswith("file://"):
+        from vrcaps.data.remote_store import RemoteStore
+
         return RemoteStore(text)
     return LocalStore(Path(text.removeprefix("file://")))

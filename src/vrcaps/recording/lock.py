@@ -13,12 +13,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from vrcaps.errors import InputError
+from vrcaps.errors import InputError, StorageError
 
 LOCK = ".recording.lock"
 
 _HELD = {errno.EACCES, errno.EAGAIN, errno.EDEADLK}
 _UNSUPPORTED = {errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP}
+
+
+class FolderInUseError(InputError):
+    """A folder that another recorder is writing to."""
 
 
 @contextmanager
@@ -29,14 +33,15 @@ def recording_lock(out: Path) -> Iterator[None]:
     a killed process left behind locks nothing. The file names the process that holds it.
 
     Raises:
-        InputError: If another recorder holds the folder, or it cannot be written to.
+        FolderInUseError: If another recorder holds the folder.
+        StorageError: If it cannot be written to.
     """
     made = [path for path in (out, *out.parents) if not path.exists()]
     try:
         out.mkdir(parents=True, exist_ok=True)
         file = _acquire(out / LOCK)
     except OSError as error:
-        raise InputError(f"Cannot write the episode {out}: {error}.") from error
+        raise StorageError(f"Cannot write the episode {out}: {error}.") from error
     try:
         yield
     finally:
@@ -50,7 +55,7 @@ def _acquire(path: Path) -> int:
     """The open and locked file.
 
     Raises:
-        InputError: If another process holds it.
+        FolderInUseError: If another process holds it.
         OSError: If it cannot be made.
     """
     flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
@@ -63,7 +68,7 @@ def _acquire(path: Path) -> int:
             os.close(file)
             if error.errno not in _HELD:
                 raise
-            raise InputError(
+            raise FolderInUseError(
                 f"{_holder(path)} is recording into {path.parent}. Wait until it ends, or give "
                 "another folder."
             ) from error

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.camera_pipeline.capsule_cameras import CAPTURED, CapsuleCameras
-from vrcaps.errors import InputError
+from vrcaps.errors import InputError, StorageError
 from vrcaps.files import TEMPORARY, sync_folder, write_bytes, write_json
 from vrcaps.recording.checkpoint import (
     Checkpoint,
@@ -89,8 +89,8 @@ def record(
         The folder.
 
     Raises:
-        InputError: If the scenario cannot be made, the folder holds anything else, or the files
-            cannot be written; what was there before stays as it was.
+        InputError: If the scenario cannot be made, or the folder holds anything else.
+        StorageError: If the files cannot be written; what was there before stays as it was.
     """
     out = Path(out)
     _require_free(out)
@@ -387,11 +387,11 @@ def _finish(out: Path, head: dict[str, Any]) -> None:
     write_json(out / EPISODE_JSON, {"status": COMPLETE, **head})
 
 
-def _explained(out: Path, error: OSError) -> InputError:
+def _explained(out: Path, error: OSError) -> StorageError:
     """The error in one line."""
     if error.errno in _FULL:
-        return InputError(
+        return StorageError(
             f"The disk is full (or a limit reached) while recording into {out}: {error}. All files "
             "there are whole; free some space and run the same command again to go on."
         )
-    return InputError(f"Cannot write the episode {out}: {error}.")
+    return StorageError(f"Cannot write the episode {out}: {error}.")

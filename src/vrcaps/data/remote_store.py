@@ -1,0 +1,163 @@
+"""Store of a data set at a URL, such as ``s3://bucket/name``: any place that fsspec reaches.
+
+The service's own package waits and tries again where a request fails; what still fails then is one
+line. A unit counts when its entry in the ledger is there, so one of which only some files were
+written does not.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import uuid
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from vrcaps.errors import InputError, MissingExtraError, StorageError
+from vrcaps.files import files_in
+from vrcaps.organ.cache import cache_folder
+
+_TRANSFERS = 8
+"""Files written or read at once; each takes at most its own size of memory, or 100 MB."""
+
+
+class RemoteStore:
+    """A place that fsspec reaches."""
+
+    def __init__(self, url: str) -> None:
+        """Connects to nothing yet.
+
+        Raises:
+            MissingExtraError: If fsspec or what it needs for this kind of URL is not installed.
+            InputError: If the kind of URL is unknown.
+        """
+        try:
+            import fsspec
+        except ImportError as error:
+            raise MissingExtraError("fsspec", "scale") from error
+        self.url = url.rstrip("/")
+        try:
+            self._system: Any
+            self._system, self._root = fsspec.core.url_to_fs(self.url)
+        except ImportError as error:
+            raise MissingExtraError(error.name or str(error).rstrip("."), "scale") from error
+        except ValueError as error:
+            raise InputError(f"Cannot open {url}: {error}. Allowed: a folder or a URL.") from error
+        # Object stores have no folders, show a file when it is whole, and serve many requests at
+        # once; fsspec speaks to them asynchronously. Others, such as SFTP, do none of that.
+        self._is_object_store = bool(self._system.async_impl)
+
+    def read(self, name: str) -> bytes:
+        """A file's bytes."""
+        with self._told("read"):
+            return self._system.cat_file(self._path(name))
+
+    def has(self, name: str) -> bool:
+        """Whether a file is there."""
+        with self._told("read"):
+            self._system.invalidate_cache()
+            return self._system.isfile(self._path(name))
+
+    def write(self, name: str, data: bytes) -> None:
+        """Write a file whole or not at all."""
+        path = self._path(name)
+        with self._told("write"):
+            if self._is_object_store:
+                self._system.pipe_file(path, data)
+                return
+            self._make_parent(path)
+            temporary = f"{path}.{uuid.uuid4().hex}.tmp"
+            self._system.pipe_file(temporary, data)
+            self._system.mv(temporary, path)
+
+    def create(self, name: str, data: bytes) -> bool:
+        """Write a file that is not there yet."""
+        path = self._path(name)
+        with self._told("write"):
+            if not self._is_object_store:
+                self._make_parent(path)
+            try:
+                self._system.pipe_file(path, data, mode="create")
+            except FileExistsError:
+                return False
+        return True
+
+    def remove(self, name: str) -> None:
+        """Remove a file, if it is there."""
+        if self.has(name):
+            with self._told("write"):
+                self._system.rm_file(self._path(name))
+
+    def is_empty(self) -> bool:
+        """Whether there is nothing."""
+        return not self._list(self._root)
+
+    def names(self, folder: str) -> list[str]:
+        """Names of the files in a folder, without those being written."""
+        found = self._list(self._path(folder))
+        names = (e["name"].rpartition("/")[2] for e in found if e["type"] == "file")
+        return sorted(name for name in names if not name.endswith(".tmp"))
+
+    def staging(self, name: str) -> Path:
+        """A folder of this machine's cache, where a killed recording is found and gone on with."""
+        place = hashlib.sha256(self.url.encode()).hexdigest()[:16]
+        return cache_folder() / "unfinished" / place / name.replace("/", "_")
+
+    def put(self, staged: Path, name: str) -> None:
+        """Copy all files, several at once; the ledger says when they are all there."""
+        transfer = partial(self._upload, staged, name)
+        with ThreadPoolExecutor(_TRANSFERS if self._is_object_store else 1) as pool:
+            list(pool.map(transfer, files_in(staged)))
+        shutil.rmtree(staged)
+
+    def free_bytes(self) -> int | None:
+        """Not known."""
+        return None
+
+    def _upload(self, staged: Path, name: str, file: Path) -> None:
+        path = self._path(f"{name}/{file.relative_to(staged).as_posix()}")
+        with self._told("write"):
+            if not self._is_object_store:
+                self._make_parent(path)
+            self._system.put_file(str(file), path)
+
+    def _list(self, path: str) -> list[dict[str, Any]]:
+        with self._told("read"):
+            self._system.invalidate_cache()
+            try:
+                return self._system.ls(path, detail=True)
+            except FileNotFoundError:
+                return []
+
+    def _make_parent(self, path: str) -> None:
+        self._system.makedirs(path.rpartition("/")[0], exist_ok=True)
+
+    def _path(self, name: str) -> str:
+        return f"{self._root}/{name}"
+
+    @contextmanager
+    def _told(self, action: str) -> Iterator[None]:
+        """Errors of the service in one line; a missing file to be read stays what it is.
+
+        Raises:
+            StorageError: If the block fails.
+        """
+        try:
+            yield
+        except FileNotFoundError as error:
+            if action == "read":
+                raise
+            raise self._error(action, error) from error
+        except Exception as error:  # every service has errors of its own kinds
+            raise self._error(action, error) from error
+
+    def _error(self, action: str, error: Exception) -> StorageError:
+        lines = str(error).strip().splitlines() or [type(error).__name__]
+        return StorageError(
+            f"Cannot {action} the data set {self.url}: {lines[0].rstrip('.')}. What is whole there "
+            "stays whole; mend this and run the same command again to go on."
+        )

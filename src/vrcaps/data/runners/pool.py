@@ -1,0 +1,127 @@
+"""Units made by a pool of processes on this machine; one that dies is replaced."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import threading
+from collections import deque
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from typing import Any
+
+from vrcaps.data.make_unit import Job, Maker, Outcome
+from vrcaps.data.runners.runner import Deaths
+
+
+@dataclass(frozen=True)
+class Pool:
+    """Processes that make units.
+
+    Attributes:
+        workers: Number of processes; None takes one for each processor.
+    """
+
+    workers: int | None = None
+
+    def run(self, job: Job, numbers: Sequence[int]) -> Generator[Outcome, None, None]:
+        """Make units; one whose process dies is made again by another, but not for ever."""
+        count = min(self.workers or os.cpu_count() or 1, len(numbers))
+        run = _Run(job, numbers, count)
+        try:
+            yield from run.outcomes()
+        finally:
+            run.stop()
+
+
+class _Run:
+    """Processes at work, each with the unit that it makes."""
+
+    def __init__(self, job: Job, numbers: Sequence[int], workers: int) -> None:
+        self._job, self._queue, self._deaths = job, deque(numbers), Deaths()
+        self._context = multiprocessing.get_context("spawn")
+        self._threads = max(1, (os.cpu_count() or 1) // max(workers, 1))
+        self._busy: dict[Connection, tuple[Any, int]] = {}
+        self._workers = workers
+
+    def outcomes(self) -> Iterator[Outcome]:
+        for _ in range(self._workers):
+            self._start()
+        while self._busy:
+            for connection in wait(list(self._busy)):
+                assert isinstance(connection, Connection)
+                yield from self._answer(connection)
+
+    def stop(self) -> None:
+        for process, _ in self._busy.values():
+            process.terminate()
+        for process, _ in self._busy.values():
+            process.join()
+
+    def _start(self) -> None:
+        """A new process with the next unit, if there is one."""
+        if not self._queue:
+            return
+        ours, theirs = self._context.Pipe()
+        arguments = (self._job, theirs, self._threads)
+        process = self._context.Process(target=_work, args=arguments, daemon=True)
+        process.start()
+        theirs.close()
+        self._give(ours, process)
+
+    def _give(self, connection: Connection, process: Any) -> None:
+        number = self._queue.popleft()
+        self._busy[connection] = (process, number)
+        with suppress(BrokenPipeError):  # it has died; `wait` will tell
+            connection.send(number)
+
+    def _answer(self, connection: Connection) -> Iterator[Outcome]:
+        process, number = self._busy[connection]
+        try:
+            outcome = connection.recv()
+        except (EOFError, ConnectionResetError):
+            del self._busy[connection]
+            yield from self._bury(process, number)
+            return
+        del self._busy[connection]
+        if self._queue:
+            self._give(connection, process)
+        else:
+            with suppress(BrokenPipeError):
+                connection.send(None)
+            process.join()
+        yield outcome
+
+    def _bury(self, process: Any, number: int) -> Iterator[Outcome]:
+        """A process has died: its unit is tried again by a new one."""
+        process.join()
+        outcome = self._deaths.bury(number, f"exit code {process.exitcode}")
+        if outcome is None:
+            self._queue.appendleft(number)
+        self._start()
+        if outcome is not None:
+            yield outcome
+
+
+def _work(job: Job, connection: Connection, threads: int) -> None:
+    """A worker: makes the units that it is told until it is told none."""
+    threading.Thread(target=_die_with_head, daemon=True).start()
+    os.environ["RAYON_NUM_THREADS"] = str(threads)
+    maker = Maker(job)
+    with suppress(EOFError, BrokenPipeError, KeyboardInterrupt):
+        while (number := connection.recv()) is not None:
+            connection.send(maker.make_always(number))
+
+
+def _die_with_head() -> None:
+    """End this process as soon as the one that started it has ended, in whichever way.
+
+    Otherwise a worker would go on with its unit after its head was killed, beside the worker of
+    the next head.
+    """
+    head = multiprocessing.parent_process()
+    assert head is not None
+    wait([head.sentinel])
+    os._exit(1)

@@ -1,0 +1,187 @@
+"""Units made by a Ray cluster, or by one that is started on this machine."""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+import time
+from collections import deque
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+from vrcaps.data.make_unit import Job, Maker, Outcome
+from vrcaps.data.runners.runner import Deaths
+from vrcaps.errors import InputError, MissingExtraError
+
+LOCAL, AUTO = "local", "auto"
+
+_POLL = 2.0
+"""Between looks at whether the head of the cluster still answers [s]."""
+
+_CONNECT = 5.0
+"""Time that the head has to answer [s]."""
+
+_OBJECT_STORE = 80 * 2**20
+"""Memory of a cluster started here for what tasks give each other [bytes]: a plan, and outcomes."""
+
+
+@dataclass(frozen=True)
+class RayCluster:
+    """Workers of a Ray cluster, one processor each.
+
+    Attributes:
+        address: `local` starts a cluster on this machine and ends it after; `auto` joins the one
+            that this machine belongs to; ``HOST:PORT`` names the head of that one.
+        workers: Units made at once; None makes one on each processor of the cluster.
+    """
+
+    address: str
+    workers: int | None = None
+
+    def __post_init__(self) -> None:
+        host, _, port = self.address.rpartition(":")
+        is_place = bool(host) and "/" not in host and port.isdigit() and 0 < int(port) < 2**16
+        if self.address not in (LOCAL, AUTO) and not is_place:
+            raise InputError(
+                f"The address of Ray is {self.address!r}. Allowed: {LOCAL}, {AUTO} or HOST:PORT, "
+                "from a machine of the cluster."
+            )
+
+    def run(self, job: Job, numbers: Sequence[int]) -> Generator[Outcome, None, None]:
+        """Make units; one whose worker dies is made again by another, but not for ever."""
+        if not numbers:
+            return
+        try:
+            import ray
+        except ImportError as error:
+            raise MissingExtraError("ray", "scale") from error
+        with _connected(ray, self) as head:
+            yield from _outcomes(ray, job, numbers, self.workers, head)
+
+
+@contextmanager
+def _connected(ray: Any, cluster: RayCluster) -> Iterator[str]:
+    """A connection to a cluster; gives the address of its head.
+
+    Raises:
+        InputError: If there is no such cluster.
+    """
+    options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
+    if cluster.address == LOCAL:
+        # Tells nobody that it was started, and listens on this machine only.
+        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+        options |= {
+            "num_cpus": cluster.workers or os.cpu_count(),
+            "include_dashboard": False,
+            "object_store_memory": _OBJECT_STORE,
+            "_node_ip_address": "127.0.0.1",
+        }
+    elif cluster.address != AUTO and not _answers(cluster.address):
+        raise InputError(
+            f"No Ray head answers at {cluster.address}. Start one with `ray start --head`, or give "
+            f"--ray {LOCAL}."
+        )
+    try:
+        ray.init(cluster.address, **options)
+    except (ConnectionError, RuntimeError, ValueError) as error:
+        reason = str(error).splitlines()[0].rstrip(".") + "."
+        raise InputError(
+            f"Cannot join the Ray cluster {cluster.address!r} from this machine: {reason} Start "
+            f"one with `ray start --head` (if it has a token: set RAY_AUTH_MODE=token), or give "
+            f"--ray {LOCAL}."
+        ) from error
+    try:
+        yield ray.get_runtime_context().gcs_address
+    finally:
+        ray.shutdown()
+
+
+def _outcomes(
+    ray: Any, job: Job, numbers: Sequence[int], workers: int | None, head: str
+) -> Iterator[Outcome]:
+    """Outcomes of units, as many at once as there are processors.
+
+    Raises:
+        InputError: If the cluster is lost or cannot run vrcaps.
+    """
+    most = workers or max(1, int(ray.cluster_resources().get("CPU", 1)))
+    task = ray.remote(num_cpus=1, max_retries=0)(_make)
+    # In a tuple a reference stays one: the worker gets the job when it has not got it yet.
+    shared, queue, deaths = (ray.put(job),), deque(numbers), Deaths()
+    running: dict[Any, int] = {}
+    asked = time.monotonic()
+    while queue or running:
+        while queue and len(running) < most:
+            number = queue.popleft()
+            running[task.remote(shared, number)] = number
+        ended, _ = ray.wait(list(running), timeout=_POLL)
+        if time.monotonic() > asked + _POLL:
+            if not _answers(head):
+                raise InputError(_lost(head, "does not answer"))
+            asked = time.monotonic()
+        for reference in ended:
+            number = running.pop(reference)
+            outcome = _outcome(ray, reference, number, deaths, head)
+            if outcome is None:
+                queue.appendleft(number)
+            else:
+                yield outcome
+
+
+def _outcome(ray: Any, reference: Any, number: int, deaths: Deaths, head: str) -> Outcome | None:
+    """The outcome of a task that has ended; None if its unit is to be tried again."""
+    try:
+        return ray.get(reference)
+    except ray.exceptions.LocalRayletDiedError as error:
+        raise InputError(_lost(head, "has died")) from error
+    except ray.exceptions.RayTaskError as error:
+        reason = str(error).strip().splitlines()[-1]
+        raise InputError(
+            f"A worker of Ray cannot run vrcaps: {reason}. Every machine of the cluster needs the "
+            "same version of vrcaps, and the folder in which this command was given."
+        ) from error
+    except ray.exceptions.RayError as error:
+        # The worker or its machine died, or it took too much memory.
+        return deaths.bury(number, type(error).__name__)
+
+
+def _lost(head: str, how: str) -> str:
+    return (
+        f"The Ray head at {head} {how}. Units made so far are whole; start it again, or give "
+        f"--ray {LOCAL}, and repeat the command to go on."
+    )
+
+
+def _answers(address: str) -> bool:
+    """Whether something listens at an address."""
+    host, _, port = address.rpartition(":")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=_CONNECT).close()
+    except OSError:
+        return False
+    return True
+
+
+def _make(shared: tuple[Any], number: int) -> Outcome:
+    """The task: makes a unit in a worker of the cluster, on one processor.
+
+    Args:
+        shared: Reference to the job.
+        number: Of the unit.
+    """
+    os.environ.setdefault("RAYON_NUM_THREADS", "1")
+    return _maker(*shared).make_always(number)
+
+
+@lru_cache(maxsize=1)
+def _maker(reference: Any) -> Maker:
+    """The maker of a job, one in each worker: to resolve a plan takes longer the larger it is."""
+    import ray
+
+    job: Any = ray.get(reference)
+    os.chdir(job.folder)
+    return Maker(job)

@@ -1,0 +1,189 @@
+"""What runs units: a pool and a Ray cluster, whose processes are killed; what is refused."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from failing import fail
+from processes import command_of, descendants
+from vrcaps.data.ledger import whole_units
+from vrcaps.data.make import make_dataset
+from vrcaps.data.make_unit import Job, Maker, Outcome
+from vrcaps.data.plan import read_plan
+from vrcaps.data.runners.in_process import InProcess
+from vrcaps.data.runners.pool import Pool
+from vrcaps.data.runners.ray_cluster import RayCluster
+from vrcaps.data.runners.runner import Deaths
+from vrcaps.data.store import LocalStore
+from vrcaps.errors import InputError, MissingExtraError
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    paths = (p for p in folder.rglob("*") if p.is_file() and ".staging" not in p.parts)
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
+
+
+def kill_one(head: int, word: str) -> bool:
+    """SIGKILL the first process below another whose command holds a word."""
+    for pid in descendants(head):
+        if word in command_of(pid):
+            os.kill(pid, signal.SIGKILL)
+            return True
+    return False
+
+
+def kill_soon(head: int, word: str) -> None:
+    """SIGKILL the first such process as soon as there is one."""
+    until = time.monotonic() + 60.0
+    while not kill_one(head, word):
+        assert time.monotonic() < until
+        time.sleep(0.01)
+
+
+def once(action: Callable[[], object]) -> Callable[[int, int], object]:
+    """A report of progress that does something when the first unit is whole."""
+    waiting = [action]
+    return lambda *_: waiting.pop()() if waiting else None
+
+
+@pytest.mark.slow
+def test_a_pool_goes_on_after_kills(whole: Path, plan_file: Path, tmp_path: Path) -> None:
+    """The head is killed alone, and its worker ends with it; then a worker of the next head."""
+    out, script = tmp_path / "pool", tmp_path / "run.py"
+    words = ["dataset", "make", str(plan_file), "--out", str(out), "--workers", "1"]
+    script.write_text(
+        f"from vrcaps.cli import main\nif __name__ == '__main__':\n    main({words!r})\n"
+    )
+    head = subprocess.Popen([sys.executable, script])
+    until = time.monotonic() + 60.0
+    while not whole_units(LocalStore(out)) and time.monotonic() < until:
+        time.sleep(0.01)
+    below = descendants(head.pid)
+    head.kill()
+    head.wait()
+    while any(map(command_of, below)) and time.monotonic() < until:
+        time.sleep(0.01)
+    assert not any(map(command_of, below))
+    num_made, killed = len(whole_units(LocalStore(out))), []
+    assert 0 < num_made < 8
+    kill_worker = once(lambda: killed.append(kill_one(os.getpid(), "spawn_main")))
+    made = make_dataset(read_plan(plan_file), out, runner=Pool(1), progress=kill_worker)
+    assert killed == [True]
+    assert (made.made, made.present, made.failed) == (8 - num_made, num_made, {})
+    assert files(out) == files(whole)
+
+
+@pytest.fixture(scope="module")
+def ray_head() -> Iterator[tuple[subprocess.Popen, str]]:
+    """A Ray cluster of one processor on this machine, and its address."""
+    pytest.importorskip("ray", reason="ray is not installed")
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    words = ["start", "--head", "--block", "--port", str(port), "--num-cpus", "1"]
+    words += ["--node-ip-address", "127.0.0.1", "--include-dashboard", "false"]
+    words += ["--object-store-memory", str(80 * 2**20), "--disable-usage-stats"]
+    run = f"from ray.scripts.scripts import cli; cli({words!r})"
+    process = subprocess.Popen(
+        [sys.executable, "-c", run],
+        env={**os.environ, "RAY_AUTH_MODE": "disabled"},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    until = time.monotonic() + 60.0
+    while not any("raylet" in command_of(pid) for pid in descendants(process.pid)):
+        assert process.poll() is None
+        assert time.monotonic() < until
+        time.sleep(0.2)
+    yield process, f"127.0.0.1:{port}"
+    for pid in descendants(process.pid):
+        os.kill(pid, signal.SIGKILL)
+    process.kill()
+    process.wait()
+
+
+@pytest.mark.slow
+def test_ray_makes_the_same_bytes_and_tells_of_a_dead_head(
+    whole: Path,
+    plan_file: Path,
+    tmp_path: Path,
+    ray_head: tuple[subprocess.Popen, str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A worker is killed, then the head; the same command goes on without it."""
+    monkeypatch.setattr("vrcaps.data.runners.ray_cluster._POLL", 0.0)
+    (process, address), plan = ray_head, read_plan(plan_file)
+    killer = threading.Thread(target=kill_soon, args=(process.pid, "ray::_make"))
+    killer.start()
+    out, cluster = tmp_path / "ray", RayCluster(address)
+    first = make_dataset(plan, out, runner=cluster, numbers=range(4))
+    assert (first.made, first.failed) == (4, {})
+    killer.join()
+    kill_head = once(lambda: kill_one(process.pid, "gcs_server"))
+    with pytest.raises(InputError, match=r"The Ray head at \S+ does not answer\. .* to go on\."):
+        make_dataset(plan, out, runner=cluster, progress=kill_head)
+    with pytest.raises(InputError, match=r"No Ray head answers at .* --ray local"):
+        make_dataset(plan, out, runner=cluster)
+    make_dataset(plan, out, runner=InProcess())
+    assert files(out) == files(whole)
+
+
+def test_a_unit_that_kills_its_workers_counts_as_failed() -> None:
+    deaths = Deaths()
+    assert deaths.bury(3, "exit code -9") is None
+    assert deaths.bury(4, "exit code -9") is None
+    assert deaths.bury(3, "exit code -9") is None
+    outcome = deaths.bury(3, "exit code -11")
+    assert outcome == Outcome(3, "Its worker died 3 times, last with exit code -11.")
+
+
+def test_every_fault_of_a_unit_is_an_outcome(
+    plan_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A mistake of the plan concerns one unit, a full disk all, a fault of vrcaps one again."""
+    maker = Maker(Job(read_plan(plan_file), str(tmp_path / "out"), tmp_path))
+
+    def outcome(error: Exception) -> Outcome:
+        def record(*_: object, **__: object) -> None:
+            raise error
+
+        monkeypatch.setattr("vrcaps.recording.recorder.record", record)
+        return maker.make_always(1)
+
+    assert outcome(InputError("told")) == Outcome(1, "told")
+    assert outcome(OSError(28, "No space left")).stops_all
+    assert outcome(ZeroDivisionError("by zero")) == Outcome(1, "ZeroDivisionError: by zero")
+    with pytest.raises(ZeroDivisionError):
+        maker.make(1)
+
+
+@pytest.mark.parametrize("address", ["nonsense", "ray://host:10001", "host:99999", ":80"])
+def test_addresses_that_are_none_are_refused(address: str) -> None:
+    with pytest.raises(InputError, match=r"Allowed: local, auto or HOST:PORT"):
+        RayCluster(address)
+
+
+def test_without_ray_its_package_is_named(
+    plan_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(MissingExtraError, match=r"ray is not installed.*vrcaps\[scale\]"):
+        make_dataset(read_plan(plan_file), tmp_path / "out", runner=RayCluster("local"))
+    words = ["dataset", "make", str(plan_file), "--out", str(tmp_path / "out")]
+    assert "Allowed with --ray: 1 or more" in fail(
+        [*words, "--ray", "local", "--workers", "0"], capsys
+    )
+
+
+def test_a_cluster_that_is_not_there_is_one_clear_line(plan_file: Path, tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    with pytest.raises(InputError, match=r"No Ray head answers at 127\.0\.0\.1"):
+        list(RayCluster(f"127.0.0.1:{port}").run(Job(read_plan(plan_file), "x", tmp_path), [0]))

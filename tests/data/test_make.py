@@ -5,8 +5,10 @@ from pathlib import Path
 import pytest
 
 import vrcaps
+from failing import fail
 from vrcaps.cli import main
 from vrcaps.data.check_dataset import check_dataset
+from vrcaps.data.estimate import Estimate
 from vrcaps.data.ledger import entries, failures
 from vrcaps.data.make import make_dataset
 from vrcaps.data.plan import read_plan
@@ -94,8 +96,33 @@ def test_bad_targets_are_one_clear_line(
 
 
 @pytest.mark.slow
-def test_a_dry_run_says_what_will_be_made(plan_file: Path, tmp_path: Path, capsys) -> None:
-    main(["dataset", "make", str(plan_file), "--out", str(tmp_path / "none"), "--dry-run"])
+def test_a_dry_run_says_what_will_be_made(
+    plan_file: Path, made: Path, tmp_path: Path, capsys
+) -> None:
+    command = ["dataset", "make", str(plan_file), "--dry-run", "--out"]
+    main([*command, str(tmp_path / "none")])
     said = capsys.readouterr().out
-    assert "4 patients (2 train, 1 val, 1 test), 8 recordings, 24 frames" in said
+    assert "tubes: 4 patients (2 train, 1 val, 1 test), 8 recordings." in said
+    assert "To be made: 8 recordings, 24 frames. About " in said
+    assert f"free at {tmp_path / 'none'}" in said
+    assert "Measured with tube with tiny." in said
     assert not (tmp_path / "none").exists()
+    main([*command, str(made), "--units", "2:4"])
+    said = capsys.readouterr().out
+    assert "Asked for: recordings 2 to 3.\n2 of them are there already.\nNothing is left" in said
+
+
+def test_a_dry_run_refuses_what_the_disk_cannot_hold(
+    plan_file: Path, made: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = Estimate(24, 7500.0, 3 * 10**9, ("tube with tiny",))
+    monkeypatch.setattr("vrcaps.data.estimate.estimate", lambda *_: found)
+    monkeypatch.setattr(LocalStore, "free_bytes", lambda _: 10**6)
+    command = ["dataset", "make", str(plan_file), "--dry-run", "--out"]
+    said = fail([*command, str(tmp_path / "none")], capsys)
+    assert "has room for 1.0 MB, and 3.0 GB are needed. Give a place with more" in said
+    other = tmp_path / "other.toml"
+    other.write_text(plan_file.read_text().replace("seed = 3", "seed = 4"))
+    assert "another plan (its dataset.seed differs)" in fail(
+        ["dataset", "make", str(other), "--dry-run", "--out", str(made)], capsys
+    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,10 +12,13 @@ from vrcaps.cli.console import console, progress_bar
 from vrcaps.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from vrcaps.data.plan import Plan
     from vrcaps.data.runners.runner import Runner
     from vrcaps.data.units import Units
 
-_MB, _HOUR = 1e6, 3600.0
+_MB, _GB, _MINUTE, _HOUR = 1e6, 1e9, 60.0, 3600.0
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,7 @@ class Make:
         units = Units(plan)
         numbers = _slice(self.units, len(units))
         if self.dry_run:
-            _estimate(units, self.out)
+            _estimate(plan, units, numbers or range(len(units)), self.out)
             return
         with progress_bar("recording") as progress:
             made = make_dataset(
@@ -147,9 +149,11 @@ class Check:
 
 def _workers(given: int | None) -> int:
     """Number of processes."""
+    from vrcaps.data.runners.runner import num_processors
+
     if given is not None and given < 0:
         raise InputError(f"--workers is {given}. Allowed: 0 or more.")
-    return os.cpu_count() or 1 if given is None else given
+    return num_processors() if given is None else given
 
 
 def _runner(workers: int | None, ray: str | None) -> Runner:
@@ -183,24 +187,64 @@ def _slice(text: str | None, count: int) -> range | None:
     return numbers
 
 
-def _estimate(units: Units, out: str) -> None:
+def _estimate(plan: Plan, units: Units, numbers: Sequence[int], out: str) -> None:
+    """Say what will be made.
+
+    Args:
+        plan: What to make.
+        units: Its units.
+        numbers: Those to be made.
+        out: Folder or URL of the data set.
+
+    Raises:
+        InputError: If that is another data set's, or has no room.
+    """
     from vrcaps.data.estimate import estimate
-    from vrcaps.data.plan import SPLITS
+    from vrcaps.data.ledger import require_target, whole_units
+    from vrcaps.data.plan import SPLITS, plan_to_plain
     from vrcaps.data.store import open_store
 
-    with console.status("recording a few frames to measure"):
-        found = estimate(units)
-    free = open_store(out).free_bytes()
+    store = open_store(out)
+    require_target(store, plan_to_plain(plan))
+    whole = set(whole_units(store, [units.name(number) for number in numbers]))
+    missing = [number for number in numbers if units.name(number) not in whole]
     splits = ", ".join(f"{units.splits.count(s)} {s}" for s in SPLITS)
     console.print(
-        f"{len(units.splits)} patients ({splits}), {len(units)} recordings, {found.frames} frames."
+        f"{plan.settings.name}: {len(units.splits)} patients ({splits}), {len(units)} recordings."
     )
+    if len(numbers) < len(units):
+        console.print(f"Asked for: recordings {numbers[0]} to {numbers[-1]}.")
+    if whole:
+        console.print(f"{len(whole)} of them are there already.")
+    if not missing:
+        console.print("Nothing is left to be made.")
+        return
+    with console.status("recording a few frames to measure"):
+        found = estimate(units, missing)
+    free = store.free_bytes()
+    room = "" if free is None else f"; {size_text(free)} are free at {out}"
     console.print(
-        f"About {found.seconds / _HOUR:.1f} hours on this machine and "
-        f"{found.num_bytes / _MB:,.0f} MB."
+        f"To be made: {len(missing)} recordings, {found.frames:,} frames. About "
+        f"{time_text(found.seconds)} on this machine (one after the other) and "
+        f"{size_text(found.num_bytes)}{room}."
     )
+    console.print(f"Measured with {', '.join(found.measured)}.")
     if free is not None and free < found.num_bytes:
         raise InputError(
-            f"{out} has room for {free / _MB:,.0f} MB. Give a place with more, fewer frames, "
-            "channels or patients."
+            f"{out} has room for {size_text(free)}, and {size_text(found.num_bytes)} are needed. "
+            "Give a place with more, or fewer frames, channels or patients."
         )
+
+
+def time_text(seconds: float) -> str:
+    """A duration in the unit that suits it."""
+    if seconds < 2.0 * _MINUTE:
+        return f"{seconds:.0f} seconds"
+    if seconds < 2.0 * _HOUR:
+        return f"{seconds / _MINUTE:.0f} minutes"
+    return f"{seconds / _HOUR:.1f} hours"
+
+
+def size_text(num_bytes: float) -> str:
+    """A size in the unit that suits it."""
+    return f"{num_bytes / _MB:,.1f} MB" if num_bytes < _GB else f"{num_bytes / _GB:,.1f} GB"

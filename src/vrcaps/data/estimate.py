@@ -4,67 +4,138 @@ from __future__ import annotations
 
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import fmean
 
-from vrcaps.data.units import Units
+from vrcaps.data.units import Unit, Units
 from vrcaps.files import files_in
+from vrcaps.organ.cache import cache_in, passing_organs
+from vrcaps.scenario.scenario import OrganGenerated, Scenario
 
 _FRAMES = 6
+_PATIENTS = 25
+_KINDS = 4
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a data set takes.
+    """What recordings take.
 
     Attributes:
         frames: Number of frames.
         seconds: Time on this machine, one recording after the other on all processors [s].
         num_bytes: Size of all files.
+        measured: Kinds of recordings that were measured: an organ and a capsule each.
     """
 
     frames: int
     seconds: float
     num_bytes: int
+    measured: tuple[str, ...]
 
 
-def estimate(units: Units) -> Estimate:
-    """Measure a few frames of the first unit and extrapolate.
+@dataclass(frozen=True)
+class _Cost:
+    """Time [s] and size [bytes]."""
 
-    A recording of few frames and one of twice as many tell the time of a frame from that of the
-    beginning. Organs that are made for the first time take longer than this says.
+    seconds: float
+    num_bytes: float
+
+
+@dataclass(frozen=True)
+class _Costs:
+    """What one kind of recording takes: to begin it, each frame, and its organ."""
+
+    begin: _Cost
+    frame: _Cost
+    organ: _Cost
+
+
+def estimate(units: Units, numbers: Sequence[int]) -> Estimate:
+    """Measure a few frames of each kind of recording and extrapolate.
+
+    A kind is an organ and a capsule; the four most frequent ones are measured. A recording of few
+    frames and one of twice as many tell the time of a frame from that of the beginning. Organs are
+    made anew for this, so that what is in the cache does not count.
+
+    Args:
+        units: Of the data set.
+        numbers: Of the recordings; at least one.
 
     Raises:
-        InputError: If the first unit cannot be recorded.
+        InputError: If a recording cannot be made.
     """
+    sample = _sample(units, numbers)
+    kinds: dict[str, list[Unit]] = {}
+    for unit in sample:
+        kinds.setdefault(_kind(unit.scenario), []).append(unit)
+    chosen = sorted(kinds, key=lambda kind: (-len(kinds[kind]), kind))[:_KINDS]
+    with tempfile.TemporaryDirectory(prefix="vrcaps-estimate-") as scratch, passing_organs():
+        costs = {kind: _measured(kinds[kind][0].scenario, Path(scratch)) for kind in chosen}
+    share = len(numbers) / sum(len(kinds[kind]) for kind in chosen)
+    seconds = num_bytes = 0.0
+    for kind in chosen:
+        cost, frames = costs[kind], fmean(u.scenario.frames for u in kinds[kind])
+        count = share * len(kinds[kind])
+        # Recordings of a patient share an organ.
+        organs = count * len({_organ_of(u) for u in kinds[kind]}) / len(kinds[kind])
+        for part, times in ((cost.begin, 1.0), (cost.frame, frames)):
+            seconds += count * times * part.seconds
+            num_bytes += count * times * part.num_bytes
+        seconds += organs * cost.organ.seconds
+        num_bytes += organs * cost.organ.num_bytes
+    frames = round(fmean(unit.scenario.frames for unit in sample) * len(numbers))
+    return Estimate(frames, seconds, round(num_bytes), tuple(chosen))
+
+
+def _sample(units: Units, numbers: Sequence[int]) -> list[Unit]:
+    """All asked recordings of at most 25 patients, evenly spread."""
+    patients = sorted({number // units.per_patient for number in numbers})
+    taken = set(patients[:: max(1, len(patients) // _PATIENTS)])
+    return [units[number] for number in numbers if number // units.per_patient in taken]
+
+
+def _kind(scenario: Scenario) -> str:
+    organ = scenario.organ
+    name = organ.name if isinstance(organ, OrganGenerated) else str(getattr(organ, "path", "organ"))
+    capsule = scenario.capsule if isinstance(scenario.capsule, str) else "a capsule"
+    return f"{Path(name).stem} with {Path(capsule).stem}"
+
+
+def _organ_of(unit: Unit) -> tuple[object, ...]:
+    """What tells one stored organ from another; capsules share one, twins do not."""
+    scenario = unit.scenario
+    return unit.patient, bool(scenario.lesions) and scenario.clean_twin
+
+
+def _measured(scenario: Scenario, scratch: Path) -> _Costs:
     from vrcaps.recording.layout import ORGAN_GLB
     from vrcaps.recording.recorder import record
+    from vrcaps.scenario.build import build, resolve
 
-    scenario, organ = units[0].scenario, 0
-    costs = []
-    with tempfile.TemporaryDirectory(prefix="vrcaps-estimate-") as scratch:
-        for number, frames in enumerate((_FRAMES, _FRAMES, 2 * _FRAMES)):
-            folder = Path(scratch) / str(number)
+    costs, organ_bytes = [], 0
+    with tempfile.TemporaryDirectory(dir=scratch) as name, cache_in(Path(name) / "cache"):
+        for _ in range(2):  # the first one makes the organ
+            began = time.perf_counter()
+            build(resolve(scenario))
+            costs.append(_Cost(time.perf_counter() - began, 0.0))
+        for frames in (_FRAMES, 2 * _FRAMES):
+            folder = Path(name) / str(frames)
             began = time.perf_counter()
             record(replace(scenario, frames=frames), folder)
-            organ = (folder / ORGAN_GLB).stat().st_size  # stored once for each patient
-            size = sum(path.stat().st_size for path in files_in(folder)) - organ
-            costs.append((time.perf_counter() - began, size))
-    # The first one may have made the organ.
-    (_, _), (short, short_size), (long, long_size) = costs
-    mean_frames = fmean(units[number].scenario.frames for number in _sample(len(units)))
-    per_frame = max(long - short, 0.0) / _FRAMES
-    size_per_frame = (long_size - short_size) / _FRAMES
-    begin = max(short - per_frame * _FRAMES, 0.0)
-    return Estimate(
-        round(mean_frames * len(units)),
-        len(units) * (begin + per_frame * mean_frames),
-        len(units.splits) * organ
-        + round(len(units) * (short_size + size_per_frame * (mean_frames - _FRAMES))),
+            organ_bytes = (folder / ORGAN_GLB).stat().st_size
+            size = sum(path.stat().st_size for path in files_in(folder)) - organ_bytes
+            costs.append(_Cost(time.perf_counter() - began, size))
+    made, again, short, long = costs
+    frame = _Cost(
+        max(long.seconds - short.seconds, 0.0) / _FRAMES,
+        max(long.num_bytes - short.num_bytes, 0.0) / _FRAMES,
     )
-
-
-def _sample(count: int) -> range:
-    """At most a hundred numbers, evenly spread."""
-    return range(0, count, max(1, count // 100))
+    begin = _Cost(
+        max(short.seconds - _FRAMES * frame.seconds, 0.0),
+        max(short.num_bytes - _FRAMES * frame.num_bytes, 0.0),
+    )
+    organ = _Cost(max(made.seconds - again.seconds, 0.0), organ_bytes)
+    return _Costs(begin, frame, organ)

@@ -131,27 +131,35 @@ def require_same_plan(store: Store, plan: dict[str, Any]) -> None:
     """Make a store the data set of a plan, or check that it is.
 
     Raises:
-        InputError: If it holds the data set of another plan.
+        InputError: If it holds the data set of another plan, or something else.
+    """
+    if not require_target(store, plan) and not store.create(PLAN, _json(plan)):
+        require_target(store, plan)  # another process was first
+
+
+def require_target(store: Store, plan: dict[str, Any]) -> bool:
+    """Check that a store is empty or holds the data set of a plan; whether it holds it.
+
+    Raises:
+        InputError: If it holds the data set of another plan, or something else.
     """
     before = _stored_plan(store)
     if before is None:
-        if not store.is_empty():
-            before = _stored_plan(store)  # another process may have been first
-            if before is None:
-                raise InputError(
-                    f"{store.url} holds something else, and no data set. Give a new or empty "
-                    "--out, or that of an unfinished data set."
-                )
-        elif store.create(PLAN, _json(plan)):
-            return
-        else:
-            before = _stored_plan(store)
+        if store.is_empty():
+            return False
+        before = _stored_plan(store)  # another process may have been first
+        if before is None:
+            raise InputError(
+                f"{store.url} holds something else, and no data set. Give a new or empty --out, "
+                "or that of an unfinished data set."
+            )
     differs = _difference(before, json.loads(_json(plan)))
     if differs is not None:
         raise InputError(
             f"{store.url} holds a data set of another plan (its {differs} differs). Give another "
             "--out, or the plan it was made with."
         )
+    return True
 
 
 def _stored_plan(store: Store) -> Any:

@@ -46,6 +46,8 @@ _MOST_PASSING_BYTES = 4 * 10**9
 
 _is_passing: ContextVar[bool] = ContextVar("is_passing", default=False)
 
+_other_folder: ContextVar[Path | None] = ContextVar("other_folder", default=None)
+
 _ABANDONED = 3600.0
 """Age of an unfinished file [s] from which the process that wrote it must have been stopped."""
 
@@ -56,6 +58,8 @@ def cache_folder() -> Path:
     The latter is ``~/.cache/vrcaps`` (or below ``XDG_CACHE_HOME``) on Linux,
     ``~/Library/Caches/vrcaps`` on macOS, ``%LOCALAPPDATA%\vrcaps\Cache`` on Windows.
     """
+    if (other := _other_folder.get()) is not None:
+        return other
     if chosen := os.environ.get("VRCAPS_CACHE"):
         return Path(chosen).expanduser()
     return user_cache_path("vrcaps", appauthor=False)
@@ -106,6 +110,16 @@ def passing_organs() -> Iterator[None]:
         yield
     finally:
         _is_passing.reset(token)
+
+
+@contextlib.contextmanager
+def cache_in(folder: Path) -> Iterator[None]:
+    """In this block another folder is the cache, such as an empty one, to measure without it."""
+    token = _other_folder.set(folder)
+    try:
+        yield
+    finally:
+        _other_folder.reset(token)
 
 
 def fingerprint(parameters: dict[str, Any]) -> str:

@@ -13,7 +13,7 @@ from multiprocessing.connection import Connection, wait
 from typing import Any
 
 from vrcaps.data.make_unit import Job, Maker, Outcome
-from vrcaps.data.runners.runner import Deaths
+from vrcaps.data.runners.runner import Deaths, num_processors
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Pool:
 
     def run(self, job: Job, numbers: Sequence[int]) -> Generator[Outcome, None, None]:
         """Make units; one whose process dies is made again by another, but not for ever."""
-        count = min(self.workers or os.cpu_count() or 1, len(numbers))
+        count = min(self.workers or num_processors(), len(numbers))
         run = _Run(job, numbers, count)
         try:
             yield from run.outcomes()
@@ -42,7 +42,7 @@ class _Run:
     def __init__(self, job: Job, numbers: Sequence[int], workers: int) -> None:
         self._job, self._queue, self._deaths = job, deque(numbers), Deaths()
         self._context = multiprocessing.get_context("spawn")
-        self._threads = max(1, (os.cpu_count() or 1) // max(workers, 1))
+        self._threads = max(1, num_processors() // max(workers, 1))
         self._busy: dict[Connection, tuple[Any, int]] = {}
         self._workers = workers
 
@@ -108,7 +108,7 @@ class _Run:
 def _work(job: Job, connection: Connection, threads: int) -> None:
     """A worker: makes the units that it is told until it is told none."""
     threading.Thread(target=_die_with_head, daemon=True).start()
-    os.environ["RAYON_NUM_THREADS"] = str(threads)
+    os.environ.setdefault("RAYON_NUM_THREADS", str(threads))
     maker = Maker(job)
     with suppress(EOFError, BrokenPipeError, KeyboardInterrupt):
         while (number := connection.recv()) is not None:

@@ -14,7 +14,7 @@ from functools import lru_cache
 from typing import Any
 
 from vrcaps.data.make_unit import Job, Maker, Outcome
-from vrcaps.data.runners.runner import Deaths
+from vrcaps.data.runners.runner import Deaths, num_processors
 from vrcaps.errors import InputError, MissingExtraError
 
 LOCAL, AUTO = "local", "auto"
@@ -75,7 +75,7 @@ def _connected(ray: Any, cluster: RayCluster) -> Iterator[str]:
         # Tells nobody that it was started, and listens on this machine only.
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         options |= {
-            "num_cpus": cluster.workers or os.cpu_count(),
+            "num_cpus": cluster.workers or num_processors(),
             "include_dashboard": False,
             "object_store_memory": _OBJECT_STORE,
             "_node_ip_address": "127.0.0.1",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Generator, Sequence
 from typing import Protocol
@@ -28,6 +29,13 @@ class Runner(Protocol):
             VrcapsError: If units cannot be run at all.
         """
         ...
+
+
+def num_processors() -> int:
+    """Processors that this process may use; a job of a cluster has some of its machine's."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 class Deaths:

@@ -11,6 +11,7 @@ from small_envs import SHORT_GUT, small_settings
 from vrcaps.cli import main
 from vrcaps.cli.evaluate import Evaluate
 from vrcaps.env.actuation.wrench import Wrench
+from vrcaps.env.settings import EnvSettings
 from vrcaps.errors import InputError, VrcapsError
 from vrcaps.policy.policy import read_policy
 from vrcaps.tools.evaluation.page import PAGE, PICTURE, TABLE
@@ -25,6 +26,24 @@ def test_an_episode_goes_on_to_the_end_of_its_time() -> None:
     assert settings.actuation == Wrench(is_weightless=True)
     assert settings.capsule == "dual"
     assert [organ.seed for organ in settings.organs] == [3, 4]  # type: ignore[union-attr]
+
+
+def test_each_task_has_its_organ_its_time_and_its_actuation() -> None:
+    def settings(task: str) -> EnvSettings:
+        return Evaluate(("centerline",), Path("unused"), task=task)._settings(
+            read_policy("centerline"), ""
+        )
+
+    coverage, navigate, inspect = (settings(t) for t in ("coverage", "navigate", "inspect"))
+    assert {organ.name for organ in navigate.organs} == {"colon"}  # type: ignore[union-attr]
+    assert [organ.seed for organ in inspect.organs] == list(range(100, 120))  # type: ignore[union-attr]
+    assert [s.episode_time for s in (coverage, navigate, inspect)] == [60.0, 1200.0, 180.0]
+    assert [s.actuation.kind for s in (coverage, navigate, inspect)] == [
+        "wrench",
+        "magnet",
+        "wrench",
+    ]
+    assert len(inspect.lesions) == 3
 
 
 @pytest.mark.parametrize(
@@ -67,7 +86,9 @@ def test_two_policies_side_by_side(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert (tmp_path / PICTURE).read_bytes().startswith(b"\x89PNG")
     table = (tmp_path / TABLE).read_text().splitlines()
     assert table[0] == "figure,centerline,vrcaps.policy.random-RandomPolicy"
-    assert table[-1] == "wall escapes,0,0"
+    assert table[-1] == "wall escapes,0 (0.0 %),0 (0.0 %)"
+    assert table[3].startswith("frustum at 0.4 s [%],")
+    assert "47.62 s" not in table[3] + (tmp_path / "centerline" / "episodes.csv").read_text()
     folders = {p.name for p in tmp_path.iterdir() if p.is_dir()}
     assert folders == {"centerline", "vrcaps.policy.random-RandomPolicy"}
 

@@ -5,7 +5,7 @@ import pytest
 
 from vrcaps.errors import InputError
 from vrcaps.mesh.mesh import Mesh
-from vrcaps.metrics.bootstrap import bootstrap
+from vrcaps.metrics.bootstrap import bootstrap, mean_band
 from vrcaps.metrics.classification import accuracy, confusion_matrix, f1_scores, matthews, roc_auc
 from vrcaps.metrics.image_quality import psnr, ssim
 from vrcaps.metrics.masks import boundary_f_score, dice, hausdorff_95, iou
@@ -116,3 +116,17 @@ def test_groups_that_are_alike_widen_the_interval():
     alone, together = bootstrap(mean, 400), bootstrap(mean, 400, groups=groups)
     ratio = (together.high - together.low) / (alone.high - alone.low)
     assert ratio == pytest.approx(np.sqrt(20), rel=0.25)
+
+
+def test_a_band_has_the_interval_of_each_of_its_places():
+    curves, groups = np.random.default_rng(7).normal(size=(40, 3)), np.repeat(np.arange(8), 5)
+    low, high = mean_band(curves, groups=groups, resamples=100, seed=3)
+    for place, values in enumerate(curves.T):
+        alone = bootstrap(
+            lambda items, of=values: float(of[items].mean()),
+            40,
+            groups=groups,
+            resamples=100,
+            seed=3,
+        )
+        assert (low[place], high[place]) == pytest.approx((alone.low, alone.high))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from small_envs import GUT, SHORT_GUT, small_settings
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.settings import EnvSettings
 from vrcaps.env.start import Start
+from vrcaps.env.tasks.navigate import NavigateTask
 from vrcaps.errors import InputError
 from vrcaps.policy.evaluate import Plan, evaluate
 from vrcaps.policy.evaluation import (
@@ -18,7 +20,9 @@ from vrcaps.policy.evaluation import (
     EpisodeCurves,
     Evaluation,
     episode_measures,
+    judged_time,
     read_rows,
+    success_measures,
 )
 from vrcaps.policy.policy import read_policy
 
@@ -76,11 +80,47 @@ def test_figures_of_a_curve_by_hand() -> None:
         np.array([0.0, 10.0, 20.0]), fraction, np.zeros(3), np.array([9.0, 0.1, 0.3]), np.eye(3, 7)
     )
     figures = episode_measures(curves, 40.0)
-    assert figures["visible_at_47.62_s"] == figures["visible_at_end"] == pytest.approx(92.0)
+    assert figures["visible_at_40_s"] == figures["visible_at_end"] == pytest.approx(92.0)
     assert figures["visible_time_to_90_s"] == 20.0
     assert np.isnan(figures["visible_time_to_95_s"])
     assert figures["visible_area_under_curve"] == pytest.approx((0 + 50 * 10 + 92 * 20) / 40)
     assert figures["force_max_n"] == 0.3  # what pressed before the first action is not counted
+
+
+def test_coverage_is_told_at_the_papers_time_or_at_the_end_of_shorter_episodes() -> None:
+    assert (judged_time(60.0), judged_time(30.0)) == (47.62, 30.0)
+
+
+def test_success_by_hand() -> None:
+    """3 cm and 4 cm in 2 s, then the goal; the same without one."""
+    pose = np.eye(3, 7)
+    pose[:, :3] = [[0.0, 0.0, 0.0], [0.03, 0.0, 0.0], [0.03, 0.04, 0.0]]
+    curves = EpisodeCurves(
+        np.array([0.0, 1.0, 2.0]), np.zeros((3, 3)), np.zeros(3), np.zeros(3), pose
+    )
+    found = success_measures(curves, 1.0, is_success=True)
+    assert found["path_length_m"] == pytest.approx(0.07)
+    assert (found["success"], found["time_to_success_s"], found["progress_at_end"]) == (1, 2, 100)
+    failed = success_measures(curves, 0.4, is_success=False)
+    assert (failed["success"], failed["progress_at_end"]) == (0, 40)
+    assert np.isnan(failed["time_to_success_s"])
+
+
+def test_a_goal_that_is_reached_is_a_success(tmp_path: Path) -> None:
+    """Along a tube from its middle: the goal 2 cm on is reached, that of the other end is not."""
+    rows = []
+    for goal in (0.75, 1.0):
+        task = NavigateTask(goal, tolerance=5e-3)
+        start = Start(fraction=(0.6, 0.6), settle=0.0)
+        env = replace(settings(), organs=(SHORT_GUT,), task=task, start=start, episode_time=1.5)
+        evaluation = Evaluation(tmp_path / str(goal), STATED)
+        evaluate(read_policy("centerline"), env, Plan(seeds=1, episodes=1), evaluation)
+        rows += evaluation.rows
+    assert [row["success"] for row in rows] == [1, 0]
+    assert [row["end"] for row in rows] == ["done", "time"]
+    assert 0.0 < rows[0]["time_to_success_s"] < 1.5
+    assert 0.01 < rows[0]["path_length_m"] < 0.03
+    assert rows[0]["progress_at_end"] == 100 > rows[1]["progress_at_end"] > 0
 
 
 def test_coverage_over_time_holds_after_the_end(tmp_path: Path) -> None:

@@ -46,17 +46,17 @@ class Evaluate:
     task: str = "coverage"
     """What is to be done."""
 
-    organs: tuple[str, ...] = ("stomach:100-119",)
+    organs: tuple[str, ...] = ()
     """Organs: a name with its seeds, such as stomach:0-19, or a mesh with its unit, such as
-    mine.ply:mm."""
+    mine.ply:mm; by default seeds 100 to 119 of the task's organ: stomach, or colon to navigate."""
 
     capsules: tuple[str, ...] = ()
     """Capsules to compare, names of the catalog or files; by default the policy's own, or magnetic.
     """
 
     actuation: str = ""
-    """How the capsule is moved; by default as the policy was trained, or by a wrench that balances
-    gravity."""
+    """How the capsule is moved; by default as the policy was trained, as suits the task, or by a
+    wrench that balances gravity."""
 
     seeds: int = 80
     """Seeds 0, 1, …; they go through the organs in turn."""
@@ -64,8 +64,8 @@ class Evaluate:
     episodes: int = 5
     """Episodes of each seed, each from another start."""
 
-    time: float = 60.0
-    """Time of an episode [s]."""
+    time: float | None = None
+    """Time of an episode [s]; by default 60, to navigate 1200, to inspect 180."""
 
     dynamics: Literal["physics", "quasi-static"] = "physics"
     """Full simulation, or without inertia and fast."""
@@ -131,17 +131,25 @@ class Evaluate:
         from vrcaps.env.actuation.wrench import Wrench
         from vrcaps.env.settings import env_settings
 
-        keywords: dict[str, Any] = {"actuation": Wrench(is_weightless=True)}
-        keywords |= policy.requires.settings
+        keywords: dict[str, Any] = dict(policy.requires.settings)
         if getattr(keywords.get("task"), "kind", "") != self.task:
             keywords["task"] = self.task
         if self.actuation:
             keywords["actuation"] = self.actuation
         if capsule:
             keywords["capsule"] = capsule
-        keywords["organs"] = tuple(o for text in self.organs for o in parse_organs(text))
-        keywords |= {"episode_time": self.time, "stuck_time": 2.0 * self.time}
-        settings = env_settings(**keywords, dynamics=self.dynamics)
+        settings = env_settings(**keywords | {"dynamics": self.dynamics})
+        usual = {"organs": ("stomach",), "episode_time": 60.0} | settings.task.defaults
+        if "actuation" not in keywords | usual:
+            settings = replace(settings, actuation=Wrench(is_weightless=True))
+        organs = self.organs or tuple(f"{organ}:100-119" for organ in usual["organs"])
+        time = usual["episode_time"] if self.time is None else self.time
+        settings = replace(
+            settings,
+            organs=tuple(o for text in organs for o in parse_organs(text)),
+            episode_time=time,
+            stuck_time=2.0 * time,
+        )
         _check_names(settings)
         if hasattr(settings.task, "target"):
             settings = replace(settings, task=replace(settings.task, target=1.0))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,7 @@ import numpy as np
 from vrcaps.errors import require
 
 if TYPE_CHECKING:
-    from jaxtyping import Int
+    from jaxtyping import Float, Int
     from numpy.typing import NDArray
 
 
@@ -56,18 +56,52 @@ def bootstrap(
     Raises:
         InputError: If a number is out of range.
     """
+    drawn = _drawn(count, groups, resamples, seed)
+    low, high = _limits(np.array([statistic(items) for items in drawn]), level)
+    return Interval(float(statistic(np.arange(count))), float(low), float(high))
+
+
+def mean_band(
+    curves: Float[np.ndarray, "n t"],
+    *,
+    groups: NDArray | None = None,
+    level: float = 0.95,
+    resamples: int = 1000,
+    seed: int = 0,
+) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, " t"]]:
+    """Percentile intervals of the mean of curves, at each of their places; see `bootstrap`.
+
+    Args:
+        curves: A row each.
+        groups: Group of each curve [n]; None draws curves.
+        level: Share of resamples within the interval.
+        resamples: Number of draws.
+        seed: Of the draws.
+
+    Raises:
+        InputError: If a number is out of range.
+    """
+    drawn = _drawn(len(curves), groups, resamples, seed)
+    low, high = _limits(np.array([curves[items].mean(axis=0) for items in drawn]), level)
+    return low, high
+
+
+def _drawn(
+    count: int, groups: NDArray | None, resamples: int, seed: int
+) -> Iterator[Int[np.ndarray, " k"]]:
+    """Numbers of the items of each resample."""
     require(count > 0, "number of items", count, "1 or more")
-    require(0.0 < level < 1.0, "level of confidence", level, "above 0, below 1")
     require(resamples > 1, "number of resamples", resamples, "2 or more")
     rng = np.random.default_rng(seed)
     keys = np.arange(count) if groups is None else np.unique(groups, return_inverse=True)[1]
     order = np.argsort(keys, kind="stable")
     members = np.split(order, np.cumsum(np.bincount(keys))[:-1])
-    drawn = (
-        np.concatenate([members[k] for k in rng.integers(len(members), size=len(members))])
-        for _ in range(resamples)
-    )
-    values = np.array([statistic(items) for items in drawn])
+    for _ in range(resamples):
+        yield np.concatenate([members[k] for k in rng.integers(len(members), size=len(members))])
+
+
+def _limits(values: NDArray, level: float) -> NDArray:
+    """Lower and upper ends of an interval that holds a share of the values."""
+    require(0.0 < level < 1.0, "level of confidence", level, "above 0, below 1")
     tail = 0.5 * (1.0 - level)
-    low, high = np.nanquantile(values, [tail, 1.0 - tail])
-    return Interval(float(statistic(np.arange(count))), float(low), float(high))
+    return np.nanquantile(values, [tail, 1.0 - tail], axis=0)

@@ -10,7 +10,12 @@ import numpy as np
 
 from vrcaps.env.vector_env import CapsuleVectorEnv
 from vrcaps.limits import Range, check_fields
-from vrcaps.policy.evaluation import EpisodeCurves, Evaluation, episode_measures
+from vrcaps.policy.evaluation import (
+    EpisodeCurves,
+    Evaluation,
+    episode_measures,
+    success_measures,
+)
 from vrcaps.transforms import quaternion_from_matrix
 
 if TYPE_CHECKING:
@@ -21,6 +26,9 @@ if TYPE_CHECKING:
 
 _SEEDS_APART = 1000
 """Episode e of seed s begins with the seed 1000 s + e."""
+
+_DONE = "done"
+"""End of an episode whose task is done."""
 
 
 @dataclass(frozen=True)
@@ -110,6 +118,7 @@ def _run(
             active[index] = False
         observations = envs.episode.observe()
     whole, were_active = np.stack(samples), np.stack(sampled)
+    progress = envs.settings.task.progress(simulation)
     rows, curves = [], []
     for index, (seed, episode) in enumerate(trials):
         curve = _curves(whole[were_active[:, index], index])
@@ -120,6 +129,8 @@ def _run(
             "end": ends[index],
             "wall_escapes": int(ends[index] == "outside the wall"),
         }
+        is_success, reached = ends[index] == _DONE, float(progress[index])
+        row |= success_measures(curve, reached, is_success=is_success)
         row |= episode_measures(curve, envs.settings.episode_time)
         rows.append(row)
         curves.append(curve)
@@ -154,6 +165,6 @@ def _end(step: EpisodeStep, index: int) -> str:
     if measures["failure"][index]:
         return f"failed: {measures['failure'][index]}"
     if step.terminated[index]:
-        return "done"
+        return _DONE
     names = {"is_too_fast": "too fast", "is_stuck": "stuck"}
     return next((said for name, said in names.items() if measures[name][index]), "time")

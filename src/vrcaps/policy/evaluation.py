@@ -63,6 +63,34 @@ class EpisodeCurves:
         }
 
 
+def judged_time(whole_time: float) -> float:
+    """Time at which coverage is told [s]: VR-Caps', or the end of shorter episodes."""
+    return min(PAPER_TIME, whole_time)
+
+
+def success_measures(
+    curves: EpisodeCurves, progress: float, *, is_success: bool
+) -> dict[str, float]:
+    """How an episode's task went.
+
+    Args:
+        curves: Of the episode.
+        progress: Of the task at its end: largest part of the way, of the lesions or of the wall.
+        is_success: Whether the task was done.
+
+    Returns:
+        Whether it was done (1 or 0), the time that took [s] (NaN where it was not), progress in
+        percent, and the length of the capsule's path [m].
+    """
+    way = np.linalg.norm(np.diff(curves.pose[:, :3], axis=0), axis=1).sum()
+    return {
+        "success": float(is_success),
+        "time_to_success_s": float(curves.time[-1]) if is_success else np.nan,
+        "progress_at_end": 100.0 * progress,
+        "path_length_m": float(way),
+    }
+
+
 def episode_measures(curves: EpisodeCurves, whole_time: float) -> dict[str, float]:
     """What an episode is judged by; after its end, its coverage stays as it was.
 
@@ -75,9 +103,10 @@ def episode_measures(curves: EpisodeCurves, whole_time: float) -> dict[str, floa
         not reached; percentiles of the normal force in newtons.
     """
     figures: dict[str, float] = {}
+    judged = judged_time(whole_time)
     for k, level in enumerate(POINT_LEVELS):
         percent = 100.0 * curves.fraction[:, k]
-        figures[f"{level}_at_{PAPER_TIME}_s"] = float(coverage_at(curves.time, percent, PAPER_TIME))
+        figures[f"{level}_at_{judged:g}_s"] = float(coverage_at(curves.time, percent, judged))
         figures[f"{level}_at_end"] = float(percent[-1])
         figures[f"{level}_area_under_curve"] = _mean_until(curves.time, percent, whole_time)
         for target in TARGETS:

@@ -56,7 +56,8 @@ def test_a_video_of_the_median_run(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     subject = Subject("centerline", evaluation, settings)
     write_run_video(tmp_path / "median.mp4", subject)
     require_preview(tmp_path / "median.mp4", 2)
-    assert summary(subject)["wall escapes"] == "0"
+    assert summary(subject)["wall escapes"] == "0 (0.0 %)"
+    assert "success [%]" not in summary(subject)
     assert ends(subject) == {"time": 1}
 
 

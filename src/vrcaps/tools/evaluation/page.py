@@ -19,8 +19,8 @@ PAGE, PICTURE, TABLE, VIDEO = "index.html", "summary.png", "summary.csv", "media
 _NOTE = f"""Coverage: points on the wall that stand for its area; <i>frustum</i> counts vertices
 in the field of view through walls (the definition of VR-Caps), <i>visible</i> what nothing hides,
 <i>resolved</i> what is also seen close and steeply enough. After the end of an episode its coverage
-stays. Lines: mean over episodes with its 95 % confidence band, as if all episodes were independent,
-though those in one organ are alike; pale: 10th to 90th percentile.
+stays. Lines: mean over episodes with its 95 % confidence band, for which whole organs are drawn
+anew 1,000 times (episodes where there is one organ); pale: 10th to 90th percentile.
 Star: VR-Caps, {PAPER_COVERAGE} % at {PAPER_TIME} s of one stomach. Times: median over episodes,
 where one that never got there counts as the longest, and how many got there. Forces: median over
 episodes of percentiles over the actions of an episode."""
@@ -65,7 +65,7 @@ def _page(folder: Path, subjects: Sequence[Subject], rows: list[dict[str, str]])
         f"<p class='note'>{_NOTE}</p>",
         html_table(rows),
         "<h2>Organs</h2><p class='note'>Median visible coverage "
-        f"at {PAPER_TIME} s [%].</p>{html_table(by_organ)}",
+        f"at {subjects[0].judged_at:g} s [%].</p>{html_table(by_organ)}",
         f"<h2>Ends of episodes</h2>{html_table(_ends(subjects))}",
     ]
     for subject in subjects:
@@ -90,7 +90,7 @@ def _by_organ(subjects: Sequence[Subject]) -> list[dict[str, str]]:
         row = {"organ": name}
         for subject in subjects:
             own = subject.evaluation.column("organ") == name
-            percent = subject.evaluation.column(f"visible_at_{PAPER_TIME}_s")[own]
+            percent = subject.evaluation.column(f"visible_at_{subject.judged_at:g}_s")[own]
             row[subject.name] = f"{np.median(percent):.1f}" if len(percent) else ""
         rows.append(row)
     return rows

@@ -1,4 +1,4 @@
-"""Figure of an evaluation: coverage against time, at the paper's time, and time to targets."""
+"""Figure of an evaluation: coverage against time, at the time of judging, and time to targets."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.metrics.bootstrap import mean_band
 from vrcaps.metrics.point_coverage import POINT_LEVELS
 from vrcaps.policy.evaluation import PAPER_COVERAGE, PAPER_TIME, TARGETS
-from vrcaps.tools.evaluation.subject import Subject, median_time
+from vrcaps.tools.evaluation.subject import Subject, median_time, organs_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,8 +21,6 @@ COLORS = ("#3b6fb6", "#e0982f", "#1a8a4a", "#a23b72", "#7f5f3f", "#5f5f5f", "#27
 
 _SIZE_INCH, _DPI = (14.0, 8.2), 110
 _POINTS = 241
-_CONFIDENCE = 1.96
-"""Standard errors to each side of a mean: 95 %."""
 
 
 def summary_picture(subjects: Sequence[Subject]) -> bytes:
@@ -51,16 +50,13 @@ def _draw_over_time(view: Axes, subjects: Sequence[Subject], column: int) -> Non
     for number, subject in enumerate(subjects):
         color = COLORS[number % len(COLORS)]
         percent = subject.evaluation.over_time(level, time)
-        mean, count = percent.mean(axis=0), len(percent)
-        view.plot(time, mean, color=color, lw=1.8, label=subject.name)
+        view.plot(time, percent.mean(axis=0), color=color, lw=1.8, label=subject.name)
         low, high = np.percentile(percent, (10, 90), axis=0)
         view.fill_between(time, low, high, color=color, alpha=0.10, lw=0)
-        if count > 1:
-            error = _CONFIDENCE * percent.std(axis=0, ddof=1) / np.sqrt(count)
-            view.fill_between(
-                time, mean - error, np.minimum(mean + error, 100), color=color, alpha=0.25, lw=0
-            )
-    if level == "frustum":
+        if len(percent) > 1:
+            low, high = mean_band(percent, groups=organs_of(subject.evaluation))
+            view.fill_between(time, low, high, color=color, alpha=0.25, lw=0)
+    if level == "frustum" and whole >= PAPER_TIME:
         view.plot(PAPER_TIME, PAPER_COVERAGE, marker="*", ms=11, color="#222222", ls="")
         view.annotate(
             f"VR-Caps, {PAPER_COVERAGE} %",
@@ -70,17 +66,18 @@ def _draw_over_time(view: Axes, subjects: Sequence[Subject], column: int) -> Non
             textcoords="offset points",
             size=8,
         )
-    view.axvline(PAPER_TIME, color="#999999", lw=0.8, ls=":")
+    view.axvline(subjects[0].judged_at, color="#999999", lw=0.8, ls=":")
     view.set(title=level, xlabel="time [s]", ylim=(0, 101), xlim=(0, whole))
     view.set_ylabel("coverage [%]" if column == 0 else "")
     view.grid(alpha=0.3)
 
 
 def _draw_coverage(view: Axes, subjects: Sequence[Subject]) -> None:
-    """Bars of coverage at the paper's time, median with the range of most episodes."""
+    """Bars of coverage at the time of judging, median with the range of most episodes."""
+    judged = subjects[0].judged_at
     width = 0.8 / len(subjects)
     for number, subject in enumerate(subjects):
-        columns = [subject.evaluation.column(f"{lv}_at_{PAPER_TIME}_s") for lv in POINT_LEVELS]
+        columns = [subject.evaluation.column(f"{lv}_at_{judged:g}_s") for lv in POINT_LEVELS]
         low, middle, high = np.percentile(np.array(columns), (10, 50, 90), axis=1)
         at = np.arange(len(POINT_LEVELS)) + (number - 0.5 * (len(subjects) - 1)) * width
         view.bar(
@@ -96,7 +93,7 @@ def _draw_coverage(view: Axes, subjects: Sequence[Subject]) -> None:
             view.text(x, 2.0, f"{value:.1f}", ha="center", size=8, color="white")
     view.set_xticks(range(len(POINT_LEVELS)), POINT_LEVELS)
     view.set(ylim=(0, 101), ylabel="coverage [%]")
-    view.set_title(f"coverage at {PAPER_TIME} s: median, 10th to 90th percentile", size=10)
+    view.set_title(f"coverage at {judged:g} s: median, 10th to 90th percentile", size=10)
     view.grid(axis="y", alpha=0.3)
 
 

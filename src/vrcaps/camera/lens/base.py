@@ -1,4 +1,4 @@
-"""Interface of lens models, and the arithmetic that they have in common.
+"""Interface of lens models, and the arithmetic that they have in common, on arrays and tensors.
 
 A lens model is a frozen dataclass of plain numbers. Pixels are (column, row), and pixel (0, 0) is
 the center of the top-left pixel. The camera frame is x right, y down, z forward.
@@ -7,13 +7,14 @@ the center of the top-left pixel. The camera frame is x right, y down, z forward
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 
+from vrcaps.camera.lens.tensors import namespace, solved
 from vrcaps.errors import InputError
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ class Lens(Protocol):
 
     The metadata of a field say what files and scaled images do with it: `unit` is its unit in a
     device file and ends its key; `px_power` is the power of the image's scale that it goes with.
+    `project` and `unproject` take tensors of PyTorch, too, and give tensors with gradients.
 
     Attributes:
         kind: Its name in files.
@@ -96,9 +98,9 @@ def check_lens(lens: Any, positive: tuple[str, ...]) -> None:
 
 def angles_to_axis(points: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:
     """Angle [rad] between points' directions and the optical axis; NaN for the origin itself."""
-    lateral = np.hypot(points[..., 0], points[..., 1])
-    angle = np.arctan2(lateral, points[..., 2])
-    return np.where((lateral == 0.0) & (points[..., 2] == 0.0), np.nan, angle)
+    xp = namespace(points)
+    angle = xp.arctan2(xp.hypot(points[..., 0], points[..., 1]), points[..., 2])
+    return xp.where((points == 0.0).all(-1), xp.nan, angle)
 
 
 def rays_at_angles(
@@ -108,17 +110,26 @@ def rays_at_angles(
 
     Where the direction is zero the ray is the optical axis.
     """
-    length = np.hypot(direction[..., 0], direction[..., 1])
-    scale = np.sin(angle) / np.where(length > 0.0, length, 1.0)
-    z = np.where(length > 0.0, np.cos(angle), np.where(np.isnan(angle), np.nan, 1.0))
-    return np.stack([direction[..., 0] * scale, direction[..., 1] * scale, z], axis=-1)
+    xp = namespace(angle)
+    length = xp.hypot(direction[..., 0], direction[..., 1])
+    scale = xp.sin(angle) / xp.where(length > 0.0, length, 1.0)
+    z = xp.where(length > 0.0, xp.cos(angle), xp.where(xp.isnan(angle), xp.nan, 1.0))
+    return xp.stack([direction[..., 0] * scale, direction[..., 1] * scale, z], axis=-1)
 
 
 def masked(
     values: Float[np.ndarray, "*batch c"], valid: Bool[np.ndarray, "*batch"]
 ) -> Float[np.ndarray, "*batch c"]:
     """Values with NaN where they are not valid."""
-    return np.where(valid[..., None], values, np.nan)
+    return namespace(values).where(valid[..., None], values, np.nan)
+
+
+def polynomial(x: Any, coefficients: Sequence[float]) -> Any:
+    """Σ cᵢ xⁱ by Horner's rule."""
+    total = x * 0.0 + coefficients[-1]
+    for coefficient in coefficients[-2::-1]:
+        total = coefficient + total * x
+    return total
 
 
 @lru_cache(maxsize=256)
@@ -148,6 +159,22 @@ def invert_monotone(
         values: To be reached; those beyond the range give the nearer end, NaN gives NaN.
         upper: End of the interval.
     """
+
+    def newton_step(x: Any, values: Any) -> Any:
+        slope = derivative(x)
+        error = function(x) - values.clip(0.0, float(function(np.array(upper))))
+        return error / namespace(slope).where(slope > 0.0, slope, np.inf)
+
+    solve = partial(_invert_array, function, derivative, upper)
+    return solved(solve, newton_step, values)
+
+
+def _invert_array(
+    function: Callable[[np.ndarray], np.ndarray],
+    derivative: Callable[[np.ndarray], np.ndarray],
+    upper: float,
+    values: np.ndarray,
+) -> np.ndarray:
     grid = upper * np.linspace(0.0, 1.0, 257)
     table = function(grid)
     values = np.clip(values, 0.0, table[-1])

@@ -6,8 +6,6 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
-import numpy as np
-
 from vrcaps.camera.lens.base import (
     ANGLE,
     ANGLE_SLACK,
@@ -17,8 +15,10 @@ from vrcaps.camera.lens.base import (
     masked,
     rays_at_angles,
 )
+from vrcaps.camera.lens.tensors import namespace, on_tensors
 
 if TYPE_CHECKING:
+    import numpy as np
     from jaxtyping import Float
 
 
@@ -52,19 +52,21 @@ class LensEquidistant:
         """Largest angle to the axis in the field [rad]."""
         return self.max_angle or math.pi
 
+    @on_tensors
     def project(
         self, points_camera: Float[np.ndarray, "*batch 3"]
     ) -> Float[np.ndarray, "*batch 2"]:
         """Pixels of points in the camera frame (any length unit); NaN outside the field."""
-        points = np.asarray(points_camera, float)
-        angle = angles_to_axis(points)
-        lateral = np.hypot(points[..., 0], points[..., 1])
-        scale = self.focal * angle / np.where(lateral > 0.0, lateral, 1.0)
-        pixels = points[..., :2] * scale[..., None] + (self.cx, self.cy)
+        xp, (x, y) = namespace(points_camera), (points_camera[..., 0], points_camera[..., 1])
+        angle, lateral = angles_to_axis(points_camera), xp.hypot(x, y)
+        scale = self.focal * angle / xp.where(lateral > 0.0, lateral, 1.0)
+        pixels = xp.stack([x * scale + self.cx, y * scale + self.cy], axis=-1)
         return masked(pixels, angle <= self.limit + ANGLE_SLACK)
 
+    @on_tensors
     def unproject(self, pixels: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 3"]:
         """Unit rays in the camera frame through pixels; NaN outside the field."""
-        plane = (np.asarray(pixels, float) - (self.cx, self.cy)) / self.focal
-        angle = np.hypot(plane[..., 0], plane[..., 1])
+        xp = namespace(pixels)
+        x, y = (pixels[..., 0] - self.cx) / self.focal, (pixels[..., 1] - self.cy) / self.focal
+        angle, plane = xp.hypot(x, y), xp.stack([x, y], axis=-1)
         return masked(rays_at_angles(angle, plane), angle <= self.limit)

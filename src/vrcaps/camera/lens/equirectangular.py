@@ -6,8 +6,6 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
-import numpy as np
-
 from vrcaps.camera.lens.base import (
     ANGLE,
     ANGLE_SLACK,
@@ -16,8 +14,10 @@ from vrcaps.camera.lens.base import (
     check_lens,
     masked,
 )
+from vrcaps.camera.lens.tensors import namespace, on_tensors
 
 if TYPE_CHECKING:
+    import numpy as np
     from jaxtyping import Float
 
 
@@ -50,24 +50,27 @@ class LensEquirectangular:
     def __post_init__(self) -> None:
         check_lens(self, positive=("fx", "fy"))
 
+    @on_tensors
     def project(
         self, points_camera: Float[np.ndarray, "*batch 3"]
     ) -> Float[np.ndarray, "*batch 2"]:
         """Pixels of points in the camera frame (any length unit); NaN outside the field."""
-        points = np.asarray(points_camera, float)
-        x, y, z = np.moveaxis(points, -1, 0)
-        longitude, latitude = np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))
-        pixels = np.stack([self.fx * longitude + self.cx, self.fy * latitude + self.cy], axis=-1)
-        return masked(pixels, self._sees(points))
+        xp = namespace(points_camera)
+        x, y, z = (points_camera[..., axis] for axis in range(3))
+        longitude, latitude = xp.arctan2(x, z), xp.arctan2(y, xp.hypot(x, z))
+        pixels = xp.stack([self.fx * longitude + self.cx, self.fy * latitude + self.cy], axis=-1)
+        return masked(pixels, self._sees(points_camera))
 
+    @on_tensors
     def unproject(self, pixels: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 3"]:
         """Unit rays in the camera frame through pixels; NaN outside the field."""
-        plane = (np.asarray(pixels, float) - (self.cx, self.cy)) / (self.fx, self.fy)
-        longitude, latitude = plane[..., 0], plane[..., 1]
-        across = np.cos(latitude)
-        x, z = across * np.sin(longitude), across * np.cos(longitude)
-        rays = np.stack([x, np.sin(latitude), z], axis=-1)
-        on_sphere = (np.abs(longitude) <= math.pi) & (np.abs(latitude) <= 0.5 * math.pi)
+        xp = namespace(pixels)
+        longitude = (pixels[..., 0] - self.cx) / self.fx
+        latitude = (pixels[..., 1] - self.cy) / self.fy
+        across = xp.cos(latitude)
+        x, z = across * xp.sin(longitude), across * xp.cos(longitude)
+        rays = xp.stack([x, xp.sin(latitude), z], axis=-1)
+        on_sphere = (xp.abs(longitude) <= math.pi) & (xp.abs(latitude) <= 0.5 * math.pi)
         return masked(rays, on_sphere & self._sees(rays))
 
     def _sees(self, points: np.ndarray) -> np.ndarray:

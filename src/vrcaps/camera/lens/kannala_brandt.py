@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from numpy.polynomial.polynomial import polyval
 
 from vrcaps.camera.lens.base import (
     ANGLE,
@@ -18,8 +17,10 @@ from vrcaps.camera.lens.base import (
     first_positive_root,
     invert_monotone,
     masked,
+    polynomial,
     rays_at_angles,
 )
+from vrcaps.camera.lens.tensors import namespace, on_tensors
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -70,27 +71,29 @@ class LensKannalaBrandt:
         )
         return min(math.sqrt(turn), self.max_angle or math.pi, math.pi)
 
+    @on_tensors
     def project(
         self, points_camera: Float[np.ndarray, "*batch 3"]
     ) -> Float[np.ndarray, "*batch 2"]:
         """Pixels of points in the camera frame (any length unit); NaN outside the field."""
-        points = np.asarray(points_camera, float)
-        angle = angles_to_axis(points)
-        lateral = np.hypot(points[..., 0], points[..., 1])
-        scale = self._radius(angle) / np.where(lateral > 0.0, lateral, 1.0)
-        focal, center = (self.fx, self.fy), (self.cx, self.cy)
-        pixels = points[..., :2] * scale[..., None] * focal + center
+        xp, (x, y) = namespace(points_camera), (points_camera[..., 0], points_camera[..., 1])
+        angle, lateral = angles_to_axis(points_camera), xp.hypot(x, y)
+        scale = self._radius(angle) / xp.where(lateral > 0.0, lateral, 1.0)
+        u, v = x * scale * self.fx + self.cx, y * scale * self.fy + self.cy
+        pixels = xp.stack([u, v], axis=-1)
         return masked(pixels, angle <= self.limit + ANGLE_SLACK)
 
+    @on_tensors
     def unproject(self, pixels: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 3"]:
         """Unit rays in the camera frame through pixels; NaN outside the field."""
-        plane = (np.asarray(pixels, float) - (self.cx, self.cy)) / (self.fx, self.fy)
-        radius = np.hypot(plane[..., 0], plane[..., 1])
+        xp = namespace(pixels)
+        x, y = (pixels[..., 0] - self.cx) / self.fx, (pixels[..., 1] - self.cy) / self.fy
+        radius, plane = xp.hypot(x, y), xp.stack([x, y], axis=-1)
         angle = invert_monotone(self._radius, self._slope, radius, self.limit)
-        return masked(rays_at_angles(angle, plane), radius <= self._radius(np.array(self.limit)))
+        return masked(rays_at_angles(angle, plane), radius <= self._radius(self.limit))
 
-    def _radius(self, angle: np.ndarray) -> np.ndarray:
-        return angle * polyval(angle**2, (1.0, self.k1, self.k2, self.k3, self.k4))
+    def _radius(self, angle: Any) -> Any:
+        return angle * polynomial(angle**2, (1.0, self.k1, self.k2, self.k3, self.k4))
 
-    def _slope(self, angle: np.ndarray) -> np.ndarray:
-        return polyval(angle**2, (1.0, 3 * self.k1, 5 * self.k2, 7 * self.k3, 9 * self.k4))
+    def _slope(self, angle: Any) -> Any:
+        return polynomial(angle**2, (1.0, 3 * self.k1, 5 * self.k2, 7 * self.k3, 9 * self.k4))

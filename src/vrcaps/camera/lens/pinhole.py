@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from numpy.polynomial.polynomial import polyval
 
 from vrcaps.camera.lens.base import (
     ANGLE,
@@ -16,10 +15,12 @@ from vrcaps.camera.lens.base import (
     first_positive_root,
     invert_monotone,
     masked,
+    polynomial,
 )
+from vrcaps.camera.lens.tensors import namespace, on_tensors, solved
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+    from jaxtyping import Float
 
 _WIDEST = 1e4
 """Largest tangent of the angle to the axis that is looked at: 89.994°."""
@@ -86,55 +87,67 @@ class LensPinhole:
         widest = math.tan(angle) if angle < math.pi / 2 else math.inf
         return min(across, along, widest, _WIDEST)
 
+    @on_tensors
     def project(
         self, points_camera: Float[np.ndarray, "*batch 3"]
     ) -> Float[np.ndarray, "*batch 2"]:
         """Pixels of points in the camera frame (any length unit); NaN outside the field."""
-        points = np.asarray(points_camera, float)
-        z = np.where(points[..., 2] > 0.0, points[..., 2], np.nan)
-        plane = points[..., :2] / z[..., None]
-        distorted = self._distort(plane)
-        u = self.fx * distorted[..., 0] + self.skew * distorted[..., 1] + self.cx
-        pixels = np.stack([u, self.fy * distorted[..., 1] + self.cy], axis=-1)
-        return masked(pixels, self._in_field(plane))
+        xp, is_ahead = namespace(points_camera), points_camera[..., 2] > 0.0
+        z = xp.where(is_ahead, points_camera[..., 2], 1.0)
+        x, y = points_camera[..., 0] / z, points_camera[..., 1] / z
+        along, down = self._distort(x, y)
+        u, v = self.fx * along + self.skew * down + self.cx, self.fy * down + self.cy
+        in_field = xp.hypot(x, y) <= self.limit * (1.0 + _SLACK)
+        return masked(xp.stack([u, v], axis=-1), is_ahead & in_field)
 
+    @on_tensors
     def unproject(self, pixels: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 3"]:
         """Unit rays in the camera frame through pixels; NaN outside the field."""
-        pixels = np.asarray(pixels, float)
+        xp = namespace(pixels)
         y = (pixels[..., 1] - self.cy) / self.fy
-        distorted = np.stack([(pixels[..., 0] - self.cx - self.skew * y) / self.fx, y], axis=-1)
-        plane = self._undistort(distorted)
-        rays = np.concatenate([plane, np.ones((*plane.shape[:-1], 1))], axis=-1)
-        return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+        x = (pixels[..., 0] - self.cx - self.skew * y) / self.fx
+        rays = self._undistort(xp.stack([x, y], axis=-1))
+        rays = xp.concatenate([rays, xp.ones_like(rays[..., :1])], axis=-1)
+        return rays / xp.linalg.norm(rays, axis=-1, keepdims=True)
 
-    def _in_field(self, plane: np.ndarray) -> Bool[np.ndarray, "*batch"]:
-        return np.hypot(plane[..., 0], plane[..., 1]) <= self.limit * (1.0 + _SLACK)
+    def _gain(self, square: Any) -> Any:
+        return polynomial(square, (1.0, self.k1, self.k2, self.k3))
 
-    def _gain(self, square: np.ndarray) -> np.ndarray:
-        return polyval(square, (1.0, self.k1, self.k2, self.k3))
+    def _gain_slope(self, square: Any) -> Any:
+        return polynomial(square, (self.k1, 2.0 * self.k2, 3.0 * self.k3))
 
-    def _gain_slope(self, square: np.ndarray) -> np.ndarray:
-        return polyval(square, (self.k1, 2.0 * self.k2, 3.0 * self.k3))
+    def _distort(self, x: Any, y: Any) -> tuple[Any, Any]:
+        square = x**2 + y**2
+        gain, along = self._gain(square), 2.0 * (self.p2 * x + self.p1 * y)
+        return (
+            gain * x + square * self.p2 + along * x,
+            gain * y + square * self.p1 + along * y,
+        )
 
-    def _distort(self, plane: np.ndarray) -> np.ndarray:
-        tilt = np.array([self.p2, self.p1])
-        square = np.sum(plane**2, axis=-1, keepdims=True)
-        along = plane @ tilt
-        return self._gain(square) * plane + square * tilt + 2.0 * along[..., None] * plane
-
-    def _undistort(self, distorted: np.ndarray) -> np.ndarray:
+    def _undistort(self, distorted: Any) -> Any:
         """Inverse of `_distort` in the field, NaN outside it."""
-        limit = self.limit
-        target = np.hypot(distorted[..., 0], distorted[..., 1])
+        if self.p1 == 0.0 and self.p2 == 0.0:
+            return masked(*self._undistort_radial(distorted))
+        return solved(self._undistort_array, self._newton_step, distorted)
+
+    def _undistort_radial(self, distorted: Any) -> tuple[Any, Any]:
+        """Inverse of the radial distortion, and where it lies in the field."""
+        xp, limit = namespace(distorted), self.limit
+        target = xp.hypot(distorted[..., 0], distorted[..., 1])
         radius = invert_monotone(
             lambda r: r * self._gain(r**2),
             lambda r: self._gain(r**2) + 2.0 * r**2 * self._gain_slope(r**2),
             target,
             limit,
         )
-        plane = distorted * (radius / np.where(target > 0.0, target, 1.0))[..., None]
-        if self.p1 == 0.0 and self.p2 == 0.0:
-            return masked(plane, target <= limit * self._gain(np.array(limit**2)))
+        plane = distorted * (radius / xp.where(target > 0.0, target, 1.0))[..., None]
+        return plane, target <= limit * self._gain(limit**2)
+
+    def _undistort_array(self, distorted: np.ndarray) -> np.ndarray:
+        """Inverse of the whole distortion, found from the radial one."""
+        limit = self.limit
+        target = np.hypot(distorted[..., 0], distorted[..., 1])
+        plane, _ = self._undistort_radial(distorted)
         for _ in range(60):
             step = self._newton_step(plane, distorted)
             plane = plane - step
@@ -142,16 +155,18 @@ class LensPinhole:
             plane = plane * np.minimum(1.0, limit / np.where(length > 0.0, length, 1.0))[..., None]
             if not np.any(np.abs(step) > 1e-15 * limit):
                 break
-        error = np.abs(self._distort(plane) - distorted).max(axis=-1)
+        found = np.stack(self._distort(plane[..., 0], plane[..., 1]), axis=-1)
+        error = np.abs(found - distorted).max(axis=-1)
         return masked(plane, error <= 1e-12 * (1.0 + target))
 
-    def _newton_step(self, plane: np.ndarray, distorted: np.ndarray) -> np.ndarray:
+    def _newton_step(self, plane: Any, distorted: Any) -> Any:
         x, y = plane[..., 0], plane[..., 1]
         square = x**2 + y**2
         gain, slope = self._gain(square), 2.0 * self._gain_slope(square)
         xx = gain + slope * x**2 + 2.0 * self.p1 * y + 6.0 * self.p2 * x
         yy = gain + slope * y**2 + 6.0 * self.p1 * y + 2.0 * self.p2 * x
         xy = slope * x * y + 2.0 * self.p1 * x + 2.0 * self.p2 * y
-        error = self._distort(plane) - distorted
-        rows = [yy * error[..., 0] - xy * error[..., 1], xx * error[..., 1] - xy * error[..., 0]]
-        return np.stack(rows, axis=-1) / (xx * yy - xy**2)[..., None]
+        along, down = self._distort(x, y)
+        along, down = along - distorted[..., 0], down - distorted[..., 1]
+        rows = [yy * along - xy * down, xx * down - xy * along]
+        return namespace(plane).stack(rows, axis=-1) / (xx * yy - xy**2)[..., None]

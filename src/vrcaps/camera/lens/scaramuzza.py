@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from numpy.polynomial.polynomial import polyval
 
 from vrcaps.camera.lens.base import (
     ANGLE,
@@ -17,8 +16,10 @@ from vrcaps.camera.lens.base import (
     first_positive_root,
     invert_monotone,
     masked,
+    polynomial,
     rays_at_angles,
 )
+from vrcaps.camera.lens.tensors import namespace, on_tensors
 from vrcaps.errors import InputError
 
 if TYPE_CHECKING:
@@ -87,33 +88,34 @@ class LensScaramuzza:
             return widest
         return float(invert_monotone(self._angle, self._slope, np.array(self.max_angle), widest))
 
+    @on_tensors
     def project(
         self, points_camera: Float[np.ndarray, "*batch 3"]
     ) -> Float[np.ndarray, "*batch 2"]:
         """Pixels of points in the camera frame (any length unit); NaN outside the field."""
-        points = np.asarray(points_camera, float)
-        angle, limit = angles_to_axis(points), self.limit
-        radius = invert_monotone(self._angle, self._slope, angle, limit)
-        lateral = np.hypot(points[..., 0], points[..., 1])
-        plane = points[..., :2] * (radius / np.where(lateral > 0.0, lateral, 1.0))[..., None]
-        pixels = plane @ np.array(self._stretch).T + (self.cx, self.cy)
-        return masked(pixels, angle <= self._angle(np.array(limit)) + ANGLE_SLACK)
+        xp, (x, y) = namespace(points_camera), (points_camera[..., 0], points_camera[..., 1])
+        angle, limit = angles_to_axis(points_camera), self.limit
+        radius, lateral = invert_monotone(self._angle, self._slope, angle, limit), xp.hypot(x, y)
+        scale = radius / xp.where(lateral > 0.0, lateral, 1.0)
+        x, y = x * scale, y * scale
+        u, v = self.c * x + self.d * y + self.cx, self.e * x + y + self.cy
+        pixels = xp.stack([u, v], axis=-1)
+        return masked(pixels, angle <= float(self._angle(np.array(limit))) + ANGLE_SLACK)
 
+    @on_tensors
     def unproject(self, pixels: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 3"]:
         """Unit rays in the camera frame through pixels; NaN outside the field."""
-        centered = np.asarray(pixels, float) - (self.cx, self.cy)
-        plane = centered @ np.linalg.inv(self._stretch).T
-        radius = np.hypot(plane[..., 0], plane[..., 1])
+        xp, (u, v) = namespace(pixels), (pixels[..., 0] - self.cx, pixels[..., 1] - self.cy)
+        area = self.c - self.d * self.e
+        x, y = (u - self.d * v) / area, (self.c * v - self.e * u) / area
+        radius, plane = xp.hypot(x, y), xp.stack([x, y], axis=-1)
         return masked(rays_at_angles(self._angle(radius), plane), radius <= self.limit)
 
-    @property
-    def _stretch(self) -> list[list[float]]:
-        return [[self.c, self.d], [self.e, 1.0]]
+    def _angle(self, radius: Any) -> Any:
+        forward = polynomial(radius, (self.a0, 0.0, self.a2, self.a3, self.a4))
+        return namespace(radius).arctan2(radius, forward)
 
-    def _angle(self, radius: np.ndarray) -> np.ndarray:
-        return np.arctan2(radius, polyval(radius, (self.a0, 0.0, self.a2, self.a3, self.a4)))
-
-    def _slope(self, radius: np.ndarray) -> np.ndarray:
-        forward = polyval(radius, (self.a0, 0.0, self.a2, self.a3, self.a4))
-        rise = polyval(radius, (self.a0, 0.0, -self.a2, -2.0 * self.a3, -3.0 * self.a4))
+    def _slope(self, radius: Any) -> Any:
+        forward = polynomial(radius, (self.a0, 0.0, self.a2, self.a3, self.a4))
+        rise = polynomial(radius, (self.a0, 0.0, -self.a2, -2.0 * self.a3, -3.0 * self.a4))
         return rise / (radius**2 + forward**2)

@@ -55,12 +55,12 @@ def found_folders(folder: Path, mark: str) -> Iterator[tuple[Path, str | None]]:
 
     Args:
         folder: One sequence, or a folder of sequences at any depth.
-        mark: Name or pattern of a file that every sequence has.
+        mark: Path or pattern, from the sequence's folder, of a file that every sequence has.
 
     Raises:
         InputError: If there is none.
     """
-    places = sorted({path.parent for path in folder.rglob(mark)})
+    places = sorted({path.parents[mark.count("/")] for path in folder.rglob(mark)})
     if not places:
         raise InputError(f"{folder} holds no {mark}, so no sequence in this layout.")
     for place in places:

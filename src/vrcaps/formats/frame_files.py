@@ -28,21 +28,15 @@ Reader = Callable[[Path], "NDArray"]
 """Reads the image of one channel in SI units."""
 
 
-def by_number(paths: Iterable[Path], part: str = "") -> dict[int, Path]:
-    """Files by the number in their names, in its order: 10 comes after 9 without leading zeros.
-
-    Args:
-        paths: Files of one channel.
-        part: Of names like ``0005_color_v2``, what the number stands before; otherwise the last
-            number in the name counts.
+def by_number(paths: Iterable[Path]) -> dict[int, Path]:
+    """Files by the last number in their names, in its order: 10 after 9 without leading zeros.
 
     Raises:
         InputError: If a name has no number, or two have the same.
     """
     found: dict[int, Path] = {}
     for path in paths:
-        stem = path.stem.split(part)[0] if part else path.stem
-        numbers = _NUMBER.findall(stem)
+        numbers = _NUMBER.findall(path.stem)
         if not numbers:
             raise InputError(f"{path} has no number of a frame in its name.")
         if found.setdefault(int(numbers[-1]), path) != path:

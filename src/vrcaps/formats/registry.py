@@ -1,6 +1,7 @@
 """All formats: one line each."""
 
 from vrcaps.errors import UnknownNameError
+from vrcaps.formats.c3vd import C3vd
 from vrcaps.formats.colmap import Colmap
 from vrcaps.formats.format import Format
 from vrcaps.formats.hugging_face import HuggingFace
@@ -15,6 +16,7 @@ FORMATS: dict[str, type[Format]] = {
         Tum,
         Kitti,
         SimCol3D,
+        C3vd,
         Colmap,
         WebDataset,
         HuggingFace,

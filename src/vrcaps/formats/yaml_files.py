@@ -1,0 +1,50 @@
+"""Calibrations in YAML."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from vrcaps.errors import InputError, MissingExtraError
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """The table that a YAML file holds.
+
+    Raises:
+        InputError: If the file cannot be read or holds no table.
+        MissingExtraError: If PyYAML is not installed.
+    """
+    try:
+        import yaml
+    except ImportError as error:
+        raise MissingExtraError("PyYAML", "formats") from error
+    try:
+        plain = yaml.safe_load(path.read_text())
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        raise InputError(f"Cannot read {path}: {' '.join(str(error).split())}.") from error
+    if not isinstance(plain, dict):
+        raise InputError(f"{path} holds no table of keys and values.")
+    return plain
+
+
+def numbers_of(plain: Any, key: str, count: int, path: Path) -> list[float]:
+    """Numbers of a key.
+
+    Args:
+        plain: The table that has the key.
+        key: A list of numbers.
+        count: How many.
+        path: Of the file, for messages.
+
+    Raises:
+        InputError: If they are not there.
+    """
+    found = plain.get(key) if isinstance(plain, dict) else None
+    try:
+        numbers = [float(value) for value in found]  # type: ignore[union-attr]
+    except (TypeError, ValueError):
+        numbers = []
+    if len(numbers) != count:
+        raise InputError(f"{path} has for {key} {found}. Allowed: {count} numbers.")
+    return numbers

@@ -41,6 +41,7 @@ LAYERS = (
     ("env",),
     ("policy",),
     ("tools",),
+    ("cockpit",),
     ("cli",),
 )
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}

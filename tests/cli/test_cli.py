@@ -12,6 +12,8 @@ from vrcaps import cli
 from vrcaps.cli.check import Check
 from vrcaps.cli.demo import _free_folder
 from vrcaps.cli.record import Record
+from vrcaps.errors import InputError
+from vrcaps.file_ref import FileRef
 from vrcaps.lumen.bowel_preparation import prepared
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.fly_through import FlyThrough
@@ -45,6 +47,25 @@ def resolved(args: str) -> Scenario:
     command = cli._parse(["record", "--out", "o", *args.split()])
     assert isinstance(command, Record)
     return command.resolved()
+
+
+def test_recorded_commands_steer(tmp_path: Path) -> None:
+    """In a recording; in the cockpit one steers oneself."""
+    commands = tmp_path / "commands.csv"
+    asked = f"--motion dynamics --capsule magnetic --steer {commands}"
+    motion = resolved(asked).motion
+    assert isinstance(motion, Dynamics)
+    assert motion.magnet is not None
+    assert motion.magnet.command_file == FileRef(str(commands))
+    with pytest.raises(InputError, match="here you steer"):
+        cli._parse(["cockpit", *asked.split()]).resolved()  # type: ignore[attr-defined]
+
+
+def test_the_cockpit_has_a_stomach_and_a_capsule_with_a_magnet() -> None:
+    plain = cli._parse(["cockpit"]).resolved()  # type: ignore[attr-defined]
+    assert (plain.organ, plain.capsule) == (OrganGenerated("stomach"), "magnetic")
+    given = cli._parse(["cockpit", "--organ", "colon"]).resolved()  # type: ignore[attr-defined]
+    assert given.organ == OrganGenerated("colon")
 
 
 def test_without_flags_a_scenario_has_its_defaults() -> None:

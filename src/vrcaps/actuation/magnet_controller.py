@@ -207,6 +207,11 @@ class MagnetController:
         moved = replace(self._magnet, T_world_magnet=self.status.actuator.T_world_magnet)
         return [moved, *self._others]
 
+    @property
+    def requested(self) -> Float[np.ndarray, "4 4"]:
+        """`T_world_magnet` that the actuator was last asked for."""
+        return self._requested
+
     def track(self, capsule: CapsuleView, target: CapsuleTarget, dt: float) -> Control:
         """Command for the next `dt` [s] that leads the capsule to a target and holds it there.
 
@@ -287,14 +292,8 @@ class MagnetController:
     def to_array(self) -> Float[np.ndarray, " q"]:
         """All state of the controller, for `restore`."""
         state = self.status.actuator
-        parts = (
-            state.T_world_magnet,
-            state.velocity,
-            state.joint_angles,
-            self._requested,
-            self._reference,
-            self._integral,
-        )
+        parts = (state.T_world_magnet, state.velocity, state.joint_angles)
+        parts += (self._requested, self._reference, self._integral)
         scalars = [self._max_torque, self._stall_time, self._sliding_speed]
         return np.concatenate([*(np.ravel(part) for part in parts), scalars])
 

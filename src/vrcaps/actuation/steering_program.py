@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -201,7 +203,13 @@ def check_joystick(joystick: tuple[JoystickCommand, ...], where: str) -> None:
 
 
 class SteeringProgram:
-    """Runs the settings of `MagnetSteering` while a world is stepped."""
+    """Runs the settings of `MagnetSteering` while a world is stepped.
+
+    Attributes:
+        settings: What to do.
+        operator: Asked for the joystick command at a time [s] and for how long it holds [s], where
+            one steers live; then the settings' own joystick commands do not count.
+    """
 
     def __init__(
         self,
@@ -226,12 +234,11 @@ class SteeringProgram:
                 cannot be held at its first pose, or a waypoint is not on the centerline.
             UnknownNameError: If there is no such magnet or arm.
         """
-        self._model = model
-        self._line = model.organ.centerline
-        self.settings = settings
-        self._start = arc_length
+        self._model, self.settings = model, settings
+        self._line, self._start = model.organ.centerline, arc_length
         self._waypoints = settings.waypoints
         self._joystick = settings.joystick
+        self.operator: Callable[[float, float], JoystickCommand] | None = None
         if settings.command_file is not None:
             self._waypoints, self._joystick = read_commands(path_of(settings.command_file))
         allowed = f"0 to {self._line.length:g} m"
@@ -282,8 +289,7 @@ class SteeringProgram:
             return self.controller.track(capsule, target, dt)
         if not self._joystick:
             return self.controller.track(capsule, self._target(time, T_world_patient), dt)
-        past = [entry for entry in self._joystick if entry.time <= time]
-        command = past[-1] if past else JoystickCommand(0.0)
+        command = (self.operator or self._recorded_command)(time, dt)
         control = self.controller.jog(
             command.linear,
             command.angular,
@@ -293,6 +299,11 @@ class SteeringProgram:
         )
         self.controller.update_status(capsule)
         return control
+
+    def _recorded_command(self, time: float, dt: float) -> JoystickCommand:
+        """The last joystick command that is not after a time; none before the first."""
+        number = bisect_right(self._joystick, time, key=lambda entry: entry.time)
+        return self._joystick[number - 1] if number else JoystickCommand(0.0)
 
     def observe(self, world: World) -> CapsuleView:
         """What the controller knows of the capsule now; reads the sensors that it is located by."""

@@ -23,6 +23,7 @@ _PATHS = {
     "end": "motion.end",
     "speed": "motion.speed",
     "pose": "motion.magnet.pose",
+    "steer": "motion.magnet.command_file",
     "frames": "frames",
     "fps": "fps",
     "seed": "seed",
@@ -59,7 +60,7 @@ def _entry(flag: str, setting: Setting) -> tuple[str, Any, Any]:
     declared = setting.declared
     if get_origin(declared) is Annotated:
         declared = get_args(declared)[0]
-    if flag in ("capsule", "mucosa"):
+    if flag in ("capsule", "mucosa", "steer"):
         declared = str
     is_switch = declared is bool
     about = arg(help=setting.doc, help_behavior_hint=f"[{setting.path}: {setting.default_text}]")
@@ -98,7 +99,7 @@ OrganFlags = _flags(
 MotionFlags = _flags(
     "Motion",
     "Capsule and motion.",
-    *("capsule", "start", "end", "speed", "pose"),
+    *("capsule", "start", "end", "speed", "pose", "steer"),
     motion=(
         _MOTIONS | None,
         None,

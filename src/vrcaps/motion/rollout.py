@@ -47,8 +47,15 @@ _NEARBY = 3.0 * CM
 
 
 @dataclass(frozen=True)
-class _Moment:
-    """A simulated frame, and the checkpoint of it where one was due."""
+class Moment:
+    """A simulated frame.
+
+    Attributes:
+        index: Number of the frame.
+        state: The world then.
+        command: What was commanded since the frame before.
+        checkpoint: Of the simulation, where one was due.
+    """
 
     index: int
     state: State
@@ -135,7 +142,7 @@ class Rollout:
         Raises:
             InputError: If the world cannot be stepped; says at which time.
         """
-        moments = self._moments(resume, progress or _silent, is_due or _never)
+        moments = self.moments(resume, progress or _silent, is_due or _never)
         for previous, moment, following in with_neighbors(moments):
             if resume is not None and previous is None:
                 continue  # the frame of the checkpoint itself
@@ -167,23 +174,32 @@ class Rollout:
             return ()
         return (read_magnet(self.settings.magnet.magnet, status.actuator.T_world_magnet),)
 
-    def _moments(
+    def moments(
         self,
         resume: MotionState | None,
         progress: Callable[[float, float], None],
         is_due: Callable[[], bool],
-    ) -> Iterator[_Moment]:
-        """Frames from the first, or from that of a checkpoint, one by one."""
+    ) -> Iterator[Moment]:
+        """Frames from the first, or from that of a checkpoint, each as soon as it is simulated.
+
+        Args:
+            resume: A checkpoint, whose frame is the first; None begins with frame 0.
+            progress: Called after each step with the time simulated so far and in all [s].
+            is_due: Asked at each frame whether it is to have a checkpoint.
+
+        Raises:
+            InputError: If the checkpoint is damaged or the world cannot be stepped.
+        """
         self._restore(resume or self._begin)
         first = 0
         if resume is not None:
             first, time = resume.frame + 1, resume.frame / self.fps
             command = self._command(time, np.zeros((2, 3)))
-            yield _Moment(resume.frame, self._shown(self.world.state, time, command), command, None)
+            yield Moment(resume.frame, self._shown(self.world.state, time, command), command, None)
         for index in range(first, self.frames):
             begin = (index - 1) / self.fps if index else -self.settings.settle
             state, command = self._advance(begin, index / self.fps, progress)
-            yield _Moment(index, state, command, self._save(index) if is_due() else None)
+            yield Moment(index, state, command, self._save(index) if is_due() else None)
 
     def _save(self, frame: int) -> MotionState:
         controller = np.zeros(0) if self.program is None else self.program.to_array()

@@ -30,6 +30,9 @@ _POSTURES = {
     "standing": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
 }
 
+POSTURES = tuple(_POSTURES)
+"""Names of postures, for `posture_transform`."""
+
 
 def posture_transform(posture: str) -> Float[np.ndarray, "4 4"]:
     """``T_world_patient`` of a named posture; gravity is world −z.

@@ -1,0 +1,172 @@
+"""Camera images: what the capsule's camera sees now, rendered as often as there is time."""
+
+from __future__ import annotations
+
+import threading
+import time as wall_clock
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from vrcaps.camera_pipeline.capsule_cameras import CapsuleCameras
+from vrcaps.camera_pipeline.effects import Effects
+from vrcaps.errors import VrcapsError
+from vrcaps.motion.step import Step
+from vrcaps.recording.pictures import limits_of, picture
+from vrcaps.render.renderer import Renderer
+from vrcaps.render.settings import RenderSettings
+from vrcaps.world.moving_wall import MovingWall
+
+if TYPE_CHECKING:
+    from jaxtyping import UInt8
+    from numpy import ndarray
+
+    from vrcaps.cockpit.session import Session
+    from vrcaps.cockpit.view import View
+    from vrcaps.world.model import State
+
+LIVE_CHANNELS = (
+    *("rgb", "depth", "label", "instance", "normal", "albedo"),
+    *("arc_length", "flow_backward"),
+)
+"""Channels that need no later frame."""
+
+_PATIENCE = 0.005
+"""How long [s] to wait before a new view is looked for."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """How the camera's images are made.
+
+    Attributes:
+        camera: Name of the camera.
+        channel: What is shown.
+        render: Light and imaging.
+        effects: Of lens and sensor.
+    """
+
+    camera: str
+    channel: str
+    render: RenderSettings
+    effects: Effects
+
+
+@dataclass(frozen=True)
+class LiveImage:
+    """One image of the camera.
+
+    Attributes:
+        view: What it is of.
+        look: How it was made.
+        values: Of its channel.
+        picture: To look at.
+    """
+
+    view: View
+    look: Look
+    values: Any
+    picture: UInt8[ndarray, "h w 3"]
+
+
+class CameraImages:
+    """Renders a session's views in a thread of its own, always the latest.
+
+    Attributes:
+        look: How; may be set at any time.
+        rate: Images per second, as measured.
+        exposure: Of the last image, relative to the camera's own.
+    """
+
+    def __init__(self, session: Session, on_image: Callable[[LiveImage], None]) -> None:
+        """Prepares to render.
+
+        Args:
+            session: What is looked at.
+            on_image: Called with each image.
+        """
+        self._session, self._on_image = session, on_image
+        scenario = session.scenario
+        name = session.model.device.cameras[0].name
+        self.look = Look(name, "rgb", scenario.render, scenario.effects)
+        self.rate, self.exposure = 0.0, 1.0
+        self._states: deque[State] = deque(maxlen=64)
+        self._times: deque[float] = deque(maxlen=20)
+        self._wall = MovingWall(session.model)
+        self._renderer: Renderer | None = None
+        self._cameras: tuple[Look, CapsuleCameras] | None = None
+        self._is_closed = False
+        self._thread = threading.Thread(target=self._run, name="vrcaps-camera", daemon=True)
+
+    def start(self) -> None:
+        """Starts rendering."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Ends rendering."""
+        self._is_closed = True
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _run(self) -> None:
+        shown: tuple[int, Look] | None = None
+        working = self.look
+        while not self._is_closed:
+            view, look = self._session.view, self.look
+            if view is None or (view.number, look) == shown:
+                wall_clock.sleep(_PATIENCE)
+                continue
+            try:
+                self._on_image(self.image(view, look))
+                working = look
+            except VrcapsError as error:
+                self._session.on_message(f"{error} The look stays as it was.")
+                self.look = working
+            shown = (view.number, look)
+            self._measure()
+
+    def image(self, view: View, look: Look) -> LiveImage:
+        """A view, seen by the camera.
+
+        Raises:
+            InputError: If the look is not possible.
+        """
+        camera = self._session.model.device.camera(look.camera)
+        step = Step(view.number, view.state, previous=self._earlier(view.state))
+        pipeline = self._cameras_for(look).pipelines[camera.name]
+        values = getattr(pipeline.capture(step), look.channel)
+        self.exposure = pipeline.state.exposure
+        limits = limits_of(look.channel, [values])
+        return LiveImage(view, look, values, picture(look.channel, values, limits))
+
+    def _earlier(self, state: State) -> State:
+        """The state one frame of the recording before, as nearly as it is known."""
+        while self._states and self._states[-1].time >= state.time:
+            self._states.pop()  # the simulation went back
+        before = state.time - 1.0 / self._session.rollout.fps
+        nearest = min(self._states, key=lambda known: abs(known.time - before), default=state)
+        self._states.append(state)
+        return nearest
+
+    def _cameras_for(self, look: Look) -> CapsuleCameras:
+        """Pipelines of the cameras; made anew where light, effects or channel have changed."""
+        if self._renderer is None or self._renderer.settings != look.render:
+            self._renderer = Renderer(self._session.model, look.render, self._wall)
+            self._cameras = None
+        if self._cameras is None or self._cameras[0] != look:
+            scenario = self._session.scenario
+            cameras = CapsuleCameras(
+                self._renderer,
+                look.effects,
+                fps=self._session.rollout.fps,
+                seed=scenario.seed,
+                channels=(look.channel,),
+            )
+            self._cameras = (look, cameras)
+        return self._cameras[1]
+
+    def _measure(self) -> None:
+        self._times.append(wall_clock.perf_counter())
+        passed = self._times[-1] - self._times[0]
+        self.rate = (len(self._times) - 1) / passed if passed > 0.0 else 0.0

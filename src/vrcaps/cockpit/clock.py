@@ -1,0 +1,94 @@
+"""Clock: keeps simulated time at real time, or at a fraction of it."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time as wall_clock
+
+from vrcaps.errors import require
+
+SLOWEST, FASTEST = 0.05, 4.0
+"""Range of simulated time per real time."""
+
+_LATE = 0.25
+"""How late [s] a simulation may be before the time that it lost is given up."""
+
+_MEMORY = 1.0
+"""Real time [s] over which the achieved speed is measured."""
+
+
+class Clock:
+    """Makes the simulation wait until its time has come; pauses it.
+
+    Attributes:
+        achieved: Simulated time per real time, as measured; below `speed` where the machine is too
+            slow.
+    """
+
+    def __init__(self, speed: float = 1.0) -> None:
+        self.achieved = 0.0
+        self._speed = speed
+        self._until = math.inf
+        self._anchor: tuple[float, float] | None = None
+        self._measured = (0.0, 0.0)
+        self._changed = threading.Condition()
+        self._is_woken = False
+
+    @property
+    def speed(self) -> float:
+        """Simulated time per real time that is wanted."""
+        return self._speed
+
+    @speed.setter
+    def speed(self, speed: float) -> None:
+        allowed = f"{SLOWEST:g} to {FASTEST:g}"
+        require(SLOWEST <= speed <= FASTEST, "speed", speed, allowed)
+        with self._changed:
+            self._speed, self._anchor = speed, None
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether the simulation stands, or will after the steps that it was given."""
+        return self._until < math.inf
+
+    def run(self, until: float = math.inf) -> None:
+        """Lets the simulation go on until a time [s], by default for good."""
+        with self._changed:
+            self._until, self._anchor = until, None
+            self._changed.notify_all()
+
+    def pause(self) -> None:
+        """Stops the simulation after the step that it is in."""
+        self.run(-math.inf)
+
+    def wake(self) -> None:
+        """Ends the present `wait`, so that the simulation can see what else is asked of it."""
+        with self._changed:
+            self._anchor, self._is_woken = None, True
+            self._changed.notify_all()
+
+    def wait(self, time: float) -> None:
+        """Returns when the simulation, now at a time [s], may go on, or `wake` is called."""
+        with self._changed:
+            while time >= self._until and not self._is_woken:
+                self.achieved, self._anchor = 0.0, None
+                self._changed.wait()
+            if self._is_woken:
+                self._is_woken = False
+                return
+            now = wall_clock.perf_counter()
+            if self._anchor is None:
+                self._anchor = self._measured = (now, time)
+            due = self._anchor[0] + (time - self._anchor[1]) / self._speed
+            if now - due > _LATE:
+                self._anchor = (now, time)
+            elif due > now:
+                self._changed.wait(due - now)
+            self._measure(wall_clock.perf_counter(), time)
+
+    def _measure(self, now: float, time: float) -> None:
+        began, first = self._measured
+        if now - began > _MEMORY:
+            self.achieved = (time - first) / (now - began)
+            self._measured = (now, time)

@@ -1,0 +1,126 @@
+"""Cockpit: session, page and server together."""
+
+from __future__ import annotations
+
+import io
+import logging
+import secrets
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from vrcaps.cockpit.gate import Gate, OneLine, guarded, is_loopback, require_free
+from vrcaps.cockpit.page import Page
+from vrcaps.cockpit.panels import PANELS
+from vrcaps.cockpit.session import Session
+from vrcaps.errors import InputError, MissingExtraError
+
+if TYPE_CHECKING:
+    import viser
+
+    from vrcaps.scenario.scenario import Scenario
+
+_SWITCHING = 1e-3
+"""Time [s] for which one thread may keep the interpreter from the others."""
+
+
+@dataclass(frozen=True)
+class Cockpit:
+    """An open cockpit.
+
+    Attributes:
+        session: What is driven.
+        page: What browsers show.
+        gate: Who may open it; has the address.
+    """
+
+    session: Session
+    page: Page
+    gate: Gate
+
+
+@contextmanager
+def open_cockpit(
+    scenario: Scenario,
+    folder: Path,
+    *,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    say: Callable[[str], None] = lambda text: None,
+) -> Iterator[Cockpit]:
+    """Drives a scenario from browsers as long as the block lasts.
+
+    Example:
+        >>> with open_cockpit(vrcaps.Scenario("stomach", "magnetic"), Path("drive")) as cockpit:
+        ...     print(cockpit.gate.address)
+        ...     input("Enter ends it.")
+
+    Args:
+        scenario: What to drive, see `cockpit_scenario`.
+        folder: New or empty folder for what is driven.
+        host: Address to listen at. Where other machines reach it, the page needs a token.
+        port: Port to listen at.
+        say: Called with each message for the terminal.
+
+    Raises:
+        InputError: If the scenario cannot be made, the folder is not empty or the port in use.
+        MissingExtraError: If the extra `cockpit` is not installed.
+    """
+    require_viser()
+    require_free(host, port)
+    gate = Gate(host, port, "" if is_loopback(host) else secrets.token_urlsafe(16))
+    session = Session(scenario, folder, on_message=say)
+    server = make_server(gate, say)
+    switching = sys.getswitchinterval()
+    sys.setswitchinterval(_SWITCHING)  # the simulation is back at once when its step is computed
+    try:
+        page = Page(server, session, PANELS, say)
+        session.start()
+        page.start()
+        try:
+            yield Cockpit(session, page, gate)
+        finally:
+            page.close()
+            session.close()
+    finally:
+        sys.setswitchinterval(switching)
+        with redirect_stdout(io.StringIO()):
+            server.stop()
+
+
+def require_viser() -> None:
+    """Check that the page's library is installed.
+
+    Raises:
+        MissingExtraError: If it is not.
+    """
+    try:
+        import viser  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError("viser", "cockpit") from error
+
+
+def make_server(gate: Gate, say: Callable[[str], None]) -> viser.ViserServer:
+    """The page's server, behind a gate.
+
+    Raises:
+        InputError: If another program took the port meanwhile.
+    """
+    import viser
+
+    logger = logging.getLogger("websockets.server")
+    logger.filters[:] = [kept for kept in logger.filters if not isinstance(kept, OneLine)]
+    logger.addFilter(OneLine(say))
+    with guarded(gate), redirect_stdout(io.StringIO()):  # it prints addresses without a token
+        server = viser.ViserServer(gate.host, gate.port, label="vrcaps cockpit", verbose=False)
+    if server.get_port() != gate.port:
+        server.stop()
+        raise InputError(f"Port {gate.port} was taken meanwhile. Give another --port.")
+    server.gui.configure_theme(
+        control_width="large", dark_mode=True, show_logo=False, show_share_button=False
+    )
+    server.gui.main_panel.dock_left()
+    return server

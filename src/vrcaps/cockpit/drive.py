@@ -1,0 +1,104 @@
+"""Drive: the files that hold what was driven, and that `vrcaps record` records again."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from vrcaps.actuation.steering_program import JOYSTICK_COLUMNS, JoystickCommand
+from vrcaps.errors import InputError
+from vrcaps.file_ref import FileRef
+from vrcaps.files import write_bytes, write_json
+from vrcaps.motion.dynamics import Dynamics
+from vrcaps.scenario.scenario import Scenario, scenario_to_plain
+
+if TYPE_CHECKING:
+    from vrcaps.cockpit.operator import Operator
+
+COMMANDS_CSV = "commands.csv"
+"""File of joystick commands, which `vrcaps record --steer` takes."""
+
+DRIVE_JSON = "drive.json"
+"""Scenario of the drive so far, which `vrcaps record` takes."""
+
+
+def make_folder(folder: Path) -> None:
+    """Make the folder of a drive.
+
+    Raises:
+        InputError: If it holds anything, or cannot be made.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"{folder} is not empty. Give a new or empty folder.")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"Cannot make the folder {folder}: {error.strerror}.") from error
+
+
+class Drive:
+    """Files of a drive in a folder: commands.csv and drive.json.
+
+    Commands are added to the end of their file and forced to the disk, so a crash loses only what
+    was driven since the last `save`.
+    """
+
+    def __init__(self, folder: Path, operator: Operator, scenario: Callable[[], Scenario]) -> None:
+        """Writes nothing yet.
+
+        Args:
+            folder: See `make_folder`.
+            operator: Whose commands are kept.
+            scenario: Gives the scenario of the drive so far.
+        """
+        self.folder = folder
+        self._operator, self._scenario = operator, scenario
+        self._num_saved, self._num_rewound = 0, -1
+        self._saving = threading.Lock()
+
+    def save(self) -> Scenario:
+        """Brings both files up to date; the scenario of the drive so far.
+
+        Raises:
+            OSError: If a file cannot be written; the next call writes what is missing.
+        """
+        with self._saving:
+            scenario = self._scenario()
+            num_rewound, commands = self._operator.commands(self._num_saved)
+            if num_rewound != self._num_rewound:
+                _, commands = self._operator.commands()
+                header = ",".join(JOYSTICK_COLUMNS) + "\n"
+                write_bytes(self.folder / COMMANDS_CSV, (header + _lines(commands)).encode())
+                self._num_saved, self._num_rewound = len(commands), num_rewound
+            elif commands:
+                _append(self.folder / COMMANDS_CSV, _lines(commands).encode())
+                self._num_saved += len(commands)
+            scenario = self.recorded(scenario)
+            write_json(self.folder / DRIVE_JSON, scenario_to_plain(scenario))
+            return scenario
+
+    def recorded(self, scenario: Scenario) -> Scenario:
+        """A scenario with the commands of the file."""
+        motion = scenario.motion
+        assert isinstance(motion, Dynamics)
+        assert motion.magnet is not None
+        file = FileRef(str(self.folder / COMMANDS_CSV))
+        magnet = replace(motion.magnet, joystick=(), waypoints=(), command_file=file)
+        return replace(scenario, motion=replace(motion, magnet=magnet))
+
+
+def _lines(commands: list[JoystickCommand]) -> str:
+    """Rows of a table of commands; each number is written so that it is read back exactly."""
+    rows = [(entry.time, *entry.linear, *entry.angular) for entry in commands]
+    return "".join(",".join(map(repr, row)) + "\n" for row in rows)
+
+
+def _append(path: Path, data: bytes) -> None:
+    with path.open("ab") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())

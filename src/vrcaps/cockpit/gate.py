@@ -1,0 +1,153 @@
+"""Gate: which requests the page's server answers, by token, host and origin."""
+
+from __future__ import annotations
+
+import hmac
+import http
+import ipaddress
+import logging
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from http.cookies import CookieError, SimpleCookie
+from typing import TYPE_CHECKING, Any
+from urllib.parse import parse_qs, urlsplit
+
+from vrcaps.errors import InputError, require
+
+if TYPE_CHECKING:
+    from websockets.http11 import Request, Response
+
+LOOPBACK = ("127.0.0.1", "::1", "localhost")
+"""Hosts that only this machine reaches."""
+
+_REFUSED = "Not allowed. Open the address that `vrcaps cockpit` printed, with its token.\n"
+
+
+@dataclass(frozen=True)
+class Gate:
+    """Who may open the page.
+
+    Attributes:
+        host: Address that the server is bound to.
+        port: Its port.
+        token: Secret that the address must hold; empty where only this machine reaches the server.
+    """
+
+    host: str
+    port: int
+    token: str = ""
+
+    @property
+    def address(self) -> str:
+        """Address of the page, with the token."""
+        host = socket.gethostname() if self.host in ("0.0.0.0", "::") else self.host
+        host = f"[{host}]" if ":" in host else host
+        query = f"/?token={self.token}" if self.token else "/"
+        return f"http://{host}:{self.port}{query}"
+
+    @property
+    def cookie(self) -> str:
+        """Name of the cookie by which a browser that has opened the page is known."""
+        return f"vrcaps-{self.port}"
+
+    def allows(self, path: str, headers: Any) -> bool:
+        """Whether a request is to be answered.
+
+        A page of another site may send requests by the user's own browser; its origin gives it
+        away. Without a token, names of other hosts are refused, which such a site could point here.
+
+        Args:
+            path: Path and query.
+            headers: By name.
+        """
+        host = headers.get("Host", "")
+        origin = headers.get("Origin")
+        if origin is not None and urlsplit(origin).netloc != host:
+            return False
+        if not self.token:
+            return urlsplit(f"//{host}").hostname in LOOPBACK
+        given = [*parse_qs(urlsplit(path).query).get("token", ()), self._kept(headers)]
+        return any(hmac.compare_digest(each.encode(), self.token.encode()) for each in given)
+
+    def _kept(self, headers: Any) -> str:
+        """Token in the cookie of a request; empty if there is none."""
+        try:
+            cookies = SimpleCookie("; ".join(headers.get_all("Cookie")))
+        except CookieError:
+            return ""
+        return cookies[self.cookie].value if self.cookie in cookies else ""
+
+
+def require_free(host: str, port: int) -> None:
+    """Check that a server can listen at an address.
+
+    Raises:
+        InputError: If the port is impossible or in use, or the host is none of this machine.
+    """
+    require(0 < port < 65536, "--port", port, "1 to 65535")
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            raise InputError(
+                f"Cannot serve the page at {host} port {port}: {error.strerror}. Give another "
+                "--port, or end what uses it."
+            ) from error
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine reaches a host."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host in LOOPBACK
+
+
+@contextmanager
+def guarded(gate: Gate) -> Iterator[None]:
+    """While a page's server is made here, it is made to ask a gate first.
+
+    The page's library has no hook for this. It calls `websockets.asyncio.server.serve`, whose
+    `process_request` sees each request before anything is answered.
+    """
+    from websockets.asyncio import server
+
+    original = server.serve
+
+    def serve(*args: Any, process_request: Callable[..., Response | None], **more: Any) -> Any:
+        def ask(connection: Any, request: Request) -> Response | None:
+            if not gate.allows(request.path, request.headers):
+                return connection.respond(http.HTTPStatus.FORBIDDEN, _REFUSED)
+            response = process_request(connection, request)
+            if response is not None and gate.token:
+                kept = f"{gate.cookie}={gate.token}; HttpOnly; SameSite=Strict; Path=/"
+                response.headers["Set-Cookie"] = kept
+            return response
+
+        return original(*args, process_request=ask, **more)
+
+    server.serve = serve
+    try:
+        yield
+    finally:
+        server.serve = original
+
+
+class OneLine(logging.Filter):
+    """Tells what a logger has to say in one line of ours, and keeps its traceback to itself."""
+
+    def __init__(self, tell: Callable[[str], None]) -> None:
+        super().__init__()
+        self._tell = tell
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Swallows a record."""
+        if record.levelno >= logging.ERROR:
+            error = record.exc_info[1] if record.exc_info else None
+            what = f" ({type(error).__name__})" if error is not None else ""
+            self._tell(f"A browser's connection was closed: {record.getMessage()}{what}.")
+        return False

@@ -1,0 +1,210 @@
+"""Page: what all browsers show, who of them drives, and what people are told."""
+
+from __future__ import annotations
+
+import functools
+import threading
+import time as wall_clock
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from vrcaps.cockpit.browser import DriverInput, InputBridge
+from vrcaps.cockpit.camera_images import CameraImages, LiveImage
+from vrcaps.cockpit.seen_wall import SeenWall
+from vrcaps.errors import InputError, VrcapsError
+
+if TYPE_CHECKING:
+    import viser
+
+    from vrcaps.cockpit.session import Session
+    from vrcaps.cockpit.view import View
+
+_SECONDS_PER_UPDATE = 1.0 / 20.0
+_DEAD_MAN = 1.0
+"""Time [s] after which held axes count as let go if their browser says nothing more."""
+_SIDE_WIDTH = 400.0
+_SAID_ONCE = 10.0
+"""Time [s] within which the same message is not told again."""
+
+
+class Panel(Protocol):
+    """A part of the page.
+
+    It is made with the page, puts its elements there, and is told of views and images.
+    """
+
+    def update(self, view: View) -> None:
+        """Shows the simulation now; called about 20 times a second from one thread."""
+        ...
+
+
+class Page:
+    """The cockpit's page in all browsers that have it open.
+
+    The first browser drives; another may take over, and when the driver's is closed the magnet
+    stops and the seat is free. Buttons that change the simulation are the driver's.
+
+    Attributes:
+        server: Of the page.
+        session: What is driven.
+        images: Of the capsule's camera.
+        seen: What the cameras have seen.
+        side_panel: Window at the right, in which panels have tabs.
+        bridge: To the browsers' keys and gamepads.
+        actions: What the buttons of a gamepad do, by name.
+        latest_image: The last of them.
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        session: Session,
+        panels: tuple[Callable[[Page], Panel], ...],
+        say: Callable[[str], None],
+    ) -> None:
+        """Fills the page.
+
+        Args:
+            server: Of the page.
+            session: What is driven.
+            panels: Its parts, in their order.
+            say: Called with each message, for the terminal.
+        """
+        self.server, self.session, self._say = server, session, say
+        self.latest_image: LiveImage | None = None
+        self._driver: int | None = None
+        self._axes_time = np.inf
+        self._told: dict[str, float] = {}
+        self._pads: set[str] = set()
+        self._is_closed = False
+        self.actions: dict[str, Callable[[], None]] = {}
+        session.on_message = self.tell
+        self.images, self.seen = CameraImages(session, self._keep_image), SeenWall(session)
+        self.side_panel = server.gui.add_panel()
+        self.panels = [make(self) for make in panels]
+        self.side_panel.dock_right()
+        self.side_panel.set_width(_SIDE_WIDTH)
+        self.bridge = InputBridge(server, self.handler(self._on_input))
+        server.on_client_connect(lambda client: self._join(client.client_id))
+        server.on_client_disconnect(lambda client: self._leave(client.client_id))
+        self._thread = threading.Thread(target=self._run, name="vrcaps-page", daemon=True)
+
+    def start(self) -> None:
+        """Starts showing the session."""
+        self.images.start()
+        self._thread.start()
+
+    def close(self) -> None:
+        """Ends it; the server is closed by who has made it."""
+        self._is_closed = True
+        self.images.close()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    @property
+    def driver(self) -> int | None:
+        """Number of the browser that drives; None if none does."""
+        return self._driver
+
+    def tell(self, text: str) -> None:
+        """Shows a message in all browsers and in the terminal."""
+        now = wall_clock.monotonic()
+        if now - self._told.get(text, -np.inf) < _SAID_ONCE:
+            return
+        self._told = {known: at for known, at in self._told.items() if now - at < _SAID_ONCE}
+        self._told[text] = now
+        self._say(text)
+        for client in self.server.get_clients().values():
+            client.add_notification("vrcaps", text, auto_close_seconds=8.0)
+
+    def handler(self, function: Callable[..., None]) -> Callable[..., None]:
+        """A function for the page's events, whose errors become messages."""
+
+        @functools.wraps(function)
+        def run(*args: Any) -> None:
+            try:
+                function(*args)
+            except VrcapsError as error:
+                self.tell(str(error))
+            except Exception as error:  # the simulation outlives any fault of a page
+                self.tell(f"The page failed: {type(error).__name__}: {error}.")
+
+        return run
+
+    def for_driver(self, function: Callable[[], None]) -> Callable[[Any], None]:
+        """A function for the event of a button that only the driver may press."""
+
+        def run(event: Any) -> None:
+            self.require_driver(event.client_id)
+            function()
+
+        return self.handler(run)
+
+    def require_driver(self, client: int | None) -> None:
+        """Check that a browser drives.
+
+        Raises:
+            InputError: If another does.
+        """
+        if client != self._driver:
+            raise InputError("Another browser drives. Press 'Take the controls' to take over.")
+
+    def take_over(self, client: int) -> None:
+        """Makes a browser the driver's; what the one before held is let go."""
+        self.session.operator.stop()
+        self._driver = client
+        self.tell(f"Browser {client} has the controls.")
+
+    def _join(self, client: int) -> None:
+        if self._driver is None:
+            self.take_over(client)
+
+    def _leave(self, client: int) -> None:
+        if client == self._driver:
+            self._driver = None
+            self.session.operator.stop()
+            self.tell("The driver's browser is gone: the magnet stops.")
+            others = sorted(self.server.get_clients())
+            if others:
+                self.take_over(others[0])
+
+    def _on_input(self, client: int, given: DriverInput) -> None:
+        """Keys and gamepad of a browser."""
+        if client != self._driver:
+            if any(given.axes):
+                self.require_driver(client)
+            return
+        if given.pad and given.pad not in self._pads:
+            self._pads.add(given.pad)
+            unknown = "" if given.is_standard else " Its layout is unknown: try each stick."
+            self.tell(f"Gamepad: {given.pad}.{unknown}")
+        self.session.operator.push(np.array(given.axes))
+        self._axes_time = wall_clock.monotonic() if any(given.axes) else np.inf
+        for action in given.actions:
+            if action in self.actions:
+                self.actions[action]()
+
+    def _keep_image(self, image: LiveImage) -> None:
+        self.latest_image = image
+        for panel in self.panels:
+            show = getattr(panel, "show_image", None)
+            if show is not None:
+                self.handler(show)(image)
+
+    def _run(self) -> None:
+        """The thread that shows views."""
+        shown = -1
+        while not self._is_closed:
+            wall_clock.sleep(_SECONDS_PER_UPDATE)
+            if wall_clock.monotonic() - self._axes_time > _DEAD_MAN:
+                self._axes_time = np.inf
+                self.session.operator.stop()
+                self.tell("The driver's browser is silent: the magnet stops.")
+            view = self.session.view
+            if view is None or view.number == shown:
+                continue
+            shown = view.number
+            for panel in self.panels:
+                self.handler(panel.update)(view)

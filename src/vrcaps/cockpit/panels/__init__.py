@@ -1,0 +1,19 @@
+"""Panels of the cockpit's page, one file each.
+
+A panel is made with the page, puts its elements there, and then is told of each view. `PANELS`
+are those of the page, from top to bottom, and then those of the window at the right.
+"""
+
+from vrcaps.cockpit.panels.camera_panel import CameraPanel
+from vrcaps.cockpit.panels.chart_panel import ChartPanel
+from vrcaps.cockpit.panels.driving_panel import DrivingPanel
+from vrcaps.cockpit.panels.look_panel import LookPanel
+from vrcaps.cockpit.panels.map_panel import MapPanel
+from vrcaps.cockpit.panels.patient_panel import PatientPanel
+from vrcaps.cockpit.panels.run_panel import RunPanel
+from vrcaps.cockpit.panels.scene_panel import ScenePanel
+
+PANELS = (
+    *(RunPanel, DrivingPanel, PatientPanel, LookPanel, ScenePanel),
+    *(CameraPanel, MapPanel, ChartPanel),
+)

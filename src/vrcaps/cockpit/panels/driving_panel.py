@@ -1,0 +1,54 @@
+"""Driving panel: the magnet's gizmo, who drives, and which keys and pad do what."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps.cockpit.browser import KEYS, PAD
+from vrcaps.transforms import matrix_from_quaternion, quaternion_from_matrix, transform_from
+
+if TYPE_CHECKING:
+    from vrcaps.cockpit.page import Page
+    from vrcaps.cockpit.view import View
+
+GIZMO = "/drive/magnet"
+"""Node of the gizmo in the scene."""
+
+
+class DrivingPanel:
+    """How the magnet is moved."""
+
+    def __init__(self, page: Page) -> None:
+        self._page, self._operator = page, page.session.operator
+        self._is_dragged = False
+        gui = page.server.gui
+        with gui.add_folder("Drive"):
+            take = gui.add_button("Take the controls")
+            stop = gui.add_button("Stop the magnet")
+            rows = [f"| **{key}** | {meaning} |" for key, meaning in (KEYS | PAD).items()]
+            with gui.add_folder("Keys and gamepad", expand_by_default=False):
+                gui.add_markdown("\n".join(["| | |", "|-|-|", *rows]))
+        take.on_click(page.handler(lambda event: page.take_over(event.client_id)))
+        stop.on_click(page.for_driver(self._operator.stop))
+        self._gizmo = page.server.scene.add_transform_controls(GIZMO, scale=0.12, depth_test=False)
+        self._gizmo.on_update(page.handler(self._follow))
+
+    def update(self, view: View) -> None:
+        """Keeps the gizmo at the magnet while nobody drags it."""
+        if self._is_dragged or self._operator.is_dragged:
+            return
+        place, turn = view.T_world_requested[:3, 3], view.T_world_requested[:3, :3]
+        wxyz = quaternion_from_matrix(turn)
+        if not np.allclose(self._gizmo.position, place, atol=1e-5):
+            self._gizmo.position = place
+        if not np.allclose(self._gizmo.wxyz, wxyz, atol=1e-4):
+            self._gizmo.wxyz = wxyz
+
+    def _follow(self, event: Any) -> None:
+        self._is_dragged = event.phase != "end"
+        self._page.require_driver(event.client_id)
+        rotation = matrix_from_quaternion(np.array(self._gizmo.wxyz, float))
+        pose = transform_from(rotation, np.array(self._gizmo.position, float))
+        self._operator.drag(pose, is_dragging=self._is_dragged)

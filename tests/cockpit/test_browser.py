@@ -1,0 +1,33 @@
+"""What a browser says of keys and gamepad, and what is no such thing."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from vrcaps.cockpit.browser import DriverInput, parse_input
+from vrcaps.errors import InputError
+
+
+def test_reads_what_the_program_in_the_browser_writes():
+    said = {"axes": [0, 0.5, -2, 0, 0, 1], "pad": "P", "standard": False, "actions": ["pause"]}
+    given = parse_input("vrcaps:" + json.dumps(said))
+    assert given == DriverInput((0.0, 0.5, -1.0, 0.0, 0.0, 1.0), ("pause",), "P", False)
+
+
+NONSENSE = ("", "vrcaps:", "vrcaps:{}", "vrcaps:[1]", "vrcaps:" + "[" * 100_000)
+WRONG_TYPE = 'vrcaps:{"axes": "abcdef", "pad": "", "standard": true, "actions": []}'
+
+
+@pytest.mark.parametrize("text", [*NONSENSE, WRONG_TYPE])
+def test_nonsense_is_told(text):
+    with pytest.raises(InputError, match="A browser sent no driver's input"):
+        parse_input(text)
+
+
+@pytest.mark.parametrize("axes", [[0, 0], [0, 0, 0, 0, 0, float("nan")]])
+def test_axes_are_six_numbers(axes):
+    said = {"axes": axes, "pad": "", "standard": True, "actions": []}
+    with pytest.raises(InputError, match="Allowed: six numbers"):
+        parse_input(json.dumps(said))

@@ -1,0 +1,179 @@
+"""The page in a real browser: it shows the simulation and steers it."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from vrcaps.transforms import matrix_from_quaternion
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+    from vrcaps.cockpit.cockpit import Cockpit
+
+pytestmark = pytest.mark.slow
+
+
+PAD = """
+window.pad = {id: "Test Pad", index: 0, connected: true, mapping: "standard",
+  axes: [0, 0, 0, 0], buttons: [...Array(17)].map(() => ({pressed: false, value: 0}))};
+navigator.getGamepads = () => [window.pad, null, null, null];
+"""
+"""A gamepad as a browser would show it."""
+
+
+@pytest.fixture(scope="module")
+def tab(browser: Browser, cockpit: Cockpit) -> Iterator[Page]:
+    """The page, with the first live image; the message about software rendering is closed."""
+    opened = browser.new_page(viewport={"width": 1200, "height": 600}, device_scale_factor=0.5)
+    opened.add_init_script(PAD)
+    began = time.monotonic()
+    opened.goto(cockpit.gate.address)
+    opened.get_by_role("button", name="Pause").wait_for()
+    assert time.monotonic() - began < 20.0  # 5 s on a machine that does nothing else
+    wait_until(opened, lambda: cockpit.page.latest_image is not None)
+    closing = "document.querySelectorAll('.mantine-Notification-closeButton')"
+    opened.evaluate(f"{closing}.forEach((button) => button.click())")
+    opened.wait_for_timeout(300)
+    yield opened
+    opened.close()
+
+
+def wait_until(tab: Page, done: Callable[[], bool], seconds: float = 20.0) -> None:
+    end = time.monotonic() + seconds
+    while not done():
+        assert time.monotonic() < end
+        tab.wait_for_timeout(20)
+
+
+def live_image(tab: Page) -> str:
+    return tab.locator("img[src^='blob:']").first.get_attribute("src") or ""
+
+
+def on_screen(tab: Page, cockpit: Cockpit, point: np.ndarray) -> tuple[float, float]:
+    """Where a point of the world is on the screen [px]."""
+    (client,) = cockpit.page.server.get_clients().values()
+    camera, box = client.camera, tab.locator("canvas").first.bounding_box()
+    assert box is not None
+    seen = matrix_from_quaternion(camera.wxyz).T @ (point - camera.position)
+    focal = 0.5 * box["height"] / np.tan(0.5 * camera.fov)
+    x, y = focal * seen[:2] / seen[2]
+    return box["x"] + 0.5 * box["width"] + x, box["y"] + 0.5 * box["height"] + y
+
+
+def test_dragging_the_gizmo_moves_the_magnet_and_the_image_follows(tab, cockpit):
+    session = cockpit.session
+    wait_until(tab, lambda: session.view.frame > 1)
+    before, image = session.view.T_world_magnet[:3, 3].copy(), live_image(tab)
+    handle = cockpit.page.server.scene.get_handle_by_name("/drive/magnet")
+    axis = matrix_from_quaternion(np.array(handle.wxyz))[:, 2]
+    start, end = (on_screen(tab, cockpit, before + reach * axis) for reach in (0.09, 0.16))
+    tab.mouse.move(*start)
+    tab.wait_for_timeout(200)
+    tab.mouse.down()
+    tab.mouse.move(*(0.5 * (a + b) for a, b in zip(start, end, strict=True)))
+    tab.mouse.move(*end)
+    tab.wait_for_timeout(200)
+    tab.mouse.up()
+    wait_until(tab, lambda: not session.operator.is_dragged)
+    moved = session.view.T_world_requested[:3, 3] - before
+    assert moved @ axis > 0.02
+    assert np.linalg.norm(moved - (moved @ axis) * axis) < 0.005
+    wait_until(tab, lambda: live_image(tab) != image)
+
+
+def test_time_stands_while_paused_and_goes_on_by_single_frames(tab, cockpit):
+    session = cockpit.session
+    tab.get_by_role("button", name="Pause").click()
+    tab.get_by_role("button", name="Go on").wait_for()
+    stood, frame = session.view.state.time, len(session.poses)
+    tab.wait_for_timeout(300)
+    assert session.view.state.time == stood
+    tab.get_by_role("button", name="Next frame").click()
+    wait_until(tab, lambda: len(session.poses) == frame + 1)
+    tab.wait_for_timeout(200)
+    assert len(session.poses) == frame + 1
+    tab.get_by_role("button", name="Go on").click()
+    wait_until(tab, lambda: len(session.poses) > frame + 2)
+
+
+def test_reset_goes_back_to_the_first_frame(tab, cockpit):
+    session = cockpit.session
+    first = session.poses[0]
+    wait_until(tab, lambda: len(session.poses) > 3)
+    tab.get_by_role("button", name="Pause").click()
+    tab.get_by_role("button", name="Reset").click()
+    wait_until(tab, lambda: len(session.poses) <= 1)
+    tab.get_by_role("button", name="Next frame").click()
+    wait_until(tab, lambda: len(session.poses) >= 1)
+    np.testing.assert_array_equal(session.poses[0], first)
+    tab.get_by_role("button", name="Go on").click()
+
+
+def test_a_gamepad_and_keys_steer_beyond_the_dead_zone(tab, cockpit):
+    """Left stick: along x; up is −y of the stick. A pauses and goes on."""
+    operator, clock = cockpit.session.operator, cockpit.session.clock
+
+    def axes_of(stick: list[float]) -> list[float]:
+        """What a stick's position becomes, as soon as the command has changed."""
+        number = len(operator.commands()[1])
+        tab.evaluate(f"window.pad.axes = {json.dumps(stick)}")
+        wait_until(tab, lambda: len(operator.commands()[1]) > number)
+        last = operator.commands()[1][-1]
+        return [*last.linear, *last.angular]
+
+    assert axes_of([1.0, 0.0, 0.0, 0.0]) == [1, 0, 0, 0, 0, 0]
+    assert axes_of([0.05, -0.56, 0.0, 0.0]) == [0, 0.5, 0, 0, 0, 0]
+    assert axes_of([0.0, 0.0, 1.0, -1.0]) == [0, 0, 1, 0, 0, -1]
+    assert axes_of([0.11, 0.0, 0.0, 0.0]) == [0, 0, 0, 0, 0, 0]
+    tab.evaluate("window.pad.buttons[0].pressed = true")
+    wait_until(tab, lambda: clock.is_paused)
+    tab.evaluate("window.pad.buttons[0].pressed = false")
+    tab.wait_for_timeout(100)
+    tab.evaluate("window.pad.buttons[0].pressed = true")
+    wait_until(tab, lambda: not clock.is_paused)
+    tab.evaluate("window.pad.buttons[0].pressed = false")
+    number = len(operator.commands()[1])
+    tab.keyboard.down("w")
+    wait_until(tab, lambda: len(operator.commands()[1]) > number)
+    assert operator.commands()[1][-1].linear == (0.0, 1.0, 0.0)
+    tab.keyboard.up("w")
+    wait_until(tab, lambda: operator.commands()[1][-1].linear == (0.0, 0.0, 0.0))
+
+
+def test_a_second_browser_looks_on_and_takes_over_when_the_driver_is_gone(browser, tab, cockpit):
+    operator, page = cockpit.session.operator, cockpit.page
+    driver = page.driver
+    other = browser.new_page(viewport={"width": 900, "height": 300}, device_scale_factor=0.3)
+    other.goto(cockpit.gate.address)
+    other.get_by_role("button", name="Pause").wait_for()
+    wait_until(tab, lambda: len(page.server.get_clients()) == 2)
+    other.get_by_role("button", name="Pause").click()
+    other.get_by_text("Another browser drives").first.wait_for()
+    assert not cockpit.session.clock.is_paused
+    assert page.driver == driver
+    other.get_by_role("button", name="Take the controls").click()
+    wait_until(tab, lambda: page.driver != driver)
+    other.bring_to_front()
+    other.keyboard.down("d")
+    wait_until(other, lambda: operator.commands()[1][-1].linear == (1.0, 0.0, 0.0))
+    other.close()  # in mid-drive
+    wait_until(tab, lambda: page.driver == driver)
+    wait_until(tab, lambda: operator.commands()[1][-1].linear == (0.0, 0.0, 0.0))
+    frame = len(cockpit.session.poses)
+    wait_until(tab, lambda: len(cockpit.session.poses) > frame)
+
+
+def test_the_look_changes_and_goes_into_the_recording(tab, cockpit):
+    tab.get_by_text("Look", exact=True).click()
+    field = tab.get_by_label("Imaging").first
+    field.click()
+    tab.get_by_role("option", name="narrow-band").click()
+    wait_until(tab, lambda: cockpit.page.latest_image.look.render.imaging == "narrow-band")
+    assert cockpit.session.scenario_so_far().render.imaging == "narrow-band"

@@ -1,0 +1,99 @@
+"""A drive without a page: what was driven is recorded again to the last bit."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vrcaps.cockpit.session import Session
+from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.recording.episode import read_episode
+from vrcaps.recording.recorder import record
+from vrcaps.recording.table import POSE_COLUMNS
+from vrcaps.scenario.scenario import Scenario, read_scenario
+from vrcaps.transforms import quaternion_from_matrix
+
+
+@contextmanager
+def driving(scenario: Scenario, folder: Path, **more) -> Iterator[Session]:
+    session = Session(scenario, folder, **more)
+    session.start()
+    try:
+        yield session
+    finally:
+        session.close()
+
+
+def wait_until(done: Callable[[], bool], seconds: float = 20.0) -> None:
+    end = time.monotonic() + seconds
+    while not done():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+def run_to(session: Session, frame: int) -> None:
+    """Simulates to a frame, as fast as it goes."""
+    session.clock.speed = 4.0
+    session.clock.run(until=frame / session.rollout.fps + 1e-6)
+    wait_until(lambda: len(session.poses) > frame)
+
+
+@pytest.mark.slow
+def test_a_drive_is_recorded_again_to_the_same_bytes(drive_scenario, tmp_path):
+    """With keys, a dragged magnet, a turn, an insufflation and a return to a snapshot."""
+    with driving(drive_scenario, tmp_path / "drive") as session:
+        session.operator.push(np.array([0.8, 0, 0, 0, 0, -0.3]))
+        run_to(session, 4)
+        snapshot = session.keep_snapshot()
+        lost = session.poses
+        session.turn("left-lateral")
+        session.operator.push(np.array([-1.0, 1.0, 0, 0, 0, 0]))
+        run_to(session, 7)
+        session.go_back(snapshot)
+        wait_until(lambda: len(session.poses) <= 5)
+        np.testing.assert_array_equal(session.poses[:4], lost[:4])
+        assert session.rollout.settings.posture_changes == ()
+        pose = session.view.T_world_requested.copy()
+        pose[:3, 3] += [0.02, -0.01, 0.0]
+        session.operator.drag(pose, is_dragging=False)
+        session.insufflate(1.1)
+        session.turn("right-lateral")
+        run_to(session, 10)
+        driven = session.poses
+    out = record(read_scenario(tmp_path / "drive" / "drive.json"), tmp_path / "episode")
+    episode = read_episode(out)
+    recorded = [episode.table.columns[f"capsule_{name}"] for name in POSE_COLUMNS]
+    wxyz = [quaternion_from_matrix(pose[:3, :3]) for pose in driven]
+    np.testing.assert_array_equal(np.transpose(recorded), np.hstack([driven[:, :3, 3], wxyz]))
+    assert episode.table.columns["insufflation"][-1] > 1.0
+    moved = np.ptp([episode.table.columns[f"magnet_{axis}_m"] for axis in "xyz"], axis=1)
+    assert moved.max() > 0.01
+
+
+def test_says_what_cannot_be_done(drive_scenario, tmp_path):
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "a").touch()
+    with pytest.raises(InputError, match="full is not empty"):
+        Session(drive_scenario, tmp_path / "full")
+    with pytest.raises(InputError, match="Cannot make the folder"):
+        Session(drive_scenario, tmp_path / "full" / "a" / "b")
+    session = Session(drive_scenario, tmp_path / "drive")
+    with pytest.raises(InputError, match="no frame yet"):
+        session.keep_snapshot()
+    with pytest.raises(UnknownNameError, match="No snapshot named '3 s'"):
+        session.go_back("3 s")
+    with pytest.raises(InputError, match="six numbers from -1 to 1"):
+        session.operator.push(np.array([2.0, 0, 0, 0, 0, 0]))
+    with pytest.raises(InputError, match=r"speed is 9. Allowed: 0.05 to 4"):
+        session.clock.speed = 9
+    session.turn("prone")
+    with pytest.raises(InputError, match="still being turned to prone"):
+        session.turn("supine")
+    session.insufflate(1.2)
+    with pytest.raises(InputError, match="still taking on the insufflation"):
+        session.insufflate(1.0)

@@ -3,6 +3,8 @@
 from vrcaps.errors import UnknownNameError
 from vrcaps.formats.c3vd import C3vd
 from vrcaps.formats.colmap import Colmap
+from vrcaps.formats.endomapper import EndoMapper
+from vrcaps.formats.endoslam import EndoSlam
 from vrcaps.formats.format import Format
 from vrcaps.formats.hugging_face import HuggingFace
 from vrcaps.formats.kitti import Kitti
@@ -17,6 +19,8 @@ FORMATS: dict[str, type[Format]] = {
         Kitti,
         SimCol3D,
         C3vd,
+        EndoSlam,
+        EndoMapper,
         Colmap,
         WebDataset,
         HuggingFace,

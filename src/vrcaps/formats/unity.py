@@ -16,6 +16,7 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.motion.replay import WORLD_FROM_Y_UP, Y_UP_CAMERA_FROM_CAMERA
+from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME
 from vrcaps.transforms import matrix_from_quaternion, quaternion_from_matrix, transform_from
 
 if TYPE_CHECKING:
@@ -94,3 +95,30 @@ def _numbers(cells: list[str]) -> list[float]:
     except ValueError:
         values = []
     return values if len(values) == len(_HEADER) else [np.nan] * len(_HEADER)
+
+
+def frames_with_poses(
+    path: Path, unit: float, frames: dict[int, Path]
+) -> tuple[dict[int, Path], dict[str, np.ndarray]]:
+    """Frames that a recorder's file has a row for, by their numbers, with times and poses.
+
+    Frames are left out whose row is cut off, damaged or not there.
+
+    Args:
+        path: The file of the recorder.
+        unit: Its length unit [m].
+        frames: Images by their numbers.
+
+    Raises:
+        InputError: If the file cannot be read, or no frame has a row.
+    """
+    times, poses = read_recorder(path, unit)
+    kept = {
+        number: image
+        for number, image in frames.items()
+        if number < len(poses) and np.isfinite(poses[number]).all()
+    }
+    if not kept:
+        raise InputError(f"{path} has {len(poses)} rows, none of them of a frame that is there.")
+    rows = list(kept)
+    return kept, {TIME: times[rows], CAMERA_POSE: poses[rows]}

@@ -1,0 +1,54 @@
+"""OpenEXR images of one plane of floats."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps.errors import InputError, MissingExtraError
+from vrcaps.files import atomic_write
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+
+def write_exr(path: Path, plane: Float[np.ndarray, "h w"]) -> None:
+    """Write a plane as float32 in red, green and blue, compressed without loss (ZIP).
+
+    Raises:
+        MissingExtraError: If OpenEXR is not installed.
+    """
+    exr = _openexr()
+    header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
+    planes = np.repeat(plane.astype(np.float32)[..., None], 3, axis=-1)
+    with atomic_write(path) as temporary, exr.File(header, {"RGB": planes}) as file:
+        file.write(str(temporary))
+
+
+def read_exr(path: Path) -> Float[np.ndarray, "h w"]:
+    """The red channel of an image.
+
+    Raises:
+        InputError: If the file cannot be read or has none.
+        MissingExtraError: If OpenEXR is not installed.
+    """
+    exr = _openexr()
+    try:
+        with exr.File(str(path), separate_channels=True) as file:
+            channels = file.channels()
+            pixels = channels["R"].pixels if "R" in channels else None
+    except RuntimeError as error:
+        raise InputError(f"Cannot read {path}: {error}.") from error
+    if not isinstance(pixels, np.ndarray) or pixels.ndim != 2:
+        raise InputError(f"{path} has no whole red channel.")
+    return pixels.astype(np.float32)
+
+
+def _openexr() -> Any:
+    try:
+        import OpenEXR
+    except ImportError as error:
+        raise MissingExtraError("OpenEXR", "formats") from error
+    return OpenEXR

@@ -27,9 +27,9 @@ from vrcaps.cli.benchmarks.page import tree
 from vrcaps.files import file_sha256, files_in
 
 STORE = ROOT / "build" / "exactly_once.json"
-ROWS = [(runner, workers) for runner in ("pool", "Ray") for workers in (1, 2, 4)]
-WORDS = {"pool": ("spawn_main",), "Ray": ("ray::_make", "ray::IDLE")}
-"""What the command lines of workers hold, those at work first."""
+ROWS = [(runner, workers) for workers in (1, 2, 4) for runner in ("pool", "Ray")]
+WORDS = {"pool": "spawn_main", "Ray": "ray::_make"}
+"""What the command lines of workers hold; one of Ray has this name while it makes a unit."""
 HEAD = (
     *("runner", "workers", "workers killed", "of it while recording", "heads killed"),
     *("units in the ledger", "each once", "faults of `dataset check`", "same bytes"),
@@ -166,14 +166,10 @@ def head(out: Path, *flags: str) -> subprocess.Popen:
 
 
 def workers_of(pid: int, runner: str) -> list[int]:
-    """Processes below a head that make units; those at work, if there are any."""
+    """Processes below a head that make units."""
     from processes import command_of, descendants
 
-    below = descendants(pid)
-    for word in WORDS[runner]:
-        if found := [one for one in below if word in command_of(one)]:
-            return found
-    return []
+    return [one for one in descendants(pid) if WORDS[runner] in command_of(one)]
 
 
 def kill(pid: int) -> None:

@@ -1,5 +1,7 @@
 """Making a data set: exactly once, the same bytes whoever makes it and whatever dies."""
 
+import errno
+import os
 from pathlib import Path
 
 import pytest
@@ -7,14 +9,15 @@ import pytest
 import vrcaps
 from failing import fail
 from vrcaps.cli import main
+from vrcaps.data import store as store_module
 from vrcaps.data.check_dataset import check_dataset
 from vrcaps.data.estimate import Estimate
-from vrcaps.data.ledger import entries, failures
+from vrcaps.data.ledger import enter_failure, entries, failures
 from vrcaps.data.make import make_dataset
 from vrcaps.data.plan import read_plan
 from vrcaps.data.runners.in_process import InProcess
 from vrcaps.data.store import LocalStore
-from vrcaps.errors import InputError
+from vrcaps.errors import InputError, StorageError
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -93,6 +96,68 @@ def test_bad_targets_are_one_clear_line(
         with pytest.raises(SystemExit):
             main(["dataset", "make", str(plan_file), "--out", str(made), *flags])
     assert capsys.readouterr().err.count("vrcaps: --") == 3
+
+
+def test_a_target_that_holds_something_else_is_left_alone(
+    plan_file: Path, whole: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "thesis.tex").write_text("mine")
+    (tmp_path / ".hidden").write_text("does not count")
+    with pytest.raises(InputError, match=r"holds something else, and no data set"):
+        make_dataset(read_plan(plan_file), tmp_path, runner=InProcess())
+    with pytest.raises(InputError, match=r"holds something else"):
+        make_dataset(read_plan(plan_file), tmp_path / "thesis.tex", runner=InProcess())
+    assert sorted(p.name for p in tmp_path.iterdir()) == [".hidden", "thesis.tex"]
+    (tmp_path / "plan.json").write_text("{")
+    with pytest.raises(InputError, match=r"plan\.json is damaged .* delete that file"):
+        make_dataset(read_plan(plan_file), tmp_path, runner=InProcess())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EACCES])
+def test_a_full_disk_stops_the_run_and_loses_nothing(
+    plan_file: Path, made: Path, monkeypatch: pytest.MonkeyPatch, code: int
+) -> None:
+    """The second of two units fails where its entry is written; none is noted as failed."""
+    before, names = files(made), sorted(entries(LocalStore(made)))[:2]
+    for name in names:
+        (made / "ledger" / f"{name}.json").unlink()
+    write = store_module.write_bytes
+    left = [names[0]]
+
+    def full(path: Path, data: bytes) -> None:
+        if path.parent.name == "ledger" and not (left and left.pop() in path.name):
+            raise OSError(code, os.strerror(code), str(path))
+        write(path, data)
+
+    monkeypatch.setattr(store_module, "write_bytes", full)
+    with pytest.raises(StorageError, match=rf"{os.strerror(code)}\. .* again to go on"):
+        make_dataset(read_plan(plan_file), made, runner=InProcess())
+    monkeypatch.undo()
+    assert failures(LocalStore(made)) == {}
+    assert len(entries(LocalStore(made))) == 7
+    again = make_dataset(read_plan(plan_file), made, runner=InProcess())
+    assert (again.made, again.present) == (1, 7)
+    assert files(made) == before
+
+
+@pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="root may write anywhere")
+def test_a_place_without_permission_is_one_clear_line(plan_file: Path, tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    with pytest.raises(StorageError, match="Permission denied"):
+        make_dataset(read_plan(plan_file), tmp_path / "out", runner=InProcess())
+
+
+@pytest.mark.slow
+def test_a_failure_is_forgotten_when_the_unit_is_made(plan_file: Path, made: Path) -> None:
+    store, name = LocalStore(made), sorted(entries(LocalStore(made)))[1]
+    before = files(made)
+    (made / "ledger" / f"{name}.json").unlink()
+    enter_failure(store, name, 1, "told", "again")
+    assert failures(store)[name]["error"] == "told"
+    make_dataset(read_plan(plan_file), made, runner=InProcess())
+    assert failures(store) == {}
+    assert files(made) == before
 
 
 @pytest.mark.slow

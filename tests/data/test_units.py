@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from vrcaps.data.check_plan import check_plan
 from vrcaps.data.plan import DatasetSettings, Plan, Split, read_plan
 from vrcaps.data.units import Units
 from vrcaps.errors import InputError
@@ -93,6 +94,45 @@ def test_items_with_a_probability_are_there_as_often() -> None:
 def test_bad_plans_are_one_clear_line(scenario: dict, settings: dict, message: str) -> None:
     with pytest.raises(InputError, match=message):
         Units(plan(scenario, **settings))[0].scenario.organ.seed  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    ("scenario", "message"),
+    [
+        ({"capsul": "mono"}, r"Unknown key scenario\.capsul\..* Did you mean 'capsule'\?"),
+        ({"capsule": "mirocm"}, r"No capsule named 'mirocm'\..* Did you mean 'mirocam'\?"),
+        ({"capsule": {"each": ["mono", "sterio"]}}, "capsule = 'sterio' of the plan: No capsule"),
+        (
+            {"organ": {"name": {"choice": ["colon", "stomac"], "weights": [1e6, 1]}}},
+            r"organ\.name = 'stomac' of the plan: .* Did you mean 'stomach'\?",
+        ),
+        (
+            {"motion": {"drift": {"log-uniform": [1e-9, 1.5]}}},
+            r"motion\.drift = 1\.5 of the plan: .* Allowed: 0 to below 1",
+        ),
+        ({"frames": {"integer": [-1, 10**5]}}, r"frames = -1 of the plan"),
+        ({"motion": {"speed": {"unifrom": [0.1, 0.2]}}}, r"Did you mean 'uniform'\?"),
+        ({"lesions": {"prevalance": 1.0}}, r"Did you mean 'prevalence'\?"),
+    ],
+)
+def test_what_a_plan_may_draw_is_checked_before_anything_is_made(
+    scenario: dict, message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        check_plan(Units(plan(scenario)))
+
+
+def test_stratifying_by_what_the_plan_does_not_have_is_refused() -> None:
+    check_plan(Units(plan(COLONS, stratify=("organ.name",))))
+    with pytest.raises(InputError, match=r"organ\.nam, .* that it draws: lesions, organ\.name\."):
+        check_plan(Units(plan(COLONS, stratify=("organ.nam",))))
+
+
+def test_splits_of_a_large_cohort_draw_only_what_they_are_by() -> None:
+    """Lesions take a thousand times longer to draw than the name of an organ."""
+    few, many = (Units(plan(COLONS, patients=n, stratify=("organ.name",))) for n in (30, 30))
+    names = [many[8 // 2 * k].scenario.organ.name for k in range(30)]
+    assert [few._draw(k, False, only=("organ.name",))["organ.name"] for k in range(30)] == names
 
 
 def test_bad_plan_files_are_one_clear_line(tmp_path: Path) -> None:

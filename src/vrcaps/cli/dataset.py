@@ -199,11 +199,13 @@ def _estimate(plan: Plan, units: Units, numbers: Sequence[int], out: str) -> Non
     Raises:
         InputError: If that is another data set's, or has no room.
     """
+    from vrcaps.data.check_plan import check_plan
     from vrcaps.data.estimate import estimate
     from vrcaps.data.ledger import require_target, whole_units
     from vrcaps.data.plan import SPLITS, plan_to_plain
     from vrcaps.data.store import open_store
 
+    check_plan(units)
     store = open_store(out)
     require_target(store, plan_to_plain(plan))
     whole = set(whole_units(store, [units.name(number) for number in numbers]))

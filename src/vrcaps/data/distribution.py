@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from vrcaps.errors import InputError
+from vrcaps.errors import InputError, nearest
 
 PROBABILITY = "probability"
 
@@ -28,6 +28,10 @@ class Choice:
         """One of the values; all alike without weights."""
         weights = np.array([float(w) for w in self.weights] or [1.0] * len(self.choice))
         return self.choice[int(rng.choice(len(self.choice), p=weights / weights.sum()))]
+
+    def extremes(self) -> Sequence[Plain]:
+        """All values."""
+        return [value for k, value in enumerate(self.choice) if not self.weights or self.weights[k]]
 
     def check(self, path: str) -> None:
         """Raise InputError if nothing can be drawn."""
@@ -51,6 +55,10 @@ class Uniform:
         low, high = map(float, self.uniform)
         return float(rng.uniform(low, high))
 
+    def extremes(self) -> Sequence[Plain]:
+        """Its limits."""
+        return list(map(float, self.uniform))
+
     def check(self, path: str) -> None:
         """Raise InputError if the limits are no two rising numbers."""
         _check_limits(self.uniform, path)
@@ -66,6 +74,10 @@ class LogUniform:
         """A number."""
         low, high = (math.log(float(x)) for x in self.log_uniform)
         return math.exp(float(rng.uniform(low, high)))
+
+    def extremes(self) -> Sequence[Plain]:
+        """Its limits."""
+        return list(map(float, self.log_uniform))
 
     def check(self, path: str) -> None:
         """Raise InputError if the limits are no two rising numbers above 0."""
@@ -89,6 +101,10 @@ class Normal:
         while not low <= (value := float(rng.normal(mean, deviation))) <= high:
             pass
         return value
+
+    def extremes(self) -> Sequence[Plain]:
+        """Its limits; the mean without them."""
+        return list(map(float, self.limits or self.normal[:1]))
 
     def check(self, path: str) -> None:
         """Raise InputError if mean, deviation or limits are impossible or hardly ever met."""
@@ -116,6 +132,10 @@ class Integer:
         low, high = self.integer
         return int(rng.integers(low, high + 1))
 
+    def extremes(self) -> Sequence[Plain]:
+        """Its limits."""
+        return list(self.integer)
+
     def check(self, path: str) -> None:
         """Raise InputError if the limits are no two rising whole numbers."""
         if len(self.integer) != 2 or not all(type(x) is int for x in self.integer):
@@ -128,6 +148,10 @@ class Each:
     """Every one of some values, as recordings of their own: ``{ each = ["mirocam", "mono"] }``."""
 
     each: Sequence[Plain]
+
+    def extremes(self) -> Sequence[Plain]:
+        """All values."""
+        return self.each
 
     def check(self, path: str) -> None:
         """Raise InputError if there is no value."""
@@ -153,6 +177,10 @@ class Prevalence:
         lesions = draw_lesions(None, rng, exaggerate=float(self.prevalence))
         return to_plain(lesions, tuple[AnyLesion, ...])
 
+    def extremes(self) -> Sequence[Plain]:
+        """None: all that it draws are lesions."""
+        return ()
+
     def check(self, path: str) -> None:
         """Raise InputError if the factor is negative."""
         if _number(self.prevalence, path) < 0.0:
@@ -168,6 +196,10 @@ class Probability:
     def draw(self, rng: np.random.Generator) -> bool:
         """Whether it is."""
         return bool(rng.random() < float(self.probability))
+
+    def extremes(self) -> Sequence[Plain]:
+        """Both."""
+        return (True, False)
 
     def check(self, path: str) -> None:
         """Raise InputError if it is no probability."""
@@ -193,6 +225,7 @@ def distribution_of(plain: Plain, path: str) -> Any:
         return None
     key = next((key for key in _BY_KEY if key in plain), None)
     if key is None:
+        _refuse_misspelled(plain, path)
         return None
     cls = _BY_KEY[key]
     known = [name.replace("_", "-") for name in cls.__dataclass_fields__]
@@ -204,6 +237,22 @@ def distribution_of(plain: Plain, path: str) -> Any:
     found = cls(**{name.replace("-", "_"): value for name, value in plain.items()})
     found.check(path)
     return found
+
+
+def _refuse_misspelled(plain: Mapping[str, Plain], path: str) -> None:
+    """Refuse a table that is a distribution but for its name.
+
+    No key of a scenario that holds a list resembles one of them.
+
+    Raises:
+        InputError: If it is one; names the nearest.
+    """
+    for name, value in plain.items():
+        if isinstance(value, list) or name.startswith("prev"):
+            meant = nearest(str(name), _BY_KEY)
+            if meant:
+                known = ", ".join(_BY_KEY)
+                raise InputError(f"{path}: unknown distribution {name}. Known: {known}.{meant}")
 
 
 def slots(plain: Plain, path: str = "") -> Iterator[tuple[str, Any]]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from vrcaps.data.card import write_card
+from vrcaps.data.check_plan import check_plan
 from vrcaps.data.ledger import (
     enter_failure,
     failures,
@@ -61,13 +62,15 @@ def make_dataset(
         source: How the command line named the plan, for the line that repeats a failed unit.
 
     Raises:
-        InputError: If the store holds something else, or a number is of no unit.
+        InputError: If the plan may draw what is no scenario, the store holds something else, or a
+            number is of no unit.
         StorageError: If the place cannot be written or reached; what is whole there stays whole.
     """
     units, store = Units(plan), open_store(url)
     chosen = range(len(units)) if numbers is None else numbers
     for number in chosen:
         require(0 <= number < len(units), "A unit", number, f"0 to {len(units) - 1}")
+    check_plan(units)
     require_same_plan(store, plan_to_plain(plan))
     whole = whole_units(store, [units.name(number) for number in chosen])
     missing = [number for number in chosen if units.name(number) not in whole]

@@ -46,8 +46,8 @@ class Units:
     def __init__(self, plan: Plan) -> None:
         """Looks at the plan's distributions; draws nothing."""
         self.plan = plan
-        self._slots = dict(slots(plan.scenario))
-        self._each = [(path, slot) for path, slot in self._slots.items() if isinstance(slot, Each)]
+        self.slots = dict(slots(plan.scenario))
+        self._each = [(path, slot) for path, slot in self.slots.items() if isinstance(slot, Each)]
         patient_each = [path for path, _ in self._each if _is_patients(path)]
         if patient_each:
             raise InputError(
@@ -69,26 +69,40 @@ class Units:
         """
         if not 0 <= number < len(self):
             raise IndexError(f"No unit {number}. Allowed: 0 to {len(self) - 1}.")
+        try:
+            scenario = self.scenario(number)
+        except VrcapsError as error:
+            raise InputError(f"Unit {number} of the plan: {error}") from error
+        patient = number // self.per_patient
+        return Unit(number, patient, self.splits[patient], self.name(number), scenario)
+
+    def scenario(self, number: int, others: Mapping[str, Any] | None = None) -> Scenario:
+        """What a unit records.
+
+        Args:
+            number: Of the unit.
+            others: Values by path that stand in the place of those that are drawn.
+
+        Raises:
+            VrcapsError: If what was drawn is no scenario.
+        """
         patient, index = divmod(number, self.per_patient)
         repeat, combination = divmod(index, len(self._combinations))
         values = self._combinations[combination]
         drawn = self._draw(patient, False) | values
         # Twins have the draws of the recording that shows the lesions.
         key = self._kinds.index(_without_twin(values)) + len(self._kinds) * repeat
-        drawn |= self._draw(patient, True, key)
+        drawn |= self._draw(patient, True, key) | {**(others or {})}
         plain = _filled(self.plan.scenario, drawn)
         plain.setdefault("seed", self._number("seed", patient, key))
         organ = plain.setdefault("organ", {})
         if isinstance(organ, dict) and organ.get("kind", OrganGenerated.kind) == "generated":
             plain["organ"] = {"seed": self._number("organ.seed", patient), **organ}
-        try:
-            scenario = scenario_from_plain(plain, units=self.plan.has_units)
-            given = scenario.organ
-            if isinstance(given, OrganGenerated) and given.name not in ORGANS:
-                raise UnknownNameError("organ", given.name, ORGANS)
-        except VrcapsError as error:
-            raise InputError(f"Unit {number} of the plan: {error}") from error
-        return Unit(number, patient, self.splits[patient], self.name(number), scenario)
+        scenario = scenario_from_plain(plain, units=self.plan.has_units)
+        given = scenario.organ
+        if isinstance(given, OrganGenerated) and given.name not in ORGANS:
+            raise UnknownNameError("organ", given.name, ORGANS)
+        return scenario
 
     def name(self, number: int) -> str:
         """Name of a unit: its patient and its number."""
@@ -99,7 +113,7 @@ class Units:
         """Split of each patient; patients alike in what is stratified are spread evenly."""
         settings, groups = self.plan.settings, {}
         for patient in range(settings.patients):
-            drawn = self._draw(patient, False) if settings.stratify else {}
+            drawn = self._draw(patient, False, only=settings.stratify)
             values = tuple(
                 str(drawn.get(path, _at(self.plan.scenario, path))) for path in settings.stratify
             )
@@ -127,15 +141,26 @@ class Units:
                 found.append(others)
         return found
 
-    def _draw(self, patient: int, of_recording: bool, *key: int) -> dict[str, Any]:
-        """Values of the slots of a patient, or of a recording of his."""
+    def _draw(
+        self, patient: int, of_recording: bool, *key: int, only: Sequence[str] | None = None
+    ) -> dict[str, Any]:
+        """Values of the slots of a patient, or of a recording of his.
+
+        Args:
+            patient: Number of the patient.
+            of_recording: Whether they are the recording's.
+            key: Tells recordings of the patient apart.
+            only: Paths of the slots that are needed; None draws all. A whole cohort is drawn for
+                its splits, and most slots play no part in them.
+        """
         seed = self.plan.settings.seed
+        wanted = self.slots if only is None or "lesions" in only else only
         drawn = {
             path: slot.draw(rng.stream(seed, f"data/slot/{path}", patient, *key))
-            for path, slot in self._slots.items()
-            if not isinstance(slot, Each) and _is_patients(path) != of_recording
+            for path, slot in self.slots.items()
+            if not isinstance(slot, Each) and _is_patients(path) != of_recording and path in wanted
         }
-        if isinstance(self._slots.get("lesions"), Prevalence) and not of_recording:
+        if "lesions" in drawn and isinstance(self.slots["lesions"], Prevalence):
             drawn["lesions"] = drawn["lesions"] if self._has_colon(drawn) else []
         return drawn
 

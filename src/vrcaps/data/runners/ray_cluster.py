@@ -79,6 +79,8 @@ def _connected(ray: Any, cluster: RayCluster) -> Iterator[str]:
             "include_dashboard": False,
             "object_store_memory": _OBJECT_STORE,
             "_node_ip_address": "127.0.0.1",
+            # Otherwise a first worker that dies while it starts leaves this process waiting.
+            "_system_config": {"prestart_worker_first_driver": False},
         }
     elif cluster.address != AUTO and not _answers(cluster.address):
         raise InputError(

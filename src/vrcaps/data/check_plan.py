@@ -1,0 +1,58 @@
+"""Check of a plan before anything is made: every value that it may draw is one that a scenario has.
+
+Without it a wrong name among many would be found by the recordings that happen to draw it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from vrcaps.capsule.catalog import device_of
+from vrcaps.data.units import Units
+from vrcaps.errors import InputError, VrcapsError
+from vrcaps.scenario.scenario import Scenario
+
+
+def check_plan(units: Units) -> None:
+    """Make the scenario of each extreme of each distribution, all else as in the first unit.
+
+    The extremes of numbers are their limits, those of names all of them.
+
+    Raises:
+        InputError: If one is none, or names a capsule or a patient's value that is not there.
+    """
+    _check_stratify(units)
+    _check_capsule(units[0].scenario, "The plan")
+    for path, slot in units.slots.items():
+        for value in slot.extremes():
+            where = f"{path} = {value!r} of the plan"
+            try:
+                scenario = units.scenario(0, {path: value})
+            except VrcapsError as error:
+                raise InputError(f"{where}: {error}") from error
+            if path.startswith("capsule"):
+                _check_capsule(scenario, where)
+
+
+def _check_capsule(scenario: Scenario, where: str) -> None:
+    try:
+        device_of(scenario.capsule)
+    except VrcapsError as error:
+        raise InputError(f"{where}: {error}") from error
+
+
+def _check_stratify(units: Units) -> None:
+    """A path that leads nowhere would put all patients into one group, silently."""
+    plan = units.plan
+    for path in plan.settings.stratify:
+        found = plan.scenario
+        for name in path.split("."):
+            if path in units.slots or not isinstance(found, Mapping):
+                break
+            if name not in found:
+                own = sorted(slot for slot in units.slots if slot.startswith(("organ", "lesions")))
+                raise InputError(
+                    f"dataset.stratify names {path}, which the plan does not have. Allowed: values "
+                    f"of the patient that it draws: {', '.join(own) or 'none'}."
+                )
+            found = found[name]

@@ -8,8 +8,6 @@ its optimizer and the normalizer are all there is, and a run goes on from them t
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -90,7 +88,7 @@ class Ppo:
         Raises:
             MissingExtraError: If Stable-Baselines3 is not installed.
         """
-        _require_learner()
+        require_learner()
         from stable_baselines3.common.utils import set_random_seed
         from stable_baselines3.common.vec_env import VecNormalize
 
@@ -218,26 +216,12 @@ _LOGGED = {
 }
 
 
-@contextmanager
-def exact_torch(threads: int = 1) -> Iterator[None]:
-    """PyTorch on a number of threads, the same bytes on every run.
+def require_learner() -> None:
+    """Check that what learns is installed.
 
-    A small network on two threads of a busy machine learns twenty times slower than on one.
+    Raises:
+        MissingExtraError: If it is not.
     """
-    _require_learner()
-    import torch
-
-    before, exact = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
-    torch.set_num_threads(threads)
-    torch.use_deterministic_algorithms(True)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
-        torch.use_deterministic_algorithms(exact)
-
-
-def _require_learner() -> None:
     try:
         import stable_baselines3  # noqa: F401
     except ImportError as error:

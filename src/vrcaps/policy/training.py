@@ -12,23 +12,23 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import numpy as np
 
-from vrcaps import __version__
 from vrcaps.env.settings import EnvSettings
 from vrcaps.errors import InputError
-from vrcaps.files import read_arrays, write_arrays, write_csv, write_json
+from vrcaps.files import read_arrays, write_arrays, write_csv
 from vrcaps.limits import Range, check_fields
-from vrcaps.made_with import core_sha256, versions
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.policy.mlp_policy import write_mlp_policy
-from vrcaps.policy.ppo import Ppo, PpoSettings, exact_torch
+from vrcaps.policy.ppo import Ppo, PpoSettings, require_learner
 from vrcaps.policy.score import Score
 from vrcaps.scenario.scenario import OrganFile, OrganGenerated
 from vrcaps.serialization import to_plain
+from vrcaps.torch_threads import exact_torch
+from vrcaps.training_folder import begin_training
 
 if TYPE_CHECKING:
     from vrcaps.policy.mlp_policy import MlpPolicy
 
-SETTINGS, CHECKPOINT, PROGRESS = "settings.json", "checkpoint.npz", "progress.csv"
+CHECKPOINT, PROGRESS = "checkpoint.npz", "progress.csv"
 POLICY, BEST = "policy.npz", "best.npz"
 _PACKAGES = ("gymnasium", "numpy", "scipy", "stable-baselines3", "torch")
 """Packages that a training's bytes depend on."""
@@ -95,7 +95,8 @@ def train(
         InputError: If the folder holds something else, or a training of other settings or versions.
         MissingExtraError: If a package of the learner is not installed.
     """
-    _begin(settings, out, is_forced=is_forced)
+    begin_training(out, plain_settings(settings), _PACKAGES, is_forced=is_forced)
+    require_learner()
     with exact_torch(threads):
         learner = Ppo(settings.env, settings.learner, settings.seed)
         if tensorboard is not None:
@@ -138,36 +139,6 @@ def _write_policy(path: Path, policy: MlpPolicy, settings: TrainingSettings, don
     write_mlp_policy(path, policy, {"rounds": done, "seed": settings.seed})
 
 
-def _begin(settings: TrainingSettings, out: Path, *, is_forced: bool) -> None:
-    """Make the folder, or check that it is of the same training."""
-    path, plain = out / SETTINGS, plain_settings(settings)
-    made_with = {"vrcaps": __version__, "core": core_sha256(), **versions(_PACKAGES)}
-    stated = {"made_with": made_with, "settings": plain}
-    if not path.is_file():
-        if out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise InputError(f"{out} holds no training. Give a new or empty folder.")
-        out.mkdir(parents=True, exist_ok=True)
-        write_json(path, stated)
-        return
-    try:
-        found = json.loads(path.read_text())
-        before, versions_before = found["settings"], found["made_with"]
-    except (ValueError, LookupError, TypeError) as error:
-        raise InputError(f"{path} is damaged. Give a new folder.") from error
-    changed = _differences(before, plain)
-    if changed:
-        raise InputError(
-            f"{out} holds a training with other settings: {', '.join(changed[:5])}. Give a new "
-            "folder, or the settings that it was begun with."
-        )
-    newer = _differences(versions_before, made_with)
-    if newer and not is_forced:
-        raise InputError(
-            f"{out} was begun with other versions: {', '.join(newer)}. Its result would not be the "
-            "same. Give a new folder, or --force to go on."
-        )
-
-
 def plain_settings(settings: TrainingSettings) -> dict[str, Any]:
     """Settings as plain values, see `plain_environment`."""
     learner = to_plain(settings.learner, PpoSettings)
@@ -189,23 +160,6 @@ def plain_environment(env: EnvSettings) -> dict[str, Any]:
         for organ in env.organs
     ]
     return plain
-
-
-def _differences(before: Any, now: Any, at: str = "") -> list[str]:
-    """Places at which two plain trees differ, with both values."""
-    if isinstance(before, dict) and isinstance(now, dict):
-        keys = sorted({*before, *now})
-        return [
-            line
-            for key in keys
-            for line in _differences(before.get(key), now.get(key), f"{at}.{key}".strip("."))
-        ]
-    return [] if before == now else [f"{at} was {_short(before)}, now {_short(now)}"]
-
-
-def _short(value: Any) -> str:
-    text = str(value)
-    return text if len(text) <= 24 else f"{text[:12]}…"
 
 
 def _read_checkpoint(out: Path, learner: Ppo) -> Progress:

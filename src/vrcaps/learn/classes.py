@@ -1,0 +1,165 @@
+"""Class of an image: normal, or the lesion that it shows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+
+import numpy as np
+
+from vrcaps.errors import InputError, require
+from vrcaps.learn.fit import Fit
+from vrcaps.learn.learner import Batch, Figure, Sample, flip, with_gain
+from vrcaps.learn.networks import classifier, require_torch
+from vrcaps.limits import Range, check_fields
+from vrcaps.metrics.classification import accuracy, confusion_matrix, f1_scores, matthews, roc_auc
+from vrcaps.recording.frame_sequence import FrameSequence
+
+if TYPE_CHECKING:
+    from jaxtyping import UInt8
+    from numpy.typing import NDArray
+
+NORMAL = "normal"
+"""Class of images without a lesion."""
+
+
+@dataclass(frozen=True)
+class ClassLearner:
+    """One class for each image.
+
+    Images of a folder of classes have the class of their folder. A recorded frame has the class of
+    the lesion that takes most of it, if that is enough; it is normal where there is none at all.
+    Frames between, and those whose class is not among `classes`, are left out.
+
+    Attributes:
+        classes: Names of the classes, at least two.
+        size: Side of the images that the network is given [px].
+        least_share: Share of a recorded frame that a lesion must take to give the frame its class.
+        dropout: Share of features left out while learning.
+        brightness: Largest random change of exposure, as a factor: 1.3 is ± 30 %.
+    """
+
+    classes: tuple[str, ...] = (NORMAL, "polyp", "ulcer")
+    size: Annotated[int, Range(32)] = 192
+    least_share: Annotated[float, Range(0.0, 1.0)] = 0.005
+    dropout: Annotated[float, Range(0.0, below=1.0)] = 0.2
+    brightness: Annotated[float, Range(1.0)] = 1.3
+
+    kind: ClassVar[str] = "classes"
+    input_names: ClassVar[tuple[str, ...]] = ("image",)
+    figure: ClassVar[Figure] = Figure("f1", is_error=False)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        require(len(set(self.classes)) > 1, "classes of images", self.classes, "two names or more")
+
+    def items(self, sequence: FrameSequence) -> Iterable[int]:
+        """Frames that have one of the classes.
+
+        Raises:
+            InputError: If classes of frames are not known.
+        """
+        return [k for k in range(len(sequence)) if self._class_of(sequence, k) in self.classes]
+
+    def sample(self, sequence: FrameSequence, index: int) -> Sample:
+        """Image and number of its class."""
+        image = sequence.image("rgb", index)
+        name = self._class_of(sequence, index)
+        number = np.asarray(self.classes.index(str(name)))
+        fit = Fit(image.shape[0], image.shape[1], self.size)
+        return {**self.inputs(image, fit, None), "class": number}
+
+    def _class_of(self, sequence: FrameSequence, index: int) -> str | None:
+        """Class of a frame; None where it is neither normal nor clearly a lesion's."""
+        if sequence.episode is None:
+            if "class" not in sequence.values:
+                raise InputError(
+                    f"{sequence.name} has no classes. Give a folder with a folder for each class."
+                )
+            return str(sequence.values["class"][index])
+        if "instance" not in sequence.channels:
+            raise InputError(
+                f"Learning classes needs the channel 'instance', which {sequence.name} has not."
+            )
+        instance = sequence.image("instance", index)
+        pixels = np.bincount(instance.ravel())[1:]
+        if not pixels.any():
+            return NORMAL
+        if pixels.max() < self.least_share * instance.size:
+            return None
+        kinds = {one["instance"]: one["kind"] for one in sequence.episode.head["organ"]["lesions"]}
+        return kinds.get(int(pixels.argmax()) + 1)
+
+    def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Fit, camera: Any) -> Sample:
+        """The image; any camera will do."""
+        return {"image": fit.image(image)}
+
+    def augmented(self, sample: Sample, rng: np.random.Generator) -> Sample:
+        """Mirrored, turned by quarters, and with another exposure and white balance."""
+        for axis in (0, 1):
+            if rng.random() < 0.5:
+                sample = flip(sample, axis)
+        gain = self.brightness ** rng.uniform(-1.0, 1.0) * rng.uniform(0.9, 1.1, 3)
+        image = np.rot90(sample["image"], int(rng.integers(4))).copy()
+        return sample | {"image": with_gain(image, gain, rng.uniform(0.85, 1.15))}
+
+    def network(self, *, is_pretrained: bool) -> Any:
+        """A network from batches to logits [b c]."""
+        return _network_class()(len(self.classes), is_pretrained, self.dropout)
+
+    def loss(self, output: Any, batch: Batch) -> dict[str, Any]:
+        """Cross entropy."""
+        torch = require_torch()
+        return {"loss": torch.nn.functional.cross_entropy(output, batch["class"].long())}
+
+    def scores(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
+        """Mean F1 over classes that occur, that of each, accuracy, Matthews' coefficient, AUC."""
+        logits = np.stack(list(outputs))
+        truth = np.array([int(sample["class"]) for sample in samples])
+        count = len(self.classes)
+        confusion = confusion_matrix(logits.argmax(axis=1), truth, count)
+        each = f1_scores(confusion)
+        occurs = np.bincount(truth, minlength=count) > 0
+        areas = [roc_auc(_share(logits)[:, k], truth == k) for k in np.flatnonzero(occurs)]
+        return {
+            "f1": float(each[occurs].mean()),
+            **{f"f1_{name}": float(f1) for name, f1 in zip(self.classes, each, strict=True)},
+            "accuracy": accuracy(confusion),
+            "mcc": matthews(confusion),
+            "auc": float(np.mean(areas)),
+        }
+
+    def picture(self, output: NDArray, sample: Sample) -> UInt8[np.ndarray, "s k 3"]:
+        """The image with its true and its estimated class."""
+        from PIL import Image, ImageDraw
+
+        text = f"{self.classes[int(output.argmax())]} {_share(output[None]).max():.2f}"
+        if "class" in sample:
+            text += f" (is {self.classes[int(sample['class'])]})"
+        shown = Image.fromarray(sample["image"])
+        ImageDraw.Draw(shown).text((4, 4), text, fill=(255, 255, 255), stroke_width=1)
+        return np.asarray(shown)
+
+
+def _share(logits: NDArray) -> NDArray:
+    """Softmax over the last axis."""
+    from scipy.special import softmax
+
+    return softmax(logits, axis=-1)
+
+
+def _network_class() -> Any:
+    torch = require_torch()
+
+    class ClassNetwork(torch.nn.Module):
+        """A classifier of color images."""
+
+        def __init__(self, classes: int, is_pretrained: bool, dropout: float) -> None:
+            super().__init__()
+            self.net = classifier(classes, is_pretrained=is_pretrained, dropout=dropout)
+
+        def forward(self, image: Any) -> Any:
+            return self.net(2.0 * image - 1.0)
+
+    return ClassNetwork

@@ -1,0 +1,190 @@
+"""Metric depth of one image, learned from exact labels.
+
+Beside color the network is given each pixel's ray, so that one network works for any lens, and a
+cue of the light: LEDs sit beside the lens, so a wall's brightness falls with the square of its
+distance, and half the negative logarithm of brightness is the logarithm of distance but for albedo,
+incidence and exposure.
+
+The loss is on d = ln estimate − ln truth: its mean absolute value, its variance (scale-invariant
+error, Eigen et al., NIPS 2014, eq. 4 with λ = 1), and its gradients at four scales (Li and Snavely,
+CVPR 2018, eq. 4).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.learn.fit import Fit
+from vrcaps.learn.learner import Batch, Figure, Sample, flip, with_gain
+from vrcaps.learn.networks import dense_network, require_torch
+from vrcaps.limits import Range, check_fields
+from vrcaps.metrics.depth import depth_errors, mean_depth_errors
+from vrcaps.recording.frame_sequence import FrameSequence
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, UInt8
+    from numpy.typing import NDArray
+
+    from vrcaps.camera.camera import Camera
+
+_MIDDLE = 0.03
+"""Depth [m] that an output of 0 stands for."""
+_DARK = 0.004
+"""Added to linear brightness in the cue: one step of 8 bits."""
+_SCALES = 4
+
+
+@dataclass(frozen=True)
+class DepthLearner:
+    """Depth z of every pixel [m].
+
+    Attributes:
+        size: Side of the images that the network is given [px].
+        has_light_cue: Whether the network is given the cue of the light.
+        gradient_weight: Weight of the loss of gradients.
+        brightness: Largest random change of exposure, as a factor: 1.3 is ± 30 %.
+    """
+
+    size: Annotated[int, Range(32)] = 192
+    has_light_cue: bool = True
+    gradient_weight: Annotated[float, Range(0.0)] = 0.5
+    brightness: Annotated[float, Range(1.0)] = 1.2
+
+    kind: ClassVar[str] = "depth"
+    input_names: ClassVar[tuple[str, ...]] = ("image", "ray")
+    figure: ClassVar[Figure] = Figure("abs_rel", is_error=True)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    def items(self, sequence: FrameSequence) -> Iterable[int]:
+        """All frames of a sequence with images, depth and a camera.
+
+        Raises:
+            InputError: If it has not all three.
+        """
+        missing = [name for name in ("rgb", "depth") if name not in sequence.channels]
+        if missing or sequence.camera is None:
+            what = f"the channel {missing[0]!r}" if missing else "a calibrated camera"
+            raise InputError(f"Learning depth needs {what}, which {sequence.name} has not.")
+        return range(len(sequence))
+
+    def sample(self, sequence: FrameSequence, index: int) -> Sample:
+        """Image, rays and true depth (NaN where there is none)."""
+        image = sequence.image("rgb", index)
+        fit = Fit(image.shape[0], image.shape[1], self.size)
+        truth = fit.nearest(sequence.image("depth", index), np.nan)
+        return {**self.inputs(image, fit, sequence.camera), "depth": truth}
+
+    def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Fit, camera: Camera | None) -> Sample:
+        """Image and unit rays, zero where the lens has none.
+
+        Raises:
+            InputError: If there is no camera.
+        """
+        if camera is None:
+            raise InputError("Depth needs the camera that took the image: its lens gives the rays.")
+        rays = np.nan_to_num(camera.lens.unproject(fit.pixels.astype(float)))
+        return {"image": fit.image(image), "ray": fit.padded(rays.astype(np.float32), 0.0)}
+
+    def augmented(self, sample: Sample, rng: np.random.Generator) -> Sample:
+        """Mirrored and with another exposure and white balance."""
+        for axis, component in ((1, 0), (0, 1)):
+            if rng.random() < 0.5:
+                sample = flip(sample, axis)
+                sample["ray"][..., component] *= -1.0
+        exposure = self.brightness ** rng.uniform(-1.0, 1.0)
+        gain = exposure * rng.uniform(0.95, 1.05, 3)
+        return sample | {"image": with_gain(sample["image"], gain, rng.uniform(0.9, 1.1))}
+
+    def network(self, *, is_pretrained: bool) -> Any:
+        """A network from batches to ln(depth / 30 mm) [b 1 s s]."""
+        return _network_class()(self.has_light_cue, is_pretrained)
+
+    def loss(self, output: Any, batch: Batch) -> dict[str, Any]:
+        """Terms over the pixels that have a true depth."""
+        torch = require_torch()
+        truth = batch["depth"]
+        valid = torch.isfinite(truth) & (truth > 0.0)
+        target = torch.log(torch.where(valid, truth, _MIDDLE) / _MIDDLE)
+        error = torch.where(valid, output[:, 0] - target, 0.0)
+        count = valid.sum(dim=(1, 2)).clamp(min=1)
+        mean = error.sum(dim=(1, 2)) / count
+        terms = {
+            "absolute": (error.abs().sum(dim=(1, 2)) / count).mean(),
+            "variance": ((error**2).sum(dim=(1, 2)) / count - mean**2).mean(),
+            "gradient": self.gradient_weight * _gradients(error, valid),
+        }
+        return {**terms, "loss": sum(terms.values())}
+
+    def scores(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
+        """Errors without any alignment, and relative error after scaling by the median."""
+        plain, aligned = [], []
+        for output, sample in zip(outputs, samples, strict=True):
+            estimate = depth_of(output)
+            plain.append(depth_errors(estimate, sample["depth"]))
+            aligned.append(depth_errors(estimate, sample["depth"], align="median"))
+        return {
+            **asdict(mean_depth_errors(plain)),
+            "abs_rel_median": mean_depth_errors(aligned).abs_rel,
+        }
+
+    def picture(self, output: NDArray, sample: Sample) -> UInt8[np.ndarray, "s k 3"]:
+        """Image, true depth and estimated depth in one color scale."""
+        from matplotlib import colormaps
+
+        maps = [depth_of(output)]
+        if "depth" in sample:
+            maps.insert(0, sample["depth"])
+        low, high = np.nanpercentile(np.stack(maps), [1.0, 99.0])
+        shown = [(m - low) / max(high - low, 1e-9) for m in maps]
+        colored = [(colormaps["turbo"](m)[..., :3] * 255.0).astype(np.uint8) for m in shown]
+        return np.concatenate([sample["image"], *colored], axis=1)
+
+
+def depth_of(output: Float[np.ndarray, "1 s s"]) -> Float[np.ndarray, "s s"]:
+    """Depth [m] of a network's output."""
+    return _MIDDLE * np.exp(output[0])
+
+
+def light_cue(image: Any) -> Any:
+    """−½ ln of linear brightness [b 1 s s], of color [b 3 s s] from 0 to 1."""
+    torch = require_torch()
+    linear = torch.where(image <= 0.04045, image / 12.92, ((image + 0.055) / 1.055) ** 2.4)
+    return -0.5 * torch.log(linear.mean(dim=1, keepdim=True) + _DARK)
+
+
+def _gradients(error: Any, valid: Any) -> Any:
+    """Mean absolute difference of neighbors' errors, over scales 1, 2, 4, 8."""
+    total = 0.0
+    for step in (2**k for k in range(_SCALES)):
+        e, v = error[:, ::step, ::step], valid[:, ::step, ::step]
+        across, down = v[:, :, 1:] & v[:, :, :-1], v[:, 1:] & v[:, :-1]
+        total = total + ((e[:, :, 1:] - e[:, :, :-1]).abs() * across).sum() / across.sum().clamp(1)
+        total = total + ((e[:, 1:] - e[:, :-1]).abs() * down).sum() / down.sum().clamp(1)
+    return total
+
+
+def _network_class() -> Any:
+    torch = require_torch()
+
+    class DepthNetwork(torch.nn.Module):
+        """A U-Net on color, rays and the cue of the light."""
+
+        def __init__(self, has_light_cue: bool, is_pretrained: bool) -> None:
+            super().__init__()
+            self.has_light_cue = has_light_cue
+            self.net = dense_network(6 + has_light_cue, 1, is_pretrained=is_pretrained)
+
+        def forward(self, image: Any, ray: Any) -> Any:
+            maps = [2.0 * image - 1.0, ray]
+            if self.has_light_cue:
+                maps.append(light_cue(image))
+            return self.net(torch.cat(maps, dim=1))
+
+    return DepthNetwork

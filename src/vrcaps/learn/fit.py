@@ -1,0 +1,75 @@
+"""How an image of any size becomes a square for a network, and a map of the square the image's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int, UInt8
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Scaling that keeps the aspect, centered in a square; what is left of the square is empty.
+
+    Attributes:
+        height: Of the image [px].
+        width: Of the image [px].
+        size: Side of the square [px].
+    """
+
+    height: int
+    width: int
+    size: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width of the image within the square [px]."""
+        scale = self.size / max(self.height, self.width)
+        return max(1, round(scale * self.height)), max(1, round(scale * self.width))
+
+    @property
+    def place(self) -> tuple[slice, slice]:
+        """Rows and columns of the square that the image takes."""
+        height, width = self.shape
+        top, left = (self.size - height) // 2, (self.size - width) // 2
+        return slice(top, top + height), slice(left, left + width)
+
+    @cached_property
+    def pixels(self) -> Int[np.ndarray, "h w 2"]:
+        """Column and row of the image's pixel nearest each pixel of its place."""
+        height, width = self.shape
+        rows = ((np.arange(height) + 0.5) * self.height / height).astype(int)
+        columns = ((np.arange(width) + 0.5) * self.width / width).astype(int)
+        return np.stack(np.meshgrid(columns, rows), axis=-1)
+
+    def image(self, image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "s s 3"]:
+        """A color image in the square, black around it; averaged where it shrinks."""
+        from PIL import Image
+
+        height, width = self.shape
+        small = Image.fromarray(image).resize((width, height), Image.Resampling.BILINEAR)
+        return self.padded(np.asarray(small), 0)
+
+    def nearest(self, values: NDArray, fill: float) -> NDArray:
+        """Values of the nearest pixels in the square, `fill` around them; nothing is averaged."""
+        return self.padded(values[self.pixels[..., 1], self.pixels[..., 0]], fill)
+
+    def padded(self, values: NDArray, fill: float) -> NDArray:
+        """Values of the image's place in a square of `fill`."""
+        square = np.full((self.size, self.size, *values.shape[2:]), fill, values.dtype)
+        square[self.place] = values
+        return square
+
+    def back(self, square: Float[np.ndarray, "s s"]) -> Float[np.ndarray, "h w"]:
+        """A map of the square at the size of the image, by linear interpolation."""
+        from PIL import Image
+
+        inner = np.ascontiguousarray(square[self.place], np.float32)
+        size = (self.width, self.height)
+        return np.asarray(Image.fromarray(inner).resize(size, Image.Resampling.BILINEAR))

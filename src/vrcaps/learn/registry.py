@@ -1,0 +1,26 @@
+"""All learners: the type of a setting's field, and their names."""
+
+from typing import TypeAlias
+
+from vrcaps.errors import UnknownNameError
+from vrcaps.learn.classes import ClassLearner
+from vrcaps.learn.depth import DepthLearner
+from vrcaps.learn.masks import MaskLearner
+
+AnyLearner: TypeAlias = DepthLearner | MaskLearner | ClassLearner
+
+LEARNERS: dict[str, type[AnyLearner]] = {
+    learner.kind: learner for learner in (DepthLearner, MaskLearner, ClassLearner)
+}
+"""Learners by the names of their tasks."""
+
+
+def learner_named(kind: str) -> type[AnyLearner]:
+    """The learner of a task.
+
+    Raises:
+        UnknownNameError: If there is none.
+    """
+    if kind not in LEARNERS:
+        raise UnknownNameError("task", kind, LEARNERS)
+    return LEARNERS[kind]

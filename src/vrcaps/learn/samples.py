@@ -1,0 +1,141 @@
+"""Samples of many sequences: read once, kept while there is room, split for validation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps import rng
+from vrcaps.errors import InputError
+from vrcaps.learn.learner import Batch, Learner, Sample
+from vrcaps.learn.networks import require_torch
+from vrcaps.recording.frame_sequence import FrameSequence
+
+if TYPE_CHECKING:
+    from jaxtyping import Int
+
+_KEPT_BYTES = 4 * 10**9
+_HELD_OUT = 0.2
+"""Share of frames that is held out where the data has no split of its own."""
+
+
+@dataclass
+class Samples:
+    """Frames that a learner can learn from.
+
+    Attributes:
+        learner: What reads them.
+        frames: Sequence and number of each frame.
+        skipped: Why frames could not be read, by their names; they are counted, not learned.
+    """
+
+    learner: Learner
+    frames: Sequence[tuple[FrameSequence, int]]
+    skipped: dict[str, str] = field(default_factory=dict)
+    _kept: dict[int, Sample] = field(default_factory=dict, repr=False)
+    _num_bytes: int = 0
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def get(self, number: int) -> Sample | None:
+        """A sample; None if its files are damaged."""
+        if number in self._kept:
+            return self._kept[number]
+        sequence, index = self.frames[number]
+        name = f"{sequence.name}, frame {index}"
+        if name in self.skipped:
+            return None
+        try:
+            sample = self.learner.sample(sequence, index)
+        except (InputError, OSError) as error:
+            self.skipped[name] = str(error)
+            return None
+        size = sum(array.nbytes for array in sample.values())
+        if self._num_bytes + size <= _KEPT_BYTES:
+            self._num_bytes += size
+            self._kept[number] = sample
+        return sample
+
+    def next(self, number: int) -> Sample:
+        """A sample, or the next one that can be read.
+
+        Raises:
+            InputError: If none can be read.
+        """
+        for step in range(len(self)):
+            sample = self.get((number + step) % len(self))
+            if sample is not None:
+                return sample
+        raise InputError(f"No frame can be read: {next(iter(self.skipped.values()), 'none')}")
+
+    def subset(self, share: float, seed: int) -> Samples:
+        """A share of the frames, drawn at random; smaller shares lie within larger ones."""
+        order = rng.stream(seed, "learn/share").permutation(len(self))
+        kept = np.sort(order[: max(1, round(share * len(self)))])
+        return Samples(self.learner, [self.frames[k] for k in kept])
+
+    def evenly(self, count: int) -> Int[np.ndarray, " m"]:
+        """Numbers of at most so many frames, evenly spread."""
+        return np.unique(np.linspace(0, len(self) - 1, min(count, len(self))).astype(int))
+
+
+def samples_of(learner: Learner, sequences: Sequence[FrameSequence]) -> Samples:
+    """All frames of sequences that can be learned from.
+
+    Raises:
+        InputError: If a sequence lacks a channel that is learned, or there is no frame.
+    """
+    frames = [(one, index) for one in sequences for index in learner.items(one)]
+    if not frames:
+        names = ", ".join(one.name for one in sequences[:3]) or "nothing"
+        raise InputError(f"There is no frame to learn {learner.kind} from in {names}.")
+    return Samples(learner, frames)
+
+
+def split_samples(learner: Learner, sequences: Sequence[FrameSequence]) -> tuple[Samples, Samples]:
+    """Frames to learn from and frames to validate with.
+
+    Splits of the data are kept: `train` and `val`. Data without splits is parted by patient if it
+    has five or more; otherwise the last fifth of each sequence is held out.
+
+    Raises:
+        InputError: If either would be empty.
+    """
+    if any(one.split for one in sequences):
+        train = [one for one in sequences if one.split in (None, "train")]
+        return samples_of(learner, train), samples_of(
+            learner, [one for one in sequences if one.split == "val"]
+        )
+    patients = sorted({one.patient for one in sequences if one.patient})
+    if len(patients) * _HELD_OUT >= 1.0:
+        held = set(patients[-round(len(patients) * _HELD_OUT) :])
+        train = [one for one in sequences if one.patient not in held]
+        return samples_of(learner, train), samples_of(
+            learner, [one for one in sequences if one.patient in held]
+        )
+    first, last = [], []
+    for one in sequences:
+        frames = [(one, index) for index in learner.items(one)]
+        cut = len(frames) - round(_HELD_OUT * len(frames))
+        first, last = first + frames[:cut], last + frames[cut:]
+    if not first or not last:
+        raise InputError(f"There are too few frames to learn {learner.kind} from: five or more.")
+    return Samples(learner, first), Samples(learner, last)
+
+
+def batch_of(samples: Sequence[Sample], device: str = "cpu") -> Batch:
+    """Tensors of samples: images from 0 to 1, channels before rows."""
+    torch = require_torch()
+
+    def tensor(name: str) -> Any:
+        stacked = np.stack([sample[name] for sample in samples])
+        if stacked.ndim == 4:
+            stacked = np.ascontiguousarray(np.moveaxis(stacked, -1, 1))
+        found = torch.from_numpy(stacked).to(device)
+        return found.float() / 255.0 if name == "image" else found
+
+    return {name: tensor(name) for name in samples[0]}

@@ -1,0 +1,326 @@
+"""Training of a learner in a folder: checkpoints, progress, pictures, the best weights."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+
+from vrcaps import rng
+from vrcaps.errors import InputError
+from vrcaps.files import atomic_write, write_csv
+from vrcaps.learn.depth import DepthLearner
+from vrcaps.learn.networks import require_torch
+from vrcaps.learn.registry import AnyLearner
+from vrcaps.learn.samples import Samples, batch_of
+from vrcaps.learn.validation import validate, write_pictures
+from vrcaps.learn.weights import Trained, read_weights, write_weights
+from vrcaps.limits import Range, check_fields
+from vrcaps.serialization import to_plain
+from vrcaps.torch_threads import exact_torch
+from vrcaps.training_folder import begin_training
+
+CHECKPOINT, PROGRESS = "checkpoint.pt", "progress.csv"
+WEIGHTS, BEST = "weights.safetensors", "best.safetensors"
+SCRATCH, IMAGENET = "scratch", "imagenet"
+_PACKAGES = ("numpy", "pillow", "segmentation-models-pytorch", "timm", "torch")
+"""Packages that a training's bytes depend on."""
+_WARM_UP = 0.05
+"""Share of the steps in which the learning rate rises."""
+
+
+@dataclass(frozen=True)
+class TrainSettings:
+    """All that a training's result follows from, beside the files of its data.
+
+    Attributes:
+        learner: The task and its settings.
+        data: What is learned from, as the command line named it.
+        start: `imagenet`, `scratch`, or a file of weights to go on from.
+        steps: Batches learned from.
+        batch: Frames in a batch.
+        rate: Largest learning rate of AdamW; it rises, then falls as a cosine to zero.
+        weight_decay: Of AdamW.
+        share: Share of the training frames that is used, for learning curves.
+        evaluate_every: Steps between evaluations and checkpoints.
+        evaluation_frames: Most frames of an evaluation, evenly spread.
+        seed: Of all that is random.
+    """
+
+    learner: AnyLearner = field(default_factory=DepthLearner)
+    data: tuple[str, ...] = ()
+    start: str = IMAGENET
+    steps: Annotated[int, Range(1)] = 20_000
+    batch: Annotated[int, Range(1)] = 8
+    rate: Annotated[float, Range(above=0.0)] = 5e-4
+    weight_decay: Annotated[float, Range(0.0)] = 1e-2
+    share: Annotated[float, Range(above=0.0, most=1.0)] = 1.0
+    evaluate_every: Annotated[int, Range(1)] = 500
+    evaluation_frames: Annotated[int, Range(1)] = 400
+    seed: Annotated[int, Range(0)] = 0
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a training is.
+
+    Attributes:
+        step: Steps that are done.
+        total: Steps in all.
+        rows: A row for each evaluation: mean loss since the last, and the scores.
+        best: Best value of the learner's figure; None before the first evaluation.
+    """
+
+    step: int
+    total: int
+    rows: tuple[dict[str, float], ...] = ()
+    best: float | None = None
+
+
+@dataclass(frozen=True)
+class Machine:
+    """What computes.
+
+    Attributes:
+        device: `cpu`, `cuda`, `mps`, or `auto` for the fastest there is.
+        threads: PyTorch's on a CPU; more than one is slower on a machine with other work.
+    """
+
+    device: str = "auto"
+    threads: Annotated[int, Range(1)] = 1
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+def train(
+    settings: TrainSettings,
+    samples: Samples,
+    validation: Samples,
+    out: Path,
+    *,
+    machine: Machine | None = None,
+    is_forced: bool = False,
+    tensorboard: bool = False,
+    report: Callable[[Progress], None] = lambda progress: None,
+) -> Progress:
+    """Train a learner, or go on with a training that was cut off, to the same bytes on a CPU.
+
+    `out` then holds `best.safetensors` of the best evaluation and `weights.safetensors` of the
+    last; `settings.json`, `progress.csv`, `pictures/`, and `checkpoint.pt` to go on from.
+
+    Args:
+        settings: What is trained, and how.
+        samples: Frames to learn from.
+        validation: Frames to choose the weights by.
+        out: Folder: new, empty, or of the same training.
+        machine: What computes; by default the fastest there is.
+        is_forced: Go on even if vrcaps or a package has changed since the training began.
+        tensorboard: Whether files for TensorBoard are written.
+        report: Called after each step.
+
+    Raises:
+        InputError: If the folder holds something else, or the loss is no number any more; the last
+            good checkpoint is kept.
+        MissingExtraError: If a package is not installed.
+    """
+    machine = machine or Machine()
+    device = chosen_device(machine.device)
+    plain = to_plain(settings, TrainSettings)
+    plain["frames"] = [len(samples), len(validation)]
+    begin_training(out, plain, _PACKAGES, is_forced=is_forced)
+    samples = samples.subset(settings.share, settings.seed)
+    with exact_torch(machine.threads):
+        run = _Run(settings, samples, validation, out, device)
+        writer = _writer(out / "tensorboard") if tensorboard else None
+        report(run.progress)
+        while run.progress.step < settings.steps:
+            run.step()
+            if run.is_due():
+                run.evaluate(writer)
+            report(run.progress)
+    return run.progress
+
+
+def chosen_device(device: str) -> str:
+    """The device meant by `auto`, or the one that is named.
+
+    Raises:
+        InputError: If it is not there.
+        MissingExtraError: If PyTorch is not installed.
+    """
+    torch = require_torch()
+    there = ["cpu"]
+    if torch.cuda.is_available():
+        there.insert(0, "cuda")
+    if torch.backends.mps.is_available():
+        there.insert(0, "mps")
+    if device == "auto":
+        return there[0]
+    if device.split(":", maxsplit=1)[0] not in there:
+        raise InputError(f"The device is {device!r}. Here: {', '.join(sorted(there))}, auto.")
+    return device
+
+
+class _Run:
+    """Network, optimizer and where they are."""
+
+    def __init__(
+        self,
+        settings: TrainSettings,
+        samples: Samples,
+        validation: Samples,
+        out: Path,
+        device: str,
+    ) -> None:
+        torch = require_torch()
+        self.settings, self.samples, self.validation = settings, samples, validation
+        self.out, self.device, self.learner = out, device, settings.learner
+        torch.manual_seed(settings.seed)
+        self.network = _first_network(settings).to(device)
+        self.optimizer = torch.optim.AdamW(
+            self.network.parameters(), lr=settings.rate, weight_decay=settings.weight_decay
+        )
+        self.progress = Progress(0, settings.steps)
+        self._losses: list[float] = []
+        self._began = time.perf_counter()
+        self._read_checkpoint()
+
+    def step(self) -> None:
+        """Learn from one batch."""
+        torch = require_torch()
+        number = self.progress.step
+        torch.manual_seed(int(rng.stream(self.settings.seed, "learn/step", number).integers(2**31)))
+        for group in self.optimizer.param_groups:
+            group["lr"] = self._rate(number)
+        self.network.train()
+        batch = batch_of(self._samples_of(number), self.device)
+        with torch.autocast(self.device.split(":")[0], torch.bfloat16, self.device != "cpu"):
+            output = self.network(*(batch[name] for name in self.learner.input_names))
+        loss = self.learner.loss(output.float(), batch)["loss"]
+        value = loss.item()
+        if not math.isfinite(value):
+            raise InputError(
+                f"The loss is {value} at step {number}. {self.out / BEST} and the last "
+                "checkpoint are kept. Try a smaller --set rate."
+            )
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
+        self.optimizer.step()
+        self._losses.append(value)
+        self.progress = Progress(
+            number + 1, self.settings.steps, self.progress.rows, self.progress.best
+        )
+
+    def is_due(self) -> bool:
+        """Whether an evaluation is due."""
+        done = self.progress.step
+        return done % self.settings.evaluate_every == 0 or done == self.settings.steps
+
+    def evaluate(self, writer: Any) -> None:
+        """Evaluate, keep the best weights, write the checkpoint."""
+        trained = Trained(self.learner, self.network.eval(), {}, self.device)
+        found = validate(trained, self.validation, self.settings.evaluation_frames)
+        value, progress = found.scores[self.learner.figure.name], self.progress
+        row = {
+            "step": float(progress.step),
+            "loss": float(np.mean(self._losses)),
+            **found.scores,
+            "skipped": float(len(self.samples.skipped) + len(self.validation.skipped)),
+            "seconds": time.perf_counter() - self._began,
+        }
+        best = progress.best
+        about = {"steps": progress.step, "scores": dict(found.scores)}
+        about |= {"data": list(self.settings.data)}
+        if best is None or self.learner.figure.is_better(value, best):
+            best = value
+            write_weights(self.out / BEST, self.learner, self.network, about)
+        if progress.step == progress.total:
+            write_weights(self.out / WEIGHTS, self.learner, self.network, about)
+        picture = self.out / "pictures" / f"step-{progress.step:07d}.png"
+        shown = write_pictures(picture, self.learner, found)
+        self.progress = Progress(progress.step, progress.total, (*progress.rows, row), best)
+        self._losses, self._began = [], time.perf_counter()
+        self._write_checkpoint()
+        if writer is not None:
+            for name, number in row.items():
+                writer.add_scalar(f"evaluation/{name}", number, progress.step)
+            writer.add_image("pictures", shown, progress.step, dataformats="HWC")
+            writer.flush()
+
+    def _samples_of(self, number: int) -> list[Any]:
+        """Samples of a batch, changed at random; the same for the same number."""
+        count, size = len(self.samples), self.settings.batch
+        places = np.arange(number * size, (number + 1) * size)
+        orders = {
+            epoch: rng.stream(self.settings.seed, "learn/order", int(epoch)).permutation(count)
+            for epoch in np.unique(places // count)
+        }
+        chance = rng.stream(self.settings.seed, "learn/augment", number)
+        return [
+            self.learner.augmented(self.samples.next(int(orders[p // count][p % count])), chance)
+            for p in places
+        ]
+
+    def _rate(self, number: int) -> float:
+        done = number / self.settings.steps
+        warm = min(1.0, (number + 1) / max(1.0, _WARM_UP * self.settings.steps))
+        return self.settings.rate * warm * 0.5 * (1.0 + math.cos(math.pi * done))
+
+    def _write_checkpoint(self) -> None:
+        torch = require_torch()
+        write_csv(self.out / PROGRESS, self.progress.rows)
+        state = {
+            "network": self.network.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "progress": {**asdict(self.progress), "rows": list(self.progress.rows)},
+        }
+        with atomic_write(self.out / CHECKPOINT) as temporary:
+            torch.save(state, temporary)
+
+    def _read_checkpoint(self) -> None:
+        torch, path = require_torch(), self.out / CHECKPOINT
+        if not path.is_file():
+            return
+        try:
+            state = torch.load(path, map_location=self.device, weights_only=True)
+            self.network.load_state_dict(state["network"])
+            self.optimizer.load_state_dict(state["optimizer"])
+            found = state["progress"]
+            self.progress = Progress(**{**found, "rows": tuple(found["rows"])})
+        except Exception as error:  # what a damaged pickle raises has no common base
+            reason = str(error).splitlines()[0]
+            raise InputError(f"{path} is damaged ({reason}). Give a new folder.") from error
+
+
+def _first_network(settings: TrainSettings) -> Any:
+    """The network that training begins with.
+
+    Raises:
+        InputError: If the weights to begin with are of another task or other settings.
+    """
+    learner, start = settings.learner, settings.start
+    network = learner.network(is_pretrained=start == IMAGENET)
+    if start in (SCRATCH, IMAGENET):
+        return network
+    known = read_weights(start, task=learner.kind).network.state_dict()
+    own = network.state_dict()
+    # Another number of classes has another last layer, which then begins at random.
+    fits = {k: v for k, v in known.items() if k in own and own[k].shape == v.shape}
+    network.load_state_dict(fits, strict=False)
+    return network
+
+
+def _writer(folder: Path) -> Any:
+    from torch.utils.tensorboard import SummaryWriter
+
+    return SummaryWriter(str(folder))

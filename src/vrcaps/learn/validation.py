@@ -1,0 +1,69 @@
+"""Scores and pictures of a trained network on frames with truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.learn.learner import Learner, Sample
+from vrcaps.learn.samples import Samples, batch_of
+from vrcaps.learn.weights import Trained
+
+if TYPE_CHECKING:
+    from jaxtyping import UInt8
+    from numpy.typing import NDArray
+
+_BATCH = 8
+_SHOWN = 6
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a network made of frames.
+
+    Attributes:
+        scores: The learner's figures.
+        outputs: The network's output for each frame.
+        samples: Input and truth of each.
+    """
+
+    scores: Mapping[str, float]
+    outputs: list[NDArray]
+    samples: list[Sample]
+
+
+def validate(trained: Trained, samples: Samples, most: int | None = None) -> Found:
+    """Scores over frames; those that cannot be read are left out and noted in `samples.skipped`.
+
+    Args:
+        trained: What is judged.
+        samples: Frames with truth.
+        most: Largest number of frames, evenly spread; None takes all.
+
+    Raises:
+        InputError: If no frame can be read.
+    """
+    numbers = samples.evenly(len(samples) if most is None else most)
+    known = [sample for k in numbers if (sample := samples.get(int(k))) is not None]
+    if not known:
+        samples.next(0)  # says why
+    outputs: list[NDArray] = []
+    for first in range(0, len(known), _BATCH):
+        outputs.extend(trained(batch_of(known[first : first + _BATCH])))
+    return Found(trained.learner.scores(outputs, known), outputs, known)
+
+
+def write_pictures(path: Path, learner: Learner, found: Found) -> UInt8[np.ndarray, "h w 3"]:
+    """Write a picture of a few frames below one another; returns it."""
+    from PIL import Image
+
+    chosen = np.unique(np.linspace(0, len(found.samples) - 1, _SHOWN).astype(int))
+    rows = [learner.picture(found.outputs[k], found.samples[k]) for k in chosen]
+    picture = np.concatenate(rows, axis=0)
+    path.parent.mkdir(exist_ok=True)
+    Image.fromarray(picture).save(path)
+    return picture

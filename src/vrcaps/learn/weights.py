@@ -1,0 +1,154 @@
+"""Weights of a trained network: a safetensors file of 16-bit numbers that says what it is."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vrcaps import __version__
+from vrcaps.errors import InputError, MissingExtraError, VrcapsError
+from vrcaps.files import atomic_write
+from vrcaps.learn.networks import require_torch
+from vrcaps.learn.registry import LEARNERS, AnyLearner
+from vrcaps.serialization import from_plain, to_plain
+
+_FORMAT = "vrcaps-weights/1"
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A learner with its trained network, ready to estimate.
+
+    Attributes:
+        learner: The task and its settings.
+        network: On the device, in evaluation mode.
+        about: What the file says of itself: steps, scores, data.
+        device: Where it computes.
+    """
+
+    learner: AnyLearner
+    network: Any
+    about: dict[str, Any]
+    device: str = "cpu"
+
+    def __call__(self, inputs: dict[str, Any]) -> np.ndarray:
+        """Outputs [b …] of a batch of inputs."""
+        torch = require_torch()
+        with torch.inference_mode():
+            given = (inputs[name].to(self.device) for name in self.learner.input_names)
+            return self.network(*given).float().cpu().numpy()
+
+
+def write_weights(path: Path, learner: AnyLearner, network: Any, about: dict[str, Any]) -> None:
+    """Write a network's weights, whole or not at all.
+
+    Args:
+        path: File to write, `.safetensors`.
+        learner: Its task and settings.
+        network: Its weights are rounded to 16 bits.
+        about: What is told of them: steps, scores, data.
+
+    Raises:
+        MissingExtraError: If safetensors is not installed.
+    """
+    save_file = _safetensors().save_file
+    tensors = {
+        name: (value.half() if value.is_floating_point() else value).cpu().contiguous()
+        for name, value in network.state_dict().items()
+    }
+    stated = {
+        "format": _FORMAT,
+        "vrcaps": __version__,
+        "task": learner.kind,
+        "learner": json.dumps(to_plain(learner, type(learner)), sort_keys=True),
+        "about": json.dumps(about, sort_keys=True),
+    }
+    with atomic_write(path) as temporary:
+        save_file(tensors, str(temporary), metadata=stated)
+
+
+def read_weights(path: str | Path, *, task: str | None = None, device: str = "cpu") -> Trained:
+    """Read weights that `write_weights` wrote.
+
+    Args:
+        path: The file.
+        task: The task that they must be of; None takes any.
+        device: Where the network is to compute.
+
+    Raises:
+        InputError: If the file is damaged, no such file, or of another task.
+        MissingExtraError: If a package is not installed.
+    """
+    safe_open = _safetensors_open()
+    try:
+        with safe_open(str(path), framework="pt") as file:
+            stated = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except Exception as error:  # what safetensors raises has no common base
+        raise InputError(f"Cannot read {path}: {error}.") from error
+    kind = stated.get("task")
+    if stated.get("format") != _FORMAT or kind not in LEARNERS:
+        raise InputError(f"{path} holds no weights of vrcaps.")
+    if task is not None and kind != task:
+        raise InputError(f"{path} holds weights of the task {kind!r}. Asked for: {task!r}.")
+    try:
+        learner = from_plain(LEARNERS[kind], json.loads(stated["learner"]), at=str(path))
+        network = learner.network(is_pretrained=False)
+        network.load_state_dict(
+            {
+                name: value.float() if value.is_floating_point() else value
+                for name, value in tensors.items()
+            }
+        )
+        about = json.loads(stated["about"])
+    except MissingExtraError:
+        raise
+    except (VrcapsError, LookupError, ValueError, RuntimeError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"{path} does not fit this version of vrcaps: {reason}") from error
+    return Trained(learner, network.to(device).eval(), about, device)
+
+
+def write_onnx(path: Path, trained: Trained) -> None:
+    """Write a trained network as ONNX; its inputs have any batch size.
+
+    Raises:
+        MissingExtraError: If onnx is not installed.
+    """
+    torch = require_torch()
+    try:
+        import onnx  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError("onnx", "learn") from error
+    learner = trained.learner
+    shape = (1, 3, learner.size, learner.size)
+    names = list(learner.input_names)
+    with atomic_write(path) as temporary:
+        torch.onnx.export(
+            trained.network.cpu(),
+            tuple(torch.zeros(shape) for _ in names),
+            str(temporary),
+            input_names=names,
+            output_names=["output"],
+            dynamic_axes={name: {0: "batch"} for name in (*names, "output")},
+            dynamo=False,
+        )
+
+
+def _safetensors() -> Any:
+    try:
+        import safetensors.torch
+    except ImportError as error:
+        raise MissingExtraError("safetensors", "learn") from error
+    return safetensors.torch
+
+
+def _safetensors_open() -> Any:
+    _safetensors()
+    from safetensors import safe_open
+
+    return safe_open

@@ -20,6 +20,9 @@ _DESCRIPTION = """A virtual environment for capsule endoscopy: headless, exactly
 Start with `vrcaps demo`. Every verb shows examples with --help."""
 
 
+_TASKS = {"depth": "depth", "masks": "masks of lesions", "classes": "classes of images"}
+"""Tasks of learners; `tests/cli` holds them against the registry, which loads more."""
+
 _VERBS = {
     "demo": ("vrcaps.cli.demo", "Demo", "Record a labeled run through a generated colon."),
     "record": ("vrcaps.cli.record", "Record", "Record your own organ, capsule and motion."),
@@ -54,14 +57,25 @@ _VERBS = {
         f"export {kind}": ("vrcaps.cli.export", kind, form.summary)
         for kind, form in FORMATS.items()
     },
+    **{
+        f"{verb} {task}": ("vrcaps.cli.learn", f"{verb}_{task}", f"{meaning} {what}.")
+        for verb, meaning in (
+            ("train", "Learn to estimate"),
+            ("evaluate", "Score estimates of"),
+            ("predict", "Estimate"),
+        )
+        for task, what in _TASKS.items()
+    },
     "doctor": ("vrcaps.cli.doctor", "Doctor", "Say what is installed and what can be used."),
 }
 """Module, dataclass and summary of each verb."""
 
 _GROUPS = {
-    "train": "Learn: policies that steer a capsule.",
+    "train": "Learn: policies that steer a capsule, and estimates from images.",
+    "predict": "Estimate from images with trained weights.",
     "dataset": "Make and verify data sets of many recordings, split by patient.",
     "export": "Write episodes and data sets in the layouts that other tools read.",
+    "evaluate": "Score estimates from images; without a task, judge policies.",
     "organ": "Generate organs, make them from CT, dress them from photographs; measure, draw.",
     "calibrate": "Make a capsule file of a real capsule from its photographs and frames.",
     "bench": "Measure speed on this machine.",
@@ -99,7 +113,7 @@ def _parse(args: Sequence[str]) -> _Command:
 
     words = [arg for arg in args if not arg.startswith("-")]
     app, groups = SubcommandApp(), {}
-    for path, (module, noun, summary) in _VERBS.items():
+    for path, (module, noun, summary) in _verbs(words).items():
         *group, verb = path.split()
         parent = app
         if group:
@@ -123,6 +137,13 @@ def _parse(args: Sequence[str]) -> _Command:
             raise error from None
         sys.stderr.write(said.getvalue())
         raise
+
+
+def _verbs(words: Sequence[str]) -> dict[str, tuple[str, str, str]]:
+    """Verbs of a command line: `evaluate` is followed by a learner's task, or by policies."""
+    is_task = words[:1] == ["evaluate"] and words[1:2] != [] and words[1] in _TASKS
+    left_out = {"evaluate"} if is_task else {f"evaluate {task}" for task in _TASKS}
+    return {path: verb for path, verb in _VERBS.items() if path not in left_out}
 
 
 def _not_chosen() -> None:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import inspect
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from math import radians
 from pathlib import Path
 from typing import Any, ClassVar
@@ -11,6 +10,7 @@ from typing import Any, ClassVar
 from tyro.conf import Positional
 
 from vrcaps.cli.console import console, progress_bar
+from vrcaps.cli.parts import command_of, part_of
 from vrcaps.data.plan import SPLITS
 from vrcaps.errors import UnknownNameError
 from vrcaps.formats.format import Format
@@ -37,7 +37,7 @@ class Export:
     """Resample to a pinhole with this angle from left to right [degrees], below 180; depth, flow
     and masks follow. The middle keeps its resolution."""
 
-    form: ClassVar[type[Format]]
+    part: ClassVar[type[Format]]
 
     def run(self) -> None:
         """Export and report.
@@ -51,8 +51,7 @@ class Export:
 
         if self.split is not None and self.split not in SPLITS:
             raise UnknownNameError("split", self.split, SPLITS)
-        options = [f.name for f in fields(self.form)]  # type: ignore[arg-type]
-        form = self.form(**{name: getattr(self, name) for name in options})
+        form = part_of(self)
         sequences = sequences_of(self.source, camera=self.camera, split=self.split)
         if self.rectify is not None:
             sequences = tuple(rectified(one, radians(self.rectify)) for one in sequences)
@@ -66,9 +65,5 @@ def __getattr__(kind: str) -> Any:
     """The command that exports to a format: what all have in common, and the format's options."""
     if kind not in FORMATS:
         raise AttributeError(kind)
-    form = FORMATS[kind]
-    meaning, attributes, options = inspect.cleandoc(form.__doc__ or "").partition("Attributes:")
-    example = f"For example:\n  vrcaps export {kind} runs/colon --out runs/colon-{kind}\n\n"
-    doc = f"{meaning.rstrip()}\n\n{example}{attributes}{options}"
-    own: dict[str, Any] = {"form": form, "__doc__": doc, "__module__": __name__}
-    return dataclass(frozen=True, kw_only=True)(type(form.__name__, (Export, form), own))
+    examples = f"  vrcaps export {kind} runs/colon --out runs/colon-{kind}"
+    return command_of(Export, FORMATS[kind], examples)

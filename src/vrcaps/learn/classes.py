@@ -11,7 +11,7 @@ import numpy as np
 from vrcaps.errors import InputError, require
 from vrcaps.learn.fit import Fit
 from vrcaps.learn.learner import Batch, Figure, Sample, flip, with_gain
-from vrcaps.learn.networks import classifier, require_torch
+from vrcaps.learn.networks import ENCODER, classifier, require_torch
 from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.classification import accuracy, confusion_matrix, f1_scores, matthews, roc_auc
 from vrcaps.recording.frame_sequence import FrameSequence
@@ -34,7 +34,8 @@ class ClassLearner:
 
     Attributes:
         classes: Names of the classes, at least two.
-        size: Side of the images that the network is given [px].
+        size: Side of the images that the network is given [px]; maps need a multiple of 32.
+        encoder: Name of timm's, such as resnet152.
         least_share: Share of a recorded frame that a lesion must take to give the frame its class.
         dropout: Share of features left out while learning.
         brightness: Largest random change of exposure, as a factor: 1.3 is ± 30 %.
@@ -42,6 +43,7 @@ class ClassLearner:
 
     classes: tuple[str, ...] = (NORMAL, "polyp", "ulcer")
     size: Annotated[int, Range(32)] = 192
+    encoder: str = ENCODER
     least_share: Annotated[float, Range(0.0, 1.0)] = 0.005
     dropout: Annotated[float, Range(0.0, below=1.0)] = 0.2
     brightness: Annotated[float, Range(1.0)] = 1.3
@@ -106,7 +108,7 @@ class ClassLearner:
 
     def network(self, *, is_pretrained: bool) -> Any:
         """A network from batches to logits [b c]."""
-        return _network_class()(len(self.classes), is_pretrained, self.dropout)
+        return _network_class()(self.encoder, len(self.classes), is_pretrained, self.dropout)
 
     def loss(self, output: Any, batch: Batch) -> dict[str, Any]:
         """Cross entropy."""
@@ -121,7 +123,7 @@ class ClassLearner:
         confusion = confusion_matrix(logits.argmax(axis=1), truth, count)
         each = f1_scores(confusion)
         occurs = np.bincount(truth, minlength=count) > 0
-        areas = [roc_auc(_share(logits)[:, k], truth == k) for k in np.flatnonzero(occurs)]
+        areas = [roc_auc(class_shares(logits)[:, k], truth == k) for k in np.flatnonzero(occurs)]
         return {
             "f1": float(each[occurs].mean()),
             **{f"f1_{name}": float(f1) for name, f1 in zip(self.classes, each, strict=True)},
@@ -134,7 +136,7 @@ class ClassLearner:
         """The image with its true and its estimated class."""
         from PIL import Image, ImageDraw
 
-        text = f"{self.classes[int(output.argmax())]} {_share(output[None]).max():.2f}"
+        text = f"{self.classes[int(output.argmax())]} {class_shares(output[None]).max():.2f}"
         if "class" in sample:
             text += f" (is {self.classes[int(sample['class'])]})"
         shown = Image.fromarray(sample["image"])
@@ -142,8 +144,8 @@ class ClassLearner:
         return np.asarray(shown)
 
 
-def _share(logits: NDArray) -> NDArray:
-    """Softmax over the last axis."""
+def class_shares(logits: NDArray) -> NDArray:
+    """Share of each class [n c]: softmax of logits."""
     from scipy.special import softmax
 
     return softmax(logits, axis=-1)
@@ -155,9 +157,9 @@ def _network_class() -> Any:
     class ClassNetwork(torch.nn.Module):
         """A classifier of color images."""
 
-        def __init__(self, classes: int, is_pretrained: bool, dropout: float) -> None:
+        def __init__(self, encoder: str, classes: int, is_pretrained: bool, dropout: float) -> None:
             super().__init__()
-            self.net = classifier(classes, is_pretrained=is_pretrained, dropout=dropout)
+            self.net = classifier(encoder, classes, is_pretrained=is_pretrained, dropout=dropout)
 
         def forward(self, image: Any) -> Any:
             return self.net(2.0 * image - 1.0)

@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 
 from vrcaps.errors import InputError
-from vrcaps.learn.fit import Fit
+from vrcaps.learn.fit import Fit, require_size
 from vrcaps.learn.learner import Batch, Figure, Sample, flip, with_gain
-from vrcaps.learn.networks import dense_network, require_torch
+from vrcaps.learn.networks import ENCODER, dense_network, require_torch
 from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.depth import depth_errors, mean_depth_errors
 from vrcaps.recording.frame_sequence import FrameSequence
@@ -44,13 +44,15 @@ class DepthLearner:
     """Depth z of every pixel [m].
 
     Attributes:
-        size: Side of the images that the network is given [px].
+        size: Side of the images that the network is given [px]; maps need a multiple of 32.
+        encoder: Name of timm's, such as resnet152.
         has_light_cue: Whether the network is given the cue of the light.
         gradient_weight: Weight of the loss of gradients.
         brightness: Largest random change of exposure, as a factor: 1.3 is ± 30 %.
     """
 
     size: Annotated[int, Range(32)] = 192
+    encoder: str = ENCODER
     has_light_cue: bool = True
     gradient_weight: Annotated[float, Range(0.0)] = 0.5
     brightness: Annotated[float, Range(1.0)] = 1.2
@@ -61,6 +63,7 @@ class DepthLearner:
 
     def __post_init__(self) -> None:
         check_fields(self)
+        require_size(self.size)
 
     def items(self, sequence: FrameSequence) -> Iterable[int]:
         """All frames of a sequence with images, depth and a camera.
@@ -104,7 +107,7 @@ class DepthLearner:
 
     def network(self, *, is_pretrained: bool) -> Any:
         """A network from batches to ln(depth / 30 mm) [b 1 s s]."""
-        return _network_class()(self.has_light_cue, is_pretrained)
+        return _network_class()(self.encoder, self.has_light_cue, is_pretrained)
 
     def loss(self, output: Any, batch: Batch) -> dict[str, Any]:
         """Terms over the pixels that have a true depth."""
@@ -176,10 +179,10 @@ def _network_class() -> Any:
     class DepthNetwork(torch.nn.Module):
         """A U-Net on color, rays and the cue of the light."""
 
-        def __init__(self, has_light_cue: bool, is_pretrained: bool) -> None:
+        def __init__(self, encoder: str, has_light_cue: bool, is_pretrained: bool) -> None:
             super().__init__()
             self.has_light_cue = has_light_cue
-            self.net = dense_network(6 + has_light_cue, 1, is_pretrained=is_pretrained)
+            self.net = dense_network(encoder, 6 + has_light_cue, 1, is_pretrained=is_pretrained)
 
         def forward(self, image: Any, ray: Any) -> Any:
             maps = [2.0 * image - 1.0, ray]

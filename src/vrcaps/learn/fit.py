@@ -8,9 +8,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.errors import require
+
 if TYPE_CHECKING:
     from jaxtyping import Float, Int, UInt8
     from numpy.typing import NDArray
+
+
+_STEP = 32
+
+
+def require_size(size: int) -> None:
+    """Check that a network for maps can halve its images five times.
+
+    Raises:
+        InputError: If it cannot.
+    """
+    require(size % _STEP == 0, "size", size, f"multiples of {_STEP}")
 
 
 @dataclass(frozen=True)

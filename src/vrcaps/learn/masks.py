@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 
 from vrcaps.errors import InputError, require
-from vrcaps.learn.fit import Fit
+from vrcaps.learn.fit import Fit, require_size
 from vrcaps.learn.learner import Batch, Figure, Sample, flip, with_gain
-from vrcaps.learn.networks import dense_network, require_torch
+from vrcaps.learn.networks import ENCODER, dense_network, require_torch
 from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.masks import boundary_f_score, dice, iou
 from vrcaps.recording.frame_sequence import FrameSequence
@@ -37,12 +37,14 @@ class MaskLearner:
 
     Attributes:
         classes: `lesion` for any lesion, or names of labels such as `polyp`.
-        size: Side of the images that the network is given [px].
+        size: Side of the images that the network is given [px]; maps need a multiple of 32.
+        encoder: Name of timm's, such as resnet152.
         brightness: Largest random change of exposure, as a factor: 1.3 is ± 30 %.
     """
 
     classes: tuple[str, ...] = (LESION,)
     size: Annotated[int, Range(32)] = 192
+    encoder: str = ENCODER
     brightness: Annotated[float, Range(1.0)] = 1.3
 
     kind: ClassVar[str] = "masks"
@@ -51,6 +53,7 @@ class MaskLearner:
 
     def __post_init__(self) -> None:
         check_fields(self)
+        require_size(self.size)
         require(len(self.classes) > 0, "classes of masks", self.classes, "one name or more")
 
     def items(self, sequence: FrameSequence) -> Iterable[int]:
@@ -110,7 +113,7 @@ class MaskLearner:
 
     def network(self, *, is_pretrained: bool) -> Any:
         """A network from batches to logits [b c s s]."""
-        return _network_class()(len(self.classes), is_pretrained)
+        return _network_class()(self.encoder, len(self.classes), is_pretrained)
 
     def loss(self, output: Any, batch: Batch) -> dict[str, Any]:
         """Cross entropy and Dice over the pixels of the images."""
@@ -169,9 +172,9 @@ def _network_class() -> Any:
     class MaskNetwork(torch.nn.Module):
         """A U-Net on color."""
 
-        def __init__(self, classes: int, is_pretrained: bool) -> None:
+        def __init__(self, encoder: str, classes: int, is_pretrained: bool) -> None:
             super().__init__()
-            self.net = dense_network(3, classes, is_pretrained=is_pretrained)
+            self.net = dense_network(encoder, 3, classes, is_pretrained=is_pretrained)
 
         def forward(self, image: Any) -> Any:
             return self.net(2.0 * image - 1.0)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from vrcaps.errors import MissingExtraError
+from vrcaps.errors import InputError, MissingExtraError, UnknownNameError
 
 ENCODER = "tf_efficientnet_lite0"
 """EfficientNet-Lite0: 3.4 million parameters in the encoder, fast on CPUs. Its ImageNet weights
@@ -32,54 +34,91 @@ def imagenet_weights() -> dict[str, Any]:
     return dict(zip(names, found.values(), strict=True))
 
 
-def dense_network(inputs: int, outputs: int, *, is_pretrained: bool) -> Any:
+def dense_network(encoder: str, inputs: int, outputs: int, *, is_pretrained: bool) -> Any:
     """A U-Net that gives a map [b outputs s s] of maps [b inputs s s].
 
     Args:
+        encoder: Name of timm's.
         inputs: Channels; the first three are color from −1 to 1, which ImageNet weights know.
-            Weights of the others begin at 0.
         outputs: Channels.
         is_pretrained: Whether the encoder begins with ImageNet weights.
 
     Raises:
+        UnknownNameError: If timm has no such encoder.
+        InputError: If its ImageNet weights cannot be fetched.
         MissingExtraError: If a package is not installed.
     """
     torch = require_torch()
+    _require_encoder(encoder)
     try:
         import segmentation_models_pytorch as smp
     except ImportError as error:
         raise MissingExtraError("segmentation-models-pytorch", "learn") from error
-    network = smp.Unet(
-        f"tu-{ENCODER}",
-        encoder_weights=None,
-        decoder_channels=_DECODER,
-        in_channels=inputs,
-        classes=outputs,
-    )
-    if is_pretrained:
-        own = network.encoder.model.state_dict()
-        known = imagenet_weights()
+    from_hub = is_pretrained and encoder != ENCODER
+    with _hub(encoder):
+        network = smp.Unet(
+            f"tu-{encoder}",
+            encoder_weights="imagenet" if from_hub else None,
+            decoder_channels=_DECODER,
+            in_channels=inputs,
+            classes=outputs,
+        )
+    if is_pretrained and not from_hub:
+        known, own = imagenet_weights(), network.encoder.model.state_dict()
         stem = known["conv_stem.weight"]
+        # Weights of the other channels begin at 0, so that color is seen as ImageNet taught it.
         more = torch.zeros(stem.shape[0], inputs - stem.shape[1], *stem.shape[2:])
         known["conv_stem.weight"] = torch.cat([stem, more], dim=1)
         network.encoder.model.load_state_dict({name: known[name] for name in own})
     return network
 
 
-def classifier(outputs: int, *, is_pretrained: bool, dropout: float) -> Any:
+def classifier(encoder: str, outputs: int, *, is_pretrained: bool, dropout: float) -> Any:
     """A network that gives scores [b outputs] of color images [b 3 s s] from −1 to 1.
 
+    Args:
+        encoder: Name of timm's.
+        outputs: Number of classes.
+        is_pretrained: Whether it begins with ImageNet weights.
+        dropout: Share of features left out while learning.
+
     Raises:
+        UnknownNameError: If timm has no such encoder.
+        InputError: If its ImageNet weights cannot be fetched.
         MissingExtraError: If a package is not installed.
     """
-    timm = require_timm()
-    network = timm.create_model(ENCODER, pretrained=False, num_classes=outputs, drop_rate=dropout)
-    if is_pretrained:
-        known = imagenet_weights()
+    timm = _require_encoder(encoder)
+    from_hub = is_pretrained and encoder != ENCODER
+    with _hub(encoder):
+        network = timm.create_model(
+            encoder, pretrained=from_hub, num_classes=outputs, drop_rate=dropout
+        )
+    if is_pretrained and not from_hub:
         own = network.state_dict()
-        kept = {k: v for k, v in known.items() if own[k].shape == v.shape}
+        kept = {k: v for k, v in imagenet_weights().items() if own[k].shape == v.shape}
         network.load_state_dict(kept, strict=False)
     return network
+
+
+@contextmanager
+def _hub(encoder: str) -> Iterator[None]:
+    """Errors of fetching weights as one line."""
+    try:
+        yield
+    except (OSError, RuntimeError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(
+            f"ImageNet weights of {encoder} cannot be fetched ({reason}). Give --start scratch, or "
+            f"the encoder {ENCODER}, whose weights are installed."
+        ) from error
+
+
+def _require_encoder(encoder: str) -> Any:
+    timm = require_timm()
+    if encoder not in timm.list_models():
+        close = timm.list_models(f"*{encoder[:8]}*")[:8] or [ENCODER]
+        raise UnknownNameError("encoder of timm", encoder, close)
+    return timm
 
 
 def require_torch() -> Any:

@@ -16,7 +16,7 @@ from vrcaps.learn.networks import require_torch
 from vrcaps.learn.registry import LEARNERS, AnyLearner
 from vrcaps.serialization import from_plain, to_plain
 
-_FORMAT = "vrcaps-weights/1"
+_FORMAT, _KEY = "vrcaps-weights/1", "vrcaps"
 
 
 @dataclass(frozen=True)
@@ -64,11 +64,13 @@ def write_weights(path: Path, learner: AnyLearner, network: Any, about: dict[str
         "format": _FORMAT,
         "vrcaps": __version__,
         "task": learner.kind,
-        "learner": json.dumps(to_plain(learner, type(learner)), sort_keys=True),
-        "about": json.dumps(about, sort_keys=True),
+        "learner": to_plain(learner, type(learner)),
+        "about": about,
     }
+    # One key, since safetensors writes several in no certain order.
+    metadata = {_KEY: json.dumps(stated, sort_keys=True)}
     with atomic_write(path) as temporary:
-        save_file(tensors, str(temporary), metadata=stated)
+        save_file(tensors, str(temporary), metadata=metadata)
 
 
 def read_weights(path: str | Path, *, task: str | None = None, device: str = "cpu") -> Trained:
@@ -86,7 +88,7 @@ def read_weights(path: str | Path, *, task: str | None = None, device: str = "cp
     safe_open = _safetensors_open()
     try:
         with safe_open(str(path), framework="pt") as file:
-            stated = file.metadata() or {}
+            stated = json.loads((file.metadata() or {}).get(_KEY, "{}"))
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except Exception as error:  # what safetensors raises has no common base
         raise InputError(f"Cannot read {path}: {error}.") from error
@@ -96,7 +98,7 @@ def read_weights(path: str | Path, *, task: str | None = None, device: str = "cp
     if task is not None and kind != task:
         raise InputError(f"{path} holds weights of the task {kind!r}. Asked for: {task!r}.")
     try:
-        learner = from_plain(LEARNERS[kind], json.loads(stated["learner"]), at=str(path))
+        learner = from_plain(LEARNERS[kind], stated["learner"], at=str(path))
         network = learner.network(is_pretrained=False)
         network.load_state_dict(
             {
@@ -104,7 +106,7 @@ def read_weights(path: str | Path, *, task: str | None = None, device: str = "cp
                 for name, value in tensors.items()
             }
         )
-        about = json.loads(stated["about"])
+        about = stated["about"]
     except MissingExtraError:
         raise
     except (VrcapsError, LookupError, ValueError, RuntimeError) as error:
@@ -117,26 +119,26 @@ def write_onnx(path: Path, trained: Trained) -> None:
     """Write a trained network as ONNX; its inputs have any batch size.
 
     Raises:
-        MissingExtraError: If onnx is not installed.
+        MissingExtraError: If onnxscript is not installed.
     """
     torch = require_torch()
     try:
-        import onnx  # noqa: F401
+        import onnxscript  # noqa: F401
     except ImportError as error:
-        raise MissingExtraError("onnx", "learn") from error
+        raise MissingExtraError("onnxscript", "learn") from error
     learner = trained.learner
-    shape = (1, 3, learner.size, learner.size)
     names = list(learner.input_names)
+    example = tuple(torch.zeros(2, 3, learner.size, learner.size) for _ in names)
+    program = torch.onnx.export(
+        trained.network.cpu(),
+        example,
+        input_names=names,
+        output_names=["output"],
+        dynamic_shapes=tuple({0: "batch"} for _ in names),
+        verbose=False,
+    )
     with atomic_write(path) as temporary:
-        torch.onnx.export(
-            trained.network.cpu(),
-            tuple(torch.zeros(shape) for _ in names),
-            str(temporary),
-            input_names=names,
-            output_names=["output"],
-            dynamic_axes={name: {0: "batch"} for name in (*names, "output")},
-            dynamo=False,
-        )
+        program.save(str(temporary))
 
 
 def _safetensors() -> Any:

@@ -3,7 +3,6 @@
 from functools import partial
 
 import numpy as np
-import pytest
 
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
@@ -47,9 +46,3 @@ def small_sequence(seed: int = 0, name: str = "small", **more) -> FrameSequence:
         Camera("front", LENS, SIDE, SIDE),
         **more,
     )
-
-
-@pytest.fixture
-def sequence() -> FrameSequence:
-    """Twenty frames."""
-    return small_sequence()

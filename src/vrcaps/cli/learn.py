@@ -1,0 +1,216 @@
+"""`vrcaps train TASK`, `vrcaps evaluate TASK`, `vrcaps predict TASK`: learners on images."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+from tyro.conf import UseAppendAction
+
+from vrcaps.cli.console import console, progress_bar
+from vrcaps.cli.parts import command_of, part_of
+from vrcaps.learn.registry import LEARNERS, AnyLearner
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Train:
+    """What training of all tasks has in common."""
+
+    data: UseAppendAction[tuple[str, ...]]
+    """Folder or URL of an episode or data set, or KIND:FOLDER for a layout of `vrcaps export`, such
+    as c3vd:/data/c3vd; repeat for more."""
+
+    validation: UseAppendAction[tuple[str, ...]] = ()
+    """Where weights are chosen by, likewise; by default the data's own split, or a part of it."""
+
+    out: Path
+    """Folder: new, empty, or of the same training, which goes on."""
+
+    preset: Literal["default", "paper", "ci"] = "default"
+    """Where settings of training come from: ours, the paper's, or one that takes a minute."""
+
+    start: str = ""
+    """imagenet, scratch, or a file of weights to go on from, such as those learned on other data;
+    by default what the preset says."""
+
+    set: UseAppendAction[tuple[str, ...]] = ()
+    """Change any setting of training: NAME=VALUE, such as steps=5000, batch=16, rate=1e-4,
+    share=0.1 or seed=3; repeat for more. settings.json holds all of them."""
+
+    device: str = "auto"
+    """cpu, cuda, mps, or auto for the fastest there is."""
+
+    threads: int = 1
+    """Threads of PyTorch on a CPU; more are slower on a machine with other work."""
+
+    tensorboard: bool = False
+    """Write files for TensorBoard into the folder's tensorboard."""
+
+    force: bool = False
+    """Go on with a training that another version of vrcaps or of a package began."""
+
+    part: ClassVar[type[AnyLearner]]
+
+    def run(self) -> None:
+        """Train and report.
+
+        Raises:
+            InputError: If the data cannot be learned from.
+        """
+        from vrcaps.learn.presets import settings_of
+        from vrcaps.learn.samples import samples_of, split_samples
+        from vrcaps.learn.sources import read_sources
+        from vrcaps.learn.training import BEST, Machine, Progress, train
+
+        learner = part_of(self)
+        settings = settings_of(learner, self.preset, self.data, self.start, self.set)
+        sequences = read_sources(self.data)
+        if self.validation:
+            samples = samples_of(learner, [s for s in sequences if s.split in (None, "train")])
+            held_out = samples_of(learner, read_sources(self.validation))
+        else:
+            samples, held_out = split_samples(learner, sequences)
+        console.print(f"{len(samples)} frames to learn from, {len(held_out)} to validate with.")
+        figure, told = learner.figure.name, 0
+        with progress_bar("training") as show:
+
+            def report(progress: Progress) -> None:
+                nonlocal told
+                show(progress.step, progress.total)
+                for row in progress.rows[told:]:
+                    console.print(
+                        f"step {row['step']:,.0f}: loss {row['loss']:.4f}, {figure} "
+                        f"{row[figure]:.4f} (best {progress.best:.4f})"
+                    )
+                told = len(progress.rows)
+
+            train(
+                settings,
+                samples,
+                held_out,
+                self.out,
+                machine=Machine(self.device, self.threads),
+                is_forced=self.force,
+                tensorboard=self.tensorboard,
+                report=report,
+            )
+        _tell_skipped({**samples.skipped, **held_out.skipped})
+        console.print(f"Written: {self.out / BEST}. Pictures: {self.out / 'pictures'}.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Evaluate:
+    """What evaluation of all tasks has in common."""
+
+    weights: Path
+    """File of trained weights."""
+
+    data: UseAppendAction[tuple[str, ...]]
+    """Frames with truth, as for `vrcaps train`; repeat for more."""
+
+    split: str = ""
+    """Only this split of data that has splits: train, val or test."""
+
+    out: Path | None = None
+    """Folder for scores.csv and a picture."""
+
+    device: str = "auto"
+    """cpu, cuda, mps, or auto for the fastest there is."""
+
+    task: ClassVar[str]
+
+    def run(self) -> None:
+        """Evaluate and report.
+
+        Raises:
+            InputError: If weights or data do not fit.
+        """
+        from vrcaps.files import write_csv
+        from vrcaps.learn.samples import samples_of
+        from vrcaps.learn.sources import read_sources
+        from vrcaps.learn.training import chosen_device
+        from vrcaps.learn.validation import validate, write_pictures
+        from vrcaps.learn.weights import read_weights
+
+        trained = read_weights(self.weights, task=self.task, device=chosen_device(self.device))
+        sequences = [s for s in read_sources(self.data) if self.split in ("", s.split)]
+        samples = samples_of(trained.learner, sequences)
+        found = validate(trained, samples)
+        for name, value in found.scores.items():
+            console.print(f"{name:16} {value:.4f}")
+        _tell_skipped(samples.skipped)
+        if self.out is not None:
+            self.out.mkdir(parents=True, exist_ok=True)
+            write_csv(self.out / "scores.csv", [dict(found.scores)])
+            write_pictures(self.out / "frames.png", trained.learner, found)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Predict:
+    """What estimates of all tasks have in common."""
+
+    weights: Path
+    """File of trained weights."""
+
+    images: str
+    """Images: a folder of them, an episode, a data set, or KIND:FOLDER."""
+
+    out: Path
+    """Folder to make."""
+
+    capsule: str = ""
+    """Capsule whose first camera took the images, where they are of a plain folder: a name of the
+    catalog or a file. Depth needs its lens."""
+
+    device: str = "auto"
+    """cpu, cuda, mps, or auto for the fastest there is."""
+
+    task: ClassVar[str]
+
+    def run(self) -> None:
+        """Estimate, write and report.
+
+        Raises:
+            InputError: If weights or images do not fit.
+        """
+        from vrcaps.learn.predict import images_of, predict
+        from vrcaps.learn.training import chosen_device
+        from vrcaps.learn.weights import read_weights
+
+        trained = read_weights(self.weights, task=self.task, device=chosen_device(self.device))
+        images = images_of(self.images, self.capsule)
+        with progress_bar("estimating") as show:
+            skipped = predict(trained, images, self.out, progress=show)
+        _tell_skipped(skipped)
+        console.print(f"Written: {self.out}, with contact sheet sheet.png.")
+
+
+def _tell_skipped(skipped: dict[str, str]) -> None:
+    for name, reason in skipped.items():
+        console.print(f"Skipped {name}: {reason}")
+
+
+_EXAMPLES = {
+    "train": """  vrcaps train {0} --data runs/cohort --out runs/{0}
+  vrcaps train {0} --data runs/cohort --out runs/{0}-try --preset ci
+  vrcaps train {0} --data folders:real --start runs/{0}/best.safetensors --out runs/{0}-real""",
+    "evaluate": "  vrcaps evaluate {0} --weights runs/{0}/best.safetensors --data runs/cohort",
+    "predict": """  vrcaps predict {0} --weights runs/{0}/best.safetensors --images photos \\
+  --out runs/photos""",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """The command of a verb and a task, such as `train_depth`."""
+    verb, _, task = name.partition("_")
+    if verb not in _EXAMPLES or task not in LEARNERS:
+        raise AttributeError(name)
+    learner, examples = LEARNERS[task], _EXAMPLES[verb].format(task)
+    if verb == "train":
+        return command_of(_Train, learner, examples)
+    base = {"evaluate": _Evaluate, "predict": _Predict}[verb]
+    meaning = (learner.__doc__ or "").partition("\n")[0]
+    own = {"task": task, "__module__": __name__}
+    own["__doc__"] = f"{meaning}\n\nFor example:\n{examples}"
+    return dataclass(frozen=True, kw_only=True)(type(verb, (base,), own))

@@ -1,0 +1,124 @@
+"""Estimates of a trained network on images, written to a folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.files import write_csv
+from vrcaps.learn.classes import ClassLearner, class_shares
+from vrcaps.learn.depth import DepthLearner, depth_of
+from vrcaps.learn.fit import Fit
+from vrcaps.learn.learner import Sample
+from vrcaps.learn.samples import batch_of
+from vrcaps.learn.sources import read_source
+from vrcaps.learn.weights import Trained
+from vrcaps.recording.frame_sequence import FrameSequence
+from vrcaps.recording.image_files import write_images
+from vrcaps.render.channels import CHANNELS
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_SHEET_ROWS = 12
+
+
+def images_of(source: str, capsule: str = "") -> tuple[FrameSequence, ...]:
+    """Sequences of images to estimate from.
+
+    Args:
+        source: As of `read_source`.
+        capsule: Name or file of the capsule whose first camera took images without a calibration.
+
+    Raises:
+        InputError: If there are no images.
+    """
+    sequences = read_source(source)
+    if not capsule:
+        return sequences
+    from vrcaps.capsule.catalog import read_device
+
+    camera = read_device(capsule).cameras[0]
+    return tuple(one if one.camera else replace(one, camera=camera) for one in sequences)
+
+
+def predict(
+    trained: Trained,
+    sequences: tuple[FrameSequence, ...],
+    out: Path,
+    *,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> dict[str, str]:
+    """Write the estimate of each image: a depth map, a mask for each class, or a row of classes.
+
+    Maps have the size of their images. Depth is a 16-bit PNG in steps of 10 µm, as in an episode.
+    `sheet.png` shows some of them; `classes.csv` has the share of each class.
+
+    Args:
+        trained: Learner and network.
+        sequences: Images.
+        out: Folder to make, new or empty.
+        progress: Called with the number of images done and of all.
+
+    Returns:
+        Images that could not be read, with the reason.
+
+    Raises:
+        InputError: If the folder holds something, or no image can be estimated from.
+    """
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(f"{out} exists. Give a new or empty folder.")
+    frames = [(one, index) for one in sequences for index in range(len(one))]
+    shown = set(np.unique(np.linspace(0, len(frames) - 1, _SHEET_ROWS).astype(int)).tolist())
+    rows: list[dict[str, Any]] = []
+    pictures: list[NDArray] = []
+    skipped: dict[str, str] = {}
+    for number, (sequence, index) in enumerate(frames):
+        name = f"{sequence.name}/{index:06d}"
+        try:
+            image = sequence.image("rgb", index)
+        except (InputError, OSError) as error:
+            skipped[name] = str(error)
+            continue
+        fit = Fit(image.shape[0], image.shape[1], trained.learner.size)
+        sample = trained.learner.inputs(image, fit, sequence.camera)
+        output = trained(batch_of([sample]))[0]
+        rows.append({"image": name, **_write(trained, out / name, output, fit)})
+        if number in shown:
+            pictures.append(_picture(trained, output, sample))
+        progress(number + 1, len(frames))
+    if not rows:
+        raise InputError(f"No image can be read: {next(iter(skipped.values()), 'there is none')}")
+    if isinstance(trained.learner, ClassLearner):
+        write_csv(out / "classes.csv", rows)
+    write_images([(out / "sheet.png", np.ascontiguousarray(np.concatenate(pictures)))])
+    return skipped
+
+
+def _picture(trained: Trained, output: NDArray, sample: Sample) -> NDArray:
+    return trained.learner.picture(output, sample)
+
+
+def _write(trained: Trained, path: Path, output: NDArray, fit: Fit) -> dict[str, Any]:
+    """Write maps beside one another; what a table row says of the image."""
+    learner = trained.learner
+    if isinstance(learner, ClassLearner):
+        path.parent.parent.mkdir(parents=True, exist_ok=True)
+        shares = class_shares(output[None])[0]
+        best = learner.classes[int(shares.argmax())]
+        named = zip(learner.classes, shares, strict=True)
+        return {"class": best, **{name: f"{share:.4f}" for name, share in named}}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if isinstance(learner, DepthLearner):
+        depth = fit.back(depth_of(output))
+        write_images([(path.with_suffix(".png"), CHANNELS["depth"].encoding.encode(depth))])
+        return {}
+    for name, logits in zip(learner.classes, output, strict=True):
+        mask = np.where(fit.back(logits) > 0.0, 255, 0).astype(np.uint8)
+        write_images([(path.with_name(f"{path.name}_{name}.png"), mask)])
+    return {}

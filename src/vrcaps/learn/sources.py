@@ -1,0 +1,38 @@
+"""Where learners take frames from: episodes, data sets, and folders in any known layout."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from vrcaps.data.sequences import sequences_of
+from vrcaps.errors import InputError
+from vrcaps.formats.read_format import read_format
+from vrcaps.formats.registry import FORMATS
+from vrcaps.recording.frame_sequence import FrameSequence
+
+
+def read_source(text: str) -> tuple[FrameSequence, ...]:
+    """Sequences of a source.
+
+    Args:
+        text: Folder or URL of an episode or a data set; or ``KIND:FOLDER`` for a folder in the
+            layout KIND of `vrcaps export`, such as ``c3vd:/data/c3vd``.
+
+    Raises:
+        InputError: If it cannot be read.
+    """
+    kind, colon, folder = text.partition(":")
+    if colon and kind in FORMATS:
+        return read_format(kind, folder)
+    return sequences_of(text)
+
+
+def read_sources(texts: Sequence[str]) -> tuple[FrameSequence, ...]:
+    """Sequences of all sources, see `read_source`.
+
+    Raises:
+        InputError: If there is none, or one cannot be read.
+    """
+    if not texts:
+        raise InputError("There is no data. Give --data FOLDER, once or more.")
+    return tuple(sequence for text in texts for sequence in read_source(text))

@@ -1,0 +1,107 @@
+"""Samples: how images become squares, labels follow, and validation is kept apart."""
+
+import numpy as np
+import pytest
+
+from small_frames import COUNT, LENS, SIDE, small_sequence
+from vrcaps.errors import InputError
+from vrcaps.learn.classes import ClassLearner
+from vrcaps.learn.depth import DepthLearner
+from vrcaps.learn.fit import Fit
+from vrcaps.learn.masks import MaskLearner
+from vrcaps.learn.samples import Samples, samples_of, split_samples
+
+
+@pytest.mark.parametrize("shape", [(48, 48), (30, 90), (101, 57), (640, 480)])
+def test_image_keeps_its_aspect_and_a_map_comes_back(shape):
+    fit = Fit(*shape, 64)
+    rows, columns = fit.place
+    height, width = rows.stop - rows.start, columns.stop - columns.start
+    assert max(height, width) == 64
+    assert height / width == pytest.approx(shape[0] / shape[1], abs=1.0 / min(height, width))
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    ramp = (x / shape[1] + 2.0 * y / shape[0]).astype(np.float32)
+    square = fit.nearest(ramp, np.nan)
+    assert np.isnan(square).sum() == 64 * 64 - height * width
+    assert np.abs(fit.back(np.nan_to_num(square)) - ramp).mean() < 3.0 / min(height, width)
+
+
+def test_depth_and_ray_are_of_one_pixel():
+    sequence = small_sequence()
+    sample = DepthLearner(size=32).sample(sequence, 3)
+    fit = Fit(SIDE, SIDE, 32)
+    column, row = fit.pixels[10, 20]
+    np.testing.assert_allclose(sample["ray"][10, 20], LENS.unproject([column, row]), atol=1e-6)
+    assert sample["depth"][10, 20] == sequence.image("depth", 3)[row, column]
+
+
+def test_mirrored_rays_are_those_of_the_mirrored_pixels():
+    learner = DepthLearner(size=SIDE // 32 * 32)
+    sample = learner.sample(small_sequence(), 0)
+    for seed in range(8):
+        changed = learner.augmented(sample, np.random.default_rng(seed))
+        np.testing.assert_allclose(changed["ray"], sample["ray"], atol=1e-6)  # a centered lens
+        flipped = [sample["depth"], np.flip(sample["depth"], 0), np.flip(sample["depth"], 1)]
+        flipped.append(np.flip(sample["depth"], (0, 1)))
+        assert any(np.array_equal(changed["depth"], one) for one in flipped)
+
+
+def test_mask_turns_with_its_image():
+    learner = MaskLearner(size=64, brightness=1.0)
+    sample = learner.sample(small_sequence(), 1)
+    for seed in range(6):
+        changed = learner.augmented(sample, np.random.default_rng(seed))
+        red = changed["image"][..., 0] > 1.8 * changed["image"][..., 1].astype(int)
+        assert (red == (changed["mask"][..., 0] == 1)).mean() > 0.98
+
+
+def test_patients_are_not_in_both_parts():
+    sequences = [small_sequence(k, f"s{k}", patient=str(k // 2)) for k in range(20)]
+    train, held = split_samples(DepthLearner(size=32), sequences)
+    of = [{one.patient for one, _ in part.frames} for part in (train, held)]
+    assert not of[0] & of[1]
+    assert len(of[1]) == 2
+
+
+def test_splits_of_the_data_are_kept_and_its_test_part_is_not_touched():
+    splits = ("train", "val", "test")
+    sequences = [small_sequence(k, split=split) for k, split in enumerate(splits)]
+    train, held = split_samples(DepthLearner(size=32), sequences)
+    assert {one.split for one, _ in train.frames} == {"train"}
+    assert {one.split for one, _ in held.frames} == {"val"}
+
+
+def test_shares_of_a_learning_curve_lie_within_one_another():
+    samples = samples_of(DepthLearner(size=32), [small_sequence()])
+    small, large = (samples.subset(share, seed=1).frames for share in (0.25, 0.5))
+    assert len(small) == COUNT // 4
+    assert {k for _, k in small} < {k for _, k in large}
+
+
+def test_damaged_image_is_skipped_counted_and_named():
+    def load(channel, index):
+        if index == 2:
+            raise InputError("Cannot read 000002.png: truncated.")
+        return small_sequence().load(channel, index)
+
+    sequence = small_sequence()
+    object.__setattr__(sequence, "load", load)
+    samples = Samples(MaskLearner(size=32), [(sequence, k) for k in range(4)])
+    assert samples.get(2) is None
+    assert np.array_equal(samples.next(2)["image"], samples.get(3)["image"])
+    assert samples.skipped == {"small, frame 2": "Cannot read 000002.png: truncated."}
+
+
+def test_what_cannot_be_learned_from_is_one_clear_line():
+    sequence = small_sequence()
+    bare = sequence.with_channels(("rgb",))
+    with pytest.raises(InputError, match="needs the channel 'depth', which small has not"):
+        samples_of(DepthLearner(), [bare])
+    with pytest.raises(InputError, match="images without masks"):
+        samples_of(MaskLearner(), [bare])
+    with pytest.raises(InputError, match="There is no frame to learn classes from"):
+        samples_of(ClassLearner(classes=("ulcer", "bleeding")), [sequence])
+    with pytest.raises(InputError, match=r"size is 100\. Allowed: multiples of 32"):
+        MaskLearner(size=100)
+    with pytest.raises(InputError, match="classes of images"):
+        ClassLearner(classes=("polyp",))

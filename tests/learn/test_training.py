@@ -10,17 +10,15 @@ pytest.importorskip("segmentation_models_pytorch", reason="its package is not in
 
 from small_frames import small_sequence  # noqa: E402
 from vrcaps.errors import InputError, UnknownNameError  # noqa: E402
-from vrcaps.learn.classes import ClassLearner  # noqa: E402
 from vrcaps.learn.depth import DepthLearner, depth_of, light_cue  # noqa: E402
 from vrcaps.learn.masks import MaskLearner  # noqa: E402
 from vrcaps.learn.networks import imagenet_weights  # noqa: E402
 from vrcaps.learn.predict import predict  # noqa: E402
 from vrcaps.learn.samples import batch_of, samples_of  # noqa: E402
 from vrcaps.learn.training import BEST, Machine, TrainSettings, train  # noqa: E402
-from vrcaps.learn.weights import read_weights, write_onnx, write_weights  # noqa: E402
+from vrcaps.learn.weights import read_weights, write_weights  # noqa: E402
 
 DEPTH = DepthLearner(size=32)
-LEARNERS = (DEPTH, MaskLearner(size=32), ClassLearner(classes=("normal", "polyp"), size=32))
 CPU = Machine("cpu")
 
 
@@ -80,8 +78,9 @@ def test_imagenet_weights_know_a_cat():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("learner", LEARNERS, ids=lambda one: one.kind)
-def test_training_that_was_cut_off_ends_in_the_same_bytes(learner, tmp_path):
+def test_training_that_was_cut_off_ends_in_the_same_bytes(tmp_path):
+    learner = MaskLearner(size=32)
+
     class Killed(Exception):
         pass
 
@@ -114,19 +113,16 @@ def test_depth_is_learned(tmp_path):
 
 
 @pytest.mark.slow
-def test_weights_come_back_and_onnx_gives_the_same(tmp_path):
-    runtime = pytest.importorskip("onnxruntime", reason="onnxruntime is not installed")
-    pytest.importorskip("onnxscript", reason="onnxscript is not installed")
-    network = DEPTH.network(is_pretrained=False)
+def test_weights_come_back(tmp_path):
+    network = DEPTH.network(is_pretrained=False).eval()
     write_weights(tmp_path / "w.safetensors", DEPTH, network, {"steps": 0})
     assert (tmp_path / "w.safetensors").stat().st_size < 25e6
     trained = read_weights(tmp_path / "w.safetensors")
     assert trained.learner == DEPTH
     batch = batch_of([DEPTH.sample(small_sequence(), k) for k in range(2)])
-    write_onnx(tmp_path / "w.onnx", trained)
-    given = {name: batch[name].numpy() for name in DEPTH.input_names}
-    found = runtime.InferenceSession(str(tmp_path / "w.onnx")).run(None, given)[0]
-    np.testing.assert_allclose(found, trained(batch), atol=1e-4)
+    with torch.inference_mode():
+        exact = network(*(batch[name] for name in DEPTH.input_names))
+    np.testing.assert_allclose(trained(batch), exact, atol=0.01)  # rounded to 16 bits
 
 
 @pytest.mark.slow

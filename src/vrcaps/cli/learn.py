@@ -36,7 +36,7 @@ class _Train:
 
     set: UseAppendAction[tuple[str, ...]] = ()
     """Change any setting of training: NAME=VALUE, such as steps=5000, batch=16, rate=1e-4,
-    share=0.1 or seed=3; repeat for more. settings.json holds all of them."""
+    fraction=0.1 or seed=3; repeat for more. settings.json holds all of them."""
 
     device: str = "auto"
     """cpu, cuda, mps, or auto for the fastest there is."""

@@ -36,7 +36,7 @@ class ClassLearner:
         classes: Names of the classes, at least two.
         size: Side of the images that the network is given [px]; maps need a multiple of 32.
         encoder: Name of timm's, such as resnet152.
-        least_share: Share of a recorded frame that a lesion must take to give the frame its class.
+        min_fraction: Share of a recorded frame that a lesion must take to give the frame its class.
         dropout: Share of features left out while learning.
         brightness: Largest random change of exposure, as a factor: 1.3 is ± 30 %.
     """
@@ -44,7 +44,7 @@ class ClassLearner:
     classes: tuple[str, ...] = (NORMAL, "polyp", "ulcer")
     size: Annotated[int, Range(32)] = 192
     encoder: str = ENCODER
-    least_share: Annotated[float, Range(0.0, 1.0)] = 0.005
+    min_fraction: Annotated[float, Range(0.0, 1.0)] = 0.005
     dropout: Annotated[float, Range(0.0, below=1.0)] = 0.2
     brightness: Annotated[float, Range(1.0)] = 1.3
 
@@ -88,7 +88,7 @@ class ClassLearner:
         pixels = np.bincount(instance.ravel())[1:]
         if not pixels.any():
             return NORMAL
-        if pixels.max() < self.least_share * instance.size:
+        if pixels.max() < self.min_fraction * instance.size:
             return None
         kinds = {one["instance"]: one["kind"] for one in sequence.episode.head["organ"]["lesions"]}
         return kinds.get(int(pixels.argmax()) + 1)
@@ -123,7 +123,9 @@ class ClassLearner:
         confusion = confusion_matrix(logits.argmax(axis=1), truth, count)
         each = f1_scores(confusion)
         occurs = np.bincount(truth, minlength=count) > 0
-        areas = [roc_auc(class_shares(logits)[:, k], truth == k) for k in np.flatnonzero(occurs)]
+        areas = [
+            roc_auc(class_probabilities(logits)[:, k], truth == k) for k in np.flatnonzero(occurs)
+        ]
         return {
             "f1": float(each[occurs].mean()),
             **{f"f1_{name}": float(f1) for name, f1 in zip(self.classes, each, strict=True)},
@@ -136,7 +138,7 @@ class ClassLearner:
         """The image with its true and its estimated class."""
         from PIL import Image, ImageDraw
 
-        text = f"{self.classes[int(output.argmax())]} {class_shares(output[None]).max():.2f}"
+        text = f"{self.classes[int(output.argmax())]} {class_probabilities(output[None]).max():.2f}"
         if "class" in sample:
             text += f" (is {self.classes[int(sample['class'])]})"
         shown = Image.fromarray(sample["image"])
@@ -144,7 +146,7 @@ class ClassLearner:
         return np.asarray(shown)
 
 
-def class_shares(logits: NDArray) -> NDArray:
+def class_probabilities(logits: NDArray) -> NDArray:
     """Share of each class [n c]: softmax of logits."""
     from scipy.special import softmax
 

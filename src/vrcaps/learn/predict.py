@@ -11,7 +11,7 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.files import write_csv
-from vrcaps.learn.classes import ClassLearner, class_shares
+from vrcaps.learn.classes import ClassLearner, class_probabilities
 from vrcaps.learn.depth import DepthLearner, depth_of
 from vrcaps.learn.fit import Fit
 from vrcaps.learn.learner import Sample
@@ -57,7 +57,7 @@ def predict(
     """Write the estimate of each image: a depth map, a mask for each class, or a row of classes.
 
     Maps have the size of their images. Depth is a 16-bit PNG in steps of 10 µm, as in an episode.
-    `sheet.png` shows some of them; `classes.csv` has the share of each class.
+    `sheet.png` shows some of them; `classes.csv` has the probability of each class.
 
     Args:
         trained: Learner and network.
@@ -109,10 +109,10 @@ def _write(trained: Trained, path: Path, output: NDArray, fit: Fit) -> dict[str,
     learner = trained.learner
     if isinstance(learner, ClassLearner):
         path.parent.parent.mkdir(parents=True, exist_ok=True)
-        shares = class_shares(output[None])[0]
-        best = learner.classes[int(shares.argmax())]
-        named = zip(learner.classes, shares, strict=True)
-        return {"class": best, **{name: f"{share:.4f}" for name, share in named}}
+        chances = class_probabilities(output[None])[0]
+        best = learner.classes[int(chances.argmax())]
+        named = zip(learner.classes, chances, strict=True)
+        return {"class": best, **{name: f"{chance:.4f}" for name, chance in named}}
     path.parent.mkdir(parents=True, exist_ok=True)
     if isinstance(learner, DepthLearner):
         depth = fit.back(depth_of(output))

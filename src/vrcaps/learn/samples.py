@@ -72,10 +72,10 @@ class Samples:
                 return sample
         raise InputError(f"No frame can be read: {next(iter(self.skipped.values()), 'none')}")
 
-    def subset(self, share: float, seed: int) -> Samples:
+    def subset(self, fraction: float, seed: int) -> Samples:
         """A share of the frames, drawn at random; smaller shares lie within larger ones."""
-        order = rng.stream(seed, "learn/share").permutation(len(self))
-        kept = np.sort(order[: max(1, round(share * len(self)))])
+        order = rng.stream(seed, "learn/fraction").permutation(len(self))
+        kept = np.sort(order[: max(1, round(fraction * len(self)))])
         return Samples(self.learner, [self.frames[k] for k in kept])
 
     def evenly(self, count: int) -> Int[np.ndarray, " m"]:

@@ -46,7 +46,7 @@ class TrainSettings:
         batch: Frames in a batch.
         rate: Largest learning rate of AdamW; it rises, then falls as a cosine to zero.
         weight_decay: Of AdamW.
-        share: Share of the training frames that is used, for learning curves.
+        fraction: Share of the training frames that is used, for learning curves.
         evaluate_every: Steps between evaluations and checkpoints.
         evaluation_frames: Most frames of an evaluation, evenly spread.
         seed: Of all that is random.
@@ -59,7 +59,7 @@ class TrainSettings:
     batch: Annotated[int, Range(1)] = 8
     rate: Annotated[float, Range(above=0.0)] = 5e-4
     weight_decay: Annotated[float, Range(0.0)] = 1e-2
-    share: Annotated[float, Range(above=0.0, most=1.0)] = 1.0
+    fraction: Annotated[float, Range(above=0.0, most=1.0)] = 1.0
     evaluate_every: Annotated[int, Range(1)] = 500
     evaluation_frames: Annotated[int, Range(1)] = 400
     seed: Annotated[int, Range(0)] = 0
@@ -137,7 +137,7 @@ def train(
     plain = to_plain(settings, TrainSettings)
     plain["frames"] = [len(samples), len(validation)]
     begin_training(out, plain, _PACKAGES, is_forced=is_forced)
-    samples = samples.subset(settings.share, settings.seed)
+    samples = samples.subset(settings.fraction, settings.seed)
     with exact_torch(machine.threads):
         run = _Run(settings, samples, validation, out, device)
         writer = _writer(out / "tensorboard") if tensorboard else None

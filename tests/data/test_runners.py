@@ -21,7 +21,7 @@ from vrcaps.data.plan import read_plan
 from vrcaps.data.runners.in_process import InProcess
 from vrcaps.data.runners.pool import Pool
 from vrcaps.data.runners.ray_cluster import RayCluster
-from vrcaps.data.runners.runner import Deaths
+from vrcaps.data.runners.runner import Deaths, UnitQueue
 from vrcaps.data.store import LocalStore
 from vrcaps.errors import InputError, MissingExtraError
 
@@ -142,6 +142,22 @@ def test_a_unit_that_kills_its_workers_counts_as_failed() -> None:
     assert deaths.bury(3, "exit code -9") is None
     outcome = deaths.bury(3, "exit code -11")
     assert outcome == Outcome(3, "Its worker died 3 times, last with exit code -11.")
+
+
+def test_workers_are_with_patients_of_their_own() -> None:
+    queue = UnitQueue(range(9), 3)
+    first, second = queue.take(), queue.take()
+    assert (first, second) == (0, 3)
+    queue.end(first)
+    assert queue.take(first) == 1
+    queue.end(second)
+    queue.put_back(second)  # its worker has died
+    assert queue.take() == 3
+    assert queue.take() == 6
+    assert queue.take() == 2  # all patients have a worker
+    rest = [queue.take(4) for _ in range(4)]
+    assert rest == [4, 5, 7, 8]
+    assert not queue
 
 
 def test_every_fault_of_a_unit_is_an_outcome(

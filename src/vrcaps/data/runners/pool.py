@@ -5,7 +5,6 @@ from __future__ import annotations
 import multiprocessing
 import os
 import threading
-from collections import deque
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -13,7 +12,8 @@ from multiprocessing.connection import Connection, wait
 from typing import Any
 
 from vrcaps.data.make_unit import Job, Maker, Outcome
-from vrcaps.data.runners.runner import Deaths, num_processors
+from vrcaps.data.runners.runner import Deaths, UnitQueue, num_processors
+from vrcaps.data.units import Units
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,8 @@ class _Run:
     """Processes at work, each with the unit that it makes."""
 
     def __init__(self, job: Job, numbers: Sequence[int], workers: int) -> None:
-        self._job, self._queue, self._deaths = job, deque(numbers), Deaths()
+        self._queue = UnitQueue(numbers, Units(job.plan).per_patient)
+        self._job, self._deaths = job, Deaths()
         self._context = multiprocessing.get_context("spawn")
         self._threads = max(1, num_processors() // max(workers, 1))
         self._busy: dict[Connection, tuple[Any, int]] = {}
@@ -71,8 +72,8 @@ class _Run:
         theirs.close()
         self._give(ours, process)
 
-    def _give(self, connection: Connection, process: Any) -> None:
-        number = self._queue.popleft()
+    def _give(self, connection: Connection, process: Any, last: int | None = None) -> None:
+        number = self._queue.take(last)
         self._busy[connection] = (process, number)
         with suppress(BrokenPipeError):  # it has died; `wait` will tell
             connection.send(number)
@@ -86,8 +87,9 @@ class _Run:
             yield from self._bury(process, number)
             return
         del self._busy[connection]
+        self._queue.end(number)
         if self._queue:
-            self._give(connection, process)
+            self._give(connection, process, number)
         else:
             with suppress(BrokenPipeError):
                 connection.send(None)
@@ -97,9 +99,10 @@ class _Run:
     def _bury(self, process: Any, number: int) -> Iterator[Outcome]:
         """A process has died: its unit is tried again by a new one."""
         process.join()
+        self._queue.end(number)
         outcome = self._deaths.bury(number, f"exit code {process.exitcode}")
         if outcome is None:
-            self._queue.appendleft(number)
+            self._queue.put_back(number)
         self._start()
         if outcome is not None:
             yield outcome

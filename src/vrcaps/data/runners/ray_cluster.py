@@ -6,7 +6,6 @@ import logging
 import os
 import socket
 import time
-from collections import deque
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,7 +13,8 @@ from functools import lru_cache
 from typing import Any
 
 from vrcaps.data.make_unit import Job, Maker, Outcome
-from vrcaps.data.runners.runner import Deaths, num_processors
+from vrcaps.data.runners.runner import Deaths, UnitQueue, num_processors
+from vrcaps.data.units import Units
 from vrcaps.errors import InputError, MissingExtraError
 
 LOCAL, AUTO = "local", "auto"
@@ -113,12 +113,13 @@ def _outcomes(
     most = workers or max(1, int(ray.cluster_resources().get("CPU", 1)))
     task = ray.remote(num_cpus=1, max_retries=0)(_make)
     # In a tuple a reference stays one: the worker gets the job when it has not got it yet.
-    shared, queue, deaths = (ray.put(job),), deque(numbers), Deaths()
+    shared, deaths = (ray.put(job),), Deaths()
+    queue = UnitQueue(numbers, Units(job.plan).per_patient)
     running: dict[Any, int] = {}
     asked = time.monotonic()
     while queue or running:
         while queue and len(running) < most:
-            number = queue.popleft()
+            number = queue.take()
             running[task.remote(shared, number)] = number
         ended, _ = ray.wait(list(running), timeout=_POLL)
         if time.monotonic() > asked + _POLL:
@@ -127,9 +128,10 @@ def _outcomes(
             asked = time.monotonic()
         for reference in ended:
             number = running.pop(reference)
+            queue.end(number)
             outcome = _outcome(ray, reference, number, deaths, head)
             if outcome is None:
-                queue.appendleft(number)
+                queue.put_back(number)
             else:
                 yield outcome
 

@@ -39,15 +39,23 @@ def each_rig(
 
     A sequence of no episode is by itself.
     """
+    for split, name, rig in recordings(sequences):
+        place = folder / (split or "") / name
+        place.mkdir(parents=True)
+        yield rig, place
+
+
+def recordings(
+    sequences: Sequence[FrameSequence],
+) -> Iterator[tuple[str | None, str, tuple[FrameSequence, ...]]]:
+    """Split and name of each recording, with the sequences of its cameras."""
     rigs: dict[tuple[str | None, str], list[FrameSequence]] = {}
     for sequence in sequences:
         episode = sequence.episode
         name = folder_name(sequence) if episode is None else episode.name
         rigs.setdefault((sequence.split, name), []).append(sequence)
     for (split, name), rig in rigs.items():
-        place = folder / (split or "") / name
-        place.mkdir(parents=True)
-        yield tuple(rig), place
+        yield split, name, tuple(rig)
 
 
 def found_folders(folder: Path, mark: str) -> Iterator[tuple[Path, str | None]]:

@@ -49,16 +49,29 @@ def opencv_model(lens: AnyLens, name: str) -> tuple[str, dict[str, float]]:
         bends = {"k1": lens.k1, "k2": lens.k2, "k3": lens.k3, "k4": lens.k4}
         return "OPENCV_FISHEYE", {"fx": lens.fx, "fy": lens.fy, **center, **bends}
     assert isinstance(lens, LensPinhole)
-    if lens.skew != 0.0:
-        raise InputError(
-            f"The lens of {name} has a skew of {lens.skew:g} px, which this format cannot hold. "
-            "Add --rectify DEGREES to resample to a pinhole of that field of view."
-        )
+    require_no_skew(lens, name)
     focal = {"fx": lens.fx, "fy": lens.fy, **center}
     bends = {"k1": lens.k1, "k2": lens.k2, "p1": lens.p1, "p2": lens.p2}
     if lens.k3 != 0.0:
         return "FULL_OPENCV", {**focal, **bends, "k3": lens.k3, **_zeros("456")}
     return ("OPENCV", {**focal, **bends}) if any(bends.values()) else ("PINHOLE", focal)
+
+
+def require_no_skew(lens: LensPinhole, name: str) -> None:
+    """Check that a pinhole has no skew, which OpenCV's models do not have.
+
+    Args:
+        lens: The lens.
+        name: Whose lens it is, for messages.
+
+    Raises:
+        InputError: If it has one.
+    """
+    if lens.skew != 0.0:
+        raise InputError(
+            f"The lens of {name} has a skew of {lens.skew:g} px, which this format cannot hold. "
+            "Add --rectify DEGREES to resample to a pinhole of that field of view."
+        )
 
 
 def lens_of(model: str, parameters: Mapping[str, float], where: str) -> AnyLens:

@@ -8,6 +8,7 @@ from vrcaps.formats.endoslam import EndoSlam
 from vrcaps.formats.format import Format
 from vrcaps.formats.hugging_face import HuggingFace
 from vrcaps.formats.kitti import Kitti
+from vrcaps.formats.mcap import Mcap
 from vrcaps.formats.simcol3d import SimCol3D
 from vrcaps.formats.tum import Tum
 from vrcaps.formats.webdataset import WebDataset
@@ -24,6 +25,7 @@ FORMATS: dict[str, type[Format]] = {
         Colmap,
         WebDataset,
         HuggingFace,
+        Mcap,
     )
 }
 """Formats by their names."""

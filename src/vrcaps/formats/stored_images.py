@@ -80,11 +80,16 @@ def image_size(path: Path) -> tuple[int, int]:
 
 def write_jpeg(path: Path, rgb: NDArray, quality: int) -> None:
     """Write a color image as JPEG with all its colors (no chroma subsampling)."""
+    write_bytes(path, jpeg_bytes(rgb, quality))
+
+
+def jpeg_bytes(rgb: NDArray, quality: int) -> bytes:
+    """A color image as JPEG with all its colors (no chroma subsampling)."""
     from PIL import Image
 
     data = io.BytesIO()
     Image.fromarray(rgb).save(data, "JPEG", quality=quality, subsampling=0)
-    write_bytes(path, data.getvalue())
+    return data.getvalue()
 
 
 def write_rgba(path: Path, rgba: NDArray) -> None:

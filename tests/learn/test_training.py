@@ -15,6 +15,7 @@ from vrcaps.learn.masks import MaskLearner  # noqa: E402
 from vrcaps.learn.networks import imagenet_weights  # noqa: E402
 from vrcaps.learn.predict import predict  # noqa: E402
 from vrcaps.learn.samples import batch_of, samples_of  # noqa: E402
+from vrcaps.learn.super_resolution import SuperResolutionLearner  # noqa: E402
 from vrcaps.learn.training import BEST, Machine, TrainSettings, train  # noqa: E402
 from vrcaps.learn.weights import read_weights, write_weights  # noqa: E402
 
@@ -60,6 +61,23 @@ def test_cue_of_the_light_is_the_logarithm_of_distance():
     srgb = torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     cue = light_cue(srgb[:, None, None, None].expand(3, 3, 1, 1))[:, 0, 0, 0]
     np.testing.assert_allclose(torch.diff(cue), np.log(2.0), atol=0.06)
+
+
+@pytest.mark.parametrize("factor", [2, 4])
+def test_new_network_for_super_resolution_enlarges_as_bicubic(factor):
+    learner = SuperResolutionLearner(factor, size=32, blocks=1, features=8)
+    sequence = small_sequence()
+    sample = learner.sample(sequence, 1)
+    assert sample["truth"].shape == (48, 48, 3)
+    with torch.inference_mode():
+        output = learner.network(is_pretrained=False)(batch_of([sample])["image"])[0].numpy()
+    scores = learner.scores([output], [sample])
+    assert scores["psnr"] == pytest.approx(scores["psnr_bicubic"], abs=1.0)
+    changed = learner.augmented(sample, np.random.default_rng(0))
+    assert changed["truth"].shape == (32, 32, 3)
+    assert changed["image"].shape == (32 // factor, 32 // factor, 3)
+    with pytest.raises(InputError, match=r"has 48 x 48 pixels\. Allowed: 64 or more"):
+        replace(learner, size=64).sample(sequence, 1)
 
 
 @pytest.mark.slow
@@ -110,6 +128,13 @@ def test_depth_is_learned(tmp_path):
     assert (out / "sheet.png").stat().st_size > 0
     with pytest.raises(InputError, match="Depth needs the camera"):
         predict(trained, (replace(sequence, camera=None),), tmp_path / "none")
+
+
+@pytest.mark.slow
+def test_super_resolution_is_learned(tmp_path):
+    learner = SuperResolutionLearner(2, size=32, blocks=2, features=16)
+    row = _train(learner, tmp_path, steps=60, evaluate_every=60, rate=3e-3).rows[-1]
+    assert row["psnr"] > row["psnr_bicubic"] + 0.3
 
 
 @pytest.mark.slow

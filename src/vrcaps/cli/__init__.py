@@ -19,7 +19,12 @@ _DESCRIPTION = """A virtual environment for capsule endoscopy: headless, exactly
 Start with `vrcaps demo`. Every verb shows examples with --help."""
 
 
-_TASKS = {"depth": "depth", "masks": "masks of lesions", "classes": "classes of images"}
+_TASKS = {
+    "depth": "depth",
+    "masks": "masks of lesions",
+    "classes": "classes of images",
+    "super-resolution": "images of more pixels",
+}
 """Tasks of learners; `tests/cli` holds them against the registry, which loads more."""
 
 _VERBS = {

@@ -145,6 +145,16 @@ class ClassLearner:
         ImageDraw.Draw(shown).text((4, 4), text, fill=(255, 255, 255), stroke_width=1)
         return np.asarray(shown)
 
+    def files(self, output: NDArray, fit: Fit) -> Mapping[str, NDArray]:
+        """None."""
+        return {}
+
+    def row(self, output: NDArray) -> Mapping[str, Any]:
+        """The most probable class, and the probability of each."""
+        chances = class_probabilities(output[None])[0]
+        each = {name: f"{p:.4f}" for name, p in zip(self.classes, chances, strict=True)}
+        return {"class": self.classes[int(chances.argmax())], **each}
+
 
 def class_probabilities(logits: NDArray) -> NDArray:
     """Share of each class [n c]: softmax of logits."""

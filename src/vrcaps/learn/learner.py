@@ -108,6 +108,14 @@ class Learner(Protocol):
         """Image, truth if there is one, and output side by side, to look at."""
         ...
 
+    def files(self, output: NDArray, fit: Fit) -> Mapping[str, NDArray]:
+        """Images to write of an estimate, by what follows the image's name in theirs."""
+        ...
+
+    def row(self, output: NDArray) -> Mapping[str, Any]:
+        """What a table says of an estimate; empty if its files say all."""
+        ...
+
 
 def flip(sample: Sample, axis: int) -> Sample:
     """All maps of a sample mirrored along columns (axis 1) or rows (axis 0)."""

@@ -158,6 +158,15 @@ class MaskLearner:
             masks.insert(0, (sample["mask"] == 1).any(axis=-1))
         return np.concatenate([_outlined(sample["image"], mask) for mask in masks], axis=1)
 
+    def files(self, output: NDArray, fit: Fit) -> Mapping[str, NDArray]:
+        """A mask for each class: 255 inside."""
+        masks = (np.where(fit.back(logits) > 0.0, 255, 0).astype(np.uint8) for logits in output)
+        return {f"_{name}.png": mask for name, mask in zip(self.classes, masks, strict=True)}
+
+    def row(self, output: NDArray) -> Mapping[str, Any]:
+        """Nothing."""
+        return {}
+
 
 def _outlined(image: NDArray, mask: NDArray) -> NDArray:
     from scipy.ndimage import binary_dilation

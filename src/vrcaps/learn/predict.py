@@ -11,16 +11,13 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.files import write_csv
-from vrcaps.learn.classes import ClassLearner, class_probabilities
-from vrcaps.learn.depth import DepthLearner, depth_of
 from vrcaps.learn.fit import Fit
-from vrcaps.learn.learner import Sample
 from vrcaps.learn.samples import batch_of
 from vrcaps.learn.sources import read_source
+from vrcaps.learn.validation import below_one_another
 from vrcaps.learn.weights import Trained
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.recording.image_files import write_images
-from vrcaps.render.channels import CHANNELS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -54,10 +51,9 @@ def predict(
     *,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, str]:
-    """Write the estimate of each image: a depth map, a mask for each class, or a row of classes.
+    """Write the estimate of each image: maps of its size, or a row of a table.
 
-    Maps have the size of their images. Depth is a 16-bit PNG in steps of 10 µm, as in an episode.
-    `sheet.png` shows some of them; `classes.csv` has the probability of each class.
+    `sheet.png` shows some of them.
 
     Args:
         trained: Learner and network.
@@ -88,37 +84,17 @@ def predict(
         fit = Fit(image.shape[0], image.shape[1], trained.learner.size)
         sample = trained.learner.inputs(image, fit, sequence.camera)
         output = trained(batch_of([sample]))[0]
-        rows.append({"image": name, **_write(trained, out / name, output, fit)})
+        path = out / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        files = trained.learner.files(output, fit).items()
+        write_images([(path.with_name(path.name + ending), image) for ending, image in files])
+        rows.append({"image": name, **trained.learner.row(output)})
         if number in shown:
-            pictures.append(_picture(trained, output, sample))
+            pictures.append(trained.learner.picture(output, sample))
         progress(number + 1, len(frames))
     if not rows:
         raise InputError(f"No image can be read: {next(iter(skipped.values()), 'there is none')}")
-    if isinstance(trained.learner, ClassLearner):
-        write_csv(out / "classes.csv", rows)
-    write_images([(out / "sheet.png", np.ascontiguousarray(np.concatenate(pictures)))])
+    if len(rows[0]) > 1:
+        write_csv(out / f"{trained.learner.kind}.csv", rows)
+    write_images([(out / "sheet.png", below_one_another(pictures))])
     return skipped
-
-
-def _picture(trained: Trained, output: NDArray, sample: Sample) -> NDArray:
-    return trained.learner.picture(output, sample)
-
-
-def _write(trained: Trained, path: Path, output: NDArray, fit: Fit) -> dict[str, Any]:
-    """Write maps beside one another; what a table row says of the image."""
-    learner = trained.learner
-    if isinstance(learner, ClassLearner):
-        path.parent.parent.mkdir(parents=True, exist_ok=True)
-        chances = class_probabilities(output[None])[0]
-        best = learner.classes[int(chances.argmax())]
-        named = zip(learner.classes, chances, strict=True)
-        return {"class": best, **{name: f"{chance:.4f}" for name, chance in named}}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if isinstance(learner, DepthLearner):
-        depth = fit.back(depth_of(output))
-        write_images([(path.with_suffix(".png"), CHANNELS["depth"].encoding.encode(depth))])
-        return {}
-    for name, logits in zip(learner.classes, output, strict=True):
-        mask = np.where(fit.back(logits) > 0.0, 255, 0).astype(np.uint8)
-        write_images([(path.with_name(f"{path.name}_{name}.png"), mask)])
-    return {}

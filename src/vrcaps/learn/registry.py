@@ -6,11 +6,13 @@ from vrcaps.errors import UnknownNameError
 from vrcaps.learn.classes import ClassLearner
 from vrcaps.learn.depth import DepthLearner
 from vrcaps.learn.masks import MaskLearner
+from vrcaps.learn.super_resolution import SuperResolutionLearner
 
-AnyLearner: TypeAlias = DepthLearner | MaskLearner | ClassLearner
+AnyLearner: TypeAlias = DepthLearner | MaskLearner | ClassLearner | SuperResolutionLearner
 
 LEARNERS: dict[str, type[AnyLearner]] = {
-    learner.kind: learner for learner in (DepthLearner, MaskLearner, ClassLearner)
+    learner.kind: learner
+    for learner in (DepthLearner, MaskLearner, ClassLearner, SuperResolutionLearner)
 }
 """Learners by the names of their tasks."""
 

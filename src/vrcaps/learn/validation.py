@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -51,9 +51,11 @@ def validate(trained: Trained, samples: Samples, most: int | None = None) -> Fou
     known = [sample for k in numbers if (sample := samples.get(int(k))) is not None]
     if not known:
         samples.next(0)  # says why
+    is_one_size = len({sample["image"].shape for sample in known}) == 1
+    step = _BATCH if is_one_size else 1
     outputs: list[NDArray] = []
-    for first in range(0, len(known), _BATCH):
-        outputs.extend(trained(batch_of(known[first : first + _BATCH])))
+    for first in range(0, len(known), step):
+        outputs.extend(trained(batch_of(known[first : first + step])))
     return Found(trained.learner.scores(outputs, known), outputs, known)
 
 
@@ -63,7 +65,14 @@ def write_pictures(path: Path, learner: Learner, found: Found) -> UInt8[np.ndarr
 
     chosen = np.unique(np.linspace(0, len(found.samples) - 1, _SHOWN).astype(int))
     rows = [learner.picture(found.outputs[k], found.samples[k]) for k in chosen]
-    picture = np.concatenate(rows, axis=0)
+    picture = below_one_another(rows)
     path.parent.mkdir(exist_ok=True)
     Image.fromarray(picture).save(path)
     return picture
+
+
+def below_one_another(pictures: Sequence[NDArray]) -> UInt8[np.ndarray, "h w 3"]:
+    """Pictures as one, black beside narrow ones."""
+    width = max(picture.shape[1] for picture in pictures)
+    wide = [np.pad(one, ((0, 0), (0, width - one.shape[1]), (0, 0))) for one in pictures]
+    return np.concatenate(wide, axis=0)

@@ -20,12 +20,12 @@ from vrcaps.recording.check import check_episode
 from vrcaps.transforms import transform_points
 
 
-def test_all_recordings_show_one_file(made: Path, organ: OrganSurface) -> None:
+def test_all_recordings_show_one_file(made: Path, organ: OrganSurface, organ_file: Path) -> None:
     """In postures of their own: the file is in the patient frame, `Episode.organ` in the world."""
     members = vrcaps.data.open(made).all_members
     (file,) = (made / "organs").glob("*.glb")
     assert not list((made / "episodes").rglob("*.glb"))
-    assert file.stem == organ_sha256(vrcaps.read_organ(file))
+    assert file.stem == organ_sha256(vrcaps.read_organ(organ_file))
     assert {entry["organ"]["path"] for entry in entries(LocalStore(made)).values()} == {
         f"organs/{file.name}"
     }

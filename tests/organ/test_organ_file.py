@@ -15,11 +15,13 @@ import trimesh
 from vrcaps.errors import InputError
 from vrcaps.mesh.glb import read_document
 from vrcaps.mesh.mesh import Mesh
+from vrcaps.organ import compact_textures
 from vrcaps.organ.arrays import organ_to_arrays
+from vrcaps.organ.compact_textures import RELIEF_STEP
 from vrcaps.organ.organ_file import is_organ_file
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import HEIGHT_STEP, Appearance, Centerline, OrganSurface, round_height
-from vrcaps.organ.write_organ import write_organ
+from vrcaps.organ.write_organ import ATTRIBUTES, write_organ
 from vrcaps.transforms import transform_from, transform_points
 from write_ply import write_ply
 
@@ -119,10 +121,11 @@ def test_relief_in_steps_takes_two_bytes_a_texel(organ, tmp_path: Path) -> None:
     assert not np.signbit(round_height(np.array([[-1e-12]]))).any()
 
 
-def test_other_readers_find_the_same(organ, tmp_path: Path) -> None:
+@pytest.mark.parametrize("compact", [False, True])
+def test_other_readers_find_the_same(organ, tmp_path: Path, compact: bool) -> None:
     """pygltflib and trimesh: every accessor lies in the buffer and says what the organ says."""
     path = tmp_path / "a.glb"
-    write_organ(path, organ)
+    write_organ(path, organ, compact=compact)
     file = pygltflib.GLTF2().load(path)
     blob = file.binary_blob()
     assert file.asset.version == "2.0"
@@ -148,6 +151,8 @@ def test_other_readers_find_the_same(organ, tmp_path: Path) -> None:
     for name in ("label", "instance", "arc_length", "theta", "radius"):
         found = part.vertex_attributes[f"_{name.upper()}"].reshape(-1)[part.faces]
         assert np.allclose(found, getattr(organ, name)[organ.faces], rtol=1e-6)
+    texture = np.asarray(part.visual.material.baseColorTexture.convert("RGB")).astype(int)
+    assert np.abs(texture - organ.appearance.albedo).max() <= (2 if compact else 0)
 
 
 def test_an_episodes_organ_comes_back_in_the_patient_frame(organ, tmp_path: Path) -> None:
@@ -241,3 +246,45 @@ def test_a_file_cut_short_is_one_line(organ, tmp_path: Path) -> None:
         read_organ(path)
     path.write_bytes(data[:30])
     assert not is_organ_file(path)
+
+
+def test_a_compact_file_is_the_same_wall_in_coarser_steps(organ, tmp_path: Path) -> None:
+    """Order, labels to the bit, places and coordinates to single precision, textures in steps."""
+    height = round_height(np.random.default_rng(1).normal(0.0, 2e-4, organ.appearance.height.shape))
+    organ = replace(organ, appearance=replace(organ.appearance, height=height))
+    pose = transform_from(np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), np.full(3, 0.3))
+    write_organ(tmp_path / "a.glb", organ, T_world_patient=pose, compact=True)
+    found = read_organ(tmp_path / "a.glb")
+    for name in ("faces", "label", "instance"):
+        assert getattr(found, name).tobytes() == getattr(organ, name).tobytes()
+    for name in ("vertices", "normals", "uv", "arc_length", "theta", "radius"):
+        assert getattr(found, name).dtype == float
+        assert np.allclose(getattr(found, name), getattr(organ, name), atol=3e-7)
+    assert (found.metadata, found.name) == (organ.metadata, organ.name)
+    assert np.array_equal(found.centerline.points, organ.centerline.points)
+    look, exact = found.appearance, organ.appearance
+    assert np.abs(look.albedo.astype(int) - exact.albedo).max() <= 2
+    assert np.abs(look.height - exact.height).max() <= 0.501 * RELIEF_STEP
+    assert look.height.dtype == np.float32
+    assert look.roughness.shape == exact.roughness.shape
+
+
+def test_what_a_compact_file_cannot_round_is_stored_exactly(organ, tmp_path: Path, monkeypatch):
+    """A relief of meters, a vertex of no triangle, a texture that is too long for WebP."""
+    high = np.full_like(organ.appearance.height, 3.0)
+    odd = replace(
+        organ,
+        appearance=replace(organ.appearance, height=high),
+        **{
+            name: np.concatenate([getattr(organ, name), getattr(organ, name)[:1]])
+            for name in ATTRIBUTES
+            if name != "uv"
+        },
+    )
+    write_organ(tmp_path / "a.glb", odd, compact=True)
+    found = read_organ(tmp_path / "a.glb")
+    assert np.array_equal(found.vertices, odd.vertices)
+    assert np.array_equal(found.appearance.height, high)
+    monkeypatch.setattr(compact_textures, "_MOST_SIDE", 8)
+    write_organ(tmp_path / "b.glb", organ, compact=True)
+    assert np.array_equal(read_organ(tmp_path / "b.glb").appearance.albedo, organ.appearance.albedo)

@@ -17,6 +17,7 @@ from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.organ.write_organ import write_organ
 from vrcaps.recording.episode import read_episode
+from vrcaps.recording.image_files import read_image
 from vrcaps.recording.recorder import record
 from vrcaps.scenario.build import build, resolve
 from vrcaps.scenario.scenario import OrganFile, Scenario, read_scenario
@@ -50,6 +51,7 @@ def test_the_organ_is_the_one_written(plan: Scenario, organ: OrganSurface, tmp_p
 
 @pytest.mark.slow
 def test_an_episodes_own_organ_records_the_same_again(plan: Scenario, tmp_path: Path) -> None:
+    """Labels to the bit; colors but for the rounding of a compact file's textures."""
     first = read_episode(record(plan, tmp_path / "first"))
     assert first.label_names == ("background", "upper", "lower")
     assert first.head["organ"]["lesions"] == [RECORD]
@@ -59,10 +61,11 @@ def test_an_episodes_own_organ_records_the_same_again(plan: Scenario, tmp_path: 
         for channel in first.channels:
             for frame in range(len(first)):
                 paths = [e.image_path(camera.name, channel, frame) for e in (first, second)]
-                assert paths[0].read_bytes() == paths[1].read_bytes()
-    assert (tmp_path / "first/organ.glb").read_bytes() == (
-        tmp_path / "second/organ.glb"
-    ).read_bytes()
+                if channel != "rgb":
+                    assert paths[0].read_bytes() == paths[1].read_bytes()
+                    continue
+                one, other = (read_image(path).astype(int) for path in paths)
+                assert np.abs(one - other).max() <= 4
     assert read_organ(tmp_path / "second" / "organ.glb").metadata["lesions"] == [RECORD]
 
 

@@ -27,7 +27,7 @@ def store_organ(store: Store, organ: OrganSurface) -> str:
     """
     name = f"{SHARED_ORGANS}/{organ_sha256(organ)}.glb"
     if _read_entry(store, name) is None:
-        data = b"".join(organ_glb(organ))
+        data = b"".join(organ_glb(organ, compact=True))
         entry = {"path": name, "sha256": hashlib.sha256(data).hexdigest(), "bytes": len(data)}
         store.write(name, data)
         # Last: where it is there, the organ is whole.

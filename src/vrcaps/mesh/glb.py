@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 import struct
+import zlib
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -51,11 +53,12 @@ class Glb:
         accessor = {"componentType": _UINT32, "count": faces.size, "type": "SCALAR"}
         return self._add_accessor(accessor, view)
 
-    def add_array(self, values: np.ndarray) -> dict[str, Any]:
+    def add_array(self, values: np.ndarray, *, deflated: bool = False) -> dict[str, Any]:
         """Add an array in its own type, which accessors may not have; `array_of` reads it."""
         little = values.astype(values.dtype.newbyteorder("<"), copy=False)
-        view = self.add_bytes(little.tobytes(), {})
-        return {"bufferView": view, "dtype": little.dtype.str, "shape": list(values.shape)}
+        data = zlib.compress(little.tobytes()) if deflated else little.tobytes()
+        entry = {"bufferView": self.add_bytes(data, {}), "dtype": little.dtype.str}
+        return entry | {"shape": list(values.shape)} | ({"deflated": True} if deflated else {})
 
     def add_bytes(self, data: bytes, view: dict) -> int:
         """Add a buffer view, for example an encoded image; gives its number."""
@@ -119,6 +122,16 @@ def read_glb(path: Path) -> tuple[dict[str, Any], memoryview]:
     return document, data[start + _CHUNK.size :][:size]
 
 
+def vertices_of(document: dict[str, Any], binary: memoryview, accessor: int) -> np.ndarray:
+    """A vertex attribute that `Glb.add_vertices` wrote, as float32 or uint16, [n] or [n k]."""
+    entry = document["accessors"][accessor]
+    data = view_of(document, binary, entry["bufferView"])
+    if entry["componentType"] == _UINT16:
+        return np.frombuffer(data, "<u2").reshape(entry["count"], 2)[:, 0]
+    values = np.frombuffer(data, "<f4")
+    return values if entry["type"] == "SCALAR" else values.reshape(entry["count"], -1)
+
+
 def view_of(document: dict[str, Any], binary: memoryview, view: int) -> memoryview:
     """The bytes of a buffer view."""
     entry = document["bufferViews"][view]
@@ -127,5 +140,10 @@ def view_of(document: dict[str, Any], binary: memoryview, view: int) -> memoryvi
 
 def array_of(document: dict[str, Any], binary: memoryview, entry: dict[str, Any]) -> np.ndarray:
     """An array that `Glb.add_array` wrote."""
-    values = np.frombuffer(view_of(document, binary, entry["bufferView"]), entry["dtype"])
-    return values.reshape(entry["shape"]).copy()  # of its own, aligned and writable
+    data = view_of(document, binary, entry["bufferView"])
+    if entry.get("deflated"):
+        size = math.prod(entry["shape"]) * np.dtype(entry["dtype"]).itemsize
+        data = zlib.decompressobj().decompress(data, size)
+    return (
+        np.frombuffer(data, entry["dtype"]).reshape(entry["shape"]).copy()
+    )  # of its own, aligned and writable

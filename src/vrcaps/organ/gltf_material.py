@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 _PLAIN_MUCOSA = (0.60, 0.22, 0.16, 1.0)  # linear; drawn where there is no appearance
 _SAMPLER = {"magFilter": 9729, "minFilter": 9987, "wrapS": 10497, "wrapT": 10497}  # mipmaps, repeat
+_WEBP = "EXT_texture_webp"
 _BLOCK_ROWS = 256
 _MAX_NORMALS = 1 << 25
 """Most texels of a normal texture; a finer relief is averaged over 2 by 2 texels until it fits."""
@@ -41,7 +42,9 @@ def relief_scale(
     return along_u, along_v
 
 
-def texture_images(appearance: Appearance, scale: tuple[float, float]) -> list[np.ndarray]:
+def texture_images(
+    appearance: Appearance, scale: tuple[float, float], most_normals: int | None = None
+) -> list[np.ndarray]:
     """Images of base color, roughness and normals, in the order of `material_json`.
 
     Roughness is gray: glTF reads it from green, and metalness from blue, times a factor of 0.
@@ -49,9 +52,10 @@ def texture_images(appearance: Appearance, scale: tuple[float, float]) -> list[n
     Args:
         appearance: The textures.
         scale: Length on the wall of one unit of u and v [m], see `relief_scale`.
+        most_normals: Most texels of the normals.
     """
-    relief = appearance.height
-    while relief.size > _MAX_NORMALS and not any(size % 2 for size in relief.shape):
+    relief, most = appearance.height, most_normals or _MAX_NORMALS
+    while relief.size > most and not any(size % 2 for size in relief.shape):
         relief = _halved(relief)
     return [appearance.albedo, appearance.roughness, normal_texture(relief, scale)]
 
@@ -93,7 +97,7 @@ def normal_texture(
     return normals
 
 
-def material_json(appearance: Appearance | None, views: list[int]) -> dict:
+def material_json(appearance: Appearance | None, images: list[dict]) -> dict:
     """The glTF `materials`, and their textures, images and samplers.
 
     The coat of the Disney model (Burley 2012) reflects a quarter of what a film of index
@@ -101,7 +105,7 @@ def material_json(appearance: Appearance | None, views: list[int]) -> dict:
 
     Args:
         appearance: Reflectance; None is a plain mucosa color.
-        views: Buffer views of `texture_images`.
+        images: glTF images of `texture_images`, PNG or WebP.
     """
     if appearance is None:
         surface = {"baseColorFactor": _PLAIN_MUCOSA, "metallicFactor": 0.0, "roughnessFactor": 0.5}
@@ -126,11 +130,16 @@ def material_json(appearance: Appearance | None, views: list[int]) -> dict:
         "normalTexture": {"index": 2},
         "extensions": extensions,
     }
+    sources: list[dict] = [{"source": number} for number in range(len(images))]
+    required = [_WEBP] if any(image["mimeType"] == "image/webp" for image in images) else []
+    if required:
+        sources = [{"extensions": {_WEBP: source}} for source in sources]
     return {
-        "extensionsUsed": sorted(extensions),
+        "extensionsUsed": sorted([*extensions, *required]),
+        **({"extensionsRequired": required} if required else {}),
         "materials": [material],
-        "textures": [{"sampler": 0, "source": image} for image in range(len(views))],
-        "images": [{"bufferView": view, "mimeType": "image/png"} for view in views],
+        "textures": [{"sampler": 0, **source} for source in sources],
+        "images": images,
         "samplers": [_SAMPLER],
     }
 

@@ -1,22 +1,29 @@
-"""Reader of organ files: a GLB that `write_organ` made comes back without loss."""
+"""Reader of organ files: a GLB that `write_organ` made."""
 
 from __future__ import annotations
 
 import struct
+import zlib
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from vrcaps import _core
 from vrcaps.errors import InputError
-from vrcaps.mesh.glb import array_of, read_document, read_glb, view_of
+from vrcaps.mesh.glb import array_of, read_document, read_glb, vertices_of, view_of
 from vrcaps.organ.arrays import organ_from_arrays
+from vrcaps.organ.compact_textures import decode_webps, relief_from_image
 from vrcaps.organ.write_organ import GENERATOR, ORGAN_FORMAT
+from vrcaps.transforms import invert, rotate_vectors, transform_points
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from jaxtyping import Int
+
     from vrcaps.organ.surface import OrganSurface
+
+_WEBP = "image/webp"
 
 _DAMAGED = (
     ValueError,
@@ -26,6 +33,7 @@ _DAMAGED = (
     OSError,
     RecursionError,
     struct.error,
+    zlib.error,
 )
 """What parsing a file that was cut short or changed raises."""
 
@@ -36,7 +44,7 @@ def is_organ_file(path: Path) -> bool:
 
 
 def read_organ_file(path: Path) -> OrganSurface:
-    """The organ that `write_organ` wrote, equal to the last bit, in the patient frame.
+    """The organ that `write_organ` wrote, in the patient frame; equal to the last bit, or compact.
 
     The file's positions are in the world frame; their pose is not applied. An episode's organ
     comes back as it was before the patient took the posture of the recording.
@@ -68,15 +76,13 @@ def _format(path: Path) -> str | None:
 
 def _read(document: dict[str, Any], binary: memoryview) -> OrganSurface:
     own = document["asset"]["extras"]
-    values = _decoded(document, binary)
+    values: dict[str, Any] = dict(_decoded(document, binary))
     for name, entry in own["arrays"].items():
         if "step" in entry:
-            height = values[name].astype(np.float32)
-            height -= 32768
-            height *= np.float32(entry["step"])
-            values[name] = height
+            values[name] = _relief(values[name], entry)
         else:
             values[name] = array_of(document, binary, entry)
+    values |= _of_vertices(document, binary, values["faces"])
     primitive = document["meshes"][0]["primitives"][0]
     view = document["accessors"][primitive["indices"]]["bufferView"]
     index = np.frombuffer(view_of(document, binary, view), "<u4").reshape(-1, 3)
@@ -86,15 +92,58 @@ def _read(document: dict[str, Any], binary: memoryview) -> OrganSurface:
     return organ_from_arrays(values | own["plain"])
 
 
+def _of_vertices(
+    document: dict[str, Any], binary: memoryview, source: Int[np.ndarray, " k"]
+) -> dict[str, np.ndarray]:
+    """The arrays that the file's vertices hold: those of a compact file.
+
+    Args:
+        document: Of the file.
+        binary: Of the file.
+        source: Number in the organ of each vertex of the file.
+    """
+    own = document["asset"]["extras"]
+    places = document["meshes"][0]["primitives"][0]["attributes"]
+    found = {
+        name: vertices_of(document, binary, places[attribute])
+        for name, attribute in own.get("attributes", {}).items()
+    }
+    if not found:
+        return {}
+    numbers, first = np.unique(source, return_index=True)
+    if not np.array_equal(numbers, np.arange(len(numbers))):
+        raise ValueError("a vertex is missing")
+    uv = found.pop("uv").astype(float)
+    values = {name: array[first] for name, array in found.items()}
+    for name in values.keys() - {"label", "instance"}:
+        values[name] = values[name].astype(float)
+    T_patient_world = invert(np.array(own["T_world_patient"]))
+    values["vertices"] = transform_points(T_patient_world, values["vertices"])
+    values["normals"] = rotate_vectors(T_patient_world, values["normals"])
+    values["label"] = values["label"].astype(np.uint8)
+    return {**values, "uv": np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=1)}
+
+
+def _relief(image: np.ndarray, entry: dict[str, Any]) -> np.ndarray:
+    """Relief [m] of an image of its steps."""
+    if entry.get("mimeType") == _WEBP:
+        return relief_from_image(image, entry["step"])
+    height = image.astype(np.float32)
+    height -= 32768
+    height *= np.float32(entry["step"])
+    return height
+
+
 def _decoded(document: dict[str, Any], binary: memoryview) -> dict[str, np.ndarray]:
     """The arrays that are images, decoded side by side."""
     own = document["asset"]["extras"]
-    steps = {k: entry["bufferView"] for k, entry in own["arrays"].items() if "step" in entry}
-    places = own["images"].items()
-    views = steps | {k: document["images"][place["image"]]["bufferView"] for k, place in places}
-    files = [np.frombuffer(view_of(document, binary, view), np.uint8) for view in views.values()]
-    images = dict(zip(views, _core.decode_pngs(files), strict=True))
-    for name, place in places:
-        if "channel" in place:
-            images[name] = images[name][..., place["channel"]].copy()
+    entries = {name: entry for name, entry in own["arrays"].items() if "step" in entry}
+    entries |= {name: document["images"][p["image"]] for name, p in own["images"].items()}
+    views = {name: view_of(document, binary, e["bufferView"]) for name, e in entries.items()}
+    webps = {name: view for name, view in views.items() if entries[name].get("mimeType") == _WEBP}
+    pngs = {name: np.frombuffer(views[name], np.uint8) for name in views.keys() - webps.keys()}
+    images = dict(zip(pngs, _core.decode_pngs(list(pngs.values())), strict=True))
+    images |= dict(zip(webps, decode_webps(list(webps.values())), strict=True))
+    if "appearance.roughness" in webps:  # gray
+        images["appearance.roughness"] = images["appearance.roughness"][..., 1].copy()
     return images

@@ -1,4 +1,4 @@
-"""An organ as a GLB file (binary glTF 2.0, Khronos 2021): any viewer opens it, nothing is lost."""
+"""An organ as a GLB file (binary glTF 2.0, Khronos 2021), exact or compact: any viewer opens it."""
 
 from __future__ import annotations
 
@@ -10,6 +10,15 @@ from vrcaps._core import encode_pngs
 from vrcaps.files import write_bytes
 from vrcaps.mesh.glb import Glb
 from vrcaps.organ.arrays import json_safe, organ_to_arrays
+from vrcaps.organ.compact_textures import (
+    MOST_NORMALS,
+    RELIEF_STEP,
+    albedo_webp,
+    normals_webp,
+    relief_webp,
+    roughness_webp,
+    webp_fits,
+)
 from vrcaps.organ.gltf_material import material_json, relief_scale, texture_images
 from vrcaps.organ.surface import HEIGHT_STEP
 from vrcaps.transforms import rotate_vectors, transform_points
@@ -19,32 +28,47 @@ if TYPE_CHECKING:
 
     from jaxtyping import Float, Int
 
-    from vrcaps.organ.surface import OrganSurface
+    from vrcaps.organ.surface import Appearance, OrganSurface
 
 ORGAN_FORMAT = "vrcaps-organ/1"
 """Names the layout of `write_organ`, in the file's ``asset.extras.format``."""
 
 GENERATOR = "vrcaps"
 
-_TEXTURES = {
+TEXTURES = {
     "appearance.albedo": {"image": 0},
     "appearance.roughness": {"image": 1},
 }
-"""Arrays that the file's images hold exactly."""
+"""Arrays that the file's images hold."""
+
+ATTRIBUTES = {
+    **{"vertices": "POSITION", "normals": "NORMAL", "uv": "TEXCOORD_0"},
+    **{"label": "_LABEL", "instance": "_INSTANCE"},
+    **{"arc_length": "_ARC_LENGTH", "theta": "_THETA", "radius": "_RADIUS"},
+}
+"""Arrays that the vertices of the file hold too, in single precision; of a compact file only they
+do."""
 
 _NUM_IMAGES = 3  # of the material; the relief follows where it is in steps
 _ZERO = 32768  # stored for a height of 0
 
 
 def write_organ(
-    path: Path, organ: OrganSurface, *, T_world_patient: Float[np.ndarray, "4 4"] | None = None
+    path: Path,
+    organ: OrganSurface,
+    *,
+    T_world_patient: Float[np.ndarray, "4 4"] | None = None,
+    compact: bool = False,
 ) -> None:
     """Write `organ_glb` to a file, which is replaced; it appears whole or not at all."""
-    write_bytes(path, organ_glb(organ, T_world_patient=T_world_patient))
+    write_bytes(path, organ_glb(organ, T_world_patient=T_world_patient, compact=compact))
 
 
 def organ_glb(
-    organ: OrganSurface, *, T_world_patient: Float[np.ndarray, "4 4"] | None = None
+    organ: OrganSurface,
+    *,
+    T_world_patient: Float[np.ndarray, "4 4"] | None = None,
+    compact: bool = False,
 ) -> list[bytes]:
     """An organ file with texture coordinates, textures, labels, lesions and centerline, in pieces.
 
@@ -57,28 +81,33 @@ def organ_glb(
     would round, in the patient frame and in its own type (docs/episode-format.md): what is read
     back equals what was written, to the last bit. The same organ gives the same bytes.
 
+    A compact file takes a fifth. Its textures are coded with a small loss (`compact_textures`), and
+    what its vertices hold in single precision is not there a second time. Vertices, triangles,
+    labels and lesions keep their order.
+
     Args:
         organ: The organ, in the patient frame.
         T_world_patient: Pose of the patient in the world; None: they coincide.
+        compact: Whether the file shall be small rather than exact.
     """
     pose = np.eye(4) if T_world_patient is None else T_world_patient
     glb = Glb()
     source, faces, uv = split_at_seams(organ.faces, organ.uv)
     primitive = {**_add_geometry(glb, organ, pose, (source, faces, uv)), "material": 0}
-    images = _add_images(glb, organ)
+    images, relief = _add_images(glb, organ, compact=compact)
     extras = {"label_names": list(organ.label_names)}
     for key in ("lesions", "clean_twin_of"):
         if key in organ.metadata:
             extras[key] = json_safe(organ.metadata[key])
     own = {"format": ORGAN_FORMAT, "T_world_patient": pose.tolist()}
-    own |= _add_exact(glb, organ, source, uv, images)
+    own |= _add_own(glb, organ, source, uv, relief, compact=compact)
     document = {
         "asset": {"version": "2.0", "generator": GENERATOR, "extras": own},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0, "name": organ.name}],
         "meshes": [{"name": organ.name, "primitives": [primitive], "extras": extras}],
-        **material_json(organ.appearance, images[:_NUM_IMAGES]),
+        **material_json(organ.appearance, images),
     }
     return glb.pack(document)
 
@@ -125,38 +154,67 @@ def _add_geometry(
     return {"attributes": attributes, "indices": glb.add_indices(faces)}
 
 
-def _add_images(glb: Glb, organ: OrganSurface) -> list[int]:
-    """Views of the material's images and, where it is in steps, of the relief as steps."""
-    if organ.appearance is None:
-        return []
+def _add_images(
+    glb: Glb, organ: OrganSurface, *, compact: bool
+) -> tuple[list[dict[str, Any]], dict[str, Any] | None]:
+    """The material's images, and where the relief is, unless it is to be stored as it is."""
+    look = organ.appearance
+    if look is None:
+        return [], None
     scale = relief_scale(organ.vertices, organ.faces, organ.uv)
-    images = texture_images(organ.appearance, scale)
-    images += _height_steps(organ.appearance.height)
-    return [glb.add_bytes(png, {}) for png in encode_pngs(images)]
+    if compact and webp_fits(look):
+        return _add_webps(glb, look, scale)
+    pngs = encode_pngs([*texture_images(look, scale), *_height_steps(look.height)])
+    views = [glb.add_bytes(png, {}) for png in pngs]
+    images = [{"bufferView": view, "mimeType": "image/png"} for view in views[:_NUM_IMAGES]]
+    relief = views[_NUM_IMAGES:]
+    return images, {"bufferView": relief[0], "step": HEIGHT_STEP} if relief else None
 
 
-def _add_exact(
+def _add_webps(
+    glb: Glb, look: Appearance, scale: tuple[float, float]
+) -> tuple[list[dict[str, Any]], dict[str, Any] | None]:
+    """What `_add_images` does, in little space."""
+    albedo, roughness, normals = texture_images(look, scale, MOST_NORMALS)
+    files = (albedo_webp(albedo), roughness_webp(roughness), normals_webp(normals))
+    views = [glb.add_bytes(file, {}) for file in files]
+    images = [{"bufferView": view, "mimeType": "image/webp"} for view in views]
+    relief = relief_webp(look.height)  # one after the other: each takes much memory
+    if relief is None:
+        return images, None
+    entry = {"step": RELIEF_STEP, "mimeType": "image/webp"}
+    return images, {"bufferView": glb.add_bytes(relief, {}), **entry}
+
+
+def _add_own(
     glb: Glb,
     organ: OrganSurface,
     source: Int[np.ndarray, " k"],
     uv: Float[np.ndarray, "k 2"],
-    views: list[int],
+    relief: dict[str, Any] | None,
+    *,
+    compact: bool,
 ) -> dict[str, Any]:
-    """What `read_organ` reads: plain values, exact arrays, and which images hold arrays.
+    """What `read_organ` reads: plain values, arrays, and which images and attributes hold arrays.
 
     ``faces`` and ``uv`` are stored for each vertex of the file, in their place in the organ:
     ``faces[m, c] = source[index]`` and ``uv[m, c] = uv[index]`` with the file's own indices.
     """
     arrays, plain = organ_to_arrays(organ)
     arrays |= {"faces": source.astype(organ.faces.dtype), "uv": uv}
-    images = {name: place for name, place in _TEXTURES.items() if name in arrays}
-    steps = {}
-    if len(views) > _NUM_IMAGES:
-        steps["appearance.height"] = {"bufferView": views[_NUM_IMAGES], "step": HEIGHT_STEP}
-        del arrays["appearance.height"]
-    exact = {name: glb.add_array(a) for name, a in sorted(arrays.items()) if name not in images}
-    exact |= steps
-    return {"plain": json_safe(plain), "arrays": exact, "images": images}
+    images = {name: place for name, place in TEXTURES.items() if name in arrays}
+    # A vertex of no triangle is not in the file.
+    is_all_there = len(np.unique(source)) == len(organ.vertices)
+    attributes = dict(ATTRIBUTES) if compact and is_all_there else {}
+    elsewhere = {*images, *attributes, *(["appearance.height"] if relief else [])}
+    own = {
+        name: glb.add_array(array, deflated=compact)
+        for name, array in sorted(arrays.items())
+        if name not in elsewhere
+    }
+    own |= {"appearance.height": relief} if relief else {}
+    found = {"plain": json_safe(plain), "arrays": own, "images": images}
+    return found | ({"attributes": attributes} if attributes else {})
 
 
 def _height_steps(height: Float[np.ndarray, "h w"]) -> list[np.ndarray]:

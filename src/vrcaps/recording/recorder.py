@@ -237,7 +237,7 @@ def _other_version(before: dict[str, Any], head: dict[str, Any]) -> str:
 def _write_organ(out: Path, model: Model) -> None:
     from vrcaps.organ.write_organ import write_organ
 
-    write_organ(out / ORGAN_GLB, model.organ, T_world_patient=model.T_world_patient)
+    write_organ(out / ORGAN_GLB, model.organ, T_world_patient=model.T_world_patient, compact=True)
 
 
 class _Timer:

@@ -1,0 +1,111 @@
+"""Textures of a compact organ file: coded so that they take a fifth and still look the same.
+
+What each choice costs is in docs/datasets.md, written by benchmarks/organ_files.py.
+"""
+
+from __future__ import annotations
+
+import io
+import warnings
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.organ.surface import HEIGHT_STEP
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, UInt8
+
+    from vrcaps.organ.surface import Appearance
+
+ALBEDO_STEP = 5
+"""Base color is rounded to multiples of this, by 2 of 255 at most; an odd step has no bias."""
+
+RELIEF_STEP = 64 * HEIGHT_STEP
+"""Relief is rounded to multiples of this [m], 3.8 µm."""
+
+MOST_NORMALS = 1 << 23
+"""Most texels of the normal texture, which is for viewers only."""
+
+ROUGHNESS_QUALITY, NORMAL_QUALITY = 30, 75  # of lossy WebP
+
+_LOSSLESS = {"lossless": True, "exact": True, "method": 2, "quality": 30}  # below 30 far larger
+_ZERO = 32768 + 128  # stored for a height of 0; small heights then share their high byte
+_MOST_SIDE = 16383  # of WebP
+
+
+def webp_fits(appearance: Appearance) -> bool:
+    """Whether WebP can hold the textures."""
+    return max(appearance.albedo.shape) <= _MOST_SIDE
+
+
+def albedo_webp(albedo: UInt8[np.ndarray, "h w 3"]) -> bytes:
+    """Base color in steps, without further loss."""
+    table = np.arange(256) + ALBEDO_STEP // 2
+    table = (table // ALBEDO_STEP * ALBEDO_STEP).clip(0, 255).astype(np.uint8)
+    return _webp(table[albedo], **_LOSSLESS)
+
+
+def roughness_webp(roughness: UInt8[np.ndarray, "h w"]) -> bytes:
+    """Roughness as gray."""
+    gray = np.repeat(roughness[..., None], 3, axis=-1)
+    return _webp(gray, method=2, quality=ROUGHNESS_QUALITY)
+
+
+def normals_webp(normals: UInt8[np.ndarray, "h w 3"]) -> bytes:
+    """Normals for viewers."""
+    return _webp(normals, method=2, quality=NORMAL_QUALITY)
+
+
+def relief_webp(height: Float[np.ndarray, "h w"]) -> bytes | None:
+    """Relief in steps: their high byte in red, their low byte in green; None beyond 16 bits."""
+    steps = height * np.float32(1.0 / RELIEF_STEP)
+    np.rint(steps, out=steps)
+    steps += np.float32(_ZERO)
+    if not (np.isfinite(steps).all() and steps.min() >= 0 and steps.max() <= 0xFFFF):
+        return None
+    numbers = steps.astype(np.uint16)
+    image = np.zeros((*numbers.shape, 3), np.uint8)
+    image[..., 0], image[..., 1] = numbers >> 8, numbers & 0xFF
+    return _webp(image, **_LOSSLESS)
+
+
+def relief_from_image(image: UInt8[np.ndarray, "h w 3"], step: float) -> np.ndarray:
+    """The relief [m] that `relief_webp` wrote, in float32."""
+    height = image[..., 0].astype(np.float32)
+    height *= 256
+    height += image[..., 1]
+    height -= _ZERO
+    height *= np.float32(step)
+    return height
+
+
+def decode_webps(files: Sequence[memoryview]) -> list[UInt8[np.ndarray, "h w 3"]]:
+    """Images of the functions above, decoded side by side.
+
+    Raises:
+        OSError, ValueError: If one is damaged.
+    """
+    from PIL import Image
+
+    def decode(data: memoryview) -> UInt8[np.ndarray, "h w 3"]:
+        with Image.open(io.BytesIO(data), formats=["WEBP"]) as image:
+            return np.array(image.convert("RGB"))
+
+    with warnings.catch_warnings(), ThreadPoolExecutor() as pool:
+        # The texture of a full tract is larger than what Pillow expects of a picture.
+        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+        try:
+            return list(pool.map(decode, files))
+        except Image.DecompressionBombError as error:
+            raise ValueError(str(error)) from error
+
+
+def _webp(image: UInt8[np.ndarray, "h w 3"], **options: bool | int) -> bytes:
+    from PIL import Image
+
+    file = io.BytesIO()
+    Image.fromarray(image).save(file, format="WEBP", **options)
+    return file.getvalue()

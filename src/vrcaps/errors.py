@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 
 class VrcapsError(Exception):
@@ -42,6 +43,25 @@ class MissingExtraError(VrcapsError, ImportError):
         super().__init__(
             f"{package} is not installed. Install it with: pip install 'vrcaps[{extra}]'"
         )
+
+
+def import_extra(module: str, extra: str, *, package: str = "") -> Any:
+    """A module of an optional dependency.
+
+    Args:
+        module: Its name.
+        extra: The extra of vrcaps that brings it.
+        package: What pip calls it, where that is another name.
+
+    Raises:
+        MissingExtraError: If it is not installed.
+    """
+    from importlib import import_module
+
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise MissingExtraError(package or module, extra) from error
 
 
 def require(is_valid: bool, name: str, value: object, allowed: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from vrcaps.errors import MissingExtraError
+from vrcaps.errors import import_extra
 
 
 @contextmanager
@@ -17,11 +17,7 @@ def exact_torch(threads: int = 1) -> Iterator[None]:
     Raises:
         MissingExtraError: If PyTorch is not installed.
     """
-    try:
-        import torch
-    except ImportError as error:
-        raise MissingExtraError("torch", "learn") from error
-
+    torch = import_extra("torch", "learn")
     before, exact = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
     torch.set_num_threads(threads)
     torch.use_deterministic_algorithms(True)

@@ -10,7 +10,7 @@ import numpy as np
 
 from vrcaps.errors import InputError, require
 from vrcaps.learn.fit import Fit
-from vrcaps.learn.learner import Batch, Figure, Sample, flip, with_gain
+from vrcaps.learn.learner import Batch, Figure, Sample, mirrored, with_gain
 from vrcaps.learn.networks import ENCODER, classifier, require_torch
 from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.classification import accuracy, confusion_matrix, f1_scores, matthews, roc_auc
@@ -99,9 +99,7 @@ class ClassLearner:
 
     def augmented(self, sample: Sample, rng: np.random.Generator) -> Sample:
         """Mirrored, turned by quarters, and with another exposure and white balance."""
-        for axis in (0, 1):
-            if rng.random() < 0.5:
-                sample = flip(sample, axis)
+        sample = mirrored(sample, rng)
         gain = self.brightness ** rng.uniform(-1.0, 1.0) * rng.uniform(0.9, 1.1, 3)
         image = np.rot90(sample["image"], int(rng.integers(4))).copy()
         return sample | {"image": with_gain(image, gain, rng.uniform(0.85, 1.15))}

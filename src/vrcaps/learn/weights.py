@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from vrcaps import __version__
-from vrcaps.errors import InputError, MissingExtraError, VrcapsError
+from vrcaps.errors import InputError, MissingExtraError, VrcapsError, import_extra
 from vrcaps.files import atomic_write
 from vrcaps.learn.networks import require_torch
 from vrcaps.learn.registry import LEARNERS, AnyLearner
@@ -55,7 +55,7 @@ def write_weights(path: Path, learner: AnyLearner, network: Any, about: dict[str
     Raises:
         MissingExtraError: If safetensors is not installed.
     """
-    save_file = _safetensors().save_file
+    save_file = import_extra("safetensors.torch", "learn", package="safetensors").save_file
     tensors = {
         name: (value.half() if value.is_floating_point() else value).cpu().contiguous()
         for name, value in network.state_dict().items()
@@ -85,7 +85,7 @@ def read_weights(path: str | Path, *, task: str | None = None, device: str = "cp
         InputError: If the file is damaged, no such file, or of another task.
         MissingExtraError: If a package is not installed.
     """
-    safe_open = _safetensors_open()
+    safe_open = import_extra("safetensors", "learn").safe_open
     try:
         with safe_open(str(path), framework="pt") as file:
             stated = json.loads((file.metadata() or {}).get(_KEY, "{}"))
@@ -122,10 +122,7 @@ def write_onnx(path: Path, trained: Trained) -> None:
         MissingExtraError: If onnxscript is not installed.
     """
     torch = require_torch()
-    try:
-        import onnxscript  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("onnxscript", "learn") from error
+    import_extra("onnxscript", "learn")
     learner = trained.learner
     names = list(learner.input_names)
     example = tuple(torch.zeros(2, 3, learner.size, learner.size) for _ in names)
@@ -139,18 +136,3 @@ def write_onnx(path: Path, trained: Trained) -> None:
     )
     with atomic_write(path) as temporary:
         program.save(str(temporary))
-
-
-def _safetensors() -> Any:
-    try:
-        import safetensors.torch
-    except ImportError as error:
-        raise MissingExtraError("safetensors", "learn") from error
-    return safetensors.torch
-
-
-def _safetensors_open() -> Any:
-    _safetensors()
-    from safetensors import safe_open
-
-    return safe_open

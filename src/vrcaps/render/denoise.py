@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.errors import MissingExtraError
+from vrcaps.errors import import_extra
 
 if TYPE_CHECKING:
     from jaxtyping import Float32
@@ -51,8 +51,4 @@ def load_denoiser() -> Any:
     Raises:
         MissingExtraError: If it is not installed.
     """
-    try:
-        import pyoidn  # pyright: ignore[reportMissingImports]
-    except ImportError as error:
-        raise MissingExtraError("pyoidn", "denoise") from error
-    return pyoidn
+    return import_extra("pyoidn", "denoise")

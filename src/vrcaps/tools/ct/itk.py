@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import MissingExtraError
+from vrcaps.errors import import_extra
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -22,10 +22,7 @@ def import_sitk() -> ModuleType:
     Raises:
         MissingExtraError: If it is not installed.
     """
-    try:
-        import SimpleITK as sitk
-    except ImportError as error:
-        raise MissingExtraError("SimpleITK", "ct") from error
+    sitk = import_extra("SimpleITK", "ct")
     sitk.ProcessObject.SetGlobalWarningDisplay(False)
     return sitk
 

@@ -31,9 +31,7 @@ def stop(args: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str]
     return exit_info.value.code, capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    "verb", [path.split() for path in ({**cli._VERBS, **cli._exports()}) if path != "export"]
-)
+@pytest.mark.parametrize("verb", [path.split() for path in cli._VERBS])
 def test_every_verb_has_a_summary_and_help_with_an_example(
     verb: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -10,6 +10,7 @@ from importlib import import_module
 from typing import Protocol
 
 from vrcaps.errors import VrcapsError
+from vrcaps.formats.registry import FORMATS
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
@@ -57,7 +58,10 @@ _VERBS = {
     "bench record": ("vrcaps.cli.bench", "Record", "Measure recording to disk."),
     "bench world": ("vrcaps.cli.bench", "World", "Measure the physics."),
     "train coverage": ("vrcaps.cli.train", "Coverage", "Learn to see the whole wall, by PPO."),
-    "export": ("vrcaps.cli.export", "", "Write episodes and data sets in others' layouts."),
+    **{
+        f"export {kind}": ("vrcaps.cli.export", kind, summary)
+        for kind, (_, _, summary) in FORMATS.items()
+    },
     **{
         f"{verb} {task}": ("vrcaps.cli.learn", f"{verb}_{task}", f"{meaning} {what}.")
         for verb, meaning in (
@@ -143,26 +147,11 @@ def _parse(args: Sequence[str]) -> _Command:
 def _verbs(words: Sequence[str]) -> dict[str, tuple[str, str, str]]:
     """Verbs of a command line.
 
-    `evaluate` is followed by a learner's task, or by policies; formats of `export` are loaded when
-    it is asked for.
+    `evaluate` is followed by a learner's task, or by policies.
     """
     is_task = words[:1] == ["evaluate"] and words[1:2] != [] and words[1] in _TASKS
     left_out = {"evaluate"} if is_task else {f"evaluate {task}" for task in _TASKS}
-    verbs = {path: verb for path, verb in _VERBS.items() if path not in left_out}
-    if words[:1] == ["export"]:
-        del verbs["export"]
-        verbs |= _exports()
-    return verbs
-
-
-def _exports() -> dict[str, tuple[str, str, str]]:
-    """A verb for each format."""
-    from vrcaps.formats.registry import FORMATS
-
-    return {
-        f"export {kind}": ("vrcaps.cli.export", kind, form.summary)
-        for kind, form in FORMATS.items()
-    }
+    return {path: verb for path, verb in _VERBS.items() if path not in left_out}
 
 
 def _not_chosen() -> None:

@@ -14,7 +14,7 @@ from vrcaps.cli.parts import command_of, part_of
 from vrcaps.data.plan import SPLITS
 from vrcaps.errors import UnknownNameError
 from vrcaps.formats.format import Format
-from vrcaps.formats.registry import FORMATS
+from vrcaps.formats.registry import FORMATS, format_named
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,4 +66,4 @@ def __getattr__(kind: str) -> Any:
     if kind not in FORMATS:
         raise AttributeError(kind)
     examples = f"  vrcaps export {kind} runs/colon --out runs/colon-{kind}"
-    return command_of(Export, FORMATS[kind], examples)
+    return command_of(Export, format_named(kind), examples)

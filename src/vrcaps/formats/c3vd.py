@@ -100,7 +100,6 @@ class C3vd:
     fps: Annotated[float, Range(above=0.0, unit="Hz")] = 30.0
 
     kind: ClassVar[str] = "c3vd"
-    summary: ClassVar[str] = "C3VD, for depth, normals and poses of a colonoscope."
     needs: ClassVar[Needs] = Needs(("rgb", "depth"), lenses=(LensPinhole, LensScaramuzza))
 
     def __post_init__(self) -> None:

@@ -56,7 +56,6 @@ class Colmap:
     points: Annotated[int, Range(0)] = 10000
 
     kind: ClassVar[str] = "colmap"
-    summary: ClassVar[str] = "COLMAP text model, for reconstruction and Gaussian splatting."
     needs: ClassVar[Needs] = Needs(lenses=OPENCV_LENSES)
 
     def __post_init__(self) -> None:

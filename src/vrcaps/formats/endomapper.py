@@ -62,7 +62,6 @@ class EndoMapper:
     depth: Depth = "z-buffer"
 
     kind: ClassVar[str] = "endomapper"
-    summary: ClassVar[str] = "EndoMapper's simulated sequences, with depth as OpenEXR."
     needs: ClassVar[Needs] = Needs(("rgb", "depth"), lenses=(LensPinhole,))
 
     def __post_init__(self) -> None:

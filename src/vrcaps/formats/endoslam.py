@@ -57,7 +57,6 @@ class EndoSlam:
     fps: Annotated[float, Range(above=0.0, unit="Hz")] = 30.0
 
     kind: ClassVar[str] = "endoslam"
-    summary: ClassVar[str] = "EndoSLAM's UnityCam, for depth and poses of a capsule."
     needs: ClassVar[Needs] = Needs(("rgb", "depth"), lenses=(LensPinhole,))
 
     def __post_init__(self) -> None:

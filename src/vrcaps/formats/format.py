@@ -42,12 +42,10 @@ class Format(Protocol):
 
     Attributes:
         kind: Its name on the command line.
-        summary: What it is, in one line.
         needs: What it cannot do without.
     """
 
     kind: ClassVar[str]
-    summary: ClassVar[str]
     needs: ClassVar[Needs]
 
     def write(self, sequences: Sequence[FrameSequence], folder: Path, advance: Advance) -> None:

@@ -60,7 +60,6 @@ class HuggingFace:
     shard_mb: Annotated[float, Range(above=0.0, unit="MB")] = 130.0
 
     kind: ClassVar[str] = "hugging-face"
-    summary: ClassVar[str] = "Parquet files for Hugging Face datasets."
     needs: ClassVar[Needs] = Needs(channels=(), poses=False)
 
     def __post_init__(self) -> None:

@@ -53,7 +53,6 @@ class Kitti:
     """KITTI odometry: `sequences/00/image_2/`, `calib.txt`, `times.txt`, `poses/00.txt`."""
 
     kind: ClassVar[str] = "kitti"
-    summary: ClassVar[str] = "KITTI odometry, for visual odometry and evo."
     needs: ClassVar[Needs] = Needs(lenses=(LensPinhole,))
 
     def write(self, sequences: Sequence[FrameSequence], folder: Path, advance: Advance) -> None:

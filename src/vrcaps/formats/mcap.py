@@ -66,7 +66,6 @@ class Mcap:
     organ: bool = True
 
     kind: ClassVar[str] = "mcap"
-    summary: ClassVar[str] = "MCAP, for Foxglove."
     needs: ClassVar[Needs] = Needs(channels=(), lenses=OPENCV_LENSES)
 
     def __post_init__(self) -> None:

@@ -1,34 +1,28 @@
-"""All formats: one line each."""
+"""All formats: one line each. A format is imported when it is used."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
 
 from vrcaps.errors import UnknownNameError
-from vrcaps.formats.c3vd import C3vd
-from vrcaps.formats.colmap import Colmap
-from vrcaps.formats.endomapper import EndoMapper
-from vrcaps.formats.endoslam import EndoSlam
-from vrcaps.formats.format import Format
-from vrcaps.formats.hugging_face import HuggingFace
-from vrcaps.formats.kitti import Kitti
-from vrcaps.formats.mcap import Mcap
-from vrcaps.formats.simcol3d import SimCol3D
-from vrcaps.formats.tum import Tum
-from vrcaps.formats.webdataset import WebDataset
 
-FORMATS: dict[str, type[Format]] = {
-    form.kind: form
-    for form in (
-        Tum,
-        Kitti,
-        SimCol3D,
-        C3vd,
-        EndoSlam,
-        EndoMapper,
-        Colmap,
-        WebDataset,
-        HuggingFace,
-        Mcap,
-    )
+if TYPE_CHECKING:
+    from vrcaps.formats.format import Format
+
+FORMATS = {
+    "tum": ("tum", "Tum", "TUM RGB-D, for visual SLAM and evo."),
+    "kitti": ("kitti", "Kitti", "KITTI odometry, for visual odometry and evo."),
+    "simcol3d": ("simcol3d", "SimCol3D", "SimCol3D, for depth and poses of a colonoscope."),
+    "c3vd": ("c3vd", "C3vd", "C3VD, for depth, normals and poses of a colonoscope."),
+    "endoslam": ("endoslam", "EndoSlam", "EndoSLAM's UnityCam, for depth and poses of a capsule."),
+    "endomapper": ("endomapper", "EndoMapper", "EndoMapper's simulated sequences, with OpenEXR."),
+    "colmap": ("colmap", "Colmap", "COLMAP text model, for reconstruction and Gaussian splatting."),
+    "webdataset": ("webdataset", "WebDataset", "WebDataset shards, for sequential storage."),
+    "hugging-face": ("hugging_face", "HuggingFace", "Parquet files for Hugging Face datasets."),
+    "mcap": ("mcap", "Mcap", "MCAP, for Foxglove."),
 }
-"""Formats by their names."""
+"""Module, class and summary of each format, by the name that its `kind` says too."""
 
 
 def format_named(kind: str) -> type[Format]:
@@ -39,4 +33,5 @@ def format_named(kind: str) -> type[Format]:
     """
     if kind not in FORMATS:
         raise UnknownNameError("format", kind, FORMATS)
-    return FORMATS[kind]
+    module, noun, _ = FORMATS[kind]
+    return getattr(import_module(f"vrcaps.formats.{module}"), noun)

@@ -63,7 +63,6 @@ class SimCol3D:
     fps: Annotated[float, Range(above=0.0, unit="Hz")] = 30.0
 
     kind: ClassVar[str] = "simcol3d"
-    summary: ClassVar[str] = "SimCol3D, for depth and poses of a colonoscope."
     needs: ClassVar[Needs] = Needs(("rgb", "depth"), lenses=(LensPinhole,))
 
     def __post_init__(self) -> None:

@@ -48,7 +48,6 @@ class Tum:
     depth_scale: Annotated[float, Range(1.0)] = 5000.0
 
     kind: ClassVar[str] = "tum"
-    summary: ClassVar[str] = "TUM RGB-D, for visual SLAM and evo."
     needs: ClassVar[Needs] = Needs(lenses=(LensPinhole,))
 
     def __post_init__(self) -> None:

@@ -56,7 +56,6 @@ class WebDataset:
     seed: Annotated[int | None, Range(0)] = None
 
     kind: ClassVar[str] = "webdataset"
-    summary: ClassVar[str] = "WebDataset shards, for training from sequential storage."
     needs: ClassVar[Needs] = Needs(channels=(), poses=False)
 
     def __post_init__(self) -> None:

@@ -1,0 +1,25 @@
+"""All formats: names as their classes say them, and nothing loaded before it is used."""
+
+import subprocess
+import sys
+
+import pytest
+
+from vrcaps.formats.registry import FORMATS, format_named
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_a_line_names_its_format(kind):
+    form = format_named(kind)
+    assert form.kind == kind
+    assert form().read
+    assert form().write
+    assert FORMATS[kind][2].endswith(".")
+
+
+def test_the_registry_loads_no_format():
+    code = "import sys, vrcaps.formats.registry; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    assert not {f"vrcaps.formats.{module}" for module, *_ in FORMATS.values()} & loaded
+    assert not {"numpy", "scipy"} & loaded

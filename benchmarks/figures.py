@@ -74,7 +74,7 @@ FIGURES = (
         "speed_peers speed_effects speed_magnets speed_path speed_fem speed_ct speed_worlds",
         is_timed=True,
     ),
-    *_scripts("speed_views speed_env", is_timed=True),
+    *_scripts("speed_views speed_env speed_dataset", is_timed=True),
     *([Figure("benchmarks/speed_cycles.py", ("--blender-python", BLENDER), True)] * bool(BLENDER)),
     *_scripts("validate_radiosity validate_scattering validate_denoise", is_timed=True),
     *_scripts(
@@ -83,7 +83,7 @@ FIGURES = (
     *_scripts("validate_textures validate_quasi_static", is_timed=True),
     Figure("benchmarks/small_bowel_transit.py", ("--size", "40")),
     *_scripts("validate_contact validate_coverage validate_ct validate_fem validate_labels"),
-    *_scripts("validate_lesion_sizes validate_resume"),
+    *_scripts("validate_lesion_sizes validate_resume validate_exactly_once"),
     *_scripts("validate_lesions validate_light validate_moving_labels validate_path"),
     *_scripts("validate_placing validate_sensor validate_located_steering"),
 )

@@ -27,6 +27,12 @@ def versions(packages: tuple[str, ...]) -> dict[str, str]:
     return {name: _version(name) for name in packages}
 
 
+def made_here() -> dict[str, str]:
+    """Versions of vrcaps, of its core and of all packages that an episode's bytes depend on."""
+    own = {"vrcaps": _core.__version__, "core_sha256": core_sha256()}
+    return {**own, **versions(EPISODE_PACKAGES)}
+
+
 @cache
 def _version(name: str) -> str:
     try:

@@ -8,12 +8,14 @@ import pytest
 
 import vrcaps
 from failing import fail
+from vrcaps import made_with
 from vrcaps.cli import main
 from vrcaps.data import store as store_module
 from vrcaps.data.check_dataset import check_dataset
 from vrcaps.data.estimate import Estimate
 from vrcaps.data.ledger import enter_failure, entries, failures
 from vrcaps.data.make import make_dataset
+from vrcaps.data.make_unit import Job, Maker
 from vrcaps.data.plan import read_plan
 from vrcaps.data.runners.in_process import InProcess
 from vrcaps.data.store import LocalStore
@@ -111,6 +113,18 @@ def test_a_target_that_holds_something_else_is_left_alone(
     (tmp_path / "plan.json").write_text("{")
     with pytest.raises(InputError, match=r"plan\.json is damaged .* delete that file"):
         make_dataset(read_plan(plan_file), tmp_path, runner=InProcess())
+
+
+def test_a_data_set_is_gone_on_with_by_the_same_versions_only(
+    plan_file: Path, made: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    versions = made_with.versions
+    monkeypatch.setattr(made_with, "versions", lambda names: versions(names) | {"numpy": "1.0"})
+    with pytest.raises(InputError, match=r"was begun with numpy \S+, and here is 1\.0: its bytes"):
+        make_dataset(read_plan(plan_file), made, runner=InProcess())
+    job = Job(read_plan(plan_file), str(made), made, made_with={"numpy": "2.0"})
+    with pytest.raises(InputError, match=r"a worker has numpy 1\.0, and the head has 2\.0"):
+        Maker(job)
 
 
 @pytest.mark.slow

@@ -202,12 +202,12 @@ def _estimate(plan: Plan, units: Units, numbers: Sequence[int], out: str) -> Non
     from vrcaps.data.check_plan import check_plan
     from vrcaps.data.estimate import estimate
     from vrcaps.data.ledger import require_target, whole_units
-    from vrcaps.data.plan import SPLITS, plan_to_plain
+    from vrcaps.data.plan import SPLITS
     from vrcaps.data.store import open_store
 
     check_plan(units)
     store = open_store(out)
-    require_target(store, plan_to_plain(plan))
+    require_target(store, plan)
     whole = set(whole_units(store, [units.name(number) for number in numbers]))
     missing = [number for number in numbers if units.name(number) not in whole]
     splits = ", ".join(f"{units.splits.count(s)} {s}" for s in SPLITS)

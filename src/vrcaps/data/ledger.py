@@ -11,12 +11,15 @@ from pathlib import Path
 from typing import Any
 
 from vrcaps.data.about import ABOUT, about_recording
+from vrcaps.data.plan import Plan, plan_to_plain
 from vrcaps.data.store import Store
 from vrcaps.data.units import Unit
 from vrcaps.errors import InputError
 from vrcaps.files import file_sha256, files_in
+from vrcaps.made_with import made_here
 
 PLAN = "plan.json"
+MADE_WITH = "made_with"
 EPISODES = "episodes"
 LEDGER = "ledger"
 FAILED = "failed"
@@ -127,21 +130,23 @@ def read_plain_plan(store: Store) -> dict[str, Any]:
     return plan
 
 
-def require_same_plan(store: Store, plan: dict[str, Any]) -> None:
+def require_same_plan(store: Store, plan: Plan) -> None:
     """Make a store the data set of a plan, or check that it is.
 
     Raises:
-        InputError: If it holds the data set of another plan, or something else.
+        InputError: If it holds the data set of another plan or of other versions, or something
+            else.
     """
-    if not require_target(store, plan) and not store.create(PLAN, _json(plan)):
+    if not require_target(store, plan) and not store.create(PLAN, _plan_file(plan)):
         require_target(store, plan)  # another process was first
 
 
-def require_target(store: Store, plan: dict[str, Any]) -> bool:
+def require_target(store: Store, plan: Plan) -> bool:
     """Check that a store is empty or holds the data set of a plan; whether it holds it.
 
     Raises:
-        InputError: If it holds the data set of another plan, or something else.
+        InputError: If it holds the data set of another plan or of other versions, or something
+            else.
     """
     before = _stored_plan(store)
     if before is None:
@@ -153,13 +158,27 @@ def require_target(store: Store, plan: dict[str, Any]) -> bool:
                 f"{store.url} holds something else, and no data set. Give a new or empty --out, "
                 "or that of an unfinished data set."
             )
-    differs = _difference(before, json.loads(_json(plan)))
+    wanted = json.loads(_plan_file(plan))
+    differs = _difference(before, wanted)
+    if differs is not None and differs.startswith(MADE_WITH):
+        name = differs.removeprefix(f"{MADE_WITH}.")
+        then = before.get(MADE_WITH, {}).get(name) or "unknown"
+        raise InputError(
+            f"{store.url} was begun with {name} {then}, and here is "
+            f"{wanted[MADE_WITH].get(name) or 'none'}: its bytes may differ. Install that version, "
+            "or give another --out."
+        )
     if differs is not None:
         raise InputError(
             f"{store.url} holds a data set of another plan (its {differs} differs). Give another "
             "--out, or the plan it was made with."
         )
     return True
+
+
+def _plan_file(plan: Plan) -> bytes:
+    """What a data set is made of: its plan, and the versions of what makes it."""
+    return _json({**plan_to_plain(plan), MADE_WITH: made_here()})
 
 
 def _stored_plan(store: Store) -> Any:

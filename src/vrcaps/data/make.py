@@ -17,12 +17,13 @@ from vrcaps.data.ledger import (
     whole_units,
 )
 from vrcaps.data.make_unit import Job, Outcome
-from vrcaps.data.plan import Plan, plan_to_plain
+from vrcaps.data.plan import Plan
 from vrcaps.data.runners.pool import Pool
 from vrcaps.data.runners.runner import Runner
 from vrcaps.data.store import open_store
 from vrcaps.data.units import Units
 from vrcaps.errors import StorageError, require
+from vrcaps.made_with import made_here
 
 
 @dataclass(frozen=True)
@@ -71,10 +72,10 @@ def make_dataset(
     for number in chosen:
         require(0 <= number < len(units), "A unit", number, f"0 to {len(units) - 1}")
     check_plan(units)
-    require_same_plan(store, plan_to_plain(plan))
+    require_same_plan(store, plan)
     whole = whole_units(store, [units.name(number) for number in chosen])
     missing = [number for number in chosen if units.name(number) not in whole]
-    job = Job(plan, store.url, Path.cwd(), source)
+    job = Job(plan, store.url, Path.cwd(), source, made_here())
     before, failed = set(failures(store)), {}
     done = len(chosen) - len(missing)
     with closing((runner or Pool()).run(job, missing)) as outcomes:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import shlex
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -14,7 +15,8 @@ from vrcaps.data.organs import organ_entry, store_organ
 from vrcaps.data.plan import Plan
 from vrcaps.data.store import Store, open_store
 from vrcaps.data.units import Units
-from vrcaps.errors import StorageError, VrcapsError
+from vrcaps.errors import InputError, StorageError, VrcapsError
+from vrcaps.made_with import made_here
 from vrcaps.organ.cache import passing_organs
 
 _WAIT = 0.2
@@ -32,12 +34,14 @@ class Job:
         url: Of the store; an absolute path where it is a folder.
         folder: Working directory, from which paths in the plan lead.
         source: How the command line named the plan.
+        made_with: Versions that every worker must have; None asks for none.
     """
 
     plan: Plan
     url: str
     folder: Path
     source: str = "PLAN"
+    made_with: Mapping[str, str] | None = None
 
     def command(self, number: int) -> str:
         """The line that makes one unit again."""
@@ -69,7 +73,15 @@ class Maker:
 
         Raises:
             VrcapsError: If that is not possible.
+            InputError: If this worker has other versions than the head, so that its bytes differ.
         """
+        here = made_here()
+        for name, version in (job.made_with or here).items():
+            if here.get(name) != version:
+                raise InputError(
+                    f"a worker has {name} {here.get(name) or 'none'}, and the head has {version}. "
+                    "All need the same, for the same bytes."
+                )
         self._units, self._store = Units(job.plan), open_store(job.url)
 
     def make(self, number: int) -> Outcome:

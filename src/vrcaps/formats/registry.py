@@ -16,6 +16,7 @@ FORMATS = {
     "simcol3d": ("simcol3d", "SimCol3D", "SimCol3D, for depth and poses of a colonoscope."),
     "c3vd": ("c3vd", "C3vd", "C3VD, for depth, normals and poses of a colonoscope."),
     "endoslam": ("endoslam", "EndoSlam", "EndoSLAM's UnityCam, for depth and poses of a capsule."),
+    "sfmlearner": ("sfmlearner", "SfmLearner", "SC-SfMLearner and EndoSfMLearner, for training."),
     "endomapper": ("endomapper", "EndoMapper", "EndoMapper's simulated sequences, with OpenEXR."),
     "colmap": ("colmap", "Colmap", "COLMAP text model, for reconstruction and Gaussian splatting."),
     "webdataset": ("webdataset", "WebDataset", "WebDataset shards, for sequential storage."),

@@ -74,7 +74,7 @@ FIGURES = (
         "speed_peers speed_effects speed_magnets speed_path speed_fem speed_ct speed_worlds",
         is_timed=True,
     ),
-    *_scripts("speed_views speed_env speed_dataset", is_timed=True),
+    *_scripts("speed_views speed_env speed_dataset speed_reading", is_timed=True),
     *([Figure("benchmarks/speed_cycles.py", ("--blender-python", BLENDER), True)] * bool(BLENDER)),
     *_scripts("validate_radiosity validate_scattering validate_denoise", is_timed=True),
     *_scripts(

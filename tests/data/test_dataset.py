@@ -64,6 +64,7 @@ def test_sequences_of_takes_episodes_and_data_sets_of_all_places(whole, remote):
         front, rear = vrcaps.data.sequences_of(f"{root}/episodes/{name}")
         assert (front.name, rear.name) == (f"{name}/front", f"{name}/rear")
         assert front.image("rgb", 0).shape == (36, 40, 3)
+        assert len(front.episode.organ.vertices) > 0  # which the data set's episodes share
 
 
 def test_only_what_is_asked_for_is_fetched(served):

@@ -39,8 +39,10 @@ class StoredFiles:
 
     def read(self, name: str) -> bytes:
         """A file's bytes."""
-        path = posixpath.normpath(posixpath.join(self.folder, name))
-        return _connection(self.store_url, os.getpid()).read(path)
+        path, root = posixpath.normpath(posixpath.join(self.folder, name)), self.store_url
+        while path.startswith("../"):
+            path, root = path.removeprefix("../"), root.rpartition("/")[0]
+        return _connection(root, os.getpid()).read(path)
 
 
 def episode_files(store: Store, folder: str = ".") -> EpisodeFiles:

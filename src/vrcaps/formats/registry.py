@@ -19,6 +19,7 @@ FORMATS = {
     "sfmlearner": ("sfmlearner", "SfmLearner", "SC-SfMLearner and EndoSfMLearner, for training."),
     "endomapper": ("endomapper", "EndoMapper", "EndoMapper's simulated sequences, with OpenEXR."),
     "colmap": ("colmap", "Colmap", "COLMAP text model, for reconstruction and Gaussian splatting."),
+    "nerfstudio": ("nerfstudio", "Nerfstudio", "nerfstudio, for radiance fields and splatting."),
     "coco": ("coco", "Coco", "COCO instances of lesions, for detection and segmentation."),
     "webdataset": ("webdataset", "WebDataset", "WebDataset shards, for sequential storage."),
     "hugging-face": ("hugging_face", "HuggingFace", "Parquet files for Hugging Face datasets."),

@@ -23,6 +23,7 @@ FORMATS = {
     "coco": ("coco", "Coco", "COCO instances of lesions, for detection and segmentation."),
     "webdataset": ("webdataset", "WebDataset", "WebDataset shards, for sequential storage."),
     "hugging-face": ("hugging_face", "HuggingFace", "Parquet files for Hugging Face datasets."),
+    "lerobot": ("lerobot", "LeRobot", "LeRobot v3.0, for learning to steer."),
     "mcap": ("mcap", "Mcap", "MCAP, for Foxglove."),
 }
 """Module, class and summary of each format, by the name that its `kind` says too."""

@@ -16,8 +16,18 @@ if TYPE_CHECKING:
 class Preview:
     """A video being encoded in memory; the same pictures give the same bytes."""
 
-    def __init__(self, *, fps: float, width: int, height: int) -> None:
-        """Start a video of pictures of at most the given size [pixels]."""
+    def __init__(
+        self, *, fps: float, width: int, height: int, crf: int = 24, key_interval: int = 60
+    ) -> None:
+        """Start a video of pictures of at most the given size.
+
+        Args:
+            fps: Frames per second.
+            width: Of all pictures of a frame together [px].
+            height: Of the highest picture [px].
+            crf: Constant rate factor of VP9: 0 is best, 63 smallest.
+            key_interval: Frames between two that need no other to be decoded.
+        """
         import av
 
         self._buffer = io.BytesIO()
@@ -34,9 +44,9 @@ class Preview:
         self._stream.options = {
             "deadline": "realtime",
             "cpu-used": "8",
-            "crf": "24",
+            "crf": str(crf),
             "b": "0",
-            "g": "60",
+            "g": str(key_interval),
             "flags": "+bitexact",
         }
 

@@ -1,0 +1,170 @@
+"""Reader of LeRobot data sets: films and images of each camera of each episode."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator, Mapping
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.formats.lerobot import DEPTH, EPISODES, IMAGES, INFO, NAMES
+from vrcaps.formats.lerobot_rows import STATE
+from vrcaps.formats.lerobot_tables import read_rows
+from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
+from vrcaps.recording.layout import camera_from_plain
+from vrcaps.recording.table import POSE_COLUMNS
+from vrcaps.transforms import matrix_from_quaternion, transform_from
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_CAPSULE = tuple(f"capsule_{name}" for name in POSE_COLUMNS)
+
+
+def read_dataset(folder: Path) -> Iterator[FrameSequence]:
+    """A sequence for each camera of each episode; images are read when asked for.
+
+    Raises:
+        InputError: If a file is damaged.
+    """
+    info = _read_json(folder / INFO)
+    names = _read_json(folder / NAMES) if (folder / NAMES).exists() else None
+    paths = sorted((folder / EPISODES).rglob("*.parquet"))
+    rows = [row for path in paths for row in read_rows(path)]
+    if not rows or "features" not in info:
+        raise InputError(f"{folder} has no episodes in {EPISODES} or no features in {INFO}.")
+    for row in rows:
+        number = row["episode_index"]
+        own = None if names is None else names[number]
+        try:
+            yield from _sequences_of(folder, info, row, own)
+        except (KeyError, TypeError, IndexError) as error:
+            raise InputError(f"{folder}: episode {number} lacks {error}.") from error
+
+
+def _sequences_of(
+    folder: Path, info: Mapping[str, Any], row: Mapping[str, Any], own: Mapping[str, Any] | None
+) -> Iterator[FrameSequence]:
+    features = info["features"]
+    table = folder / info["data_path"].format(
+        chunk_index=row["data/chunk_index"], file_index=row["data/file_index"]
+    )
+    columns = ["episode_index", "timestamp", *([STATE] if STATE in features else [])]
+    frames = [
+        {**frame, "row": k}
+        for k, frame in enumerate(read_rows(table, columns))
+        if frame["episode_index"] == row["episode_index"]
+    ]
+    values = {TIME: np.array([frame["timestamp"] for frame in frames], float)}
+    capsule = _capsule_poses(features, frames)
+    keys = [key for key, feature in features.items() if feature["dtype"] in ("video", "image")]
+    for key in keys:
+        camera_name = key.removeprefix(IMAGES)
+        name, camera = f"episode-{row['episode_index']:06d}/{camera_name}", None
+        more = dict(values)
+        if own is not None:
+            name = next(name for name in own["cameras"] if name.endswith(f"/{camera_name}"))
+            camera = camera_from_plain(own["cameras"][name], at="camera")
+            more[CAMERA_POSE] = capsule @ camera.T_capsule_camera
+            more["T_world_capsule"] = capsule
+        depth = f"{DEPTH}{camera_name}"
+        yield FrameSequence(
+            name,
+            ("rgb", "depth") if depth in features else ("rgb",),
+            more,
+            partial(_load, folder, info, row, key, table, tuple(f["row"] for f in frames)),
+            camera,
+            tuple(own["label_names"]) if own else (),
+            own["patient"] if own else None,
+            own["split"] if own else _split_of(info, row["episode_index"]),
+        )
+
+
+def _capsule_poses(features: Mapping[str, Any], frames: list[dict[str, Any]]) -> NDArray:
+    """``T_world_capsule`` [n 4 4] of the states; of other data an empty array."""
+    names: list[str] = list(features.get(STATE, {}).get("names") or [])
+    if not set(_CAPSULE) <= set(names):
+        return np.zeros((0, 4, 4))
+    places = [names.index(name) for name in _CAPSULE]
+    rows = np.array([[frame[STATE][k] for k in places] for frame in frames], float)
+    wxyz = rows[:, 3:] / np.linalg.norm(rows[:, 3:], axis=1, keepdims=True)
+    return transform_from(matrix_from_quaternion(wxyz), rows[:, :3])
+
+
+def _split_of(info: Mapping[str, Any], number: int) -> str | None:
+    """Split that an episode is in: `splits` has ranges such as ``0:3``."""
+    for name, text in info.get("splits", {}).items():
+        first, _, end = str(text).partition(":")
+        if first.isdigit() and end.isdigit() and int(first) <= number < int(end):
+            return name
+    return None
+
+
+def _load(
+    folder: Path,
+    info: Mapping[str, Any],
+    row: Mapping[str, Any],
+    key: str,
+    table: Path,
+    places: tuple[int, ...],
+    channel: str,
+    index: int,
+) -> NDArray:
+    if channel == "depth":
+        depth = _column(table, key.replace(IMAGES, DEPTH))[places[index]].values.flatten()
+        return depth.to_numpy().reshape(info["features"][key.replace(IMAGES, DEPTH)]["shape"])
+    if info["features"][key]["dtype"] == "image":
+        return _decoded(_column(table, key)[places[index]]["bytes"].as_py())
+    place = {name: row[f"videos/{key}/{name}"] for name in ("chunk_index", "file_index")}
+    path = folder / info["video_path"].format(video_key=key, **place)
+    return _film_frame(path, row[f"videos/{key}/from_timestamp"] + index / info["fps"])
+
+
+@lru_cache(maxsize=4)
+def _column(path: Path, name: str) -> Any:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        with pq.ParquetFile(path) as file:
+            return file.read([name]).column(0)
+    except (OSError, pa.ArrowException) as error:
+        raise InputError(f"Cannot read {path}: {error}.") from error
+
+
+def _decoded(data: bytes) -> NDArray:
+    from PIL import Image
+
+    with Image.open(io.BytesIO(data)) as image:
+        return np.asarray(image.convert("RGB"))
+
+
+def _film_frame(path: Path, time: float) -> NDArray:
+    """The frame of a film that is nearest to a time [s]."""
+    import av
+    from av.error import FFmpegError
+
+    try:
+        with av.open(str(path)) as container:
+            stream = container.streams.video[0]
+            assert stream.time_base is not None
+            step = 0.5 / float(stream.average_rate or 1)
+            container.seek(int(time / stream.time_base), stream=stream)
+            for frame in container.decode(stream):
+                if frame.time is not None and frame.time > time - step:
+                    return frame.to_ndarray(format="rgb24")
+    except (FFmpegError, OSError, IndexError) as error:
+        raise InputError(f"Cannot read {path}: {error}.") from error
+    raise InputError(f"{path} has no frame at {time:.4f} s.")
+
+
+def _read_json(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"Cannot read {path}: {error}.") from error

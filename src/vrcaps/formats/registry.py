@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 FORMATS = {
     "tum": ("tum", "Tum", "TUM RGB-D, for visual SLAM and evo."),
     "kitti": ("kitti", "Kitti", "KITTI odometry, for visual odometry and evo."),
+    "euroc": ("euroc", "Euroc", "EuRoC MAV, for visual SLAM."),
+    "vslam-lab": ("vslam_lab", "VslamLab", "VSLAM-LAB, for dozens of visual SLAM systems."),
     "simcol3d": ("simcol3d", "SimCol3D", "SimCol3D, for depth and poses of a colonoscope."),
     "c3vd": ("c3vd", "C3vd", "C3VD, for depth, normals and poses of a colonoscope."),
     "endoslam": ("endoslam", "EndoSlam", "EndoSLAM's UnityCam, for depth and poses of a capsule."),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -48,3 +49,10 @@ def numbers_of(plain: Any, key: str, count: int, path: Path) -> list[float]:
     if len(numbers) != count:
         raise InputError(f"{path} has for {key} {found}. Allowed: {count} numbers.")
     return numbers
+
+
+def yaml_list(values: Iterable[float]) -> str:
+    """Numbers as a list; YAML takes ``1e-05`` for a text, ``1.0e-05`` for a number."""
+    texts = (repr(float(value)) for value in values)
+    fixed = (t.replace("e", ".0e") if "e" in t and "." not in t else t for t in texts)
+    return f"[{', '.join(fixed)}]"

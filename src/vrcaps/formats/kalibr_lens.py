@@ -1,0 +1,59 @@
+"""Lenses as EuRoC, Kalibr and VSLAM-LAB have them: a focal length, a center and four or five bends.
+
+Pixel (0, 0) is the center of the top-left pixel, as in OpenCV. Radial-tangential distortion is
+k1 k2 p1 p2 and, in lists of five, k3; equidistant distortion is k1 k2 k3 k4 of Kannala and Brandt.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from vrcaps.camera.lens import AnyLens, LensEquidistant, LensKannalaBrandt, LensPinhole
+from vrcaps.errors import InputError
+from vrcaps.formats.opencv_lens import OPENCV_LENSES as KALIBR_LENSES
+from vrcaps.formats.opencv_lens import require_no_skew
+
+__all__ = ["KALIBR_LENSES", "is_fisheye", "kalibr_values", "lens_from"]
+
+
+def is_fisheye(lens: AnyLens) -> bool:
+    """Whether the distortion of a lens is equidistant."""
+    return isinstance(lens, (LensKannalaBrandt, LensEquidistant))
+
+
+def kalibr_values(lens: AnyLens, name: str, bends: int) -> tuple[list[float], list[float]]:
+    """``fx fy cx cy`` [px] and the distortion of a lens.
+
+    Args:
+        lens: One of `KALIBR_LENSES`.
+        name: Whose lens it is, for messages.
+        bends: How many numbers of radial-tangential distortion the layout has, 4 or 5.
+
+    Raises:
+        InputError: If it is a pinhole with skew, or with k3 where there are but four.
+    """
+    center = [lens.cx, lens.cy]
+    if isinstance(lens, LensEquidistant):
+        return [lens.focal, lens.focal, *center], [0.0] * 4
+    if isinstance(lens, LensKannalaBrandt):
+        return [lens.fx, lens.fy, *center], [lens.k1, lens.k2, lens.k3, lens.k4]
+    assert isinstance(lens, LensPinhole)
+    require_no_skew(lens, name)
+    if bends == 4 and lens.k3 != 0.0:
+        raise InputError(
+            f"The lens of {name} has k3 = {lens.k3:g}, which this format cannot hold. "
+            "Add --rectify DEGREES to resample to a pinhole of that field of view."
+        )
+    values = [lens.k1, lens.k2, lens.p1, lens.p2, lens.k3]
+    return [lens.fx, lens.fy, *center], values[:bends]
+
+
+def lens_from(values: Sequence[float], bends: Sequence[float], *, fisheye: bool) -> AnyLens:
+    """The lens of ``fx fy cx cy`` and up to five numbers of distortion."""
+    fx, fy, cx, cy = values
+    padded = [*bends, 0.0, 0.0, 0.0, 0.0, 0.0][:5]
+    if fisheye:
+        k1, k2, k3, k4, _ = padded
+        return LensKannalaBrandt(fx=fx, fy=fy, cx=cx, cy=cy, k1=k1, k2=k2, k3=k3, k4=k4)
+    k1, k2, p1, p2, k3 = padded
+    return LensPinhole(fx=fx, fy=fy, cx=cx, cy=cy, k1=k1, k2=k2, p1=p1, p2=p2, k3=k3)

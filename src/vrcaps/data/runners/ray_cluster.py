@@ -72,7 +72,8 @@ def _connected(ray: Any, cluster: RayCluster) -> Iterator[str]:
     """
     options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
     if cluster.address == LOCAL:
-        # Tells nobody that it was started, and listens on this machine only.
+        # Tells nobody that it was started. Ray listens on all networks of the machine and asks who
+        # connects for a token, by default since the version that the extra names.
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         options |= {
             "num_cpus": cluster.workers or num_processors(),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import fmean
@@ -73,7 +73,7 @@ def estimate(units: Units, numbers: Sequence[int]) -> Estimate:
         kinds.setdefault(_kind(unit.scenario), []).append(unit)
     chosen = sorted(kinds, key=lambda kind: (-len(kinds[kind]), kind))[:_KINDS]
     with tempfile.TemporaryDirectory(prefix="vrcaps-estimate-") as scratch, passing_organs():
-        costs = {kind: _measured(kinds[kind][0].scenario, Path(scratch)) for kind in chosen}
+        costs = _measured({kind: kinds[kind][0] for kind in chosen}, Path(scratch))
     share = len(numbers) / sum(len(kinds[kind]) for kind in chosen)
     seconds = num_bytes = 0.0
     for kind in chosen:
@@ -110,25 +110,48 @@ def _organ_of(unit: Unit) -> tuple[object, ...]:
     return unit.patient, bool(scenario.lesions) and scenario.clean_twin
 
 
-def _measured(scenario: Scenario, scratch: Path) -> _Costs:
-    from vrcaps.recording.layout import ORGAN_GLB
-    from vrcaps.recording.recorder import record
+def _measured(units: Mapping[str, Unit], scratch: Path) -> dict[str, _Costs]:
+    """Costs of some recordings; an organ that two of them share is made once.
+
+    Args:
+        units: Recordings by their kind.
+        scratch: Folder to record into.
+    """
+    costs: dict[str, _Costs] = {}
+    organs: dict[object, _Cost] = {}
+    with cache_in(scratch / "cache"):
+        for kind, unit in units.items():
+            key = unit.scenario.organ
+            if key not in organs:
+                seconds = [_build_seconds(unit.scenario) for _ in range(2)]
+                organs[key] = _Cost(max(seconds[0] - seconds[1], 0.0), 0.0)
+            begin, frame, num_bytes = _recording_costs(unit.scenario, scratch / kind)
+            costs[kind] = _Costs(begin, frame, replace(organs[key], num_bytes=num_bytes))
+    return costs
+
+
+def _build_seconds(scenario: Scenario) -> float:
     from vrcaps.scenario.build import build, resolve
 
-    costs, organ_bytes = [], 0
-    with tempfile.TemporaryDirectory(dir=scratch) as name, cache_in(Path(name) / "cache"):
-        for _ in range(2):  # the first one makes the organ
-            began = time.perf_counter()
-            build(resolve(scenario))
-            costs.append(_Cost(time.perf_counter() - began, 0.0))
-        for frames in (_FRAMES, 2 * _FRAMES):
-            folder = Path(name) / str(frames)
-            began = time.perf_counter()
-            record(replace(scenario, frames=frames), folder)
-            organ_bytes = (folder / ORGAN_GLB).stat().st_size
-            size = sum(path.stat().st_size for path in files_in(folder)) - organ_bytes
-            costs.append(_Cost(time.perf_counter() - began, size))
-    made, again, short, long = costs
+    began = time.perf_counter()
+    build(resolve(scenario))
+    return time.perf_counter() - began
+
+
+def _recording_costs(scenario: Scenario, folder: Path) -> tuple[_Cost, _Cost, int]:
+    """Costs to begin a recording and of each frame, and the size of its organ [bytes]."""
+    from vrcaps.recording.layout import ORGAN_GLB
+    from vrcaps.recording.recorder import record
+
+    found, organ_bytes = [], 0
+    for frames in (_FRAMES, 2 * _FRAMES):
+        out = folder / str(frames)
+        began = time.perf_counter()
+        record(replace(scenario, frames=frames), out)
+        organ_bytes = (out / ORGAN_GLB).stat().st_size
+        size = sum(path.stat().st_size for path in files_in(out)) - organ_bytes
+        found.append(_Cost(time.perf_counter() - began, size))
+    short, long = found
     frame = _Cost(
         max(long.seconds - short.seconds, 0.0) / _FRAMES,
         max(long.num_bytes - short.num_bytes, 0.0) / _FRAMES,
@@ -137,5 +160,4 @@ def _measured(scenario: Scenario, scratch: Path) -> _Costs:
         max(short.seconds - _FRAMES * frame.seconds, 0.0),
         max(short.num_bytes - _FRAMES * frame.num_bytes, 0.0),
     )
-    organ = _Cost(max(made.seconds - again.seconds, 0.0), organ_bytes)
-    return _Costs(begin, frame, organ)
+    return begin, frame, organ_bytes

@@ -11,8 +11,10 @@ import pytest
 
 import vrcaps
 from vrcaps.data.store import open_store
+from vrcaps.data.stored_files import read_at_once
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.files import files_in
+from vrcaps.recording.episode import read_episode
 
 
 @pytest.fixture(scope="module")
@@ -83,6 +85,29 @@ def test_processes_forked_after_a_read_read_too(served):
     with context.Pool(1) as pool:
         found = pool.apply_async(sequence.image, ("rgb", 0)).get(timeout=20)
     np.testing.assert_array_equal(found, expected)
+
+
+def test_tables_of_several_recordings_are_read_at_once(whole):
+    """Each of two waits for the other: if they came one after the other, both would fail."""
+    meeting = threading.Barrier(2, timeout=10.0)
+    episodes = [
+        read_episode(Meeting(member.files, meeting))
+        for member in vrcaps.data.open(whole).members()[:2]
+    ]
+    found = read_at_once(lambda episode: len(episode.table), episodes)
+    assert found == [3, 3]
+
+
+class Meeting:
+    """Files of which the table is there when two have asked for one."""
+
+    def __init__(self, files, meeting):
+        self.files, self.url, self.meeting = files, files.url, meeting
+
+    def read(self, name):
+        if name == "frames.parquet":
+            self.meeting.wait()
+        return self.files.read(name)
 
 
 def test_sequences_go_to_other_processes_as_bytes(remote):

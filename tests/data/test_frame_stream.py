@@ -2,15 +2,17 @@
 
 import itertools
 import pickle
+import sys
 from functools import partial
 
 import numpy as np
 import pytest
 from torch.utils.data import DataLoader, IterableDataset
 
+from vrcaps.data import frame_stream
 from vrcaps.data.frame_stream import FrameStream
 from vrcaps.data.frame_windows import FrameWindows
-from vrcaps.errors import InputError
+from vrcaps.errors import InputError, MissingExtraError
 from vrcaps.recording.frame_sequence import FrameSequence
 
 
@@ -109,6 +111,13 @@ def loader_samples(loader):
 def test_ranks_of_a_training_share_it(windows):
     found = [numbers(FrameStream(windows, rank=k, num_ranks=3, shard=5)) for k in range(3)]
     assert sorted(itertools.chain(*found)) == list(range(100))
+
+
+def test_without_pytorch_the_extra_is_named(windows, monkeypatch):
+    frame_stream._make_iterable_style.cache_clear()
+    monkeypatch.setitem(sys.modules, "torch.utils.data", None)
+    with pytest.raises(MissingExtraError, match=r"torch is not installed.*vrcaps\[learn\]"):
+        FrameStream(windows)
 
 
 def test_bad_settings_are_one_clear_line(windows):

@@ -21,8 +21,8 @@ from vrcaps.formats.registry import FORMATS, format_named
 class Export:
     """What the exports to all formats have in common."""
 
-    source: Positional[Path]
-    """Folder of an episode or of a data set."""
+    source: Positional[str]
+    """Folder or URL of an episode or of a data set."""
 
     out: Path
     """Folder to make; it appears when all is written."""

@@ -16,7 +16,7 @@ from vrcaps.recording.episode_files import EpisodeFiles, LocalFiles
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_READS = 16
+_READS = 32
 """Reads at once; those of a remote store mostly wait."""
 
 

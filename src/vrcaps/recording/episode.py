@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +23,7 @@ from vrcaps.recording.layout import (
     camera_from_plain,
     read_head,
 )
+from vrcaps.recording.lazy import lazy
 from vrcaps.recording.stored_organ import organ_name, read_stored_organ, require_organ_name
 from vrcaps.recording.table import FrameTable, decode_table, require_table
 from vrcaps.recording.walls import decode_wall, wall_path
@@ -123,16 +124,16 @@ class Episode:
         chosen = self.cameras if camera is None else (self.camera(camera),)
         return tuple(self.sequence(one.name) for one in chosen)
 
-    @cached_property
+    @lazy
     def _first_sequence(self) -> FrameSequence:
         return self.sequence()
 
-    @cached_property
+    @lazy
     def scenario(self) -> Scenario:
         """What was recorded; recording it again makes the same bytes."""
         return scenario_from_plain(self.head["scenario"])
 
-    @cached_property
+    @lazy
     def table(self) -> FrameTable:
         """All columns of `frames.parquet`.
 
@@ -155,7 +156,7 @@ class Episode:
         """Time of each frame since the start [s]."""
         return self.table.columns["time_s"]
 
-    @cached_property
+    @lazy
     def Ts_world_capsule(self) -> Float[np.ndarray, "n 4 4"]:
         """Pose of the capsule at each frame [m]."""
         return self.table.poses("capsule")
@@ -258,7 +259,7 @@ class Episode:
         """
         return self.path / organ_name(self.head)
 
-    @cached_property
+    @lazy
     def organ(self) -> Mesh:
         """The wall at rest in the world frame [m].
 

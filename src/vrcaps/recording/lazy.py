@@ -1,0 +1,31 @@
+"""Values of an object that are made when they are first asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar, overload
+
+Value = TypeVar("Value")
+
+
+class lazy(Generic[Value]):
+    """A property that is computed once, like `functools.cached_property`, but without its lock.
+
+    Until Python 3.11 that has one lock for all objects of a class: of many episodes, tables would
+    then be read one after the other. Threads that ask at the same time may compute a value twice.
+    """
+
+    def __init__(self, method: Callable[[Any], Value]) -> None:
+        self._method = method
+        self.__doc__ = method.__doc__
+
+    @overload
+    def __get__(self, instance: None, owner: type) -> lazy[Value]: ...
+    @overload
+    def __get__(self, instance: object, owner: type) -> Value: ...
+    def __get__(self, instance: object | None, owner: type) -> lazy[Value] | Value:
+        if instance is None:
+            return self
+        value = self._method(instance)
+        instance.__dict__[self._method.__name__] = value  # found before this from now on
+        return value

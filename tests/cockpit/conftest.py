@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import shutil
-import socket
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
 
+from cockpit_browser import free_port
+from small_episode import *  # noqa: F403
 from tubes import straight_gut
 from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.camera.derive import scaled_camera
@@ -56,12 +57,6 @@ def browser() -> Iterator[Browser]:
         opened = playwright.chromium.launch(executable_path=program, args=flags)
         yield opened
         opened.close()
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 @pytest.fixture(scope="module")

@@ -118,12 +118,15 @@ def test_the_server_listens_here_only_and_outlives_nonsense(cockpit):
     assert status(gate.port, "/../../../../etc/passwd") == 404
     assert status(gate.port, "/%2e%2e/%2e%2e/etc/passwd") == 404
     flood(gate.port, cockpit.page.bridge.field._impl.uuid)
+    told = cockpit.page._told
     frame = len(session.poses)
     end = time.monotonic() + 20.0
     while len(session.poses) <= frame:
         assert time.monotonic() < end
         time.sleep(0.02)
     assert status(gate.port) == 200
+    assert sum("no driver's input" in text for text in told) > 0
+    assert len(told) < 20  # not a line for each
 
 
 def flood(port: int, field: str) -> None:
@@ -139,8 +142,12 @@ def flood(port: int, field: str) -> None:
             browser.send(junk)
             while True:
                 browser.recv(timeout=10)
-    kind = {"type": "GuiUpdateMessage"}
+    kind, corner = {"type": "GuiUpdateMessage"}, (0.0, 0.0, 1.0)
+    camera = {"type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "position": corner}
+    camera |= {"fov": 1.0, "near": 0.1, "far": 9.0, "look_at": corner, "up_direction": corner}
+    camera |= {"image_height": 10, "image_width": 10}
     with connect(url, subprotocols=[version]) as browser:
+        browser.send(msgspec.msgpack.encode(camera))  # from here on it counts as a browser
         for number in range(10_000):
             uuid = field if number % 2 else str(number)
             message = {**kind, "uuid": uuid, "updates": {"value": "[" * (number % 7)}}

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
+from cockpit_browser import wait_until
 from vrcaps.transforms import matrix_from_quaternion
 
 if TYPE_CHECKING:
@@ -43,13 +44,6 @@ def tab(browser: Browser, cockpit: Cockpit) -> Iterator[Page]:
     opened.wait_for_timeout(300)
     yield opened
     opened.close()
-
-
-def wait_until(tab: Page, done: Callable[[], bool], seconds: float = 20.0) -> None:
-    end = time.monotonic() + seconds
-    while not done():
-        assert time.monotonic() < end
-        tab.wait_for_timeout(20)
 
 
 def live_image(tab: Page) -> str:

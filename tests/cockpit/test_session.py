@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vrcaps.actuation.steering_program import read_commands
 from vrcaps.cockpit.session import Session
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.recording.episode import read_episode
@@ -97,3 +99,49 @@ def test_says_what_cannot_be_done(drive_scenario, tmp_path):
     session.insufflate(1.2)
     with pytest.raises(InputError, match="still taking on the insufflation"):
         session.insufflate(1.0)
+
+
+@pytest.mark.slow
+def test_a_world_that_cannot_step_pauses_at_its_last_frame(drive_scenario, tmp_path, monkeypatch):
+    """It is told, and goes on when the driver wishes so."""
+    told: list[str] = []
+    with driving(drive_scenario, tmp_path / "drive", on_message=told.append) as session:
+        run_to(session, 2)
+        advance, poses = session.rollout._advance, session.poses
+
+        def fail(*args):
+            monkeypatch.setattr(session.rollout, "_advance", advance)
+            raise InputError("The capsule would be in a source.")
+
+        monkeypatch.setattr(session.rollout, "_advance", fail)
+        session.clock.run()
+        wait_until(lambda: bool(told))
+        assert told == [
+            "The capsule would be in a source. Paused at the last frame; go on, go back or reset."
+        ]
+        assert session.clock.is_paused
+        np.testing.assert_array_equal(session.poses[:3], poses[:3])
+        frame = len(session.poses)
+        run_to(session, frame + 1)
+
+
+def half_written(path: Path, data: bytes) -> None:
+    path.write_bytes(path.read_bytes() + data[:7])
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_a_full_disk_is_told_and_the_next_save_writes_all(drive_scenario, tmp_path, monkeypatch):
+    told: list[str] = []
+    session = Session(drive_scenario, tmp_path / "drive", on_message=told.append)
+    session.operator(0.0, 0.01)
+    session.drive.save()
+    session.operator.push(np.array([1.0, 0, 0, 0, 0, 0]))
+    session.operator(0.1, 0.01)
+    with monkeypatch.context() as patch:
+        patch.setattr("vrcaps.cockpit.drive._append", half_written)
+        session.close()
+    assert told == [f"Cannot save the drive in {tmp_path / 'drive'}: No space left on device."]
+    session.drive.save()
+    _, commands = read_commands(tmp_path / "drive" / "commands.csv")
+    assert [command.time for command in commands] == [0.0, 0.1]
+    assert commands[1].linear == (1.0, 0.0, 0.0)

@@ -32,6 +32,7 @@ _VERBS = {
     "demo": ("vrcaps.cli.demo", "Demo", "Record a labeled run through a generated colon."),
     "record": ("vrcaps.cli.record", "Record", "Record your own organ, capsule and motion."),
     "cockpit": ("vrcaps.cli.cockpit", "Cockpit", "Drive a capsule from a browser."),
+    "view": ("vrcaps.cli.view", "View", "Look through episodes in a browser."),
     "check": ("vrcaps.cli.check", "Check", "Verify an episode."),
     "coverage": ("vrcaps.cli.coverage", "Coverage", "Measure how much of the organ was seen."),
     "dataset make": ("vrcaps.cli.dataset", "Make", "Make a data set from a plan."),

@@ -75,9 +75,9 @@ def parse_input(text: str) -> DriverInput:
         actions = tuple(map(str, plain["actions"]))
         pad, is_standard = str(plain["pad"])[:80], bool(plain["standard"])
     except (ValueError, TypeError, LookupError, RecursionError) as error:
-        raise InputError(f"A browser sent no driver's input: {text[:40]!r}.") from error
+        raise InputError("A browser sent no driver's input. Reload its page.") from error
     if len(said) != 6 or not all(map(math.isfinite, said)):
-        raise InputError(f"A browser sent axes {said}. Allowed: six numbers from -1 to 1.")
+        raise InputError("A browser sent no six axes. Allowed: six numbers from -1 to 1.")
     axes = tuple(min(1.0, max(-1.0, axis)) for axis in said)
     return DriverInput(axes, actions, pad, is_standard)
 
@@ -89,21 +89,19 @@ class InputBridge:
         field: The text field.
     """
 
-    def __init__(
-        self, server: viser.ViserServer, on_input: Callable[[int, DriverInput], None]
-    ) -> None:
+    def __init__(self, server: viser.ViserServer, on_input: Callable[[int, str], None]) -> None:
         """Puts the field into the page.
 
         Args:
             server: Of the page.
-            on_input: Called with the number of a browser and what it sent.
+            on_input: Called with the number of a browser and what it sent, for `parse_input`.
         """
         self.field = field = server.gui.add_text("input", _MARK, order=1e6)
 
         @field.on_update
         def _(event: Any) -> None:
             if event.client_id is not None and event.target.value != _MARK:
-                on_input(event.client_id, parse_input(event.target.value))
+                on_input(event.client_id, event.target.value)
 
         run_javascript(server, files("vrcaps.cockpit").joinpath("input_bridge.js").read_text())
 

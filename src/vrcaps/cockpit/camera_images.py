@@ -32,6 +32,12 @@ LIVE_CHANNELS = (
 )
 """Channels that need no later frame."""
 
+_ON_TIME = 0.95
+"""Share of the wanted speed at which the simulation counts as on time."""
+
+_LONGEST_REST = 0.4
+"""Longest pause [s] between images while the simulation is late."""
+
 _PATIENCE = 0.005
 """How long [s] to wait before a new view is looked for."""
 
@@ -73,6 +79,8 @@ class LiveImage:
 class CameraImages:
     """Renders a session's views in a thread of its own, always the latest.
 
+    The simulation goes first: while it is late there are fewer images.
+
     Attributes:
         look: How; may be set at any time.
         rate: Images per second, as measured.
@@ -96,7 +104,7 @@ class CameraImages:
         self._wall = MovingWall(session.model)
         self._renderer: Renderer | None = None
         self._cameras: tuple[Look, CapsuleCameras] | None = None
-        self._is_closed = False
+        self._is_closed, self._rest = False, 0.0
         self._thread = threading.Thread(target=self._run, name="vrcaps-camera", daemon=True)
 
     def start(self) -> None:
@@ -125,6 +133,7 @@ class CameraImages:
                 self.look = working
             shown = (view.number, look)
             self._measure()
+            self._rest_while_late()
 
     def image(self, view: View, look: Look) -> LiveImage:
         """A view, seen by the camera.
@@ -165,6 +174,15 @@ class CameraImages:
             )
             self._cameras = (look, cameras)
         return self._cameras[1]
+
+    def _rest_while_late(self) -> None:
+        """Rests longer from image to image while the simulation is late, then shorter again."""
+        clock = self._session.clock
+        if clock.is_paused or clock.achieved >= _ON_TIME * clock.speed:
+            self._rest = max(0.0, 0.8 * self._rest - 0.002)
+        else:
+            self._rest = min(_LONGEST_REST, 1.2 * self._rest + 0.005)
+        wall_clock.sleep(self._rest)
 
     def _measure(self) -> None:
         self._times.append(wall_clock.perf_counter())

@@ -52,6 +52,10 @@ class Clock:
         """Whether the simulation stands, or will after the steps that it was given."""
         return self._until < math.inf
 
+    def holds(self, time: float) -> bool:
+        """Whether the simulation has to stand at a time [s]."""
+        return time >= self._until
+
     def run(self, until: float = math.inf) -> None:
         """Lets the simulation go on until a time [s], by default for good."""
         with self._changed:
@@ -71,7 +75,7 @@ class Clock:
     def wait(self, time: float) -> None:
         """Returns when the simulation, now at a time [s], may go on, or `wake` is called."""
         with self._changed:
-            while time >= self._until and not self._is_woken:
+            while self.holds(time) and not self._is_woken:
                 self.achieved, self._anchor = 0.0, None
                 self._changed.wait()
             if self._is_woken:

@@ -70,13 +70,9 @@ def open_cockpit(
         MissingExtraError: If the extra `cockpit` is not installed.
     """
     require_viser()
-    require_free(host, port)
-    gate = Gate(host, port, "" if is_loopback(host) else secrets.token_urlsafe(16))
+    gate = make_gate(host, port)
     session = Session(scenario, folder, on_message=say)
-    server = make_server(gate, say)
-    switching = sys.getswitchinterval()
-    sys.setswitchinterval(_SWITCHING)  # the simulation is back at once when its step is computed
-    try:
+    with serving(gate, say) as server:
         page = Page(server, session, PANELS, say)
         session.start()
         page.start()
@@ -85,10 +81,16 @@ def open_cockpit(
         finally:
             page.close()
             session.close()
-    finally:
-        sys.setswitchinterval(switching)
-        with redirect_stdout(io.StringIO()):
-            server.stop()
+
+
+def make_gate(host: str, port: int) -> Gate:
+    """The gate at an address, with a new token where other machines reach it.
+
+    Raises:
+        InputError: If the port is impossible or in use, or the host is none of this machine.
+    """
+    require_free(host, port)
+    return Gate(host, port, "" if is_loopback(host) else secrets.token_urlsafe(16))
 
 
 def require_viser() -> None:
@@ -103,8 +105,26 @@ def require_viser() -> None:
         raise MissingExtraError("viser", "cockpit") from error
 
 
-def make_server(gate: Gate, say: Callable[[str], None]) -> viser.ViserServer:
-    """The page's server, behind a gate.
+@contextmanager
+def serving(gate: Gate, say: Callable[[str], None]) -> Iterator[viser.ViserServer]:
+    """The page's server behind a gate, as long as the block lasts.
+
+    Raises:
+        InputError: If another program took the port meanwhile.
+    """
+    switching = sys.getswitchinterval()
+    sys.setswitchinterval(_SWITCHING)  # the simulation is back at once when its step is computed
+    server = _make_server(gate, say)
+    try:
+        yield server
+    finally:
+        sys.setswitchinterval(switching)
+        with redirect_stdout(io.StringIO()):
+            server.stop()
+
+
+def _make_server(gate: Gate, say: Callable[[str], None]) -> viser.ViserServer:
+    """The page's server, empty.
 
     Raises:
         InputError: If another program took the port meanwhile.
@@ -115,7 +135,7 @@ def make_server(gate: Gate, say: Callable[[str], None]) -> viser.ViserServer:
     logger.filters[:] = [kept for kept in logger.filters if not isinstance(kept, OneLine)]
     logger.addFilter(OneLine(say))
     with guarded(gate), redirect_stdout(io.StringIO()):  # it prints addresses without a token
-        server = viser.ViserServer(gate.host, gate.port, label="vrcaps cockpit", verbose=False)
+        server = viser.ViserServer(gate.host, gate.port, label="vrcaps", verbose=False)
     if server.get_port() != gate.port:
         server.stop()
         raise InputError(f"Port {gate.port} was taken meanwhile. Give another --port.")

@@ -75,8 +75,9 @@ class Drive:
                 write_bytes(self.folder / COMMANDS_CSV, (header + _lines(commands)).encode())
                 self._num_saved, self._num_rewound = len(commands), num_rewound
             elif commands:
+                self._num_rewound = -1  # if this fails, part of it may be there: write all anew
                 _append(self.folder / COMMANDS_CSV, _lines(commands).encode())
-                self._num_saved += len(commands)
+                self._num_saved, self._num_rewound = self._num_saved + len(commands), num_rewound
             scenario = self.recorded(scenario)
             write_json(self.folder / DRIVE_JSON, scenario_to_plain(scenario))
             return scenario

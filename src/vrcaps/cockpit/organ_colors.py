@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
     from vrcaps.cockpit.page_mesh import PageMesh
     from vrcaps.cockpit.seen_wall import SeenWall
-    from vrcaps.world.model import Model
 
 _PLAIN = (225, 150, 140)
 _GOLDEN = 0.618033988749895
@@ -30,8 +29,8 @@ class Coloring:
 
     name: ClassVar[str]
 
-    def __init__(self, model: Model, mesh: PageMesh, seen: SeenWall) -> None:
-        self.model, self.mesh, self.seen = model, mesh, seen
+    def __init__(self, organ: OrganSurface, mesh: PageMesh, seen: SeenWall | None) -> None:
+        self.organ, self.mesh, self.seen = organ, mesh, seen
         self.colors: list[tuple[int, int, int]] = [_PLAIN]
 
     @property
@@ -63,18 +62,18 @@ class SegmentColoring(Coloring):
 
     name = "segment"
 
-    def __init__(self, model: Model, mesh: PageMesh, seen: SeenWall) -> None:
-        super().__init__(model, mesh, seen)
-        self.colors = [_hue(k) for k in range(len(model.organ.label_names))]
+    def __init__(self, organ: OrganSurface, mesh: PageMesh, seen: SeenWall | None) -> None:
+        super().__init__(organ, mesh, seen)
+        self.colors = [_hue(k) for k in range(len(organ.label_names))]
 
     def classes(self) -> np.ndarray:
         """Number of each triangle's label."""
-        return self._faces(self.model.organ.label)
+        return self._faces(self.organ.label)
 
     def legend(self) -> str:
         """Names of the labels."""
         present = np.unique(self.classes())
-        return _legend([(self.colors[k], self.model.organ.label_names[k]) for k in present])
+        return _legend([(self.colors[k], self.organ.label_names[k]) for k in present])
 
 
 class LesionColoring(Coloring):
@@ -82,9 +81,9 @@ class LesionColoring(Coloring):
 
     name = "lesion"
 
-    def __init__(self, model: Model, mesh: PageMesh, seen: SeenWall) -> None:
-        super().__init__(model, mesh, seen)
-        count = int(model.organ.instance.max(initial=0))
+    def __init__(self, organ: OrganSurface, mesh: PageMesh, seen: SeenWall | None) -> None:
+        super().__init__(organ, mesh, seen)
+        count = int(organ.instance.max(initial=0))
         self.colors = [_PLAIN, *(_hue(k) for k in range(1, count + 1))]
 
     @classmethod
@@ -94,9 +93,7 @@ class LesionColoring(Coloring):
 
     def classes(self) -> np.ndarray:
         """Number of the lesion at any corner of each triangle."""
-        return (
-            self.model.organ.instance[self.mesh.vertices][self.mesh.faces].max(axis=1).astype(int)
-        )
+        return self.organ.instance[self.mesh.vertices][self.mesh.faces].max(axis=1).astype(int)
 
     def legend(self) -> str:
         """Numbers of the lesions."""
@@ -108,18 +105,20 @@ class CoverageColoring(Coloring):
 
     name = "coverage"
 
-    def __init__(self, model: Model, mesh: PageMesh, seen: SeenWall) -> None:
-        super().__init__(model, mesh, seen)
+    def __init__(self, organ: OrganSurface, mesh: PageMesh, seen: SeenWall | None) -> None:
+        super().__init__(organ, mesh, seen)
         self.colors = [(120, 120, 128), (90, 200, 110)]
 
     @property
     def version(self) -> int:
         """Rises whenever more was seen."""
-        return self.seen.version
+        return 0 if self.seen is None else self.seen.version
 
     def classes(self) -> np.ndarray:
         """1 where most corners of a triangle were seen."""
-        return self._faces(self.seen.vertices.astype(np.uint8))
+        count = len(self.organ.vertices)
+        seen = np.zeros(count, bool) if self.seen is None else self.seen.vertices
+        return self._faces(seen.astype(np.uint8))
 
     def legend(self) -> str:
         """What was seen and what was not."""

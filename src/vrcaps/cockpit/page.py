@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from vrcaps.cockpit.browser import DriverInput, InputBridge
+from vrcaps.cockpit.browser import InputBridge, parse_input
 from vrcaps.cockpit.camera_images import CameraImages, LiveImage
 from vrcaps.cockpit.seen_wall import SeenWall
 from vrcaps.errors import InputError, VrcapsError
@@ -170,8 +170,9 @@ class Page:
             if others:
                 self.take_over(others[0])
 
-    def _on_input(self, client: int, given: DriverInput) -> None:
+    def _on_input(self, client: int, text: str) -> None:
         """Keys and gamepad of a browser."""
+        given = parse_input(text)
         if client != self._driver:
             if any(given.axes):
                 self.require_driver(client)

@@ -250,8 +250,11 @@ class Session:
                 start = self._last
                 self.clock.pause()
                 self.on_message(f"{error} Paused at the last frame; go on, go back or reset.")
-                while self.clock.is_paused and not (self._is_closed or self._goto):
+                time = 0.0 if start is None else start.frame / self.rollout.fps
+                while self.clock.holds(time) and not (self._is_closed or self._goto):
                     self._saved.wait(0.05)
+                if self._goto:
+                    start, self._goto = self._goto[0], None
 
     def _rewind(self, state: MotionState | None) -> None:
         """Forgets what comes after a checkpoint."""

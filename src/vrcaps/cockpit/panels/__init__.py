@@ -10,10 +10,11 @@ from vrcaps.cockpit.panels.driving_panel import DrivingPanel
 from vrcaps.cockpit.panels.look_panel import LookPanel
 from vrcaps.cockpit.panels.map_panel import MapPanel
 from vrcaps.cockpit.panels.patient_panel import PatientPanel
+from vrcaps.cockpit.panels.record_panel import RecordPanel
 from vrcaps.cockpit.panels.run_panel import RunPanel
 from vrcaps.cockpit.panels.scene_panel import ScenePanel
 
 PANELS = (
-    *(RunPanel, DrivingPanel, PatientPanel, LookPanel, ScenePanel),
+    *(RunPanel, DrivingPanel, RecordPanel, PatientPanel, LookPanel, ScenePanel),
     *(CameraPanel, MapPanel, ChartPanel),
 )

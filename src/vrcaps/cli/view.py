@@ -1,0 +1,58 @@
+"""`vrcaps view`: look through recorded episodes in a browser."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional
+
+from vrcaps.cli.console import console
+
+
+@dataclass(frozen=True)
+class View:
+    """Look through an episode in a browser: every image, and the capsule's path in the organ.
+
+    Two episodes are shown side by side at the same time. An estimated path is drawn beside the
+    true one.
+
+    For example:
+      vrcaps view runs/demo
+      vrcaps view runs/drive/episode-1 runs/again
+      vrcaps view runs/demo --estimate slam.txt
+    """
+
+    episodes: Positional[tuple[Path, ...]]
+    """Folders of one or two episodes."""
+
+    estimate: Path | None = None
+    """TUM file of an estimated path of the capsule, in the world of the first episode [m]."""
+
+    host: str = "127.0.0.1"
+    """Address to listen at; 0.0.0.0 lets other machines in, with a token."""
+
+    port: int = 8080
+    """Port to listen at."""
+
+    def run(self) -> None:
+        """Serve the page until Ctrl-C.
+
+        Raises:
+            InputError: If an episode cannot be read or the port is in use.
+        """
+        from vrcaps.cockpit.episode_page import open_episodes
+
+        with open_episodes(
+            self.episodes,
+            estimate=self.estimate,
+            host=self.host,
+            port=self.port,
+            say=console.print,
+        ) as (_, gate):
+            console.print(f"Open {gate.address} in a browser; Ctrl-C here ends it.")
+            try:
+                threading.Event().wait()
+            except KeyboardInterrupt:
+                console.print("Ending.")

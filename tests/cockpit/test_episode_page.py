@@ -1,0 +1,49 @@
+"""Recorded episodes in a real browser."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cockpit_browser import free_port, wait_until
+from vrcaps.cockpit.episode_page import open_episodes
+from vrcaps.errors import InputError
+from vrcaps.recording.episode import read_episode
+from vrcaps.recording.pictures import picture
+
+
+def test_says_how_many_episodes_there_may_be(recorded):
+    pytest.importorskip("viser", reason="the extra cockpit is not installed")
+    for folders in ([], [recorded] * 3):
+        with (
+            pytest.raises(InputError, match="episodes are given"),
+            open_episodes(folders),
+        ):
+            pass
+
+
+@pytest.mark.slow
+def test_two_episodes_play_side_by_side(browser, recorded, tmp_path):
+    """The images are those of the files, at the slider's frame; depth at a click."""
+    episode, path = read_episode(recorded), tmp_path / "slam.txt"
+    np.savetxt(path, np.c_[[0.0, 1.0], np.zeros((2, 3)), np.zeros((2, 3)), [1.0, 1.0]])
+    with open_episodes([recorded, recorded], estimate=path, port=free_port()) as (page, gate):
+        tab = browser.new_page(viewport={"width": 1100, "height": 500}, device_scale_factor=0.3)
+        tab.goto(gate.address)
+        tab.get_by_role("button", name="Play").wait_for()
+        images = tab.locator("img[src^='blob:']")
+        wait_until(tab, lambda: images.count() == 2)
+        page._frame.value = 3
+        tab.get_by_text(f"{episode.times[3]:.2f} s · frame 3").nth(1).wait_for()
+        expected = picture("rgb", episode.image(episode.cameras[0].name, "rgb", 3))
+        for shown in page._shown:
+            np.testing.assert_array_equal(shown.image.image, expected)
+        before = images.first.get_attribute("src")
+        tab.get_by_label("Channel").first.click()
+        tab.get_by_role("option", name="depth", exact=True).click()
+        wait_until(tab, lambda: images.first.get_attribute("src") != before)
+        tab.get_by_role("button", name="Play").click()
+        last = f"frame {len(episode) - 1}"
+        tab.get_by_text(last).nth(1).wait_for()
+        tab.get_by_role("button", name="Play").wait_for()
+        tab.close()

@@ -10,7 +10,7 @@ from vrcaps.metrics.classification import accuracy, confusion_matrix, f1_scores,
 from vrcaps.metrics.image_quality import psnr, ssim
 from vrcaps.metrics.masks import boundary_f_score, dice, hausdorff_95, iou
 from vrcaps.metrics.simcol3d import score_depth
-from vrcaps.metrics.surface import surface_errors
+from vrcaps.metrics.surface import surface_distances, surface_errors
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +94,7 @@ def test_points_off_a_plane_have_their_height_as_distance():
     rng = np.random.default_rng(4)
     height = rng.normal(0.0, 0.05, 500)
     points = np.column_stack([rng.uniform(-0.9, 0.9, (500, 2)), height])
-    found = surface_errors(points, plane)
+    found = surface_errors(surface_distances(points, plane))
     assert found.rmse == pytest.approx(np.sqrt(np.mean(height**2)), rel=1e-5)
     assert found.median == pytest.approx(np.median(np.abs(height)), rel=1e-5)
 

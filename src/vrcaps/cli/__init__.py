@@ -35,6 +35,7 @@ _VERBS = {
     "view": ("vrcaps.cli.view", "View", "Look through episodes in a browser."),
     "check": ("vrcaps.cli.check", "Check", "Verify an episode."),
     "coverage": ("vrcaps.cli.coverage", "Coverage", "Measure how much of the organ was seen."),
+    "reconstruct": ("vrcaps.cli.reconstruct", "Reconstruct", "Fuse depth and poses into a wall."),
     "dataset make": ("vrcaps.cli.dataset", "Make", "Make a data set from a plan."),
     "dataset check": ("vrcaps.cli.dataset", "Check", "Verify a data set."),
     "dataset card": ("vrcaps.cli.dataset_show", "Card", "Write the data card of a data set."),

@@ -45,17 +45,16 @@ def surface_distances(points: Float[np.ndarray, "n 3"], surface: Mesh) -> Float[
     return np.linalg.norm(nearest - points, axis=1)
 
 
-def surface_errors(points: Float[np.ndarray, "n 3"], surface: Mesh) -> SurfaceErrors:
-    """Errors of points that should lie on a surface.
+def surface_errors(distances: Float[np.ndarray, " n"]) -> SurfaceErrors:
+    """Errors of points that should lie on a surface, from their distances to it [m].
 
     Raises:
-        InputError: If there is no point, or one is not finite.
+        InputError: If there is none.
     """
-    require(len(points) > 0, "number of points", len(points), "1 or more")
-    found = surface_distances(points, surface)
+    require(len(distances) > 0, "number of points", len(distances), "1 or more")
     return SurfaceErrors(
-        float(np.sqrt(np.mean(found**2))),
-        float(np.mean(found)),
-        float(np.median(found)),
-        float(np.percentile(found, 95)),
+        float(np.sqrt(np.mean(distances**2))),
+        float(np.mean(distances)),
+        float(np.median(distances)),
+        float(np.percentile(distances, 95)),
     )

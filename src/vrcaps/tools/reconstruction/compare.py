@@ -1,0 +1,117 @@
+"""Errors of a reconstructed wall against the true one: figures, a colored mesh, a picture."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.files import atomic_write, write_csv
+from vrcaps.geometry import triangle_areas
+from vrcaps.mesh.mesh import Mesh
+from vrcaps.metrics.surface import SurfaceErrors, surface_distances, surface_errors
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, UInt8
+
+_SCALE = 3.0 * MM
+"""Error at the end of the color scale."""
+_WITHIN = 2.0 * MM
+"""Distance within which the true wall counts as reconstructed."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A reconstruction against the truth.
+
+    Attributes:
+        errors: Distances of its vertices from the true wall.
+        completeness: Fraction of the true wall's area within 2 mm of the reconstruction.
+        distances: Of each vertex [m].
+    """
+
+    errors: SurfaceErrors
+    completeness: float
+    distances: Float[np.ndarray, " n"]
+
+
+def compare(mesh: Mesh, truth: Mesh) -> Comparison:
+    """Compare a reconstruction with the true wall; both in one frame [m].
+
+    Raises:
+        InputError: If the reconstruction is empty.
+    """
+    distances = surface_distances(mesh.vertices, truth)
+    corners = truth.vertices[truth.faces]
+    is_near = surface_distances(corners.mean(axis=1), mesh) < _WITHIN
+    areas = triangle_areas(corners)
+    completeness = float(areas[is_near].sum() / areas.sum())
+    return Comparison(surface_errors(distances), completeness, distances)
+
+
+def write_comparison(folder: Path, mesh: Mesh, found: Comparison) -> None:
+    """Write `errors.csv`, `errors.ply` colored by error, and `errors.png`."""
+    row = {**asdict(found.errors), "completeness": found.completeness}
+    write_csv(folder / "errors.csv", [row])
+    write_ply(folder / "errors.ply", mesh, error_colors(found.distances))
+    _write_picture(folder / "errors.png", mesh, found)
+
+
+def error_colors(distances: Float[np.ndarray, " n"]) -> UInt8[np.ndarray, "n 3"]:
+    """Colors of errors: from blue at 0 to red at 3 mm and more."""
+    from matplotlib import colormaps
+
+    return (colormaps["turbo"](np.clip(distances / _SCALE, 0.0, 1.0))[:, :3] * 255).astype(np.uint8)
+
+
+def write_ply(path: Path, mesh: Mesh, color: UInt8[np.ndarray, "n 3"]) -> None:
+    """Write a mesh with colored vertices as binary PLY [m]."""
+    import trimesh
+
+    solid = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=color, process=False)
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(solid.export(file_type="ply"))
+
+
+def _write_picture(path: Path, mesh: Mesh, found: Comparison) -> None:
+    """Two views of the vertices, colored by error, the nearest in front; a histogram."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13.0, 5.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    views = figure.subplots(1, 3, width_ratios=[1, 1, 0.7])
+    shown = mesh.vertices / MM
+    for view, (across, up, towards) in zip(views, ((0, 2, 1), (0, 1, 2)), strict=False):
+        order = np.argsort(shown[:, towards])
+        view.scatter(
+            shown[order, across],
+            shown[order, up],
+            c=found.distances[order] / MM,
+            cmap="turbo",
+            vmin=0.0,
+            vmax=_SCALE / MM,
+            s=0.5,
+            linewidths=0,
+            rasterized=True,
+        )
+        view.set_aspect("equal")
+        view.set_xlabel("xyz"[across] + " [mm]")
+        view.set_ylabel("xyz"[up] + " [mm]")
+    scale = ScalarMappable(Normalize(0.0, _SCALE / MM), "turbo")
+    figure.colorbar(scale, ax=views[1], label="error [mm]")
+    views[2].hist(found.distances / MM, bins=60, range=(0.0, _SCALE / MM), color="#446688")
+    views[2].set_xlabel("error [mm]")
+    views[2].set_ylabel("vertices")
+    figure.suptitle(
+        f"RMSE {found.errors.rmse / MM:.2f} mm, median {found.errors.median / MM:.2f} mm, "
+        f"95 % below {found.errors.percentile_95 / MM:.2f} mm; "
+        f"{100.0 * found.completeness:.0f} % of the wall within 2 mm"
+    )
+    with atomic_write(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=110)

@@ -1,0 +1,178 @@
+"""Truncated signed distances to a wall, in blocks of voxels where there is a wall.
+
+Each view moves a voxel's distance towards what it sees by a running mean (Curless and Levoy,
+SIGGRAPH 1996). Only blocks near the wall are held (Nießner et al., ACM TOG 32(6), 2013). Distances
+are along the ray of the camera, so that any lens will do.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.camera.camera import Camera, in_image, pixel_grid, project_points, unproject_pixels
+from vrcaps.errors import InputError, require
+from vrcaps.mesh.mesh import Mesh
+from vrcaps.transforms import invert, transform_points
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Float32, Int, UInt8
+
+_SIDE = 8
+"""Voxels along a block's side."""
+_TRUNCATION = 4.0
+"""Distance at which values end [voxels]."""
+_MOST_VOXELS = 4 * 10**8
+"""Of the box around all blocks, which marching cubes needs whole."""
+
+
+class Volume:
+    """Signed distance to the wall, positive in the lumen, and color, where cameras looked."""
+
+    def __init__(self, voxel: float) -> None:
+        """An empty volume.
+
+        Args:
+            voxel: Side of a voxel [m].
+
+        Raises:
+            InputError: If it is not above 0.
+        """
+        require(0.0 < voxel < np.inf, "voxel", voxel, "above 0 m")
+        self.voxel = voxel
+        self._slots: dict[tuple[int, int, int], int] = {}
+        self._distance = np.zeros((0, _SIDE**3), np.float32)
+        self._weight = np.zeros((0, _SIDE**3), np.float32)
+        self._color = np.zeros((0, _SIDE**3, 3), np.float32)
+        corner = np.stack(np.meshgrid(*[np.arange(_SIDE)] * 3, indexing="ij"), axis=-1)
+        self._inner = corner.reshape(-1, 3)
+
+    def __len__(self) -> int:
+        """Number of blocks."""
+        return len(self._slots)
+
+    def add(
+        self,
+        camera: Camera,
+        T_world_camera: Float[np.ndarray, "4 4"],
+        distance: Float[np.ndarray, "h w"],
+        rgb: UInt8[np.ndarray, "h w 3"],
+    ) -> None:
+        """Fuse one view.
+
+        Args:
+            camera: What took it.
+            T_world_camera: Its pose.
+            distance: Distance of the wall along each pixel's ray [m]; NaN where there is none.
+            rgb: Its color image.
+        """
+        keys = self._blocks_near(camera, T_world_camera, distance)
+        if not len(keys):
+            return
+        slots = self._slots_of(keys)
+        centers = (keys[:, None] * _SIDE + self._inner + 0.5) * self.voxel
+        points = transform_points(invert(T_world_camera), centers.reshape(-1, 3))
+        pixels = project_points(camera, points)
+        seen = in_image(camera, pixels)
+        column, row = np.rint(np.where(seen[:, None], pixels, 0.0)).astype(int).T
+        there = distance[row, column] - np.linalg.norm(points, axis=1)
+        limit = _TRUNCATION * self.voxel
+        # What lies further behind the wall than that is hidden, not known.
+        counts = seen & np.isfinite(there) & (there > -limit)
+        value = np.minimum(np.where(counts, there, 0.0), limit) / limit
+        self._blend(slots, counts, value, rgb[row, column])
+
+    def _blend(
+        self, slots: np.ndarray, counts: np.ndarray, value: np.ndarray, rgb: np.ndarray
+    ) -> None:
+        shape = (len(slots), _SIDE**3)
+        add = counts.reshape(shape).astype(np.float32)
+        weight = self._weight[slots] + add
+        step = np.divide(add, weight, out=np.zeros_like(weight), where=weight > 0)
+        self._distance[slots] += step * (value.reshape(shape) - self._distance[slots])
+        color = rgb.reshape(*shape, 3)
+        self._color[slots] += step[..., None] * (color - self._color[slots])
+        self._weight[slots] = weight
+
+    def _blocks_near(
+        self, camera: Camera, T_world_camera: np.ndarray, distance: np.ndarray
+    ) -> Int[np.ndarray, "k 3"]:
+        """Numbers of the blocks within the truncation of what a view sees, sorted."""
+        is_seen = np.isfinite(distance)
+        pixels = pixel_grid(camera.width, camera.height)[is_seen]
+        rays, reach = unproject_pixels(camera, pixels), distance[is_seen]
+        limit = _TRUNCATION * self.voxel
+        steps = np.arange(-limit, limit + 1e-12, 0.5 * _SIDE * self.voxel)
+        found = [transform_points(T_world_camera, rays * (reach + step)[:, None]) for step in steps]
+        keys = np.floor(np.concatenate(found) / (_SIDE * self.voxel)).astype(int)
+        return np.unique(keys, axis=0)
+
+    def _slots_of(self, keys: Int[np.ndarray, "k 3"]) -> Int[np.ndarray, " k"]:
+        """Places of blocks in the arrays; new ones are made."""
+        for key in map(tuple, keys.tolist()):
+            self._slots.setdefault(key, len(self._slots))
+        missing = len(self._slots) - len(self._distance)
+        if missing > 0:
+            room = max(missing, len(self._distance))  # doubling, so that adding stays cheap
+            for name in ("_distance", "_weight", "_color"):
+                array = getattr(self, name)
+                more = np.zeros((room, *array.shape[1:]), np.float32)
+                setattr(self, name, np.concatenate([array, more]))
+        return np.array([self._slots[key] for key in map(tuple, keys.tolist())])
+
+    def surface(self, min_views: int = 1) -> tuple[Mesh, UInt8[np.ndarray, "n 3"]]:
+        """The wall where distance is zero, and the color of its vertices (marching cubes).
+
+        Args:
+            min_views: Views in which a voxel must have been seen to count.
+
+        Raises:
+            InputError: If nothing was fused, or the box around it is too large.
+        """
+        from skimage.measure import marching_cubes
+
+        if not self._slots:
+            raise InputError("There is no depth to fuse: no frame sees a wall.")
+        keys = np.array(list(self._slots))
+        low = keys.min(axis=0)
+        blocks = keys.max(axis=0) - low + 1
+        if np.prod(blocks.astype(float)) * _SIDE**3 > _MOST_VOXELS:
+            size = ", ".join(f"{side:.3f}" for side in blocks * _SIDE * self.voxel)
+            raise InputError(
+                f"What was seen spans {size} m, too much for voxels of {1e3 * self.voxel:.3g} mm. "
+                "Give a larger --voxel."
+            )
+        distance, weight = (
+            self._dense(self._distance, low, blocks),
+            self._dense(self._weight, low, blocks),
+        )
+        is_known = weight >= min_views
+        if not (distance[is_known].min(initial=1.0) < 0.0 < distance[is_known].max(initial=-1.0)):
+            raise InputError("No surface was found: depths and poses do not agree anywhere.")
+        places, faces, _, _ = marching_cubes(distance, 0.0, mask=_whole_cubes(is_known))
+        vertices = (places + 0.5 + low * _SIDE) * self.voxel
+        nearest = np.rint(places).astype(int)
+        color = self._dense(self._color, low, blocks)[tuple(nearest.T)]
+        return Mesh(vertices, faces.astype(np.int64)), np.clip(color, 0, 255).astype(np.uint8)
+
+    def _dense(
+        self, values: np.ndarray, low: np.ndarray, blocks: np.ndarray
+    ) -> Float32[np.ndarray, "i j k *c"]:
+        """Values of all blocks in one box; 0 where there is no block."""
+        more = values.shape[2:]
+        box = np.zeros((*blocks, _SIDE, _SIDE, _SIDE, *more), np.float32)
+        keys = np.array(list(self._slots))  # in the order of their slots
+        box[tuple((keys - low).T)] = values[: len(keys)].reshape(-1, _SIDE, _SIDE, _SIDE, *more)
+        order = (0, 3, 1, 4, 2, 5, *range(6, box.ndim))
+        return box.transpose(order).reshape(*(blocks * _SIDE), *more)
+
+
+def _whole_cubes(is_known: Bool[np.ndarray, "i j k"]) -> Bool[np.ndarray, "i j k"]:
+    """Cubes of eight known voxels, at their last corner, where marching cubes looks for them."""
+    whole = is_known.copy()
+    for axis in range(3):
+        before = np.roll(whole, 1, axis)
+        before[(slice(None),) * axis + (0,)] = False
+        whole &= before
+    return whole

@@ -55,6 +55,7 @@ def test_sphere_comes_back_with_its_radius_and_its_colors():
     assert radius.mean() == pytest.approx(RADIUS, abs=2e-5)
     assert np.abs(radius - RADIUS).max() < SETTINGS.voxel
     expected = 127.0 + 120.0 * (mesh.vertices - _poses()[0][:3, 3])
+    assert np.corrcoef(color[:, 0].astype(float), expected[:, 0])[0, 1] > 0.95
 
 
 def test_comparison_knows_a_wrong_scale_and_what_is_missing(tmp_path):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.files import atomic_write, write_csv
+from vrcaps.files import atomic_write, write_bytes, write_csv
 from vrcaps.geometry import triangle_areas
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.metrics.surface import SurfaceErrors, surface_distances, surface_errors
@@ -72,8 +72,8 @@ def write_ply(path: Path, mesh: Mesh, color: UInt8[np.ndarray, "n 3"]) -> None:
     import trimesh
 
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=color, process=False)
-    with atomic_write(path) as temporary:
-        temporary.write_bytes(solid.export(file_type="ply"))
+    data: Any = solid.export(file_type="ply")
+    write_bytes(path, data)
 
 
 def _write_picture(path: Path, mesh: Mesh, found: Comparison) -> None:
@@ -96,7 +96,7 @@ def _write_picture(path: Path, mesh: Mesh, found: Comparison) -> None:
             cmap="turbo",
             vmin=0.0,
             vmax=_SCALE / MM,
-            s=0.5,
+            s=2.5,
             linewidths=0,
             rasterized=True,
         )

@@ -20,6 +20,7 @@ FORMATS = {
     "endoslam": ("endoslam", "EndoSlam", "EndoSLAM's UnityCam, for depth and poses of a capsule."),
     "sfmlearner": ("sfmlearner", "SfmLearner", "SC-SfMLearner and EndoSfMLearner, for training."),
     "endomapper": ("endomapper", "EndoMapper", "EndoMapper's simulated sequences, with OpenEXR."),
+    "images": ("images", "Images", "Folders of images by class, or with masks beside them."),
     "colmap": ("colmap", "Colmap", "COLMAP text model, for reconstruction and Gaussian splatting."),
     "nerfstudio": ("nerfstudio", "Nerfstudio", "nerfstudio, for radiance fields and splatting."),
     "coco": ("coco", "Coco", "COCO instances of lesions, for detection and segmentation."),

@@ -97,7 +97,7 @@ def write_rgba(path: Path, rgba: NDArray) -> None:
     from PIL import Image
 
     data = io.BytesIO()
-    Image.fromarray(rgba, "RGBA").save(data, "PNG")
+    Image.fromarray(rgba).save(data, "PNG")
     write_bytes(path, data.getvalue())
 
 

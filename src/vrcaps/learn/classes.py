@@ -15,13 +15,11 @@ from vrcaps.learn.networks import ENCODER, classifier, require_torch
 from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.classification import accuracy, confusion_matrix, f1_scores, matthews, roc_auc
 from vrcaps.recording.frame_sequence import FrameSequence
+from vrcaps.recording.shown_lesion import NORMAL, shown_lesion
 
 if TYPE_CHECKING:
     from jaxtyping import UInt8
     from numpy.typing import NDArray
-
-NORMAL = "normal"
-"""Class of images without a lesion."""
 
 
 @dataclass(frozen=True)
@@ -84,14 +82,8 @@ class ClassLearner:
             raise InputError(
                 f"Learning classes needs the channel 'instance', which {sequence.name} has not."
             )
-        instance = sequence.image("instance", index)
-        pixels = np.bincount(instance.ravel())[1:]
-        if not pixels.any():
-            return NORMAL
-        if pixels.max() < self.min_fraction * instance.size:
-            return None
-        kinds = {one["instance"]: one["kind"] for one in sequence.episode.head["organ"]["lesions"]}
-        return kinds.get(int(pixels.argmax()) + 1)
+        lesions = sequence.episode.head["organ"]["lesions"]
+        return shown_lesion(sequence.image("instance", index), lesions, self.min_fraction)
 
     def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Fit, camera: Any) -> Sample:
         """The image; any camera will do."""

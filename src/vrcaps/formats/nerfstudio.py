@@ -68,11 +68,11 @@ class Nerfstudio:
             frames: list[dict[str, Any]] = []
             for sequence, lens in zip(rig, lenses, strict=True):
                 mask = _write_mask(place, sequence) if has_masks else {}
-                own = lens if len(rig) > 1 else {}
+                own = lens if len(lenses) > 1 else {}
                 for k in range(len(sequence)):
                     frames.append({**_write_frame(place, sequence, k), **mask, **own})
                     advance()
-            shared = lenses[0] if len(rig) == 1 else {}
+            shared = lenses[0] if len(lenses) == 1 else {}
             write_json(place / _FILE, {"camera_model": models.pop(), **shared, "frames": frames})
             write_times(place, rig[0])
 

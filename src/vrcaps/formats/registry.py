@@ -24,6 +24,7 @@ FORMATS = {
     "colmap": ("colmap", "Colmap", "COLMAP text model, for reconstruction and Gaussian splatting."),
     "nerfstudio": ("nerfstudio", "Nerfstudio", "nerfstudio, for radiance fields and splatting."),
     "coco": ("coco", "Coco", "COCO instances of lesions, for detection and segmentation."),
+    "bop": ("bop", "Bop", "BOP, for 6D poses of lesions as objects."),
     "webdataset": ("webdataset", "WebDataset", "WebDataset shards, for sequential storage."),
     "hugging-face": ("hugging_face", "HuggingFace", "Parquet files for Hugging Face datasets."),
     "lerobot": ("lerobot", "LeRobot", "LeRobot v3.0, for learning to steer."),

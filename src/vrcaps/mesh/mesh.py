@@ -11,7 +11,7 @@ from vrcaps._core import Wall
 from vrcaps.geometry import triangle_normals
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int, UInt8
+    from jaxtyping import Float, Int, UInt8, UInt16
 
 
 @dataclass(frozen=True)
@@ -23,12 +23,14 @@ class Mesh:
         faces: Vertex numbers of each triangle.
         uv: Texture coordinates of each corner of each face, or None.
         label: Class of each vertex, or None.
+        instance: Lesion number of each vertex, or None.
     """
 
     vertices: Float[np.ndarray, "n 3"]
     faces: Int[np.ndarray, "m 3"]
     uv: Float[np.ndarray, "m 3 2"] | None = None
     label: UInt8[np.ndarray, " n"] | None = None
+    instance: UInt16[np.ndarray, " n"] | None = None
 
 
 def vertex_normals(

@@ -30,7 +30,8 @@ def read_mesh(path: Path, *, unit: str) -> Mesh:
     """Mesh of a file, in meters, as the file holds it (nothing merged or split, see `repair`).
 
     Texture coordinates may be per corner (PLY `texcoord` lists, OBJ `vt`) or per vertex.
-    Labels are read from the vertex property `label` (PLY) or `_LABEL` (glTF).
+    Labels are read from the vertex property `label` (PLY) or `_LABEL` (glTF), lesion numbers from
+    `_INSTANCE` (glTF).
 
     Args:
         path: A .ply, .obj, .stl, .glb or .gltf file.
@@ -152,13 +153,14 @@ def _read_gltf(path: Path) -> Mesh:
         if np.linalg.det(transform[:3, :3]) < 0.0:
             faces = faces[:, ::-1]
         uv = getattr(part.visual, "uv", None)
-        label = part.vertex_attributes.get("_LABEL")
+        label, instance = (part.vertex_attributes.get(key) for key in ("_LABEL", "_INSTANCE"))
         parts.append(
             Mesh(
                 np.array(vertices, float),
                 faces,
                 None if uv is None else np.array(uv, float)[faces],
                 None if label is None else np.asarray(label).reshape(-1).astype(np.uint8),
+                None if instance is None else np.asarray(instance).reshape(-1).astype(np.uint16),
             )
         )
     return _concatenate(parts)
@@ -170,11 +172,13 @@ def _concatenate(parts: list[Mesh]) -> Mesh:
     offsets = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
     uvs = [part.uv for part in parts if part.uv is not None]
     labels = [part.label for part in parts if part.label is not None]
+    instances = [part.instance for part in parts if part.instance is not None]
     return Mesh(
         np.concatenate([part.vertices for part in parts]),
         np.concatenate([part.faces + offset for part, offset in zip(parts, offsets, strict=True)]),
         np.concatenate(uvs) if len(uvs) == len(parts) else None,
         np.concatenate(labels) if len(labels) == len(parts) else None,
+        np.concatenate(instances) if len(instances) == len(parts) else None,
     )
 
 

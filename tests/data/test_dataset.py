@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import vrcaps
+from vrcaps.cli import main
 from vrcaps.data.store import open_store
 from vrcaps.data.stored_files import read_at_once
 from vrcaps.errors import InputError, UnknownNameError
@@ -114,6 +115,15 @@ def test_sequences_go_to_other_processes_as_bytes(remote):
     sequence = vrcaps.data.open(remote).sequences()[0]
     copy = pickle.loads(pickle.dumps(sequence))
     np.testing.assert_array_equal(copy[0]["depth"], sequence[0]["depth"])
+
+
+def test_exports_read_urls(remote, tmp_path):
+    words = ["--out", str(tmp_path / "shards"), "--split", "val", "--camera", "rear"]
+    main(["export", "webdataset", remote, *words])
+    (found, other) = vrcaps.read_format("webdataset", tmp_path / "shards")
+    expected = vrcaps.data.open(remote).sequences("val", "rear")
+    assert {found.name, other.name} == {one.name for one in expected}
+    np.testing.assert_array_equal(found[0]["rgb"], expected[0][0]["rgb"])
 
 
 def test_what_cannot_be_read_is_one_clear_line(remote, tmp_path):

@@ -5,14 +5,19 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
+import numpy as np
 import pytest
+from torch.utils.data import DataLoader
 
+import vrcaps
 from failing import fail
 from s3_server import BUCKET, Line, s3_server
 from vrcaps.cli import main
 from vrcaps.data.check_dataset import check_dataset
+from vrcaps.data.frame_windows import FrameWindows
 from vrcaps.data.ledger import entries, whole_units
 from vrcaps.data.make import make_dataset
 from vrcaps.data.plan import read_plan
@@ -81,6 +86,24 @@ def test_an_s3_store_outlives_kills_and_a_lost_network(
     assert remote_contents(url) == contents(whole)
     main(["dataset", "check", url])
     assert "8 recordings of 4 patients" in capsys.readouterr().out
+    require_same_batches(url, whole)
+
+
+def require_same_batches(url: str, folder: Path) -> None:
+    """Forked workers read the first frames of a data set at a URL as those of a folder."""
+    first, second = (
+        DataLoader(
+            FrameWindows(vrcaps.data.open(place).sequences("train"), threads=2),
+            batch_size=4,
+            num_workers=2,
+            multiprocessing_context="fork",
+            timeout=60,
+        )
+        for place in (url, folder)
+    )
+    for ours, theirs in zip(islice(first, 2), islice(second, 2), strict=True):
+        for name, values in ours.items():
+            np.testing.assert_array_equal(values, theirs[name], err_msg=name)
 
 
 def test_files_of_an_s3_store_are_made_and_removed(line: Line) -> None:

@@ -245,7 +245,7 @@ def decode_table(data: bytes, name: str) -> FrameTable:
 
     try:
         with pq.ParquetFile(pa.BufferReader(data)) as file:
-            table = file.read()
+            table = file.read(use_threads=False)  # a small file: threads would cost more
         columns = {n: table[n].to_numpy(zero_copy_only=False) for n in table.column_names}
     except (OSError, ValueError, pa.ArrowException) as error:
         lines = str(error).splitlines() or [type(error).__name__]

@@ -5,7 +5,7 @@
 
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
-use crate::wall::bvh::{Bvh, Child, Node, STACK, Triangle, WIDTH};
+use crate::wall::bvh::{Bvh, Child, Node, STACK, Triangle, WIDER, WIDTH, inverse};
 use crate::wall::packet::{Hits, Pyramid};
 use crate::wall::visibility::SHADOW_REACH;
 use glam::{BVec4A, Vec4};
@@ -15,8 +15,6 @@ pub const RAYS: usize = 8;
 /// Columns and rows of a tile whose rays make a bundle.
 const COLUMNS: usize = 4;
 const ROWS: usize = RAYS / COLUMNS;
-/// Widens a box by the rounding of its distances.
-const WIDER: f32 = 1.0 + 4.0 * f32::EPSILON;
 /// Larger than any distance.
 const FAR: f32 = 1e30;
 
@@ -115,7 +113,7 @@ impl Bundle {
             // Some way is above a lower bound at a distance if the highest is; below an upper one
             // if the lowest is.
             for (row, way) in [(axis, high), (axis + 3, low)] {
-                let inverse = 1.0 / if way.abs() > 1e-20 { way } else { 1e-20f32.copysign(way) };
+                let inverse = inverse(way);
                 if (inverse > 0.0) == (row == axis) {
                     least[row] = inverse;
                 } else {

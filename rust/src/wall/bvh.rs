@@ -23,6 +23,8 @@ pub const STACK: usize = (WIDTH - 1) * DEEPEST + WIDTH;
 pub const MAX_PER_LEAF: usize = 3;
 /// Larger than any coordinate [m]: bounds of an empty child exclude everything.
 const FAR: f32 = 1e30;
+/// Widens a box by the rounding of its distances.
+pub const WIDER: f32 = 1.0 + 4.0 * f32::EPSILON;
 /// Levels above the branches that are refitted side by side: up to 64 branches.
 const BRANCH_DEPTH: usize = 2;
 const MAX_TRIANGLES_PER_LEAF: u32 = 2;
@@ -35,6 +37,12 @@ pub struct Node {
     pub bounds: [[f32; WIDTH]; 6],
     /// What each child is, see `Child`.
     pub children: [u32; WIDTH],
+}
+
+/// One over a component of a ray's direction, finite.
+#[inline(always)]
+pub fn inverse(component: f32) -> f32 {
+    1.0 / if component.abs() > 1e-20 { component } else { 1e-20f32.copysign(component) }
 }
 
 /// What a child of a node is.

@@ -1,7 +1,7 @@
 //! Queries for single rays and points.
 
 use crate::simd::f32x64::{Vec3, add, cross, dot, max, min, scale, sub};
-use crate::wall::bvh::{Bvh, Child, Triangle, WIDTH};
+use crate::wall::bvh::{Bvh, Child, Triangle, WIDER, WIDTH, inverse};
 
 /// Directions for the inside test: no mesh is aligned with all of them.
 const PROBES: [Vec3; 3] = [[0.391, 0.664, 0.637], [-0.772, 0.253, 0.583], [0.214, -0.869, -0.446]];
@@ -34,7 +34,7 @@ pub fn is_inside(bvh: &Bvh, point: Vec3) -> bool {
 }
 
 fn hit(bvh: &Bvh, origin: Vec3, direction: Vec3) -> Option<(f32, &Triangle)> {
-    let inverse = direction.map(|d| 1.0 / if d.abs() > 1e-20 { d } else { 1e-20f32.copysign(d) });
+    let inverse = direction.map(inverse);
     let mut best = f32::INFINITY;
     let mut found = None;
     let mut stack = vec![(0u32, 0.0f32)];
@@ -59,7 +59,7 @@ fn hit(bvh: &Bvh, origin: Vec3, direction: Vec3) -> Option<(f32, &Triangle)> {
                         let a = (node.bounds[axis][k] - origin[axis]) * inverse[axis];
                         let b = (node.bounds[axis + 3][k] - origin[axis]) * inverse[axis];
                         near[k] = max(near[k], min(a, b));
-                        far[k] = min(far[k], max(a, b) * (1.0 + 4.0 * f32::EPSILON));
+                        far[k] = min(far[k], max(a, b) * WIDER);
                     }
                 }
                 let used = |k: &usize| node.bounds[0][*k] <= node.bounds[3][*k];

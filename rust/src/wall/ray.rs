@@ -1,12 +1,9 @@
 //! One ray through the hierarchy, for rays that have no neighbors.
 
 use crate::simd::f32x64::*;
-use crate::wall::bvh::{Bvh, Child, Node, STACK, Triangle, WIDTH};
+use crate::wall::bvh::{Bvh, Child, Node, STACK, Triangle, WIDER, WIDTH, inverse};
 use crate::wall::packet::MISS;
 use glam::Vec4;
-
-/// Widens a box by the rounding of its distances.
-const WIDER: f32 = 1.0 + 4.0 * f32::EPSILON;
 
 /// Where a ray meets the wall.
 #[derive(Clone, Copy)]
@@ -44,8 +41,7 @@ struct BoxesMet {
 impl Ray {
     #[inline(always)]
     fn new(origin: Vec3, direction: Vec3) -> Self {
-        let tiny = |d: f32| if d.abs() > 1e-20 { d } else { 1e-20f32.copysign(d) };
-        let inverse = direction.map(|d| 1.0 / tiny(d));
+        let inverse = direction.map(inverse);
         let row = |axis: usize, far: bool| axis + if (inverse[axis] > 0.0) == far { 3 } else { 0 };
         let rows = |far| [row(0, far), row(1, far), row(2, far)];
         let [x, y, z] = direction.map(f32::abs);

@@ -9,7 +9,7 @@ use super::parameters::{
 };
 use super::soft_wall::{Drive, SoftWall};
 use super::solve::Twist;
-use super::substep::{Load, press};
+use super::substep::Load;
 use super::time_stepping::{Dynamics, StepTotals, Stepper};
 use crate::magnet::field_sources::{FieldSources, internal_magnets};
 use crate::poses::{pose_rows, read_pose, rows};
@@ -400,23 +400,11 @@ impl World {
     fn penetration_depth(&mut self, py: Python<'_>) -> PyResult<f64> {
         let wall = self.wall.clone_ref(py);
         let mut wall = wall.try_borrow_mut(py).map_err(busy)?;
-        let reach = self.stepper.spring_wall.map_or(0.0, |q| q.reach);
-        let found =
-            self.stepper.soft.search(&mut wall, &self.stepper.body, &self.stepper.motion, reach);
-        found.map_err(PyValueError::new_err)?;
-        self.stepper
-            .soft
-            .update_facets(&self.stepper.body.axis(&self.stepper.motion), self.stepper.body.radius);
-        let soft = &mut self.stepper.soft;
-        press(
-            &self.stepper.body,
-            &self.stepper.laws,
-            &soft.facets,
-            &self.stepper.motion,
-            &mut soft.patch,
-        );
-        self.stepper.last.patch = soft.patch.extent();
-        Ok(soft.patch.depth)
+        let stepper = &mut self.stepper;
+        stepper.soft.travel = f64::INFINITY; // search anew
+        stepper.touch(&mut wall, &mut None).map_err(PyValueError::new_err)?;
+        stepper.last.patch = stepper.soft.patch.extent();
+        Ok(stepper.soft.patch.depth)
     }
 
     /// Kinetic energy of the capsule [J].

@@ -8,6 +8,7 @@
 //! what sticks or slides steadily is solved in one round, however light the capsule.
 
 use super::body::{Body, Motion};
+use super::contact_patch::FacetLoad;
 use super::laws::Laws;
 use super::sliding::{CREEP, Grip};
 use super::solve::{Symmetric6, System, Twist, dot};
@@ -37,6 +38,28 @@ pub struct Resistance<'a> {
     /// Of the touched triangles.
     pub grip: Grip,
     pub dt: f64,
+}
+
+impl<'a> Resistance<'a> {
+    /// Of touched triangles in a time `dt` [s]; None where nothing resists.
+    pub fn of(
+        laws: &'a Laws,
+        (body, motion): (&'a Body, &'a Motion),
+        touched: &[FacetLoad],
+        dt: f64,
+    ) -> Option<Self> {
+        let grip = || Grip::new(touched, laws.drag.friction(), motion.position);
+        let resists = laws.resist() && !touched.is_empty();
+        resists.then(|| Resistance { laws, body, motion, grip: grip(), dt })
+    }
+}
+
+/// The change of twist under a system and what resists, and the resistance at the center of mass.
+pub fn solve(resistance: Option<&Resistance>, system: &System) -> (Twist, Twist) {
+    match resistance {
+        Some(resistance) => resistance.solve(system),
+        None => (Twist::from_array(system.matrix.solve(system.impulse)), Twist::default()),
+    }
 }
 
 impl Resistance<'_> {

@@ -12,12 +12,11 @@
 
 use super::barrier::keep_out;
 use super::body::Motion;
-use super::friction::Resistance;
-use super::sliding::Grip;
+use super::friction::{Resistance, solve};
 use super::soft_wall::{Outcome, SoftWall};
 use super::solve::{Symmetric6, System, Twist};
-use super::substep::{Load, contact_forces, press};
-use super::time_stepping::{StepTotals, Stepper, fastest_point, look_around};
+use super::substep::{Load, contact_forces};
+use super::time_stepping::{StepTotals, Stepper, fastest_point};
 use crate::wall::Wall;
 use glam::DQuat;
 
@@ -91,11 +90,8 @@ impl Stepper {
         is_last: bool,
         totals: &mut StepTotals,
     ) -> Result<f64, &'static str> {
-        let reach = self.spring_wall.map_or(0.0, |spring_wall| spring_wall.reach);
+        self.touch(wall, &mut None)?;
         let (body, soft) = (&self.body, &mut self.soft);
-        look_around(soft, wall, &mut None, (body, &self.motion), reach)?;
-        soft.update_facets(&body.axis(&self.motion), body.radius);
-        press(body, &self.laws, &soft.facets, &self.motion, &mut soft.patch);
         let loads = &soft.patch.facet_loads;
         contact_forces(body, &self.motion, loads, &mut soft.contact_forces);
         let longest_way = LONGEST_WAY.max(soft.free_way());
@@ -130,14 +126,10 @@ impl Stepper {
         let facet_loads = &self.soft.patch.facet_loads;
         let (mut matrix, mut resistance) = (Symmetric6::default(), Twist::default());
         let mut change = Twist::default();
+        let resists = Resistance::of(&self.laws, (body, motion), facet_loads, h);
         for _ in 0..ROUNDS {
             let (system, before) = (self.system(&pull, &change, h), change);
-            (change, resistance) = if self.laws.resist() && !facet_loads.is_empty() {
-                let grip = Grip::new(facet_loads, self.laws.drag.friction(), motion.position);
-                Resistance { laws: &self.laws, body, motion, grip, dt: h }.solve(&system)
-            } else {
-                (Twist::from_array(system.matrix.solve(system.impulse)), Twist::default())
-            };
+            (change, resistance) = solve(resists.as_ref(), &system);
             matrix = system.matrix;
             let moved = (change.linear - before.linear).length()
                 + body.radius * (change.angular - before.angular).length();

@@ -9,8 +9,9 @@
 
 use super::contact_patch::{FacetLoad, Samples};
 use super::soft_wall::{MARGIN, SoftWall};
+use super::substep::Sums;
 use crate::simd::f64x8::{LANES, Lane, at, max, put, sum};
-use crate::tissue::spring_wall::{SpringWall, VertexMotion, attenuate};
+use crate::tissue::spring_wall::{SpringWall, attenuate};
 use glam::DVec3;
 
 /// How the loads of eight pieces of the wall answer a change of the capsule's twist.
@@ -175,23 +176,12 @@ impl SoftWall {
 
     /// Lets the springs give way by a share of a part of `h` [s] to `contact_forces`.
     pub fn relax(&mut self, spring_wall: &SpringWall, h: f64, share: f64) {
-        self.push(spring_wall);
-        let mut farthest = 0.0f64;
-        for (k, &v) in self.awake.iter().enumerate() {
-            let force = at(&self.forces[k / LANES], k % LANES);
-            let vertex = &mut self.wall_displacement[v as usize];
-            if force == DVec3::ZERO && vertex.is_still() {
-                *vertex = VertexMotion::default();
-                continue;
-            }
+        self.move_awake(spring_wall, share, |vertex, force| {
             let moved = spring_wall.give(h) * (force - spring_wall.spring * vertex.displacement);
             vertex.displacement += share * moved;
             vertex.velocity = moved / h;
-            farthest = farthest.max(moved.length_squared());
-        }
-        let moved = share * farthest.sqrt();
-        self.travel += moved;
-        self.wall_travel += moved;
+            moved
+        });
     }
 
     /// How far the capsule may go before it can touch anything [m]; 0 where it may touch now.
@@ -199,13 +189,6 @@ impl SoftWall {
         let least = self.clear.iter().fold(f64::INFINITY, |least, &clear| least.min(clear));
         (least - self.travel).clamp(0.0, MARGIN)
     }
-}
-
-/// Sums over samples, lane by lane.
-#[derive(Default)]
-struct Sums {
-    force: [Lane; 6],
-    slope: [[Lane; 6]; 6],
 }
 
 #[multiversion::multiversion(targets(
@@ -221,15 +204,6 @@ fn add_answers(sums: &mut Sums, samples: &[Samples], answers: &[Answer], change:
             slope[i] = if holds { answer.slope[i] } else { 0.0 };
             force[i] = if holds { answer.base[i] } else { 0.0 };
         }
-        for row in 0..6 {
-            for column in 0..=row {
-                for i in 0..LANES {
-                    sums.slope[row][column][i] += slope[i] * s.lever[row][i] * s.lever[column][i];
-                }
-            }
-            for i in 0..LANES {
-                sums.force[row][i] += force[i] * s.lever[row][i];
-            }
-        }
+        sums.add(&s.lever, &force, &slope);
     }
 }

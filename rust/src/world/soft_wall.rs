@@ -250,7 +250,7 @@ impl SoftWall {
     }
 
     /// Finds the forces of `contact_forces` on the vertices that may give way.
-    pub fn push(&mut self, spring_wall: &SpringWall) {
+    fn push(&mut self, spring_wall: &SpringWall) {
         let mut places = std::mem::take(&mut self.places);
         places.clear();
         for eight in self.awake.chunks(LANES) {
@@ -266,8 +266,22 @@ impl SoftWall {
 
     /// One substep of the spring wall.
     pub fn give_way(&mut self, spring_wall: &SpringWall, dt: f64) {
+        self.move_awake(spring_wall, dt, |vertex, force| {
+            spring_wall.advance(vertex, force, dt);
+            vertex.velocity
+        });
+    }
+
+    /// Moves the vertices that may give way by the forces of `contact_forces`; `advance` moves one
+    /// and gives its way, in units of `scale` [m].
+    pub fn move_awake(
+        &mut self,
+        spring_wall: &SpringWall,
+        scale: f64,
+        advance: impl Fn(&mut VertexMotion, DVec3) -> DVec3,
+    ) {
         self.push(spring_wall);
-        let mut fastest = 0.0f64;
+        let mut farthest = 0.0f64;
         for (k, &v) in self.awake.iter().enumerate() {
             let force = at(&self.forces[k / LANES], k % LANES);
             let vertex = &mut self.wall_displacement[v as usize];
@@ -275,10 +289,9 @@ impl SoftWall {
                 *vertex = VertexMotion::default();
                 continue;
             }
-            spring_wall.advance(vertex, force, dt);
-            fastest = fastest.max(vertex.velocity.length_squared());
+            farthest = farthest.max(advance(vertex, force).length_squared());
         }
-        let moved = fastest.sqrt() * dt;
+        let moved = scale * farthest.sqrt();
         self.travel += moved;
         self.wall_travel += moved;
     }

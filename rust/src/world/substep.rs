@@ -4,9 +4,8 @@ use super::barrier::keep_out;
 use super::body::{Body, Motion};
 use super::contact::{Facet, Indenter};
 use super::contact_patch::{FacetLoad, Patch, Samples};
-use super::friction::Resistance;
+use super::friction::{Resistance, solve};
 use super::laws::Laws;
-use super::sliding::Grip;
 use super::solve::{Symmetric6, System, Twist};
 use crate::simd::f64x8::{LANES, Lane, sum};
 use crate::tissue::spring_wall::ContactForce;
@@ -56,12 +55,8 @@ pub fn substep(
 ) -> Reaction {
     let mut system = elastic_system(body, load, motion, patch, dt);
     let lumen_drag = slow_down(body, laws, motion, &mut system, dt);
-    let (change, resistance) = if laws.resist() && !patch.facet_loads.is_empty() {
-        let grip = Grip::new(&patch.facet_loads, laws.drag.friction(), motion.position);
-        Resistance { laws, body, motion, grip, dt }.solve(&system)
-    } else {
-        (Twist::from_array(system.matrix.solve(system.impulse)), Twist::default())
-    };
+    let resists = Resistance::of(laws, (body, motion), &patch.facet_loads, dt);
+    let (change, resistance) = solve(resists.as_ref(), &system);
     let (moving, facet_loads) = ((body, &*motion), &mut patch.facet_loads);
     let change = keep_out(moving, barred, &system.matrix, change, facet_loads, dt);
     let before = *motion;
@@ -117,18 +112,35 @@ fn elastic_system(body: &Body, load: &Load, m: &Motion, patch: &Patch, dt: f64) 
     add_samples(&mut sums, &patch.samples, dt);
     for row in 0..6 {
         for column in 0..=row {
-            matrix.0[row][column] += sum(&sums.matrix[row][column]);
+            matrix.0[row][column] += sum(&sums.slope[row][column]);
         }
-        impulse[row] -= sum(&sums.impulse[row]);
+        impulse[row] -= sum(&sums.force[row]);
     }
     System { matrix, impulse }
 }
 
-/// Sums over samples, lane by lane.
+/// Sums of forces and their slopes over samples, lane by lane.
 #[derive(Default)]
-struct Sums {
-    matrix: [[Lane; 6]; 6],
-    impulse: [Lane; 6],
+pub struct Sums {
+    pub force: [Lane; 6],
+    pub slope: [[Lane; 6]; 6],
+}
+
+impl Sums {
+    /// Adds those of some samples by their levers.
+    #[inline(always)]
+    pub fn add(&mut self, lever: &[Lane; 6], force: &Lane, slope: &Lane) {
+        for row in 0..6 {
+            for column in 0..=row {
+                for i in 0..LANES {
+                    self.slope[row][column][i] += slope[i] * lever[row][i] * lever[column][i];
+                }
+            }
+            for i in 0..LANES {
+                self.force[row][i] += force[i] * lever[row][i];
+            }
+        }
+    }
 }
 
 #[multiversion::multiversion(targets(
@@ -147,16 +159,7 @@ fn add_samples(sums: &mut Sums, samples: &[Samples], dt: f64) {
             weight[i] = if holds { slope } else { 0.0 };
             push[i] = if holds { dt * pushed } else { 0.0 };
         }
-        for row in 0..6 {
-            for column in 0..=row {
-                for i in 0..LANES {
-                    sums.matrix[row][column][i] += weight[i] * s.lever[row][i] * s.lever[column][i];
-                }
-            }
-            for i in 0..LANES {
-                sums.impulse[row][i] += push[i] * s.lever[row][i];
-            }
-        }
+        sums.add(&s.lever, &push, &weight);
     }
 }
 

@@ -49,7 +49,7 @@ pub fn fastest_point(body: &Body, before: &Motion, after: &Motion) -> f64 {
 }
 
 /// Finds what is near the capsule, if it may have moved too far since it was last looked for.
-pub fn look_around(
+fn look_around(
     soft: &mut SoftWall,
     wall: &mut Wall,
     elastic: &mut Elastic,
@@ -226,11 +226,8 @@ impl Stepper {
         drive: f64,
         totals: &mut StepTotals,
     ) -> Outcome {
+        self.touch(wall, elastic)?;
         let (body, motion, soft) = (&self.body, &mut self.motion, &mut self.soft);
-        let reach = self.spring_wall.map_or(0.0, |q| q.reach);
-        look_around(soft, wall, elastic, (body, motion), reach)?;
-        soft.update_facets(&body.axis(motion), body.radius);
-        press(body, &self.laws, &soft.facets, motion, &mut soft.patch);
         if let Some((_, coupling)) = elastic {
             coupling.soften(soft, dt);
         }
@@ -254,6 +251,16 @@ impl Stepper {
             contact_forces(body, motion, &soft.patch.facet_loads, &mut soft.contact_forces);
             soft.give_way(spring_wall, dt);
         }
+        Ok(())
+    }
+
+    /// Finds what the capsule presses where it is now.
+    pub fn touch(&mut self, wall: &mut Wall, elastic: &mut Elastic) -> Outcome {
+        let (body, motion, soft) = (&self.body, &self.motion, &mut self.soft);
+        let reach = self.spring_wall.map_or(0.0, |spring_wall| spring_wall.reach);
+        look_around(soft, wall, elastic, (body, motion), reach)?;
+        soft.update_facets(&body.axis(motion), body.radius);
+        press(body, &self.laws, &soft.facets, motion, &mut soft.patch);
         Ok(())
     }
 

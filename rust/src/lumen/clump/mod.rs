@@ -188,15 +188,14 @@ impl Spheres {
     pub fn look_at(&self, index: u32, point: Vec3) -> Met<1> {
         let (mut near, mut met) = (Vec::new(), Met::nothing());
         let own = &self.all[index as usize];
+        if own.is_alone() {
+            met.put_ball(0, own, index, point);
+            return met;
+        }
         self.within((point, point), point, &mut near);
         near.retain(|near| self.all[near.index as usize].instance == own.instance);
         near.sort_unstable_by_key(|near| self.all[near.index as usize].number);
-        if own.is_alone() {
-            met.put_ball(0, own, index, point);
-        } else {
-            let clump = Clump::of(&self.all, &near);
-            clump.look(&point.map(|x| [x]), &[true], &mut met);
-        }
+        Clump::of(&self.all, &near).look(&point.map(|x| [x]), &[true], &mut met);
         met
     }
 }

@@ -103,11 +103,13 @@ pub fn segments_unoccluded(chyme: &Spheres, wall: &Wall, segments: &[[Vec3; 2]])
                 low[k] = min(start[k], point[k]);
                 high[k] = max(start[k], point[k]);
             }
-            chyme.within((low, high), start, &mut near);
-            let (left, _) = chyme.meet_ray::<true>(&mut near, (start, heading), reach);
+            // Particles last: to march through a clump takes longest.
             *free = reach.is_finite()
                 && ray::cast::<true>(&wall.bvh, start, heading, reach, MISS).is_none()
-                && left == reach;
+                && {
+                    chyme.within((low, high), start, &mut near);
+                    chyme.meet_ray::<true>(&mut near, (start, heading), reach).0 == reach
+                };
         }
     });
     free

@@ -1,5 +1,6 @@
 """Every task with every actuation and every observation keeps the promises of the API."""
 
+import json
 from typing import Any, get_args
 
 import gymnasium
@@ -7,15 +8,18 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from small_envs import LESION_GUT, small_settings, textured
-from tubes import straight_gut
+from small_envs import LESION_GUT, small_settings
+from tubes import straight_gut, textured
 from vrcaps.env import CapsuleEnv, CapsuleVectorEnv
 from vrcaps.env.actuation.registry import AnyActuation
 from vrcaps.env.observations.registry import AnyObservation
-from vrcaps.env.settings import EnvSettings
+from vrcaps.env.settings import EnvSettings, env_settings
 from vrcaps.env.start import Start
 from vrcaps.env.tasks.registry import AnyTask
 from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.serialization import from_plain, to_plain
+from vrcaps.tissue.fem.deformation import FemDeformation
+from vrcaps.tissue.tissue import Tissue
 from vrcaps.units import MM
 
 TASKS, ACTUATIONS, OBSERVATIONS = (
@@ -136,3 +140,15 @@ def test_a_gut_that_is_too_narrow_and_unknown_names_are_one_clear_line() -> None
             small_settings(**{name: "juggle"})
     with pytest.raises(UnknownNameError, match="No setting named 'organ'"):
         gymnasium.make("vrcaps.env:Navigate-v0", organ="colon")
+
+
+def test_settings_are_the_same_after_a_file() -> None:
+    """Through plain values, with parts of every kind."""
+    elastic = Tissue(deformation=FemDeformation(edge=0.02))
+    for settings in (
+        env_settings(organs="colon", actuation="magnet", observations=("state", "map")),
+        env_settings(organs="stomach", task="navigate", tissue=elastic),
+        env_settings(organs="stomach", tissue=Tissue(deformation=None)),
+    ):
+        plain = json.loads(json.dumps(to_plain(settings, EnvSettings)))
+        assert from_plain(EnvSettings, plain, at="env") == settings

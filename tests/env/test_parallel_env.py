@@ -3,27 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from small_envs import GUT, SHORT_GUT, small_settings
+from small_envs import GUT, SHORT_GUT, short_settings
 from vrcaps.errors import InputError
 
 if TYPE_CHECKING:
-    from vrcaps.env.settings import EnvSettings
+    pass
 
 pytest.importorskip("pettingzoo")
 
 from vrcaps.env.parallel_env import CapsuleParallelEnv
 
 ORGANS = GUT, SHORT_GUT
-
-
-def short_settings(**keywords: Any) -> EnvSettings:
-    """Settings of episodes of four actions of 10 ms."""
-    return small_settings(control_period=0.01, episode_time=0.04, num_points=256, **keywords)
 
 
 def test_pettingzoo_accepts_it() -> None:
@@ -78,3 +73,9 @@ def test_a_missing_action_is_one_line() -> None:
         env.step(dict.fromkeys(env.agents, action + 2.0))
     with pytest.raises(InputError, match="render_mode is human"):
         CapsuleParallelEnv(render_mode="human")
+
+
+def test_nothing_is_drawn_before_the_first_reset() -> None:
+    env = CapsuleParallelEnv(short_settings(organs=ORGANS), render_mode="rgb_array")
+    with pytest.raises(InputError, match=r"No episode has begun.* Call reset first\."):
+        env.render()

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from small_envs import GUT, simulation_of, small_settings, textured
+from small_envs import GUT, simulation_of, small_settings
+from tubes import textured
 from vrcaps.camera.derive import focal_length_px
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.env.actuation.wrench import Wrench

@@ -8,23 +8,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from small_envs import small_settings
+from small_envs import short_settings
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.env import CapsuleEnv
 from vrcaps.env.vector_env import CapsuleVectorEnv
 from vrcaps.errors import InputError
 
 if TYPE_CHECKING:
-    from vrcaps.env.settings import EnvSettings
+    pass
 
 pytest.importorskip("stable_baselines3")
 
 from vrcaps.env.sb3 import Sb3VecEnv
-
-
-def short_settings(**keywords: Any) -> EnvSettings:
-    """Settings of episodes of four actions of 10 ms."""
-    return small_settings(control_period=0.01, episode_time=0.04, num_points=256, **keywords)
 
 
 def test_steps_as_the_vector_environment_does_and_begins_anew_at_once() -> None:

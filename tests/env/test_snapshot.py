@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from small_envs import GUT, SHORT_GUT, small_settings, textured
+from small_envs import GUT, SHORT_GUT, small_settings
+from tubes import textured
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.env import CapsuleEnv
 from vrcaps.env.observations.image import ImageObservation

@@ -12,7 +12,6 @@ from vrcaps.env.env import CapsuleEnv
 from vrcaps.env.settings import EnvSettings, env_settings
 from vrcaps.env.simulation import Simulation
 from vrcaps.env.start import Start
-from vrcaps.organ.surface import Appearance, OrganSurface
 
 GUT = straight_gut({"upper": 0.10, "lower": 0.08}, radius=0.02, edge=4e-3)
 """A tube about x in the patient frame, 18 cm long and 4 cm wide."""
@@ -31,6 +30,11 @@ def small_settings(**keywords: Any) -> EnvSettings:
     return env_settings(**(small | {"substep": 1e-3} | keywords))
 
 
+def short_settings(**keywords: Any) -> EnvSettings:
+    """Settings of episodes of four actions of 10 ms."""
+    return small_settings(control_period=0.01, episode_time=0.04, num_points=256, **keywords)
+
+
 def small_env(seed: int = 0, **keywords: Any) -> CapsuleEnv:
     """An environment of one capsule after its reset."""
     env = CapsuleEnv(small_settings(**keywords))
@@ -44,13 +48,3 @@ def simulation_of(num_worlds: int = 1, **keywords: Any) -> Simulation:
     for index in range(num_worlds):
         simulation.reset(index, np.random.default_rng(index))
     return simulation
-
-
-def textured(organ: OrganSurface) -> OrganSurface:
-    """The organ with a small texture."""
-    look = Appearance(
-        albedo=np.random.default_rng(0).integers(90, 200, (32, 32, 3), np.uint8),
-        roughness=np.full((32, 32), 128, np.uint8),
-        height=np.zeros((32, 32), np.float32),
-    )
-    return replace(organ, appearance=look)

@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tubes import textured
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.organ.read_organ import read_organ
-from vrcaps.organ.surface import Appearance, OrganSurface
+from vrcaps.organ.surface import OrganSurface
 from vrcaps.recording.recorder import record
 from vrcaps.render.channels import CHANNELS
 from vrcaps.scenario import build as scenario_module
@@ -75,19 +76,14 @@ def mesh_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def organ(mesh_file: Path) -> OrganSurface:
     """The tube with two segments, a lesion and a textured wall."""
     plain = read_organ(mesh_file, unit="m")
-    rng = np.random.default_rng(0)
     half = plain.centerline.length / 2
-    return replace(
+    marked = replace(
         plain,
         label=np.where(plain.arc_length < half, 1, 2).astype(np.uint8),
         label_names=("background", "upper", "lower"),
         instance=(np.abs(plain.arc_length - 0.8 * half) < 0.01).astype(np.uint16),
-        appearance=Appearance(
-            albedo=rng.integers(90, 200, (32, 32, 3), np.uint8),
-            roughness=np.full((32, 32), 128, np.uint8),
-            height=np.zeros((32, 32), np.float32),
-        ),
     )
+    return textured(marked)
 
 
 @pytest.fixture(scope="session")

@@ -8,7 +8,7 @@ import numpy as np
 
 from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.organ.centerline.curve import transport_frames
-from vrcaps.organ.surface import Centerline, OrganSurface
+from vrcaps.organ.surface import Appearance, Centerline, OrganSurface
 from vrcaps.units import MM
 
 _QUAD = np.array([[0, 0], [0, 1], [1, 1], [1, 0]])
@@ -131,3 +131,13 @@ def bent_tube(radius: float = 0.018, around: int = 40, along: int = 300) -> Orga
         label_names=("background", "first", "second"),
         centerline=replace(line, radius=clear),
     )
+
+
+def textured(organ: OrganSurface) -> OrganSurface:
+    """The organ with a small texture."""
+    look = Appearance(
+        albedo=np.random.default_rng(0).integers(90, 200, (32, 32, 3), np.uint8),
+        roughness=np.full((32, 32), 128, np.uint8),
+        height=np.zeros((32, 32), np.float32),
+    )
+    return replace(organ, appearance=look)

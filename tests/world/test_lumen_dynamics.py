@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from threads import digests_by_threads
 from tubes import straight_gut
 from vrcaps import _core
 from vrcaps.capsule.body import homogeneous_body
@@ -352,22 +350,6 @@ def test_a_heavy_capsule_rests_on_the_floor_lighter_by_its_liquid(gut: OrganSurf
     assert np.mean(forces[-20:]) == pytest.approx(expected, rel=0.02)
 
 
-def run(threads: str) -> str:
-    here = Path(__file__)
-    code = (
-        f"import sys; sys.path[:0] = [{str(here.parent)!r}, {str(here.parents[1])!r}]\n"
-        f"import {here.stem} as test\nprint(test.digest())"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env={**os.environ, "RAYON_NUM_THREADS": threads},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    return done.stdout
-
-
 def crowded(gut: OrganSurface) -> World:
     bubbles = Bubbles(per_area=1e4, burst_rate=0.5)
     return world_in(gut, Contents(bubbles=bubbles, chyme=2, liquid=3, seed=4), -15.0 * MM)
@@ -382,7 +364,9 @@ def digest() -> str:
 
 @pytest.mark.slow
 def test_same_bytes_for_any_number_of_threads() -> None:
-    assert run("1") == run("2")
+    counts, digests = digests_by_threads(Path(__file__), (1, 2))
+    assert counts == [1, 2]
+    assert len(digests) == 1
 
 
 def test_restored_world_goes_on_to_the_same_bytes(gut: OrganSurface) -> None:

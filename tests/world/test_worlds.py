@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
+import hashlib
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from made_worlds import as_bytes, worlds_in
+from threads import digests_by_threads
+from tubes import bent_tube
 from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError
 from vrcaps.magnet.sources import Cylinder
@@ -37,29 +38,18 @@ def test_the_same_bytes_as_alone(model: Model, dynamics: DynamicsKind) -> None:
         assert as_bytes(a.snapshot()) == as_bytes(b.snapshot())
 
 
+def digest() -> str:
+    model = Model(bent_tube(), read_device("mirocam"))
+    worlds = [*worlds_in(model), *worlds_in(model, "quasi-static")]
+    step_worlds(worlds, 2 * CONTROLS, 0.01)
+    return hashlib.sha256(b"".join(as_bytes(world.snapshot()) for world in worlds)).hexdigest()
+
+
 @pytest.mark.slow
 def test_the_same_bytes_on_any_number_of_threads() -> None:
-    """Each in a process of its own, for the number of threads is fixed when the core loads."""
-    code = (
-        "import sys, hashlib; sys.path[:0] = sys.argv[1:]\n"
-        "from tubes import bent_tube; import test_worlds as t\n"
-        "from vrcaps.capsule.catalog import read_device\n"
-        "model = t.Model(bent_tube(), read_device('mirocam'))\n"
-        "worlds = [*t.worlds_in(model), *t.worlds_in(model, 'quasi-static')]\n"
-        "t.step_worlds(worlds, 2 * t.CONTROLS, 0.01)\n"
-        "print(hashlib.sha256(b''.join(t.as_bytes(w.snapshot()) for w in worlds)).hexdigest())"
-    )
-    here = __file__.rpartition("/")[0]
-    found = {
-        subprocess.run(
-            [sys.executable, "-c", code, here, here.rpartition("/")[0]],
-            env={**os.environ, "RAYON_NUM_THREADS": threads},
-            capture_output=True,
-            check=True,
-        ).stdout
-        for threads in ("1", "2")
-    }
-    assert len(found) == 1
+    counts, digests = digests_by_threads(Path(__file__), (1, 2))
+    assert counts == [1, 2]
+    assert len(digests) == 1
 
 
 def test_worlds_of_all_kinds_step_together(model: Model) -> None:

@@ -157,5 +157,11 @@ class Episode:
         }
 
     def images(self) -> list[np.ndarray]:
-        """What the first camera of each capsule sees, in its own size."""
+        """What the first camera of each capsule sees, in its own size.
+
+        Raises:
+            InputError: If an episode has not begun in every world.
+        """
+        if any(self.simulation.patient_number(k) < 0 for k in range(self.simulation.num_worlds)):
+            raise InputError("No episode has begun, so there is nothing to draw. Call reset first.")
         return [image.copy() for image in self.simulation.views.images(View(), "rgb")]

@@ -142,7 +142,11 @@ class CapsuleParallelEnv(ParallelEnv):
         return rows
 
     def render(self) -> np.ndarray | None:
-        """What the first camera of each capsule sees, side by side [h w 3]."""
+        """What the first camera of each capsule sees, side by side [h w 3].
+
+        Raises:
+            InputError: If the environment has not been reset.
+        """
         if self.render_mode is None:
             return None
         return np.concatenate(self.episode.images(), axis=1)

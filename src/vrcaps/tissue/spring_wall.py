@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from vrcaps.errors import require
 from vrcaps.units import MM
@@ -42,6 +42,8 @@ class SpringWall:
     stiffness: float = 1000.0
     damping: float = 160.0
     foundation_gain: float = 1.8
+
+    kind: ClassVar[str] = "spring"
 
     def __post_init__(self) -> None:
         for name in ("length", "reach", "mass", "stiffness", "foundation_gain"):

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from small_envs import GUT, SHORT_GUT, simulation_of, small_settings, textured
+from small_envs import GUT, SHORT_GUT, simulation_of, small_settings
+from tubes import textured
 from vrcaps.env.env import CapsuleEnv
 from vrcaps.env.observations.image import LIMITS, ImageObservation
 from vrcaps.env.start import Start

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 from vrcaps.errors import InputError, UnknownNameError, require
 from vrcaps.units import MM
@@ -59,6 +59,8 @@ class FemDeformation:
     edge: float = 16.0 * MM
     layers: int = 1
     step: float = 5e-3
+
+    kind: ClassVar[str] = "fem"
 
     def __post_init__(self) -> None:
         if self.model not in _MODELS:

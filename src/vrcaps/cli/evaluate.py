@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 class Evaluate:
     """Judge policies over many seeds and episodes, side by side on all cores, under full physics.
 
-    A policy is a baseline (random, centerline, look-around, next-best-view), a trained policy's
-    file, or an import path package.module:Class. The folder then holds, for each policy and
-    capsule, episodes.csv (a row for each episode), curves.parquet (coverage, force and pose over
-    time) and median.mp4 (a video of the median run); and over all of them index.html with
+    A policy is a baseline (random, centerline, look-around, next-best-view, navigator), a trained
+    policy's file, or an import path package.module:Class. The folder then holds, for each policy
+    and capsule, episodes.csv (a row for each episode), curves.parquet (coverage, force and pose
+    over time) and median.mp4 (a video of the median run); and over all of them index.html with
     summary.png and summary.csv. Interrupted, the same command goes on.
 
     Coverage is counted at the levels that need no images: frustum, visible, resolved. For
@@ -34,6 +34,7 @@ class Evaluate:
       vrcaps evaluate centerline --organs stomach:0-1 --seeds 4 --episodes 1 --out runs/judged
       vrcaps evaluate runs/coverage/best.npz next-best-view --out runs/judged
       vrcaps evaluate next-best-view --capsules mono stereo dual panoramic --out runs/designs
+      vrcaps evaluate navigator --task navigate --seeds 20 --episodes 1 --out runs/navigated
       vrcaps evaluate mine.policies:Mine --organs stomach.glb colon:0-4 --out runs/mine
     """
 

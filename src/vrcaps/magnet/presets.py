@@ -50,6 +50,13 @@ class MagnetPreset:
 
 
 MAGNETS = {
+    "cylinder-152.4": MagnetPreset(
+        "On an industrial arm: 6 inch cylinder, 3274 A·m², 21 kg",
+        152.4 * MM,
+        152.4 * MM,
+        "N52",
+        1.48,
+    ),
     "cylinder-101.6": MagnetPreset(
         "On a strong arm: 4 inch cylinder, 970.1 A·m², 6.2 kg", 101.6 * MM, 101.6 * MM, "N52", 1.48
     ),

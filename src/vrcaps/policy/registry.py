@@ -5,5 +5,6 @@ BASELINES = {
     "centerline": "vrcaps.policy.centerline:CenterlinePolicy",
     "look-around": "vrcaps.policy.look_around:LookAroundPolicy",
     "next-best-view": "vrcaps.policy.next_best_view:NextBestViewPolicy",
+    "navigator": "vrcaps.policy.navigator:NavigatorPolicy",
 }
 """Import path of each by its name."""

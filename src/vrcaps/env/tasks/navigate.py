@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 
+from vrcaps.env.actuation.magnet import MagnetActuation
 from vrcaps.env.rewards import Reward
 from vrcaps.env.start import Start
 from vrcaps.errors import UnknownNameError, require
@@ -51,10 +52,10 @@ class NavigateTask:
 
     @property
     def defaults(self) -> dict[str, Any]:
-        """A colon from end to end, by magnet."""
+        """A colon from end to end, by a magnet that is strong enough for its deepest parts."""
         return {
             "organs": ("colon",),
-            "actuation": "magnet",
+            "actuation": MagnetActuation("cylinder-152.4", speed=0.2, angular_speed=2.0),
             "start": Start(fraction=(0.0, 0.0)),
             "episode_time": 1200.0,
             "stuck_time": 60.0,

@@ -5,9 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import time
-from collections import deque
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -27,6 +25,7 @@ from vrcaps.recording.checkpoint import (
 from vrcaps.recording.damage import remove_damaged
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.episode_files import LocalFiles
+from vrcaps.recording.frame_writer import FrameWriter
 from vrcaps.recording.image_files import write_images
 from vrcaps.recording.layout import (
     COMPLETE,
@@ -60,7 +59,6 @@ if TYPE_CHECKING:
     from vrcaps.world.model import Model
 
 _CHECKPOINT_SECONDS = 10.0  # between checkpoints, from which a simulation can go on
-_QUEUED_FRAMES = 3  # being encoded or waiting for it while the next ones are rendered
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
@@ -259,26 +257,13 @@ def _write_frames(out: Path, run: _Recording) -> None:
     total = run.scenario.frames
     preview = _new_preview(run)
     episode = read_episode(out, unfinished=True)
-    pending: deque[Future[None]] = deque()
-    pool = ThreadPoolExecutor(1, thread_name_prefix="vrcaps-encode")
-
-    def submit(frame: int, task: Callable[[], None]) -> None:
-        pending.append(pool.submit(task))
-        while len(pending) > _QUEUED_FRAMES:
-            pending.popleft().result()
-        run.progress(frame + 1 - len(pending), total)
-
-    try:
+    with FrameWriter(run.progress, total) as writer:
         if run.is_whole():
             for frame in range(total):
-                submit(frame, partial(_preview_from_files, preview, episode, frame))
+                writer.submit(frame, partial(_preview_from_files, preview, episode, frame))
         else:
-            _write_steps(run, preview, episode, submit)
-        for left in range(len(pending) - 1, -1, -1):
-            pending.popleft().result()
-            run.progress(total - left, total)
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+            _write_steps(run, preview, episode, writer)
+        writer.finish()
     if preview is not None:
         write_bytes(out / PREVIEW_MP4, preview.finish())
 
@@ -287,7 +272,7 @@ def _write_steps(
     run: _Recording,
     preview: Preview | None,
     episode: Episode,
-    submit: Callable[[int, Callable[[], None]], None],
+    writer: FrameWriter,
 ) -> None:
     """Walk through the motion, hand out what is to be written, write the table."""
     start = run.checkpoint()
@@ -297,22 +282,25 @@ def _write_steps(
     rows = TableRows(run.model, table, wall)
     readings = SensorReadings(run.model, run.scenario, table)
     for frame in range(len(rows)):
-        submit(frame, partial(_preview_from_files, preview, episode, frame))
+        writer.submit(frame, partial(_preview_from_files, preview, episode, frame))
     resume, is_due = None if start is None else start.motion, _Timer(_CHECKPOINT_SECONDS)
     for step in run.motion.steps(resume, progress=run.simulated, is_due=is_due):
         measured = readings.read(step, run.motion.sources(step))
         rows.add(step, {**run.motion.columns(step), **cameras.expose(step), **measured})
         if run.is_there(step.index):
-            submit(step.index, partial(_preview_from_files, preview, episode, step.index))
+            writer.submit(step.index, partial(_preview_from_files, preview, episode, step.index))
             continue
         made, wall = cameras.capture(step), None
         if run.scenario.wall:
             wall = stored_wall(run.model, step.state, run.wall_vertices)
-        state = run.motion.checkpoint()
-        checkpoint = None if state is None else Checkpoint(state, rows.table())
-        submit(
+        state, then = run.motion.checkpoint(), None
+        if state is not None:
+            then = partial(write_checkpoint, run.out, Checkpoint(state, rows.table()))
+        writer.submit(
             step.index,
-            partial(_write_frame, preview, run, step.index, made, wall, checkpoint),
+            partial(_preview_from_images, preview, made),
+            files=partial(_write_images, run, step.index, made, wall),
+            then=then,
         )
     if not (run.out / FRAMES_PARQUET).exists():
         write_table(run.out / FRAMES_PARQUET, rows.table())
@@ -336,15 +324,10 @@ def _cameras(run: _Recording, wall: MovingWall, before: FrameTable | None) -> Ca
     return cameras
 
 
-def _write_frame(
-    preview: Preview | None,
-    run: _Recording,
-    frame: int,
-    images: dict[str, Frame],
-    wall: np.ndarray | None,
-    checkpoint: Checkpoint | None,
+def _write_images(
+    run: _Recording, frame: int, images: dict[str, Frame], wall: np.ndarray | None
 ) -> None:
-    """Write the files of a frame, then the checkpoint that says so."""
+    """Write the files of a frame."""
     items = [
         (path, CHANNELS[channel].encoding.encode(getattr(images[camera], channel)))
         for (camera, channel), path in run.paths(frame).items()
@@ -352,10 +335,11 @@ def _write_frame(
     if wall is not None:
         items.append((run.out / wall_path(frame), wall))
     write_images(items)
+
+
+def _preview_from_images(preview: Preview | None, images: dict[str, Frame]) -> None:
     if preview is not None:
         preview.add([np.asarray(image.rgb) for image in images.values()])
-    if checkpoint is not None:
-        write_checkpoint(run.out, checkpoint)
 
 
 def _preview_from_files(preview: Preview | None, episode: Episode, frame: int) -> None:

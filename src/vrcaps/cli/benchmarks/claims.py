@@ -43,6 +43,13 @@ TO_DISK = Claim(
     unit="per second",
     reference="twice a video's rate",
 )
+QUICK_TO_DISK = Claim(
+    text="labeled frames a second to disk with direct light and no shadows",
+    sense="≥",
+    limit=100.0,
+    unit="per second",
+    reference="ten hours of a patient's video overnight",
+)
 MEMORY = Claim(
     text="peak memory of the recording process",
     sense="≤",

@@ -38,10 +38,11 @@ def run(*, out: Path | None = None, quick: bool = False) -> Report:
 def measure(*, num_frames: int, num_runs: int) -> Report:
     """Record the same scenario some times, each in a process and a folder of its own."""
     with progress_bar("recording") as advance:
-        runs = []
+        runs, quick_runs = [], []
         for number in range(num_runs):
             advance(number, num_runs)
             runs.append(_recorded(num_frames))
+            quick_runs.append(_recorded(num_frames, "quick"))
     first, size = runs[0], np.mean([run["bytes"] for run in runs])
     setting = (
         f"The recording default, `vrcaps record`: {num_frames} frames of {first['camera']} in the "
@@ -53,6 +54,7 @@ def measure(*, num_frames: int, num_runs: int) -> Report:
     )
     found = (
         replace(claims.TO_DISK, measured=_spread(runs, "rate")),
+        replace(claims.QUICK_TO_DISK, measured=_spread(quick_runs, "rate")),
         replace(claims.MEMORY, measured=_spread(runs, "peak_gb"))
         if first["peak_gb"] is not None
         else replace(claims.MEMORY, reason="this system does not tell"),
@@ -62,20 +64,24 @@ def measure(*, num_frames: int, num_runs: int) -> Report:
         command="vrcaps bench record",
         setting=setting,
         claims=found,
-        tables=(_stages(runs), _whole(runs)),
+        tables=(
+            _stages(runs, "Where the time of a frame goes"),
+            _stages(quick_runs, "The same with direct light and no shadows"),
+            _whole(runs),
+        ),
         machine=machine_facts(),
     )
 
 
-def _recorded(num_frames: int) -> dict[str, Any]:
-    """What one recording in a process of its own found.
+def _recorded(num_frames: int, *words: str) -> dict[str, Any]:
+    """What one recording in a process of its own found; `words` are further arguments to it.
 
     Raises:
         InputError: If it fails.
     """
     with tempfile.TemporaryDirectory(prefix="vrcaps-bench-") as folder:
         module = "vrcaps.cli.benchmarks.recording_process"
-        command = [sys.executable, "-m", module, folder, str(num_frames)]
+        command = [sys.executable, "-m", module, folder, str(num_frames), *words]
         answer = subprocess.run(command, capture_output=True, text=True, check=False)
     if answer.returncode:
         last = (answer.stderr.strip() or "no message").splitlines()[-1]
@@ -87,7 +93,7 @@ def _spread(runs: list[dict[str, Any]], key: str) -> Spread:
     return Spread.of(np.array([run[key] for run in runs]))
 
 
-def _stages(runs: list[dict[str, Any]]) -> Table:
+def _stages(runs: list[dict[str, Any]], title: str) -> Table:
     rows = [
         Row(
             name,
@@ -99,7 +105,7 @@ def _stages(runs: list[dict[str, Any]]) -> Table:
         )
         for name, first in runs[0]["stages"].items()
     ]
-    return Table("Where the time of a frame goes", ("ms", "ms of processors"), tuple(rows))
+    return Table(title, ("ms", "ms of processors"), tuple(rows))
 
 
 def _whole(runs: list[dict[str, Any]]) -> Table:

@@ -1,6 +1,6 @@
 """The process that `vrcaps bench record` measures: records, then times each stage alone.
 
-    python -m vrcaps.cli.benchmarks.recording_process FOLDER FRAMES
+    python -m vrcaps.cli.benchmarks.recording_process FOLDER FRAMES [quick]
 
 Prints JSON: times in seconds, memory in GB.
 """
@@ -11,6 +11,7 @@ import json
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,18 +24,22 @@ if TYPE_CHECKING:
 _MAX_STAGE_FRAMES = 60
 
 
-def main(folder: Path, num_frames: int) -> dict[str, Any]:
+def main(folder: Path, num_frames: int, *, quick_light: bool = False) -> dict[str, Any]:
     """Record into a folder and say how it went.
 
     Args:
         folder: An empty folder.
         num_frames: Frames to record.
+        quick_light: Direct light without shadows rather than the default.
     """
     started = time.perf_counter()
     from vrcaps.recording.recorder import record
+    from vrcaps.render.settings import RenderSettings
     from vrcaps.scenario.scenario import Scenario
 
     scenario = Scenario(frames=num_frames)
+    if quick_light:
+        scenario = replace(scenario, render=RenderSettings(light="direct", shadows=False))
     done: list[tuple[int, float]] = []
 
     def progress(num_done: int, total: int) -> None:
@@ -134,4 +139,5 @@ def _timed(stage: Callable[[int], None], frames: range) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    sys.stdout.write(json.dumps(main(Path(sys.argv[1]), int(sys.argv[2]))))
+    given = Path(sys.argv[1]), int(sys.argv[2])
+    sys.stdout.write(json.dumps(main(*given, quick_light="quick" in sys.argv[3:])))

@@ -288,3 +288,18 @@ def test_what_a_compact_file_cannot_round_is_stored_exactly(organ, tmp_path: Pat
     monkeypatch.setattr(compact_textures, "_MOST_SIDE", 8)
     write_organ(tmp_path / "b.glb", organ, compact=True)
     assert np.array_equal(read_organ(tmp_path / "b.glb").appearance.albedo, organ.appearance.albedo)
+
+
+def test_the_coded_textures_of_a_large_organ_are_kept(organ, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setenv("VRCAPS_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(compact_textures, "_KEPT_TEXELS", 1)
+    write_organ(tmp_path / "a.glb", organ, compact=True)
+    monkeypatch.setattr(compact_textures, "albedo_webp", lambda _: pytest.fail("it is there"))
+    write_organ(tmp_path / "b.glb", organ, compact=True)
+    assert (tmp_path / "a.glb").read_bytes() == (tmp_path / "b.glb").read_bytes()
+    other = replace(
+        organ, appearance=replace(organ.appearance, albedo=255 - organ.appearance.albedo)
+    )
+    monkeypatch.setattr(compact_textures, "albedo_webp", lambda _: b"new")
+    write_organ(tmp_path / "c.glb", other, compact=True)
+    assert len(list((tmp_path / "cache" / "organs").glob("webp-*.npz"))) == 2

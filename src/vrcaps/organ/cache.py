@@ -13,7 +13,7 @@ from contextvars import ContextVar
 from functools import cache
 from pathlib import Path
 from types import CodeType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from platformdirs import user_cache_path
@@ -22,6 +22,8 @@ from vrcaps.files import TEMPORARY, atomic_write, read_arrays
 from vrcaps.made_with import ORGAN_PACKAGES, core_sha256, versions
 from vrcaps.organ.arrays import organ_from_arrays, organ_to_arrays
 from vrcaps.organ.surface import OrganSurface
+
+Stored = TypeVar("Stored")
 
 _BROKEN = (OSError, ValueError, LookupError, TypeError, AttributeError)
 """What reading a truncated, overwritten or outdated file raises."""
@@ -75,27 +77,47 @@ def cached_organ(name: str, make: Callable[[], OrganSurface]) -> OrganSurface:
         name: Names the organ, all its parameters and the code that makes it.
         make: Makes the organ.
     """
+    return _cached(name, make, _read_organ, _write_organ)
+
+
+def cached_files(name: str, make: Callable[[], dict[str, bytes]]) -> dict[str, bytes]:
+    """Files that belong to an organ, such as its coded textures, kept as `cached_organ` does.
+
+    Args:
+        name: Names the organ, what the files are and the code that makes them.
+        make: Makes the files.
+    """
+    return _cached(name, make, _read_files, _write_files)
+
+
+def _cached(
+    name: str,
+    make: Callable[[], Stored],
+    read: Callable[[Path], Stored],
+    write: Callable[[Path, Stored], None],
+) -> Stored:
     kept = cache_folder() / "organs" / f"{name}.npz"
     passing = kept.parent / "passing" / kept.name
     for path in (kept, passing):
         if path.is_file():
             try:
-                organ = _read_organ(path)
+                found = read(path)
                 _mark_used(path)
-                return organ
+                return found
             except _BROKEN:
                 pass  # Made again and overwritten below.
-    organ, path = make(), passing if _is_passing.get() else kept
+    made, path = make(), passing if _is_passing.get() else kept
     try:
-        _write_organ(path, organ)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(path, made)
         _forget_unused(path.parent, _MOST_PASSING_BYTES if _is_passing.get() else _MOST_BYTES)
     except OSError as error:
         warnings.warn(
             f"Cannot write to the cache folder {path.parent}: {error.strerror}. The organ is made "
             "again each time; set VRCAPS_CACHE to a folder that can be written to.",
-            stacklevel=2,
+            stacklevel=3,
         )
-    return organ
+    return made
 
 
 @contextlib.contextmanager
@@ -173,7 +195,6 @@ def _write_organ(path: Path, organ: OrganSurface) -> None:
     """Write an organ under a temporary name, then rename it, so that no half file is ever seen."""
     arrays, plain = organ_to_arrays(organ)
     arrays["plain"] = np.array(json.dumps(plain))
-    path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         np.savez(file, **arrays)  # pyright: ignore[reportArgumentType]
 
@@ -208,3 +229,15 @@ def _read_organ(path: Path) -> OrganSurface:
     values = read_arrays(path)
     values |= json.loads(str(values.pop("plain")))
     return organ_from_arrays(values)
+
+
+def _write_files(path: Path, files: dict[str, bytes]) -> None:
+    """Write files into one archive, under a temporary name at first."""
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
+        arrays: dict[str, Any] = {n: np.frombuffer(data, np.uint8) for n, data in files.items()}
+        np.savez(file, **arrays)
+
+
+def _read_files(path: Path) -> dict[str, bytes]:
+    """Read files that `_write_files` wrote."""
+    return {name: array.tobytes() for name, array in read_arrays(path).items()}

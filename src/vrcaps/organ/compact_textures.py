@@ -5,7 +5,9 @@ What each choice costs is in docs/datasets.md, written by benchmarks/organ_files
 
 from __future__ import annotations
 
+import hashlib
 import io
+import json
 import warnings
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -13,6 +15,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.made_with import versions
+from vrcaps.organ.cache import cached_files, fingerprint
+from vrcaps.organ.gltf_material import texture_images
 from vrcaps.organ.surface import HEIGHT_STEP
 
 if TYPE_CHECKING:
@@ -33,12 +38,41 @@ ROUGHNESS_QUALITY, NORMAL_QUALITY = 30, 75  # of lossy WebP
 
 _LOSSLESS = {"lossless": True, "exact": True, "method": 2, "quality": 30}  # below 30 far larger
 _ZERO = 32768 + 128  # stored for a height of 0; small heights then share their high byte
+_KEPT_TEXELS = 1 << 20  # from which on coding takes long
 _MOST_SIDE = 16383  # of WebP
 
 
 def webp_fits(appearance: Appearance) -> bool:
     """Whether WebP can hold the textures."""
     return max(appearance.albedo.shape) <= _MOST_SIDE
+
+
+def compact_files(appearance: Appearance, scale: tuple[float, float]) -> dict[str, bytes]:
+    """Base color, roughness, normals and, where 16 bits hold it, relief, in this order.
+
+    Those of a large texture take ten seconds and a gigabyte, and are kept in the user's cache.
+
+    Args:
+        appearance: The textures.
+        scale: Length on the wall of one unit of u and v [m], see `relief_scale`.
+    """
+
+    def make() -> dict[str, bytes]:
+        albedo, roughness, normals = texture_images(appearance, scale, MOST_NORMALS)
+        files = {
+            "albedo": albedo_webp(albedo),
+            "roughness": roughness_webp(roughness),
+            "normals": normals_webp(normals),
+        }
+        relief = relief_webp(appearance.height)
+        return files if relief is None else {**files, "relief": relief}
+
+    if appearance.height.size < _KEPT_TEXELS:
+        return make()
+    digest = hashlib.sha256(json.dumps([scale, versions(("pillow",))]).encode())
+    for texture in (appearance.albedo, appearance.roughness, appearance.height):
+        digest.update(np.ascontiguousarray(texture).data)
+    return cached_files(f"webp-{fingerprint({'textures': digest.hexdigest()})}", make)
 
 
 def albedo_webp(albedo: UInt8[np.ndarray, "h w 3"]) -> bytes:

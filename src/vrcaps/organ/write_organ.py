@@ -10,15 +10,7 @@ from vrcaps._core import encode_pngs
 from vrcaps.files import write_bytes
 from vrcaps.mesh.glb import Glb
 from vrcaps.organ.arrays import json_safe, organ_to_arrays
-from vrcaps.organ.compact_textures import (
-    MOST_NORMALS,
-    RELIEF_STEP,
-    albedo_webp,
-    normals_webp,
-    relief_webp,
-    roughness_webp,
-    webp_fits,
-)
+from vrcaps.organ.compact_textures import RELIEF_STEP, compact_files, webp_fits
 from vrcaps.organ.gltf_material import material_json, relief_scale, texture_images
 from vrcaps.organ.surface import HEIGHT_STEP
 from vrcaps.transforms import rotate_vectors, transform_points
@@ -175,15 +167,12 @@ def _add_webps(
     glb: Glb, look: Appearance, scale: tuple[float, float]
 ) -> tuple[list[dict[str, Any]], dict[str, Any] | None]:
     """What `_add_images` does, in little space."""
-    albedo, roughness, normals = texture_images(look, scale, MOST_NORMALS)
-    files = (albedo_webp(albedo), roughness_webp(roughness), normals_webp(normals))
-    views = [glb.add_bytes(file, {}) for file in files]
-    images = [{"bufferView": view, "mimeType": "image/webp"} for view in views]
-    relief = relief_webp(look.height)  # one after the other: each takes much memory
-    if relief is None:
-        return images, None
-    entry = {"step": RELIEF_STEP, "mimeType": "image/webp"}
-    return images, {"bufferView": glb.add_bytes(relief, {}), **entry}
+    files = compact_files(look, scale)
+    views = {name: glb.add_bytes(file, {}) for name, file in files.items()}
+    relief = views.pop("relief", None)
+    images = [{"bufferView": view, "mimeType": "image/webp"} for view in views.values()]
+    entry = {"bufferView": relief, "step": RELIEF_STEP, "mimeType": "image/webp"}
+    return images, None if relief is None else entry
 
 
 def _add_own(

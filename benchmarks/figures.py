@@ -31,6 +31,10 @@ BLENDER = os.environ.get("BLENDER_PYTHON", "")
 """A Python that has bpy; without it the section about Cycles stays as it is."""
 
 
+LEROBOT = os.environ.get("LEROBOT_PYTHON", "")
+"""A Python that has lerobot; without it the section about its loader stays as it is."""
+
+
 @dataclass(frozen=True)
 class Figure:
     """A command that measures one section.
@@ -86,8 +90,9 @@ FIGURES = (
     *_scripts("validate_lesion_sizes validate_resume validate_exactly_once"),
     *_scripts("validate_lesions validate_light validate_moving_labels validate_path"),
     *_scripts("validate_placing validate_sensor validate_located_steering"),
+    *([Figure("benchmarks/validate_lerobot.py", ("--python", LEROBOT))] * bool(LEROBOT)),
 )
-KEPT = ("benchmarks/speed_cycles.py",)
+KEPT = ("benchmarks/speed_cycles.py", "benchmarks/validate_lerobot.py")
 """Sections that stay where what they need is absent; they state the sources they were made from."""
 
 

@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -171,3 +172,27 @@ def test_bad_input_is_one_clear_line(sequences, exported, tmp_path):
     (broken / "meta/info.json").write_text("no json")
     with pytest.raises(InputError, match="Cannot read"):
         LeRobot().read(broken)
+
+
+def test_damaged_images_are_one_clear_line(sequences, exported, tmp_path):
+    import shutil
+
+    broken = shutil.copytree(exported, tmp_path / "broken")
+    table = pq.read_table(broken / FRAMES)
+    column = pa.array([{"bytes": b"nothing", "path": ""}] * 5, table.schema.field(FRONT).type)
+    place = table.schema.get_field_index(FRONT)
+    pq.write_table(table.set_column(place, table.schema.field(FRONT), column), broken / FRAMES)
+    with pytest.raises(InputError, match="Cannot read image 2 of observation"):
+        LeRobot().read(broken)[0].image("rgb", 2)
+    out = export(LeRobot(), sequences[:1], tmp_path / "films")
+    (found,) = LeRobot().read(out)
+    (film,) = out.rglob("*.mp4")
+    whole = film.read_bytes()
+    film.write_bytes(b"nothing")
+    with pytest.raises(InputError, match=r"Cannot read .*\.mp4"):
+        found.image("rgb", 0)
+    film.write_bytes(whole)
+    info = json.loads((out / "meta/info.json").read_text()) | {"fps": 0.1}
+    (out / "meta/info.json").write_text(json.dumps(info))
+    with pytest.raises(InputError, match=r"has no frame at 30\.0000 s"):
+        LeRobot().read(out)[0].image("rgb", 3)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Iterator, Mapping
 from functools import lru_cache, partial
@@ -15,6 +14,7 @@ from vrcaps.errors import InputError
 from vrcaps.formats.lerobot import DEPTH, EPISODES, IMAGES, INFO, NAMES
 from vrcaps.formats.lerobot_rows import STATE
 from vrcaps.formats.lerobot_tables import read_rows
+from vrcaps.formats.stored_images import decoded_rgb
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.recording.layout import camera_from_plain
 from vrcaps.recording.table import POSE_COLUMNS
@@ -119,7 +119,10 @@ def _load(
         depth = _column(table, key.replace(IMAGES, DEPTH))[places[index]].values.flatten()
         return depth.to_numpy().reshape(info["features"][key.replace(IMAGES, DEPTH)]["shape"])
     if info["features"][key]["dtype"] == "image":
-        return _decoded(_column(table, key)[places[index]]["bytes"].as_py())
+        try:
+            return decoded_rgb(_column(table, key)[places[index]]["bytes"].as_py())
+        except OSError as error:
+            raise InputError(f"Cannot read image {index} of {key} in {table}: {error}.") from error
     place = {name: row[f"videos/{key}/{name}"] for name in ("chunk_index", "file_index")}
     path = folder / info["video_path"].format(video_key=key, **place)
     return _film_frame(path, row[f"videos/{key}/from_timestamp"] + index / info["fps"])
@@ -135,13 +138,6 @@ def _column(path: Path, name: str) -> Any:
             return file.read([name]).column(0)
     except (OSError, pa.ArrowException) as error:
         raise InputError(f"Cannot read {path}: {error}.") from error
-
-
-def _decoded(data: bytes) -> NDArray:
-    from PIL import Image
-
-    with Image.open(io.BytesIO(data)) as image:
-        return np.asarray(image.convert("RGB"))
 
 
 def _film_frame(path: Path, time: float) -> NDArray:

@@ -29,12 +29,11 @@ from vrcaps.formats import foxglove_schemas as foxglove
 from vrcaps.formats.folders import recordings, split_of
 from vrcaps.formats.format import Needs
 from vrcaps.formats.opencv_lens import OPENCV_LENSES
-from vrcaps.formats.stored_images import jpeg_bytes
+from vrcaps.formats.stored_images import decoded_rgb, jpeg_bytes
 from vrcaps.limits import Range, check_fields
 from vrcaps.motion.dynamics_columns import MAGNET_COLUMNS
 from vrcaps.organ.arrays import json_safe
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
-from vrcaps.recording.image_files import decode_image
 from vrcaps.recording.layout import camera_from_plain, camera_to_plain
 from vrcaps.recording.table import POSE_COLUMNS
 from vrcaps.render.channels import CHANNELS
@@ -335,17 +334,6 @@ def _load(path: Path, camera: str, times: Sequence[int], channel: str, index: in
             raise ValueError(f"it has no {topic} at {ns} ns")
         message = json.loads(found[2].data)
         if channel == "rgb":
-            return _decoded(base64.b64decode(message["data"]), message["format"])
+            return decoded_rgb(base64.b64decode(message["data"]))
         values = foxglove.values_of(message)
         return values > 0 if CHANNELS[channel].encoding.is_mask else values
-
-
-def _decoded(data: bytes, kind: str) -> NDArray:
-    if kind == "png":
-        return decode_image(data, ".png")
-    import io
-
-    from PIL import Image
-
-    with Image.open(io.BytesIO(data)) as image:
-        return np.asarray(image.convert("RGB"))

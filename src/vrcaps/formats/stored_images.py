@@ -36,6 +36,18 @@ def read_rgb(path: Path) -> NDArray:
     return np.ascontiguousarray(stored[..., :3])
 
 
+def decoded_rgb(data: bytes) -> NDArray:
+    """Color image [h w 3] of 8 bits, given as the bytes of a PNG or JPEG.
+
+    Raises:
+        OSError: If they are no such file.
+    """
+    from PIL import Image
+
+    with Image.open(io.BytesIO(data)) as image:
+        return np.asarray(image.convert("RGB"))
+
+
 def read_numbers(path: Path) -> NDArray:
     """Stored numbers [h w] or [h w c], planes in the order red, green, blue.
 

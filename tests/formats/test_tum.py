@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from ellipsoid_sequence import ellipsoid_sequence
+from vrcaps.camera.lens import LensPinhole
 from vrcaps.errors import InputError
 from vrcaps.formats.export import export
 from vrcaps.formats.tum import Tum
@@ -58,3 +60,30 @@ def test_evo_reads_the_same_trajectory(pinhole_episode, tmp_path, monkeypatch):
     error = metrics.APE(metrics.PoseRelation.full_transformation)
     error.process_data((truth, read))
     assert error.get_statistic(metrics.StatisticsType.max) < 1e-10
+
+
+def test_depth_and_poses_of_other_times_are_those_nearest(tmp_path):
+    """As the real sequences: lists of other lengths and times, in seconds since 1970."""
+    sequence = ellipsoid_sequence(LensPinhole(fx=25.0, fy=24.0, cx=20.25, cy=17.5), 40, 36)
+    (place,) = export(Tum(), [sequence], tmp_path / "out").iterdir()
+    start = 1305031102.175304
+
+    def shift(name, offset, keep):
+        rows = [line.split(" ", 1) for line in (place / name).read_text().splitlines()]
+        lines = [f"{start + float(rows[k][0]) + offset:.6f} {rows[k][1]}" for k in keep]
+        (place / name).write_text("# of another program\n" + "\n".join(lines) + "\n")
+
+    shift("rgb.txt", 0.0, range(5))
+    shift("depth.txt", 0.011, (1, 2, 4))
+    shift("groundtruth.txt", -0.004, (0, 1, 3, 4))
+    (found,) = Tum().read(place)
+    np.testing.assert_allclose(found.times, start + sequence.times[[1, 4]], atol=1e-5)
+    for index, frame in enumerate((1, 4)):
+        np.testing.assert_array_equal(found.image("rgb", index), sequence.image("rgb", frame))
+        depth = sequence.image("depth", frame)
+        np.testing.assert_allclose(found.image("depth", index), depth, atol=1.1e-4)
+        pose = sequence.Ts_world_camera[frame]
+        np.testing.assert_allclose(found.Ts_world_camera[index], pose, atol=1e-9)
+    (place / "groundtruth.txt").write_text("9.0 0 0 0 0 0 0 1\n")
+    with pytest.raises(InputError, match="no image with depth and pose within 20 ms"):
+        Tum().read(place)

@@ -20,6 +20,7 @@ from vrcaps.errors import InputError
 from vrcaps.files import write_bytes
 from vrcaps.formats.folders import each_folder, found_folders, read_rows
 from vrcaps.formats.format import Needs
+from vrcaps.formats.timed_rows import nearest_rows
 from vrcaps.limits import Range, check_fields
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.recording.image_files import read_image, write_images
@@ -74,7 +75,9 @@ class Tum:
             write_bytes(place / _CALIBRATION, _calibration_text(sequence).encode())
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
-        """The sequences of a folder; images take the pose of their own time.
+        """The sequences of a folder; a color image takes depth and pose nearest to it in time.
+
+        Those without one within 20 ms are left out, as by the tools of TUM RGB-D.
 
         Raises:
             InputError: If it is not in this layout.
@@ -90,14 +93,22 @@ class Tum:
         lists = {name: rows for name, rows in lists.items() if rows}
         if "rgb" not in lists:
             raise InputError(f"{place} has no rgb.txt, so it is no TUM RGB-D sequence.")
-        times = np.array([time for time, _ in lists["rgb"]])
+        times = {name: np.array([time for time, _ in rows]) for name, rows in lists.items()}
         rows = read_rows(place / _TRUTH, 8)
-        nearest = np.abs(rows[:, 0][None] - times[:, None]).argmin(axis=1)
-        paths = {name: [place / path for _, path in found] for name, found in lists.items()}
+        nearest = {name: nearest_rows(times["rgb"], found) for name, found in times.items()}
+        nearest["pose"] = nearest_rows(times["rgb"], rows[:, 0])
+        kept = np.flatnonzero(np.min(list(nearest.values()), axis=0) >= 0)
+        if len(kept) == 0:
+            raise InputError(f"{place} has no image with depth and pose within 20 ms of it.")
+        paths = {
+            name: [place / found[k][1] for k in nearest[name][kept]]
+            for name, found in lists.items()
+        }
+        poses = poses_of(rows[nearest["pose"][kept]])
         return FrameSequence(
             place.name,
             tuple(lists),
-            {TIME: times, CAMERA_POSE: poses_of(rows[nearest])},
+            {TIME: times["rgb"][kept], CAMERA_POSE: poses},
             partial(_load, paths, self.depth_scale),
             _read_camera(place / _CALIBRATION, paths["rgb"][0]),
             split=split,

@@ -67,6 +67,26 @@ def test_says_when_the_arm_could_not_carry_the_magnet(gut_model):
     assert "6.2 kg, but arm panda may carry 3 kg" in note
 
 
+def test_an_arm_that_was_jogged_to_its_limit_comes_back(gut_model):
+    """Beyond reach it stands, whatever else is asked of it there; the way it came is free."""
+    still = (JoystickCommand(0.0),)
+    run = simulate(gut_model, MagnetSteering(arm="panda", standoff=0.1, joystick=still))
+    assert run.program is not None
+    controller = run.program.controller
+
+    def jog(axis: float, steps: int) -> float:
+        for _ in range(steps):
+            controller.jog((axis, 0, 0), (0, 0, 0), 0.01, speed=0.1, angular_speed=0.5)
+        return float(controller.status.actuator.T_world_magnet[0, 3])
+
+    start = jog(0.0, 1)
+    far = jog(1.0, 600)
+    assert controller.status.actuator.limit == "unreachable"
+    assert far - start < 0.5
+    assert jog(-1.0, 300) < far - 0.2
+    assert controller.status.actuator.limit in ("", "speed")
+
+
 @pytest.mark.slow
 def test_the_capsule_is_led_by_its_located_pose(gut_model):
     """The table has the estimate beside the true pose; the capsule still comes where it shall."""

@@ -45,6 +45,8 @@ _FOLLOWS = 0.5
 """Distance from the reference, in lookaheads, within which a capsule follows."""
 _LAGS = 0.9
 """Distance from the reference, in lookaheads, beyond which a capsule lags."""
+_BLOCKED_LEAD = 5.0 * CM
+"""Largest lead [m] of the requested pose over a jogged magnet that cannot go on."""
 _MAX_PULL = 4.0
 """Largest pull along the magnet's axis, in multiples of the supported force."""
 _FIRST_ITERATIONS = 60
@@ -278,9 +280,10 @@ class MagnetController:
         pose[:3, :3] = rotate_by_vector(angular_speed * dt * axes[3:], pose[:3, :3])
         requested = self.actuator.workspace.clamp_pose(pose)
         state = self.actuator.move(self.status.actuator, requested, dt)
-        # A pose that the actuator cannot reach is not asked of it later.
-        is_blocked = state.limit in ("unreachable", "collision")
-        self._requested = state.T_world_magnet if is_blocked else requested
+        if state.limit in ("unreachable", "collision"):
+            at = state.T_world_magnet[:3, 3]
+            requested[:3, 3] = at + clamp_norm(requested[:3, 3] - at, _BLOCKED_LEAD)
+        self._requested = requested
         self.status = replace(self.status, actuator=state)
         return self._command(state)
 
@@ -292,10 +295,10 @@ class MagnetController:
     def to_array(self) -> Float[np.ndarray, " q"]:
         """All state of the controller, for `restore`."""
         state = self.status.actuator
-        parts = (state.T_world_magnet, state.velocity, state.joint_angles)
-        parts += (self._requested, self._reference, self._integral)
-        scalars = [self._max_torque, self._stall_time, self._sliding_speed]
-        return np.concatenate([*(np.ravel(part) for part in parts), scalars])
+        parts = [state.T_world_magnet, state.velocity, state.joint_angles]
+        parts += [self._requested, self._reference, self._integral]
+        parts += [np.array([self._max_torque, self._stall_time, self._sliding_speed])]
+        return np.concatenate([np.ravel(part) for part in parts])
 
     def restore(self, saved: Float[np.ndarray, " q"]) -> None:
         """Sets the state that `to_array` gave."""

@@ -38,6 +38,9 @@ _ON_TIME = 0.95
 _LONGEST_REST = 0.4
 """Longest pause [s] between images while the simulation is late."""
 
+_SHORTEST = 1.0 / 30.0
+"""Shortest time [s] from image to image."""
+
 _PATIENCE = 0.005
 """How long [s] to wait before a new view is looked for."""
 
@@ -125,6 +128,7 @@ class CameraImages:
             if view is None or (view.number, look) == shown:
                 wall_clock.sleep(_PATIENCE)
                 continue
+            begin = wall_clock.perf_counter()
             try:
                 self._on_image(self.image(view, look))
                 working = look
@@ -134,6 +138,7 @@ class CameraImages:
             shown = (view.number, look)
             self._measure()
             self._rest_while_late()
+            wall_clock.sleep(max(0.0, begin + _SHORTEST - wall_clock.perf_counter()))
 
     def image(self, view: View, look: Look) -> LiveImage:
         """A view, seen by the camera.

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _FRONT_COLOR, _BODY_COLOR = (70, 150, 255), (240, 240, 245)
 _TABLE_COLOR = (120, 132, 145)
 _TABLE_SIZE = (1.2, 0.6)
-_FROM = (0.25, -1.25, 0.45)
+_FROM = (0.2, -1.05, 0.4)
 """Where one looks from at first, in sizes of what is seen."""
 
 

@@ -49,7 +49,12 @@ class SeenWall:
         return (self._flags[last - count : last] & self._bit) > 0
 
     def see(self, view: View) -> None:
-        """Adds what the cameras see now; after a return only the frames before it count."""
+        """Adds what the cameras see now; after a return only the frames before it count.
+
+        What they see while the capsule settles, before the first frame, does not count.
+        """
+        if view.state.time < 0.0:
+            return
         if view.frame < self._frame:
             self._forget()
             for pose in self._session.poses:

@@ -21,7 +21,7 @@ _SHOWN = 60.0
 _SPACING = 0.1
 """Simulated time [s] between points."""
 _SECONDS_PER_UPDATE = 0.5
-_HEIGHT = 96
+_HEIGHT = 120
 
 
 @dataclass(frozen=True)
@@ -82,6 +82,7 @@ class ChartPanel:
                     ),
                     title=each.title,
                     height=_HEIGHT,
+                    scales={"x": uplot.Scale(time=False)},
                     legend=uplot.Legend(show=False),
                 )
                 for each in QUANTITIES

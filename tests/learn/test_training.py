@@ -34,12 +34,12 @@ def test_loss_of_the_truth_is_zero_and_its_gradient_is_right():
     sample["depth"][:4] = np.nan
     batch = {"depth": torch.from_numpy(sample["depth"][None]).double()}
     exact = torch.log(torch.nan_to_num(batch["depth"], nan=1.0) / 0.03)[:, None]
-    assert float(DEPTH.loss(exact, batch)["loss"]) == pytest.approx(0.0, abs=1e-12)
+    assert float(DEPTH.output_loss(exact, batch)["loss"]) == pytest.approx(0.0, abs=1e-12)
     np.testing.assert_allclose(depth_of(exact[0].numpy())[4:], sample["depth"][4:], rtol=1e-6)
     small = {"depth": batch["depth"][:, 2:10, :8]}
     guess = (exact[:, :, 2:10, :8] + 0.1 * torch.randn(1, 1, 8, 8, dtype=torch.float64)).detach()
     guess.requires_grad_(True)
-    assert torch.autograd.gradcheck(lambda x: DEPTH.loss(x, small)["loss"], guess)
+    assert torch.autograd.gradcheck(lambda x: DEPTH.output_loss(x, small)["loss"], guess)
 
 
 def test_loss_of_masks_ignores_what_lies_beyond_the_image():
@@ -49,10 +49,10 @@ def test_loss_of_masks_ignores_what_lies_beyond_the_image():
     output = torch.randn(1, 1, 32, 32)
     other = output.clone()
     other[..., 24:, :] = 9.0
-    losses = [float(learner.loss(x, {"mask": mask})["loss"]) for x in (output, other)]
+    losses = [float(learner.output_loss(x, {"mask": mask})["loss"]) for x in (output, other)]
     assert losses[0] == pytest.approx(losses[1])
     exact = torch.where(mask == 1, 40.0, -40.0)
-    assert float(learner.loss(exact, {"mask": mask})["loss"]) == pytest.approx(0.0, abs=1e-4)
+    assert float(learner.output_loss(exact, {"mask": mask})["loss"]) == pytest.approx(0.0, abs=1e-4)
 
 
 def test_cue_of_the_light_is_the_logarithm_of_distance():
@@ -111,7 +111,7 @@ def test_training_that_was_cut_off_ends_in_the_same_bytes(tmp_path):
         _train(learner, tmp_path / "cut", report=kill, steps=4)
     resumed = _train(learner, tmp_path / "cut", steps=4)
     assert (tmp_path / "cut" / BEST).read_bytes() == (tmp_path / "whole" / BEST).read_bytes()
-    figures = [[row["loss"] for row in progress.rows] for progress in (whole, resumed)]
+    figures = [[row["training_loss"] for row in progress.rows] for progress in (whole, resumed)]
     assert figures[0] == figures[1]
     assert list((tmp_path / "cut" / "pictures").glob("*.png"))
 

@@ -25,6 +25,7 @@ _TASKS = {
     "masks": "masks of lesions",
     "classes": "classes of images",
     "super-resolution": "images of more pixels",
+    "sfm": "depth and motion without labels",
 }
 """Tasks of learners; `tests/cli` holds them against the registry, which loads more."""
 

@@ -80,7 +80,7 @@ class _Train:
                 show(progress.step, progress.total)
                 for row in progress.rows[told:]:
                     console.print(
-                        f"step {row['step']:,.0f}: loss {row['loss']:.4f}, {figure} "
+                        f"step {row['step']:,.0f}: loss {row['training_loss']:.4f}, {figure} "
                         f"{row[figure]:.4f} (best {progress.best:.4f})"
                     )
                 told = len(progress.rows)

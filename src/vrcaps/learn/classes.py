@@ -10,7 +10,7 @@ import numpy as np
 
 from vrcaps.errors import InputError, require
 from vrcaps.learn.fit import Fit
-from vrcaps.learn.learner import Batch, Figure, Sample, mirrored, with_gain
+from vrcaps.learn.learner import Batch, Figure, Sample, mirrored, outputs_of, with_gain
 from vrcaps.learn.networks import ENCODER, classifier, require_torch
 from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.classification import accuracy, confusion_matrix, f1_scores, matthews, roc_auc
@@ -100,9 +100,9 @@ class ClassLearner:
         """A network from batches to logits [b c]."""
         return _network_class()(self.encoder, len(self.classes), is_pretrained, self.dropout)
 
-    def loss(self, output: Any, batch: Batch) -> dict[str, Any]:
+    def loss(self, network: Any, batch: Batch) -> dict[str, Any]:
         """Cross entropy."""
-        torch = require_torch()
+        torch, output = require_torch(), outputs_of(network, self, batch)
         return {"loss": torch.nn.functional.cross_entropy(output, batch["class"].long())}
 
     def scores(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:

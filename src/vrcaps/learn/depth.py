@@ -20,7 +20,7 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.learn.fit import Fit, require_size
-from vrcaps.learn.learner import Batch, Figure, Sample, flip, with_gain
+from vrcaps.learn.learner import Batch, Figure, Sample, flip, outputs_of, with_gain
 from vrcaps.learn.networks import ENCODER, dense_network, require_torch
 from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.depth import depth_errors, mean_depth_errors
@@ -110,8 +110,12 @@ class DepthLearner:
         """A network from batches to ln(depth / 30 mm) [b 1 s s]."""
         return _network_class()(self.encoder, self.has_light_cue, is_pretrained)
 
-    def loss(self, output: Any, batch: Batch) -> dict[str, Any]:
+    def loss(self, network: Any, batch: Batch) -> dict[str, Any]:
         """Terms over the pixels that have a true depth."""
+        return self.output_loss(outputs_of(network, self, batch), batch)
+
+    def output_loss(self, output: Any, batch: Batch) -> dict[str, Any]:
+        """The loss of an output [b 1 s s]."""
         torch = require_torch()
         truth = batch["depth"]
         valid = torch.isfinite(truth) & (truth > 0.0)
@@ -140,15 +144,7 @@ class DepthLearner:
 
     def picture(self, output: NDArray, sample: Sample) -> UInt8[np.ndarray, "s k 3"]:
         """Image, true depth and estimated depth in one color scale."""
-        from matplotlib import colormaps
-
-        maps = [depth_of(output)]
-        if "depth" in sample:
-            maps.insert(0, sample["depth"])
-        low, high = np.nanpercentile(np.stack(maps), [1.0, 99.0])
-        shown = [(m - low) / max(high - low, 1e-9) for m in maps]
-        colored = [(colormaps["turbo"](m)[..., :3] * 255.0).astype(np.uint8) for m in shown]
-        return np.concatenate([sample["image"], *colored], axis=1)
+        return depth_picture(depth_of(output), sample)
 
     def files(self, output: NDArray, fit: Fit) -> Mapping[str, NDArray]:
         """Depth in 16 bits, in steps of 10 µm as in an episode."""
@@ -162,6 +158,17 @@ class DepthLearner:
 def depth_of(output: Float[np.ndarray, "1 s s"]) -> Float[np.ndarray, "s s"]:
     """Depth [m] of a network's output."""
     return _MIDDLE * np.exp(output[0])
+
+
+def depth_picture(depth: Float[np.ndarray, "s s"], sample: Sample) -> UInt8[np.ndarray, "s k 3"]:
+    """Image, true depth if it is known, and estimated depth in one color scale."""
+    from matplotlib import colormaps
+
+    maps = [sample["depth"], depth] if "depth" in sample else [depth]
+    low, high = np.nanpercentile(np.stack(maps), [1.0, 99.0])
+    shown = [(one - low) / max(high - low, 1e-9) for one in maps]
+    colored = [(colormaps["turbo"](one)[..., :3] * 255.0).astype(np.uint8) for one in shown]
+    return np.concatenate([sample["image"], *colored], axis=1)
 
 
 def light_cue(image: Any) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -61,6 +61,14 @@ class Fit:
         rows = ((np.arange(height) + 0.5) * self.height / height).astype(int)
         columns = ((np.arange(width) + 0.5) * self.width / width).astype(int)
         return np.stack(np.meshgrid(columns, rows), axis=-1)
+
+    def to_square(self, pixels: Any) -> Any:
+        """Pixels of the image [... 2] (column, row) as pixels of the square; arrays or tensors."""
+        height, width = self.shape
+        rows, columns = self.place
+        column = (pixels[..., 0] + 0.5) * (width / self.width) - 0.5 + columns.start
+        row = (pixels[..., 1] + 0.5) * (height / self.height) - 0.5 + rows.start
+        return column, row
 
     def image(self, image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "s s 3"]:
         """A color image in the square, black around it; averaged where it shrinks."""

@@ -16,10 +16,11 @@ if TYPE_CHECKING:
 
     from vrcaps.learn.fit import Fit
 
-Sample = dict[str, "NDArray"]
-"""Arrays of one frame at the network's size; `image` is uint8 [s s 3]."""
+Sample = dict[str, Any]
+"""Arrays of one frame at the network's size; `image` is uint8 [s s 3]. What is no array is for the
+loss only."""
 Batch = dict[str, Any]
-"""Tensors [b c s s] or [b ...] of samples of one size."""
+"""Tensors [b c s s] or [b ...] of samples of one size; lists of what is no array."""
 
 
 @dataclass(frozen=True)
@@ -88,8 +89,8 @@ class Learner(Protocol):
         """
         ...
 
-    def loss(self, output: Any, batch: Batch) -> dict[str, Any]:
-        """Terms of the loss; `loss` is their sum."""
+    def loss(self, network: Any, batch: Batch) -> dict[str, Any]:
+        """Terms of the loss of a network on a batch; `loss` is their sum."""
         ...
 
     def scores(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
@@ -120,7 +121,7 @@ class Learner(Protocol):
 def flip(sample: Sample, axis: int) -> Sample:
     """All maps of a sample mirrored along columns (axis 1) or rows (axis 0)."""
     return {
-        name: np.flip(array, axis).copy() if np.ndim(array) >= 2 else array
+        name: np.flip(array, axis).copy() if getattr(array, "ndim", 0) >= 2 else array
         for name, array in sample.items()
     }
 
@@ -140,3 +141,8 @@ def with_gain(
     table = np.arange(256)[:, None] / 255.0
     changed = np.clip(255.0 * gain * table**gamma + 0.5, 0, 255).astype(np.uint8)
     return np.stack([changed[image[..., k], k] for k in range(3)], axis=-1)
+
+
+def outputs_of(network: Any, learner: Learner, batch: Batch) -> Any:
+    """Output of a network, in 32 bits, whatever it computed in."""
+    return network(*(batch[name] for name in learner.input_names)).float()

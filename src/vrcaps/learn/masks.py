@@ -14,7 +14,7 @@ import numpy as np
 
 from vrcaps.errors import InputError, require
 from vrcaps.learn.fit import Fit, require_size
-from vrcaps.learn.learner import Batch, Figure, Sample, mirrored, with_gain
+from vrcaps.learn.learner import Batch, Figure, Sample, mirrored, outputs_of, with_gain
 from vrcaps.learn.networks import ENCODER, dense_network, require_torch
 from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.masks import boundary_f_score, dice, iou
@@ -113,8 +113,12 @@ class MaskLearner:
         """A network from batches to logits [b c s s]."""
         return _network_class()(self.encoder, len(self.classes), is_pretrained)
 
-    def loss(self, output: Any, batch: Batch) -> dict[str, Any]:
+    def loss(self, network: Any, batch: Batch) -> dict[str, Any]:
         """Cross entropy and Dice over the pixels of the images."""
+        return self.output_loss(outputs_of(network, self, batch), batch)
+
+    def output_loss(self, output: Any, batch: Batch) -> dict[str, Any]:
+        """The loss of an output [b c s s]."""
         torch = require_torch()
         truth = batch["mask"]
         known = (truth != _UNKNOWN).float()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from copy import copy
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +94,28 @@ def classifier(encoder: str, outputs: int, *, is_pretrained: bool, dropout: floa
         own = network.state_dict()
         kept = {k: v for k, v in imagenet_weights().items() if own[k].shape == v.shape}
         network.load_state_dict(kept, strict=False)
+    return network
+
+
+def motion_network(encoder: str, *, is_pretrained: bool) -> Any:
+    """A network from two color images [b 6 s s] from −1 to 1 to six numbers [b 6].
+
+    Raises:
+        UnknownNameError: If timm has no such encoder.
+        InputError: If its ImageNet weights cannot be fetched.
+        MissingExtraError: If a package is not installed.
+    """
+    network = classifier(encoder, 6, is_pretrained=is_pretrained, dropout=0.0)
+    torch = require_torch()
+    name, stem = next(
+        (name, one) for name, one in network.named_modules() if isinstance(one, torch.nn.Conv2d)
+    )
+    wide = copy(stem)
+    # Each image by the weights of one, halved, so that features keep their size.
+    wide.weight = torch.nn.Parameter(0.5 * torch.cat([stem.weight, stem.weight], dim=1).detach())
+    wide.in_channels = 6
+    parent, _, last = name.rpartition(".")
+    setattr(network.get_submodule(parent), last, wide)
     return network
 
 

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.errors import InputError
-from vrcaps.files import write_csv
+from vrcaps.files import write_bytes, write_csv
+from vrcaps.formats.tum import trajectory_text
 from vrcaps.learn.fit import Fit
 from vrcaps.learn.samples import batch_of
+from vrcaps.learn.sfm import SfmLearner, estimated_trajectory
 from vrcaps.learn.sources import read_source
 from vrcaps.learn.validation import below_one_another
 from vrcaps.learn.weights import Trained
@@ -53,7 +55,8 @@ def predict(
 ) -> dict[str, str]:
     """Write the estimate of each image: maps of its size, or a row of a table.
 
-    `sheet.png` shows some of them.
+    `sheet.png` shows some of them. A learner of motion writes `trajectory.txt` for each sequence,
+    in the form of TUM.
 
     Args:
         trained: Learner and network.
@@ -94,6 +97,10 @@ def predict(
         progress(number + 1, len(frames))
     if not rows:
         raise InputError(f"No image can be read: {next(iter(skipped.values()), 'there is none')}")
+    if isinstance(trained.learner, SfmLearner):
+        for sequence in sequences:
+            text = trajectory_text(estimated_trajectory(trained, sequence))
+            write_bytes(out / sequence.name / "trajectory.txt", text.encode())
     if len(rows[0]) > 1:
         write_csv(out / f"{trained.learner.kind}.csv", rows)
     write_images([(out / "sheet.png", below_one_another(pictures))])

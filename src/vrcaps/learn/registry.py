@@ -6,13 +6,16 @@ from vrcaps.errors import UnknownNameError
 from vrcaps.learn.classes import ClassLearner
 from vrcaps.learn.depth import DepthLearner
 from vrcaps.learn.masks import MaskLearner
+from vrcaps.learn.sfm import SfmLearner
 from vrcaps.learn.super_resolution import SuperResolutionLearner
 
-AnyLearner: TypeAlias = DepthLearner | MaskLearner | ClassLearner | SuperResolutionLearner
+AnyLearner: TypeAlias = (
+    DepthLearner | MaskLearner | ClassLearner | SuperResolutionLearner | SfmLearner
+)
 
 LEARNERS: dict[str, type[AnyLearner]] = {
     learner.kind: learner
-    for learner in (DepthLearner, MaskLearner, ClassLearner, SuperResolutionLearner)
+    for learner in (DepthLearner, MaskLearner, ClassLearner, SuperResolutionLearner, SfmLearner)
 }
 """Learners by the names of their tasks."""
 

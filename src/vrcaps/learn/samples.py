@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from jaxtyping import Int
 
 _KEPT_BYTES = 4 * 10**9
+_IMAGES = ("image", "before", "after")
 _HELD_OUT = 0.2
 """Share of frames that is held out where the data has no split of its own."""
 
@@ -54,7 +55,7 @@ class Samples:
         except (InputError, OSError) as error:
             self.skipped[name] = str(error)
             return None
-        size = sum(array.nbytes for array in sample.values())
+        size = sum(getattr(array, "nbytes", 0) for array in sample.values())
         if self._num_bytes + size <= _KEPT_BYTES:
             self._num_bytes += size
             self._kept[number] = sample
@@ -132,10 +133,13 @@ def batch_of(samples: Sequence[Sample], device: str = "cpu") -> Batch:
     torch = require_torch()
 
     def tensor(name: str) -> Any:
-        stacked = np.stack([sample[name] for sample in samples])
+        values = [sample[name] for sample in samples]
+        if not isinstance(values[0], np.ndarray):
+            return values
+        stacked = np.stack(values)
         if stacked.ndim == 4:
             stacked = np.ascontiguousarray(np.moveaxis(stacked, -1, 1))
         found = torch.from_numpy(stacked).to(device)
-        return found.float() / 255.0 if name == "image" else found
+        return found.float() / 255.0 if name in _IMAGES else found
 
     return {name: tensor(name) for name in samples[0]}

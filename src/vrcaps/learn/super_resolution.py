@@ -15,7 +15,7 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.learn.fit import Fit
-from vrcaps.learn.learner import Batch, Figure, Sample, mirrored, with_gain
+from vrcaps.learn.learner import Batch, Figure, Sample, mirrored, outputs_of, with_gain
 from vrcaps.learn.networks import require_torch
 from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.image_quality import psnr, ssim
@@ -102,8 +102,9 @@ class SuperResolutionLearner:
         """A network from images [b 3 h w] to images [b 3 fh fw]; it has no ImageNet weights."""
         return _network_class()(self.factor, self.blocks, self.features)
 
-    def loss(self, output: Any, batch: Batch) -> dict[str, Any]:
+    def loss(self, network: Any, batch: Batch) -> dict[str, Any]:
         """Mean absolute difference."""
+        output = outputs_of(network, self, batch)
         return {"loss": (output - batch["truth"].float() / _LARGEST).abs().mean()}
 
     def scores(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:

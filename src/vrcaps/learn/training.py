@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -138,7 +139,8 @@ def train(
     plain["frames"] = [len(samples), len(validation)]
     begin_training(out, plain, _PACKAGES, is_forced=is_forced)
     samples = samples.subset(settings.fraction, settings.seed)
-    with exact_torch(machine.threads):
+    # Some of what learners need has no exact form on a GPU.
+    with exact_torch(machine.threads) if device == "cpu" else nullcontext():
         run = _Run(settings, samples, validation, out, device)
         writer = _writer(out / "tensorboard") if tensorboard else None
         report(run.progress)
@@ -204,8 +206,7 @@ class _Run:
         self.network.train()
         batch = batch_of(self._samples_of(number), self.device)
         with torch.autocast(self.device.split(":")[0], torch.bfloat16, self.device != "cpu"):
-            output = self.network(*(batch[name] for name in self.learner.input_names))
-        loss = self.learner.loss(output.float(), batch)["loss"]
+            loss = self.learner.loss(self.network, batch)["loss"]
         value = loss.item()
         if not math.isfinite(value):
             raise InputError(
@@ -233,7 +234,7 @@ class _Run:
         value, progress = found.scores[self.learner.figure.name], self.progress
         row = {
             "step": float(progress.step),
-            "loss": float(np.mean(self._losses)),
+            "training_loss": float(np.mean(self._losses)),
             **found.scores,
             "skipped": float(len(self.samples.skipped) + len(self.validation.skipped)),
             "seconds": time.perf_counter() - self._began,

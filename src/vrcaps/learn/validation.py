@@ -53,10 +53,16 @@ def validate(trained: Trained, samples: Samples, most: int | None = None) -> Fou
         samples.next(0)  # says why
     is_one_size = len({sample["image"].shape for sample in known}) == 1
     step = _BATCH if is_one_size else 1
-    outputs: list[NDArray] = []
+    learner, outputs, losses = trained.learner, [], []
     for first in range(0, len(known), step):
-        outputs.extend(trained(batch_of(known[first : first + step])))
-    return Found(trained.learner.scores(outputs, known), outputs, known)
+        batch = batch_of(known[first : first + step], trained.device)
+        outputs.extend(trained(batch))
+        if learner.figure.name == "loss":
+            losses.append(trained.loss(batch))
+    scores = dict(learner.scores(outputs, known))
+    if losses:
+        scores["loss"] = float(np.mean(losses))
+    return Found(scores, outputs, known)
 
 
 def write_pictures(path: Path, learner: Learner, found: Found) -> UInt8[np.ndarray, "h w 3"]:

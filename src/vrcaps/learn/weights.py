@@ -42,6 +42,11 @@ class Trained:
             given = (inputs[name].to(self.device) for name in self.learner.input_names)
             return self.network(*given).float().cpu().numpy()
 
+    def loss(self, batch: dict[str, Any]) -> float:
+        """The learner's loss on a batch."""
+        with require_torch().inference_mode():
+            return float(self.learner.loss(self.network, batch)["loss"])
+
 
 def write_weights(path: Path, learner: AnyLearner, network: Any, about: dict[str, Any]) -> None:
     """Write a network's weights, whole or not at all.

@@ -1,0 +1,224 @@
+"""Depth and motion of the camera, learned from video without any labels.
+
+A frame is predicted from its neighbors: its estimated distances make points, the estimated motion
+moves them, the lens projects them into the neighbor, whose colors are taken there. The loss is how
+the prediction differs from the frame, and how the neighbor's own distances differ from those of
+the moved points (Bian et al., NeurIPS 2019: SC-SfMLearner). With D and D' the two distances::
+
+    inconsistency  M  = |D − D'| / (D + D')                               (eq. 5)
+    photometric    (0.15 |I − I'| + 0.85 (1 − SSIM) / 2) · (1 − M)         (eqs. 2, 3, 8)
+    smoothness     |∇d|  e^{−|∇I|} of mean-normalized d                    (eq. 4)
+
+Distances are along rays and the lens is any of ours, so fisheye frames need no rectification. The
+LEDs move with the camera, so a wall's brightness changes as it nears: the prediction is brought to
+the mean and the spread of the frame's colors before they are compared (Ozyoruk et al., Medical
+Image Analysis 71, 2021).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.learn.depth import DepthLearner, depth_of, depth_picture
+from vrcaps.learn.fit import Fit, require_size
+from vrcaps.learn.learner import Batch, Figure, Sample, with_gain
+from vrcaps.learn.networks import ENCODER, dense_network, motion_network, require_torch
+from vrcaps.learn.samples import batch_of
+from vrcaps.learn.view_synthesis import (
+    inconsistency_of,
+    matched_brightness,
+    matrix_of,
+    photometric_error,
+    predicted,
+    smoothness,
+)
+from vrcaps.limits import Range, check_fields
+from vrcaps.metrics.depth import depth_errors, mean_depth_errors
+from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
+from vrcaps.render.channels import CHANNELS
+
+if TYPE_CHECKING:
+    from jaxtyping import UInt8
+    from numpy.typing import NDArray
+
+    from vrcaps.camera.camera import Camera
+    from vrcaps.learn.weights import Trained
+
+_NEIGHBORS = ("before", "after")
+
+
+@dataclass(frozen=True)
+class SfmLearner:
+    """Depth up to scale, and the motion of the camera, from video without labels.
+
+    Attributes:
+        size: Side of the images that the network is given [px]; maps need a multiple of 32.
+        encoder: Name of timm's, such as resnet18.
+        step: From a frame to its neighbors, in frames.
+        photometric_weight: Weight of the loss of colors.
+        smoothness_weight: Weight of the loss of smoothness.
+        geometry_weight: Weight of the loss of inconsistent distances.
+        matches_brightness: Whether predictions are brought to the frame's brightness.
+    """
+
+    size: Annotated[int, Range(32)] = 192
+    encoder: str = ENCODER
+    step: Annotated[int, Range(1)] = 1
+    photometric_weight: Annotated[float, Range(0.0)] = 1.0
+    smoothness_weight: Annotated[float, Range(0.0)] = 0.1
+    geometry_weight: Annotated[float, Range(0.0)] = 0.5
+    matches_brightness: bool = True
+
+    kind: ClassVar[str] = "sfm"
+    input_names: ClassVar[tuple[str, ...]] = ("image", "ray")
+    figure: ClassVar[Figure] = Figure("loss", is_error=True)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        require_size(self.size)
+
+    def items(self, sequence: FrameSequence) -> Iterable[int]:
+        """Frames that have both neighbors.
+
+        Raises:
+            InputError: If there are no images, no camera, or too few frames.
+        """
+        if "rgb" not in sequence.channels or sequence.camera is None:
+            what = "images" if sequence.camera else "a calibrated camera"
+            raise InputError(f"Learning from video needs {what}, which {sequence.name} has not.")
+        if len(sequence) <= 2 * self.step:
+            raise InputError(
+                f"{sequence.name} has {len(sequence)} frames. Allowed: {2 * self.step + 1} or more."
+            )
+        return range(self.step, len(sequence) - self.step)
+
+    def sample(self, sequence: FrameSequence, index: int) -> Sample:
+        """The frame with its rays, its neighbors, and its true depth where it is known."""
+        image = sequence.image("rgb", index)
+        fit = Fit(image.shape[0], image.shape[1], self.size)
+        sample = self.inputs(image, fit, sequence.camera)
+        for name, offset in zip(_NEIGHBORS, (-self.step, self.step), strict=True):
+            sample[name] = fit.image(sequence.image("rgb", index + offset))
+        if "depth" in sequence.channels:
+            sample["depth"] = fit.nearest(sequence.image("depth", index), np.nan)
+        return {**sample, "view": (fit, sequence.camera)}
+
+    def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Fit, camera: Camera | None) -> Sample:
+        """Image and unit rays, zero where the lens has none.
+
+        Raises:
+            InputError: If there is no camera.
+        """
+        return DepthLearner(self.size).inputs(image, fit, camera)
+
+    def augmented(self, sample: Sample, rng: np.random.Generator) -> Sample:
+        """All three frames with another exposure and white balance."""
+        gain = 1.2 ** rng.uniform(-1.0, 1.0) * rng.uniform(0.95, 1.05, 3)
+        gamma = rng.uniform(0.9, 1.1)
+        changed = {n: with_gain(sample[n], gain, gamma) for n in ("image", *_NEIGHBORS)}
+        return sample | changed
+
+    def network(self, *, is_pretrained: bool) -> Any:
+        """A network from batches to ln(distance / 30 mm) [b 1 s s], with one of motion in it."""
+        return _network_class()(self.encoder, is_pretrained)
+
+    def loss(self, network: Any, batch: Batch) -> dict[str, Any]:
+        """Terms over both neighbors."""
+        terms = {"photometric": 0.0, "geometry": 0.0}
+        image, ray = batch["image"], batch["ray"]
+        own = network(image, ray).float()
+        for name in _NEIGHBORS:
+            other = network(batch[name], ray).float()
+            T_other_own = matrix_of(network.motion(image, batch[name]).float())
+            found = predicted(batch[name], other, own, T_other_own, ray, batch["view"])
+            unlike = inconsistency_of(found)
+            color = found.color
+            if self.matches_brightness:
+                color = matched_brightness(color, image, found.is_valid)
+            error = photometric_error(color, image) * (1.0 - unlike)
+            count = found.is_valid.sum().clamp(min=1)
+            terms["photometric"] += (error * found.is_valid).sum() / count
+            terms["geometry"] += (unlike * found.is_valid).sum() / count
+        weighted = {
+            "photometric": 0.5 * self.photometric_weight * terms["photometric"],
+            "geometry": 0.5 * self.geometry_weight * terms["geometry"],
+            "smoothness": self.smoothness_weight * smoothness(own, image),
+        }
+        return {**weighted, "loss": sum(weighted.values())}
+
+    def scores(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
+        """Errors of depth scaled by the median of each frame, where true depth is known."""
+        errors = [
+            depth_errors(_depth_of(output, sample), sample["depth"], align="median")
+            for output, sample in zip(outputs, samples, strict=True)
+            if "depth" in sample
+        ]
+        return asdict(mean_depth_errors(errors)) if errors else {}
+
+    def picture(self, output: NDArray, sample: Sample) -> UInt8[np.ndarray, "s k 3"]:
+        """Image, true depth if it is known, and estimated depth at its scale."""
+        depth = _depth_of(output, sample)
+        if "depth" in sample:
+            depth *= np.nanmedian(sample["depth"]) / np.median(depth)
+        return depth_picture(depth, sample)
+
+    def files(self, output: NDArray, fit: Fit) -> Mapping[str, NDArray]:
+        """Distance along the ray in 16 bits, in steps of 10 µm, if 30 mm were the middle."""
+        return {".png": CHANNELS["ray_distance"].encoding.encode(fit.back(depth_of(output)))}
+
+    def row(self, output: NDArray) -> Mapping[str, Any]:
+        """Nothing."""
+        return {}
+
+
+def estimated_trajectory(trained: Trained, sequence: FrameSequence) -> FrameSequence:
+    """The sequence with the poses that were estimated, in the frame of its first camera.
+
+    Motions between neighboring frames are chained; they are up to one scale.
+
+    Raises:
+        InputError: If an image cannot be read.
+    """
+    torch = require_torch()
+    poses = [np.eye(4)]
+    images = (sequence.image("rgb", index) for index in range(len(sequence)))
+    size = trained.learner.size
+    squares = (Fit(image.shape[0], image.shape[1], size).image(image) for image in images)
+    tensors = (batch_of([{"image": square}])["image"] for square in squares)
+    with torch.inference_mode():
+        for before, here in pairwise(one.to(trained.device) for one in tensors):
+            T_before_here = matrix_of(trained.network.motion(here, before).float())[0]
+            poses.append(poses[-1] @ T_before_here.double().cpu().numpy())
+    return replace(sequence, values={TIME: sequence.times, CAMERA_POSE: np.stack(poses)})
+
+
+def _depth_of(output: NDArray, sample: Sample) -> NDArray:
+    """Depth z of distances along rays."""
+    return depth_of(output) * np.maximum(sample["ray"][..., 2], 0.0)
+
+
+def _network_class() -> Any:
+    torch = require_torch()
+
+    class SfmNetwork(torch.nn.Module):
+        """Distances of one frame, and the motion between two."""
+
+        def __init__(self, encoder: str, is_pretrained: bool) -> None:
+            super().__init__()
+            self.net = dense_network(encoder, 6, 1, is_pretrained=is_pretrained)
+            self.moves = motion_network(encoder, is_pretrained=is_pretrained)
+
+        def forward(self, image: Any, ray: Any) -> Any:
+            return self.net(torch.cat([2.0 * image - 1.0, ray], dim=1))
+
+        def motion(self, image: Any, other: Any) -> Any:
+            """Rotation vector [rad] and translation of the frame in the other [b 6]."""
+            return 0.01 * self.moves(2.0 * torch.cat([image, other], dim=1) - 1.0)
+
+    return SfmNetwork

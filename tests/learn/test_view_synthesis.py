@@ -1,0 +1,169 @@
+"""Frames predicted from neighbors: against OpenCV, and on a scene in closed form."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+torch = pytest.importorskip("torch", reason="PyTorch is not installed")
+
+from small_frames import small_sequence  # noqa: E402
+from vrcaps.camera.camera import Camera, pixel_grid  # noqa: E402
+from vrcaps.camera.lens import LensEquidistant, LensKannalaBrandt, LensPinhole  # noqa: E402
+from vrcaps.errors import InputError  # noqa: E402
+from vrcaps.learn.fit import Fit  # noqa: E402
+from vrcaps.learn.samples import Samples, batch_of  # noqa: E402
+from vrcaps.learn.sfm import SfmLearner, estimated_trajectory  # noqa: E402
+from vrcaps.learn.training import BEST, Machine, TrainSettings, train  # noqa: E402
+from vrcaps.learn.view_synthesis import (  # noqa: E402
+    inconsistency_of,
+    matched_brightness,
+    matrix_of,
+    photometric_error,
+    predicted,
+    smoothness,
+)
+from vrcaps.learn.weights import read_weights  # noqa: E402
+
+SIDE, RADIUS = 32, 0.03
+PINHOLE = LensPinhole(fx=22.0, fy=23.0, cx=15.2, cy=15.9, k1=-0.05, k2=0.01, p1=1e-3, p2=-2e-3)
+FISHEYE = LensKannalaBrandt(fx=14.0, fy=14.5, cx=15.2, cy=15.9, k1=-0.05, k2=0.002)
+EQUIDISTANT = LensEquidistant(focal=13.0, cx=15.5, cy=15.5, max_angle=1.4)
+MOTION = torch.tensor([[0.02, -0.03, 0.05, 0.001, -0.002, 0.003]], dtype=torch.float64)
+
+PLACE = np.eye(4)
+PLACE[:3, 3] = [0.004, -0.006, -0.008]
+
+
+def _rays(lens):
+    rays = np.nan_to_num(lens.unproject(pixel_grid(SIDE, SIDE)))
+    return torch.from_numpy(np.moveaxis(rays, -1, 0)[None].copy())
+
+
+def _views(lens):
+    return [(Fit(SIDE, SIDE, SIDE), Camera("front", lens, SIDE, SIDE))]
+
+
+def _sphere(lens, T_world_camera):
+    """Distance of a sphere's wall, and a smooth color of its place."""
+    rays = np.nan_to_num(lens.unproject(pixel_grid(SIDE, SIDE)))
+    world, origin = rays @ T_world_camera[:3, :3].T, T_world_camera[:3, 3]
+    along = world @ origin
+    reach = -along + np.sqrt(along**2 - origin @ origin + RADIUS**2)
+    place = origin + reach[..., None] * world
+    color = 0.5 + 0.4 * np.sin(place / RADIUS * 3.0 + [0.0, 1.0, 2.0])
+    output = np.log(reach)
+    return (
+        torch.from_numpy(np.moveaxis(color, -1, 0)[None].copy()),
+        torch.from_numpy(output[None, None].copy()),
+    )
+
+
+@pytest.mark.parametrize("lens", [PINHOLE, FISHEYE], ids=["pinhole", "fisheye"])
+def test_prediction_is_that_of_opencv(lens):
+    cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed")
+    rng = np.random.default_rng(0)
+    neighbor = rng.random((SIDE, SIDE, 3)).astype(np.float32)
+    reach = rng.uniform(0.02, 0.04, (SIDE, SIDE))
+    ray = _rays(lens)
+    points = (np.moveaxis(ray[0].numpy(), 0, -1) * reach[..., None]).reshape(-1, 1, 3)
+    rotation, shift = MOTION[0, :3].numpy(), MOTION[0, 3:].numpy()
+    matrix = np.array([[lens.fx, 0, lens.cx], [0, lens.fy, lens.cy], [0, 0, 1]])
+    if lens is PINHOLE:
+        coefficients = np.array([lens.k1, lens.k2, lens.p1, lens.p2, 0.0])
+        pixels, _ = cv2.projectPoints(points, rotation, shift, matrix, coefficients)
+    else:
+        coefficients = np.array([lens.k1, lens.k2, 0.0, 0.0])
+        pixels, _ = cv2.fisheye.projectPoints(points, rotation, shift, matrix, coefficients)
+    grid = pixels.reshape(SIDE, SIDE, 2).astype(np.float32)
+    oracle = cv2.remap(neighbor, grid, None, cv2.INTER_LINEAR)
+    found = predicted(
+        torch.from_numpy(np.moveaxis(neighbor, -1, 0)[None].copy()).double(),
+        torch.zeros(1, 1, SIDE, SIDE, dtype=torch.float64),
+        torch.from_numpy(np.log(reach)[None, None]),
+        matrix_of(MOTION),
+        ray,
+        _views(lens),
+    )
+    inner = (grid > 0).all(-1) & (grid < SIDE - 1).all(-1) & found.is_valid[0].numpy()
+    inner &= ray[0, 2].numpy() > 0.1  # OpenCV's fisheye sees nothing beside or behind
+    difference = np.abs(np.moveaxis(found.color[0].numpy(), 0, -1) - oracle)[inner]
+    assert inner.mean() > 0.7
+    assert difference.max() < 0.04  # OpenCV rounds places to 1/32 px
+    assert difference.mean() < 0.01
+
+
+def test_motion_is_that_of_scipy():
+    matrix = matrix_of(MOTION)[0].numpy()
+    oracle = Rotation.from_rotvec(MOTION[0, :3].numpy()).as_matrix()
+    np.testing.assert_allclose(matrix[:3, :3], oracle, atol=1e-12)
+    np.testing.assert_allclose(matrix[:3, 3], MOTION[0, 3:])
+
+
+@pytest.mark.parametrize("lens", [PINHOLE, FISHEYE, EQUIDISTANT], ids=lambda one: one.kind)
+def test_true_distances_and_motion_predict_the_frame(lens):
+    image, own = _sphere(lens, PLACE)
+    neighbor, other = _sphere(lens, PLACE @ np.linalg.inv(matrix_of(MOTION)[0].numpy()))
+    ray, views = _rays(lens), _views(lens)
+
+    def losses(motion, output):
+        found = predicted(neighbor, other, output, matrix_of(motion), ray, views)
+        valid = found.is_valid
+        error = photometric_error(found.color, image)[valid].mean()
+        return float(error), float(inconsistency_of(found)[valid].mean()), float(valid.sum())
+
+    true = losses(MOTION, own)
+    assert true[0] < 0.01
+    assert true[1] < 0.001
+    assert true[2] > 0.5 * SIDE**2
+    for wrong in (losses(0.0 * MOTION, own), losses(MOTION, own + 0.4), losses(-MOTION, own)):
+        assert wrong[0] > 1.2 * true[0]
+        assert wrong[1] > 20.0 * true[1]
+
+
+@pytest.mark.slow
+def test_learner_trains_and_writes_a_trajectory(tmp_path):
+    pytest.importorskip("segmentation_models_pytorch", reason="its package is not installed")
+    learner, sequence = SfmLearner(size=32), small_sequence()
+    samples = Samples(learner, [(sequence, k) for k in (1, 2)])
+    settings = TrainSettings(learner, start="scratch", steps=2, batch=2, evaluate_every=2)
+    (row,) = train(settings, samples, samples, tmp_path / "run", machine=Machine("cpu")).rows
+    assert np.isfinite(row["loss"])
+    trained = read_weights(tmp_path / "run" / BEST, task="sfm")
+    poses = estimated_trajectory(trained, sequence).Ts_world_camera
+    assert poses.shape == (len(sequence), 4, 4)
+    np.testing.assert_allclose(np.linalg.det(poses[:, :3, :3]), 1.0, atol=1e-5)
+    step = np.linalg.inv(poses[4]) @ poses[5]
+    frames = batch_of([{"image": Fit(48, 48, 32).image(sequence.image("rgb", k))} for k in (5, 4)])
+    with torch.inference_mode():
+        motion = trained.network.motion(frames["image"][:1], frames["image"][1:])
+    np.testing.assert_allclose(step, matrix_of(motion)[0], atol=1e-5)
+    bare = sequence.with_channels(("depth",))
+    with pytest.raises(InputError, match="Learning from video needs images"):
+        learner.items(bare)
+
+
+def test_gradients_are_those_of_finite_differences():
+    image, own = _sphere(EQUIDISTANT, PLACE)
+    ray, views = _rays(EQUIDISTANT), _views(EQUIDISTANT)
+    neighbor, other = _sphere(EQUIDISTANT, PLACE @ np.linalg.inv(matrix_of(MOTION)[0].numpy()))
+
+    def loss(motion, offset):
+        found = predicted(neighbor, other, own + offset, matrix_of(motion), ray, views)
+        color = matched_brightness(found.color, image, found.is_valid)
+        error = photometric_error(color, image) + inconsistency_of(found)
+        return (error * found.is_valid)[:, 8:24, 8:24].mean()
+
+    motion = (0.9 * MOTION).requires_grad_(True)
+    offset = torch.tensor(0.03, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(loss, (motion, offset), eps=1e-7, atol=1e-4, rtol=1e-2)
+
+
+def test_brightness_is_taken_away_and_slopes_cost():
+    image, own = _sphere(EQUIDISTANT, PLACE)
+    valid = torch.ones(1, SIDE, SIDE, dtype=torch.bool)
+    darker = 0.6 * image + 0.05
+    np.testing.assert_allclose(matched_brightness(darker, image, valid), image, atol=1e-4)
+    assert float(photometric_error(image, image).max()) == pytest.approx(0.0, abs=1e-9)
+    flat = torch.zeros_like(own)
+    assert float(smoothness(flat, image)) == 0.0
+    assert float(smoothness(own, image)) > 0.0

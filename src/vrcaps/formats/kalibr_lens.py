@@ -1,4 +1,4 @@
-"""Lenses as EuRoC, Kalibr and VSLAM-LAB have them: a focal length, a center and four or five bends.
+"""Lenses as EuRoC, Kalibr and VSLAM-LAB have them: focal length, center, four or five coefficients.
 
 Pixel (0, 0) is the center of the top-left pixel, as in OpenCV. Radial-tangential distortion is
 k1 k2 p1 p2 and, in lists of five, k3; equidistant distortion is k1 k2 k3 k4 of Kannala and Brandt.
@@ -21,13 +21,13 @@ def is_fisheye(lens: AnyLens) -> bool:
     return isinstance(lens, (LensKannalaBrandt, LensEquidistant))
 
 
-def kalibr_values(lens: AnyLens, name: str, bends: int) -> tuple[list[float], list[float]]:
+def kalibr_values(lens: AnyLens, name: str, count: int) -> tuple[list[float], list[float]]:
     """``fx fy cx cy`` [px] and the distortion of a lens.
 
     Args:
         lens: One of `KALIBR_LENSES`.
         name: Whose lens it is, for messages.
-        bends: How many numbers of radial-tangential distortion the layout has, 4 or 5.
+        count: How many numbers of radial-tangential distortion the layout has, 4 or 5.
 
     Raises:
         InputError: If it is a pinhole with skew, or with k3 where there are but four.
@@ -39,19 +39,19 @@ def kalibr_values(lens: AnyLens, name: str, bends: int) -> tuple[list[float], li
         return [lens.fx, lens.fy, *center], [lens.k1, lens.k2, lens.k3, lens.k4]
     assert isinstance(lens, LensPinhole)
     require_no_skew(lens, name)
-    if bends == 4 and lens.k3 != 0.0:
+    if count == 4 and lens.k3 != 0.0:
         raise InputError(
             f"The lens of {name} has k3 = {lens.k3:g}, which this format cannot hold. "
             "Add --rectify DEGREES to resample to a pinhole of that field of view."
         )
     values = [lens.k1, lens.k2, lens.p1, lens.p2, lens.k3]
-    return [lens.fx, lens.fy, *center], values[:bends]
+    return [lens.fx, lens.fy, *center], values[:count]
 
 
-def lens_from(values: Sequence[float], bends: Sequence[float], *, fisheye: bool) -> AnyLens:
+def lens_from(values: Sequence[float], distortion: Sequence[float], *, fisheye: bool) -> AnyLens:
     """The lens of ``fx fy cx cy`` and up to five numbers of distortion."""
     fx, fy, cx, cy = values
-    padded = [*bends, 0.0, 0.0, 0.0, 0.0, 0.0][:5]
+    padded = [*distortion, 0.0, 0.0, 0.0, 0.0, 0.0][:5]
     if fisheye:
         k1, k2, k3, k4, _ = padded
         return LensKannalaBrandt(fx=fx, fy=fy, cx=cx, cy=cy, k1=k1, k2=k2, k3=k3, k4=k4)

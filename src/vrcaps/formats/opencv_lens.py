@@ -46,15 +46,15 @@ def opencv_model(lens: AnyLens, name: str) -> tuple[str, dict[str, float]]:
     if isinstance(lens, LensEquidistant):
         return "OPENCV_FISHEYE", {"fx": lens.focal, "fy": lens.focal, **center, **_zeros("1234")}
     if isinstance(lens, LensKannalaBrandt):
-        bends = {"k1": lens.k1, "k2": lens.k2, "k3": lens.k3, "k4": lens.k4}
-        return "OPENCV_FISHEYE", {"fx": lens.fx, "fy": lens.fy, **center, **bends}
+        distortion = {"k1": lens.k1, "k2": lens.k2, "k3": lens.k3, "k4": lens.k4}
+        return "OPENCV_FISHEYE", {"fx": lens.fx, "fy": lens.fy, **center, **distortion}
     assert isinstance(lens, LensPinhole)
     require_no_skew(lens, name)
     focal = {"fx": lens.fx, "fy": lens.fy, **center}
-    bends = {"k1": lens.k1, "k2": lens.k2, "p1": lens.p1, "p2": lens.p2}
+    distortion = {"k1": lens.k1, "k2": lens.k2, "p1": lens.p1, "p2": lens.p2}
     if lens.k3 != 0.0:
-        return "FULL_OPENCV", {**focal, **bends, "k3": lens.k3, **_zeros("456")}
-    return ("OPENCV", {**focal, **bends}) if any(bends.values()) else ("PINHOLE", focal)
+        return "FULL_OPENCV", {**focal, **distortion, "k3": lens.k3, **_zeros("456")}
+    return ("OPENCV", {**focal, **distortion}) if any(distortion.values()) else ("PINHOLE", focal)
 
 
 def require_no_skew(lens: LensPinhole, name: str) -> None:
@@ -84,7 +84,7 @@ def lens_of(model: str, parameters: Mapping[str, float], where: str) -> AnyLens:
 
     Raises:
         UnknownNameError: If there is no such model here.
-        InputError: If a parameter is missing, or bends as no lens here does.
+        InputError: If a parameter is missing, or it is distorted as no lens here is.
     """
     if model not in MODELS:
         raise UnknownNameError("camera model", model, MODELS)
@@ -96,12 +96,12 @@ def lens_of(model: str, parameters: Mapping[str, float], where: str) -> AnyLens:
         center = {"cx": given["cx"] - HALF, "cy": given["cy"] - HALF}
     except KeyError as error:
         raise InputError(f"{where} has no {error.args[0]} of its camera.") from error
-    bends = {name: given.get(name, 0.0) for name in ("k1", "k2", "k3")}
+    distortion = {name: given.get(name, 0.0) for name in ("k1", "k2", "k3")}
     if "FISHEYE" in model:
-        bends["k4"] = given.get("k4", 0.0)
-        return LensKannalaBrandt(**focal, **center, **bends)  # type: ignore[arg-type]
-    bends |= {name: given.get(name, 0.0) for name in ("p1", "p2")}
-    return LensPinhole(**focal, **center, **bends)  # type: ignore[arg-type]
+        distortion["k4"] = given.get("k4", 0.0)
+        return LensKannalaBrandt(**focal, **center, **distortion)  # type: ignore[arg-type]
+    distortion |= {name: given.get(name, 0.0) for name in ("p1", "p2")}
+    return LensPinhole(**focal, **center, **distortion)  # type: ignore[arg-type]
 
 
 def _zeros(numbers: str) -> dict[str, float]:

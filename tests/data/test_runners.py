@@ -198,8 +198,21 @@ def test_without_ray_its_package_is_named(
     )
 
 
-def test_a_cluster_that_is_not_there_is_one_clear_line(plan_file: Path, tmp_path: Path) -> None:
+def test_a_cluster_that_is_not_there_is_one_clear_line(
+    plan_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where Ray remembers one that is gone: it would wait two minutes for it."""
+    services = pytest.importorskip("ray._private.services", reason="ray is not installed")
+    job = Job(read_plan(plan_file), "x", tmp_path)
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
-    with pytest.raises(InputError, match=r"No Ray head answers at 127\.0\.0\.1"):
-        list(RayCluster(f"127.0.0.1:{port}").run(Job(read_plan(plan_file), "x", tmp_path), [0]))
+    message = r"No Ray head answers at \S+:\d+\. Start one with"
+    with pytest.raises(InputError, match=message):
+        list(RayCluster(f"127.0.0.1:{port}").run(job, [0]))
+    monkeypatch.setattr(services, "find_gcs_addresses", set)
+    monkeypatch.setattr(services, "find_bootstrap_address", lambda _: f"127.0.0.1:{port}")
+    with pytest.raises(InputError, match=message):
+        list(RayCluster("auto").run(job, [0]))
+    monkeypatch.setattr(services, "find_bootstrap_address", lambda _: None)
+    with pytest.raises(InputError, match=r"Cannot join the Ray cluster 'auto'.*--ray local\."):
+        list(RayCluster("auto").run(job, [0]))

@@ -83,14 +83,11 @@ def _connected(ray: Any, cluster: RayCluster) -> Iterator[str]:
             # Otherwise a first worker that dies while it starts leaves this process waiting.
             "_system_config": {"prestart_worker_first_driver": False},
         }
-    elif cluster.address != AUTO and not _answers(cluster.address):
-        raise InputError(
-            f"No Ray head answers at {cluster.address}. Start one with `ray start --head`, or give "
-            f"--ray {LOCAL}."
-        )
     try:
+        if cluster.address != LOCAL:
+            _require_head(cluster.address)
         ray.init(cluster.address, **options)
-    except (ConnectionError, RuntimeError, ValueError) as error:
+    except (ConnectionError, RuntimeError) as error:
         reason = str(error).splitlines()[0].rstrip(".") + "."
         raise InputError(
             f"Cannot join the Ray cluster {cluster.address!r} from this machine: {reason} Start "
@@ -101,6 +98,23 @@ def _connected(ray: Any, cluster: RayCluster) -> Iterator[str]:
         yield ray.get_runtime_context().gcs_address
     finally:
         ray.shutdown()
+
+
+def _require_head(address: str) -> None:
+    """Check that the head of a cluster answers; Ray itself would wait for minutes.
+
+    Raises:
+        InputError: If it does not.
+        ConnectionError: If this machine belongs to no cluster.
+    """
+    from ray._private.services import canonicalize_bootstrap_address
+
+    place = canonicalize_bootstrap_address(address) if address == AUTO else address
+    if place is None or not _answers(place):
+        raise InputError(
+            f"No Ray head answers at {place}. Start one with `ray start --head`, or give "
+            f"--ray {LOCAL}."
+        )
 
 
 def _outcomes(

@@ -73,7 +73,7 @@ def make_dataset(
         require(0 <= number < len(units), "A unit", number, f"0 to {len(units) - 1}")
     check_plan(units)
     require_same_plan(store, plan)
-    whole = whole_units(store, [units.name(number) for number in chosen])
+    whole = set(whole_units(store, [units.name(number) for number in chosen]))
     missing = [number for number in chosen if units.name(number) not in whole]
     job = Job(plan, store.url, Path.cwd(), source, made_here())
     before, failed = set(failures(store)), {}

@@ -194,7 +194,7 @@ def _tell_skipped(skipped: dict[str, str]) -> None:
 _EXAMPLES = {
     "train": """  vrcaps train {0} --data runs/cohort --out runs/{0}
   vrcaps train {0} --data runs/cohort --out runs/{0}-try --preset ci
-  vrcaps train {0} --data folders:real --start runs/{0}/best.safetensors --out runs/{0}-real""",
+  vrcaps train {0} --data images:real --start runs/{0}/best.safetensors --out runs/{0}-real""",
     "evaluate": "  vrcaps evaluate {0} --weights runs/{0}/best.safetensors --data runs/cohort",
     "predict": """  vrcaps predict {0} --weights runs/{0}/best.safetensors --images photos \\
   --out runs/photos""",

@@ -130,7 +130,7 @@ def _read_one(place: Path, name: str, split: str | None) -> FrameSequence:
 def _calibration_text(sequence: FrameSequence) -> str:
     camera = sequence.camera
     assert camera is not None
-    values, bends = kalibr_values(camera.lens, sequence.name, 4)
+    values, distortion = kalibr_values(camera.lens, sequence.name, 4)
     model = "equidistant" if is_fisheye(camera.lens) else "radial-tangential"
     return f"""sensor_type: camera
 comment: {sequence.name}
@@ -143,7 +143,7 @@ resolution: [{camera.width}, {camera.height}]
 camera_model: pinhole
 intrinsics: {yaml_list(values)}
 distortion_model: {model}
-distortion_coefficients: {yaml_list(bends)}
+distortion_coefficients: {yaml_list(distortion)}
 """
 
 
@@ -155,7 +155,7 @@ def _read_sensor(path: Path) -> tuple[Camera, NDArray]:
         raise InputError(f"{path} has the distortion model {model}. Allowed: {', '.join(_MODELS)}.")
     width, height = (int(value) for value in numbers_of(plain, "resolution", 2, path))
     values = numbers_of(plain, "intrinsics", 4, path)
-    bends = numbers_of(plain, "distortion_coefficients", 4, path) if model != "none" else []
-    lens = lens_from(values, bends, fisheye=_MODELS[model])
+    distortion = numbers_of(plain, "distortion_coefficients", 4, path) if model != "none" else []
+    lens = lens_from(values, distortion, fisheye=_MODELS[model])
     pose = np.array(numbers_of(plain.get("T_BS"), "data", 16, path)).reshape(4, 4)
     return Camera("camera", lens, width, height), pose

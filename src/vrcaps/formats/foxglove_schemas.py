@@ -120,7 +120,7 @@ def camera_calibration(ns: int, frame: str, camera: Camera, name: str) -> Messag
     Raises:
         InputError: If it is a pinhole with skew, which no model has.
     """
-    model, fx, fy, bends = _model(camera.lens, name)
+    model, fx, fy, distortion = _model(camera.lens, name)
     cx, cy = camera.lens.cx, camera.lens.cy
     return {
         "timestamp": timestamp(ns),
@@ -128,7 +128,7 @@ def camera_calibration(ns: int, frame: str, camera: Camera, name: str) -> Messag
         "width": camera.width,
         "height": camera.height,
         "distortion_model": model,
-        "D": bends,
+        "D": distortion,
         "K": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
         "R": np.eye(3).ravel().tolist(),
         "P": [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],

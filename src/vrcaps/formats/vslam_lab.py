@@ -113,7 +113,7 @@ class VslamLab:
     def _calibration_text(self, sequence: FrameSequence) -> str:
         camera = sequence.camera
         assert camera is not None
-        (fx, fy, cx, cy), bends = kalibr_values(camera.lens, sequence.name, 5)
+        (fx, fy, cx, cy), distortion = kalibr_values(camera.lens, sequence.name, 5)
         has_depth = "depth" in sequence.channels
         depth = ("depth_name: depth_0", f"depth_factor: {self.depth_factor}") if has_depth else ()
         entries = (
@@ -124,7 +124,7 @@ class VslamLab:
             f"distortion_type: {'equid4' if is_fisheye(camera.lens) else 'radtan5'}",
             f"focal_length: {yaml_list((fx, fy))}",
             f"principal_point: {yaml_list((cx, cy))}",
-            f"distortion_coefficients: {yaml_list(bends)}",
+            f"distortion_coefficients: {yaml_list(distortion)}",
             f"image_dimension: [{camera.width}, {camera.height}]",
             f"fps: {frames_per_second(sequence):.12g}",
             f"T_BS: {yaml_list(np.eye(4).ravel())}",
@@ -178,9 +178,11 @@ def _camera_of(entry: dict[str, Any], path: Path, image: Path) -> Camera:
         allowed = ", ".join(_MODELS)
         raise InputError(f"{path} has the distortion_type {model}. Allowed: {allowed}, or none.")
     count, fisheye = _MODELS.get(str(model), (0, False))
-    bends = numbers_of(entry, "distortion_coefficients", count, path) if count else []
+    distortion = numbers_of(entry, "distortion_coefficients", count, path) if count else []
     height, width = image_size(image)
-    return Camera("camera", lens_from([*focal, *center], bends, fisheye=fisheye), width, height)
+    return Camera(
+        "camera", lens_from([*focal, *center], distortion, fisheye=fisheye), width, height
+    )
 
 
 def _read_depth(step: float, path: Path) -> NDArray:

@@ -120,7 +120,9 @@ def _check_table(episode: Episode) -> Iterator[Problem]:
     try:
         columns = episode.table.columns
     except InputError as error:
-        yield Problem(FRAMES_PARQUET, str(error.__cause__))
+        cause = error.__cause__
+        what = f"cannot be read ({cause})" if isinstance(cause, OSError) else str(cause)
+        yield Problem(FRAMES_PARQUET, what)
         return
     may_lack = set(pad_column_names(episode.scenario.sensors))
     missing = {*episode.scenario.motion.column_names, *may_lack} - set(columns)

@@ -44,10 +44,22 @@ WATCH = """
     const [r, g, b] = pen.getImageData(0, 0, 1, 1).data;
     seen.marked.push(r > 200 && g > 200 && b < 60);
   };
-  const image = document.querySelector("img[src^='blob:']");
-  image.addEventListener("load", () => look(image));
+  document.addEventListener("load", (event) => {
+    if (event.target.tagName === "IMG" && event.target.src.startsWith("blob:")) look(event.target);
+  }, true);
 }
 """
+STEADY = """
+() => {
+  if (window.frames_drawn === undefined) {
+    window.frames_drawn = 0;
+    const draw = () => { window.frames_drawn += 1; requestAnimationFrame(draw); };
+    draw();
+  }
+  return window.frames_drawn > 30;
+}
+"""
+"""Whether the browser draws: without a graphics card its first frames take seconds."""
 PRESSES = """
 const note = (event) => { if (!event.repeat) window.pressed = performance.now(); };
 window.addEventListener("keydown", note, true);
@@ -100,7 +112,7 @@ def load(tab: Page, cockpit: Cockpit) -> float:
     tab.goto(cockpit.gate.address)
     tab.get_by_role("button", name="Pause").wait_for()
     taken = time.perf_counter() - began
-    tab.wait_for_timeout(3000)
+    tab.wait_for_function(STEADY, polling=500, timeout=120_000)
     closing = "document.querySelectorAll('.mantine-Notification-closeButton')"
     tab.evaluate(f"{closing}.forEach((button) => button.click())")
     tab.evaluate(WATCH)

@@ -78,7 +78,8 @@ FIGURES = (
         "speed_peers speed_effects speed_magnets speed_path speed_fem speed_ct speed_worlds",
         is_timed=True,
     ),
-    *_scripts("speed_views speed_env speed_dataset speed_reading", is_timed=True),
+    *_scripts("speed_views speed_env speed_dataset speed_reading speed_cockpit", is_timed=True),
+    *_scripts("organ_files frame_codecs memory_dataset", is_timed=True),
     *([Figure("benchmarks/speed_cycles.py", ("--blender-python", BLENDER), True)] * bool(BLENDER)),
     *_scripts("validate_radiosity validate_scattering validate_denoise", is_timed=True),
     *_scripts(

@@ -20,6 +20,7 @@ PAGES = (
     *sorted((ROOT / "src/vrcaps/cli").glob("*.py")),
 )
 FILE = "frames = 5\n"
+SCENARIO = '{"motion": {"kind": "dynamics", "magnet": {}}}'
 
 
 def commands(page: Path) -> list[list[str]]:
@@ -56,7 +57,9 @@ def test_a_shown_command_gives_a_scenario(
         if word.endswith((".toml", ".json")) and "=" not in word and command[0] == "record":
             path = tmp_path / word
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text("{}" if path.suffix == ".json" else FILE)
+            path.write_text(SCENARIO if path.suffix == ".json" else FILE)
+    if "--steer" in command:
+        (tmp_path / command[command.index("--steer") + 1]).write_text("t_s,vx_m_per_s\n0,0.01\n")
     record = cli._parse(command)
     assert isinstance(record, Record)
     if not record.list_settings:

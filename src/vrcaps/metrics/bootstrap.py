@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps import rng
 from vrcaps.errors import require
 
 if TYPE_CHECKING:
@@ -92,12 +93,12 @@ def _drawn(
     """Numbers of the items of each resample."""
     require(count > 0, "number of items", count, "1 or more")
     require(resamples > 1, "number of resamples", resamples, "2 or more")
-    rng = np.random.default_rng(seed)
+    draws = rng.stream(seed, "metrics/bootstrap")
     keys = np.arange(count) if groups is None else np.unique(groups, return_inverse=True)[1]
     order = np.argsort(keys, kind="stable")
     members = np.split(order, np.cumsum(np.bincount(keys))[:-1])
     for _ in range(resamples):
-        yield np.concatenate([members[k] for k in rng.integers(len(members), size=len(members))])
+        yield np.concatenate([members[k] for k in draws.integers(len(members), size=len(members))])
 
 
 def _limits(values: NDArray, level: float) -> NDArray:

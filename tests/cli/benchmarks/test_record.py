@@ -12,9 +12,10 @@ from vrcaps.errors import InputError
 @pytest.mark.slow
 def test_a_short_recording_is_measured() -> None:
     report = record.measure(num_frames=4, num_runs=1)
-    rate, memory = report.claims
-    assert rate.measured is not None
-    assert rate.measured.median > 0.0
+    *rates, memory = report.claims
+    for rate in rates:
+        assert rate.measured is not None
+        assert rate.measured.median > 0.0
     if sys.platform != "win32":
         assert memory.measured is not None
         assert 0.05 < memory.measured.median < 4.0

@@ -17,13 +17,14 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
 export PYO3_BUILD_EXTENSION_MODULE := 1
 
-.PHONY: help demo test test-fast check docs figures wheel constraints clean
+.PHONY: help demo test test-fast test-servers check docs figures wheel constraints clean
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make demo   record a labeled run through a generated colon into runs/demo"
 	@echo "make test   run all tests"
 	@echo "make test-fast  run the tests that are not marked slow, in under a minute"
+	@echo "make test-servers  run the tests that start a Ray cluster or an S3 server, in two minutes"
 	@echo "make check  lint, format and type checks"
 	@echo "make docs   build the documentation site into site"
 	@echo "make figures  measure anew what docs/validation.md, docs/benchmarks.md and README state;"
@@ -40,7 +41,10 @@ test: $(VENV)/.stamp-dev
 	cargo test --quiet --manifest-path rust/Cargo.toml
 
 test-fast: $(VENV)/.stamp-dev
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m 'not slow and not wheel'
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m 'not slow and not wheel and not server'
+
+test-servers: $(VENV)/.stamp-dev
+	$(BIN)/python -m pytest -m server
 
 check: $(VENV)/.stamp-dev
 	$(BIN)/ruff check .

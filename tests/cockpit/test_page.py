@@ -164,10 +164,22 @@ def test_a_second_browser_looks_on_and_takes_over_when_the_driver_is_gone(browse
     wait_until(tab, lambda: len(cockpit.session.poses) > frame)
 
 
+def choose(tab, label: str, option: str) -> None:
+    """Opens a list and takes an option; a list that closed, as the page was drawn anew, again."""
+    from playwright.sync_api import TimeoutError as PlaywrightTimeout
+
+    found = tab.get_by_role("option", name=option)
+    while True:
+        tab.get_by_label(label).first.click()
+        try:
+            found.click(timeout=3000)
+            return
+        except PlaywrightTimeout:
+            tab.keyboard.press("Escape")
+
+
 def test_the_look_changes_and_goes_into_the_recording(tab, cockpit):
     tab.get_by_text("Look", exact=True).click()
-    field = tab.get_by_label("Imaging").first
-    field.click()
-    tab.get_by_role("option", name="narrow-band").click()
+    choose(tab, "Imaging", "narrow-band")
     wait_until(tab, lambda: cockpit.page.latest_image.look.render.imaging == "narrow-band")
     assert cockpit.session.scenario_so_far().render.imaging == "narrow-band"

@@ -60,7 +60,7 @@ def remote_contents(url: str) -> dict[str, bytes]:
     return {p.removeprefix(f"{root}/"): system.cat_file(p) for p in system.find(root)}
 
 
-@pytest.mark.slow
+@pytest.mark.server
 def test_an_s3_store_outlives_kills_and_a_lost_network(
     whole: Path, plan_file: Path, line: Line, tmp_path: Path, capsys
 ) -> None:

@@ -109,7 +109,7 @@ def ray_head() -> Iterator[tuple[subprocess.Popen, str]]:
     process.wait()
 
 
-@pytest.mark.slow
+@pytest.mark.server
 def test_ray_makes_the_same_bytes_and_tells_of_a_dead_head(
     whole: Path,
     plan_file: Path,

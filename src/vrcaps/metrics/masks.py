@@ -89,4 +89,4 @@ def _outline(mask: np.ndarray) -> np.ndarray:
     """Pixels of a mask that have a neighbor outside, above, below or beside."""
     from scipy.ndimage import binary_erosion
 
-    return mask & ~binary_erosion(mask)
+    return mask & ~np.asarray(binary_erosion(mask), bool)

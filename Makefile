@@ -17,7 +17,8 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
 export PYO3_BUILD_EXTENSION_MODULE := 1
 
-.PHONY: help demo test test-fast test-servers check docs figures wheel constraints clean
+.PHONY: help demo test test-python test-rust test-fast test-servers check check-python check-rust \
+	 docs figures wheel constraints clean
 .DELETE_ON_ERROR:
 
 help:
@@ -36,8 +37,12 @@ help:
 demo: $(VENV)/.stamp-run
 	$(BIN)/vrcaps demo
 
-test: $(VENV)/.stamp-dev
+test: test-python test-rust
+
+test-python: $(VENV)/.stamp-dev
 	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+test-rust: $(VENV)/.stamp-venv
 	cargo test --quiet --manifest-path rust/Cargo.toml
 
 test-fast: $(VENV)/.stamp-dev
@@ -46,10 +51,14 @@ test-fast: $(VENV)/.stamp-dev
 test-servers: $(VENV)/.stamp-dev
 	$(BIN)/python -m pytest -m server
 
-check: $(VENV)/.stamp-dev
+check: check-python check-rust
+
+check-python: $(VENV)/.stamp-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
+
+check-rust: $(VENV)/.stamp-venv
 	cargo fmt --manifest-path rust/Cargo.toml --check
 	cargo clippy --quiet --manifest-path rust/Cargo.toml --all-targets -- -D warnings
 

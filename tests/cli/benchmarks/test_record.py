@@ -19,8 +19,9 @@ def test_a_short_recording_is_measured() -> None:
     if sys.platform != "win32":
         assert memory.measured is not None
         assert 0.05 < memory.measured.median < 4.0
-    stages, whole = report.tables
-    assert {row.name for row in stages.rows} >= {"render", "PNG"}
+    *stages, whole = report.tables
+    for table in stages:
+        assert {row.name for row in table.rows} >= {"render", "PNG"}
     assert all(value is not None and value.median > 0.0 for r in whole.rows for value in r.values)
     assert "kB a frame" in report.setting
 

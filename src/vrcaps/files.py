@@ -18,6 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from vrcaps.errors import InputError
+
 TEMPORARY = ".tmp"
 """End of the names of files that are still being written; they start with a dot."""
 
@@ -95,6 +97,16 @@ def write_json(path: Path, value: Any) -> None:
     """Write JSON, indented, in the order of the keys given; NaN is an error."""
     text = json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False)
     write_bytes(path, (text + "\n").encode())
+
+
+def require_new_folder(folder: Path) -> None:
+    """Check that a folder to be made is not there, or is empty.
+
+    Raises:
+        InputError: If it is there with something in it, or is a file.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"{folder} exists. Give a new or empty folder.")
 
 
 def files_in(folder: Path) -> list[Path]:

@@ -58,9 +58,9 @@ class _Train:
         Raises:
             InputError: If the data cannot be learned from.
         """
+        from vrcaps.formats.sources import read_sources
         from vrcaps.learn.presets import settings_of
         from vrcaps.learn.samples import samples_of, split_samples
-        from vrcaps.learn.sources import read_sources
         from vrcaps.learn.training import BEST, Machine, Progress, train
 
         learner = part_of(self)
@@ -127,8 +127,8 @@ class _Evaluate:
             InputError: If weights or data do not fit.
         """
         from vrcaps.files import write_csv
+        from vrcaps.formats.sources import read_sources
         from vrcaps.learn.samples import samples_of
-        from vrcaps.learn.sources import read_sources
         from vrcaps.learn.training import chosen_device
         from vrcaps.learn.validation import validate, write_pictures
         from vrcaps.learn.weights import read_weights

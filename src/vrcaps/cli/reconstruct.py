@@ -10,6 +10,7 @@ from tyro.conf import Positional
 
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.errors import InputError
+from vrcaps.files import require_new_folder
 from vrcaps.units import MM
 
 
@@ -64,13 +65,12 @@ class Reconstruct:
         Raises:
             InputError: If depth or poses are missing or do not fit.
         """
-        from vrcaps.learn.sources import read_source
+        from vrcaps.formats.sources import read_source
         from vrcaps.tools.reconstruction.compare import compare, write_comparison, write_ply
         from vrcaps.tools.reconstruction.estimates import read_depth, read_poses
         from vrcaps.tools.reconstruction.fuse import FuseSettings, fuse
 
-        if self.out.exists() and (not self.out.is_dir() or any(self.out.iterdir())):
-            raise InputError(f"{self.out} exists. Give a new or empty folder.")
+        require_new_folder(self.out)
         found = read_source(self.source)
         chosen = [one for one in found if self.camera in ("", one.name.rpartition("/")[2])]
         if not chosen:

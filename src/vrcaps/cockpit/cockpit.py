@@ -16,7 +16,7 @@ from vrcaps.cockpit.gate import Gate, OneLine, guarded, is_loopback, require_fre
 from vrcaps.cockpit.page import Page
 from vrcaps.cockpit.panels import PANELS
 from vrcaps.cockpit.session import Session
-from vrcaps.errors import InputError, MissingExtraError
+from vrcaps.errors import InputError, import_extra
 
 if TYPE_CHECKING:
     import viser
@@ -99,10 +99,7 @@ def require_viser() -> None:
     Raises:
         MissingExtraError: If it is not.
     """
-    try:
-        import viser  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("viser", "cockpit") from error
+    import_extra("viser", "cockpit")
 
 
 @contextmanager

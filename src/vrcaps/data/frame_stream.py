@@ -13,7 +13,7 @@ import numpy as np
 
 from vrcaps import rng
 from vrcaps.data.frame_windows import FrameWindows
-from vrcaps.errors import MissingExtraError, require
+from vrcaps.errors import import_extra, require
 from vrcaps.limits import Range, check_fields
 
 if TYPE_CHECKING:
@@ -136,8 +136,4 @@ def _drawn_from_buffer(numbers: NDArray, size: int, generator: np.random.Generat
 @cache
 def _make_iterable_style() -> None:
     """Tell PyTorch that a `FrameStream` is an iterable data set, without being a class of it."""
-    try:
-        from torch.utils.data import IterableDataset
-    except ImportError as error:
-        raise MissingExtraError("torch", "learn") from error
-    IterableDataset.register(FrameStream)  # pyright: ignore[reportAttributeAccessIssue]
+    import_extra("torch.utils.data", "learn", package="torch").IterableDataset.register(FrameStream)

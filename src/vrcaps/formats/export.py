@@ -7,8 +7,7 @@ import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from vrcaps.errors import InputError
-from vrcaps.files import sync_folder
+from vrcaps.files import require_new_folder, sync_folder
 from vrcaps.formats.format import Format, require_needs
 from vrcaps.recording.frame_sequence import FrameSequence
 
@@ -41,8 +40,7 @@ def export(
     """
     require_needs(form, sequences)
     out = Path(out)
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"{out} exists. Give a new or empty folder.")
+    require_new_folder(out)
     total, done = sum(map(len, sequences)), 0
 
     def advance() -> None:

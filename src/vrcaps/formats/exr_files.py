@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.errors import InputError, MissingExtraError
+from vrcaps.errors import InputError, import_extra
 from vrcaps.files import atomic_write
 
 if TYPE_CHECKING:
@@ -47,8 +47,4 @@ def read_exr(path: Path) -> Float[np.ndarray, "h w"]:
 
 
 def _openexr() -> Any:
-    try:
-        import OpenEXR
-    except ImportError as error:
-        raise MissingExtraError("OpenEXR", "formats") from error
-    return OpenEXR
+    return import_extra("OpenEXR", "formats")

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.errors import InputError, MissingExtraError
+from vrcaps.errors import InputError, import_extra
 from vrcaps.formats import foxglove_schemas as foxglove
 from vrcaps.formats.folders import recordings, split_of
 from vrcaps.formats.format import Needs
@@ -175,11 +175,7 @@ class _Topics:
 
 @contextmanager
 def _writing(file: Any) -> Iterator[Any]:
-    try:
-        from mcap.writer import Writer
-    except ImportError as error:
-        raise MissingExtraError("mcap", "formats") from error
-    writer = Writer(file)
+    writer = import_extra("mcap.writer", "formats", package="mcap").Writer(file)
     writer.start(library=_METADATA)
     yield writer
     writer.finish()
@@ -278,15 +274,11 @@ def _plain(sequence: FrameSequence) -> dict[str, Any]:
 
 @contextmanager
 def _reading(path: Path) -> Iterator[Any]:
-    try:
-        from mcap.exceptions import McapError
-        from mcap.reader import make_reader
-    except ImportError as error:
-        raise MissingExtraError("mcap", "formats") from error
+    mcap = import_extra("mcap.reader", "formats", package="mcap")
     try:
         with path.open("rb") as file:
-            yield make_reader(file)
-    except (McapError, OSError, ValueError, LookupError, struct.error) as error:
+            yield mcap.make_reader(file)
+    except (mcap.McapError, OSError, ValueError, LookupError, struct.error) as error:
         raise InputError(f"Cannot read {path}: {error}.") from error
 
 

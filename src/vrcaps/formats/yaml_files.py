@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from vrcaps.errors import InputError, MissingExtraError
+from vrcaps.errors import InputError, import_extra
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -16,10 +16,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         InputError: If the file cannot be read or holds no table.
         MissingExtraError: If PyYAML is not installed.
     """
-    try:
-        import yaml
-    except ImportError as error:
-        raise MissingExtraError("PyYAML", "formats") from error
+    yaml = import_extra("yaml", "formats", package="PyYAML")
     try:
         plain = yaml.safe_load(path.read_text())
     except (OSError, ValueError, yaml.YAMLError) as error:

@@ -113,9 +113,8 @@ class ClassLearner:
         confusion = confusion_matrix(logits.argmax(axis=1), truth, count)
         each = f1_scores(confusion)
         occurs = np.bincount(truth, minlength=count) > 0
-        areas = [
-            roc_auc(class_probabilities(logits)[:, k], truth == k) for k in np.flatnonzero(occurs)
-        ]
+        chances = class_probabilities(logits)
+        areas = [roc_auc(chances[:, k], truth == k) for k in np.flatnonzero(occurs)]
         return {
             "f1": float(each[occurs].mean()),
             **{f"f1_{name}": float(f1) for name, f1 in zip(self.classes, each, strict=True)},

@@ -91,10 +91,7 @@ class DepthLearner:
         Raises:
             InputError: If there is no camera.
         """
-        if camera is None:
-            raise InputError("Depth needs the camera that took the image: its lens gives the rays.")
-        rays = np.nan_to_num(camera.lens.unproject(fit.pixels.astype(float)))
-        return {"image": fit.image(image), "ray": fit.padded(rays.astype(np.float32), 0.0)}
+        return image_and_rays(image, fit, camera)
 
     def augmented(self, sample: Sample, rng: np.random.Generator) -> Sample:
         """Mirrored and with another exposure and white balance."""
@@ -153,6 +150,18 @@ class DepthLearner:
     def row(self, output: NDArray) -> Mapping[str, Any]:
         """Nothing."""
         return {}
+
+
+def image_and_rays(image: UInt8[np.ndarray, "h w 3"], fit: Fit, camera: Camera | None) -> Sample:
+    """Image and unit rays in the square, zero where the lens has none.
+
+    Raises:
+        InputError: If there is no camera.
+    """
+    if camera is None:
+        raise InputError("Depth needs the camera that took the image: its lens gives the rays.")
+    rays = np.nan_to_num(camera.lens.unproject(fit.pixels.astype(float)))
+    return {"image": fit.image(image), "ray": fit.padded(rays.astype(np.float32), 0.0)}
 
 
 def depth_of(output: Float[np.ndarray, "1 s s"]) -> Float[np.ndarray, "s s"]:

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.errors import InputError
-from vrcaps.files import write_bytes, write_csv
+from vrcaps.files import require_new_folder, write_bytes, write_csv
+from vrcaps.formats.sources import read_source
 from vrcaps.formats.tum import trajectory_text
 from vrcaps.learn.fit import Fit
 from vrcaps.learn.samples import batch_of
 from vrcaps.learn.sfm import SfmLearner, estimated_trajectory
-from vrcaps.learn.sources import read_source
 from vrcaps.learn.validation import below_one_another
 from vrcaps.learn.weights import Trained
 from vrcaps.recording.frame_sequence import FrameSequence
@@ -70,8 +70,7 @@ def predict(
     Raises:
         InputError: If the folder holds something, or no image can be estimated from.
     """
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"{out} exists. Give a new or empty folder.")
+    require_new_folder(out)
     frames = [(one, index) for one in sequences for index in range(len(one))]
     shown = set(np.unique(np.linspace(0, len(frames) - 1, _SHEET_ROWS).astype(int)).tolist())
     rows: list[dict[str, Any]] = []
@@ -92,7 +91,7 @@ def predict(
         files = trained.learner.files(output, fit).items()
         write_images([(path.with_name(path.name + ending), image) for ending, image in files])
         rows.append({"image": name, **trained.learner.row(output)})
-        if number in shown:
+        if number in shown or not pictures:
             pictures.append(trained.learner.picture(output, sample))
         progress(number + 1, len(frames))
     if not rows:

@@ -77,7 +77,7 @@ class Samples:
         """A share of the frames, drawn at random; smaller shares lie within larger ones."""
         order = rng.stream(seed, "learn/fraction").permutation(len(self))
         kept = np.sort(order[: max(1, round(fraction * len(self)))])
-        return Samples(self.learner, [self.frames[k] for k in kept])
+        return Samples(self.learner, [self.frames[k] for k in kept], self.skipped)
 
     def evenly(self, count: int) -> Int[np.ndarray, " m"]:
         """Numbers of at most so many frames, evenly spread."""
@@ -108,24 +108,23 @@ def split_samples(learner: Learner, sequences: Sequence[FrameSequence]) -> tuple
     """
     if any(one.split for one in sequences):
         train = [one for one in sequences if one.split in (None, "train")]
-        return samples_of(learner, train), samples_of(
-            learner, [one for one in sequences if one.split == "val"]
-        )
+        held = [one for one in sequences if one.split == "val"]
+        return samples_of(learner, train), samples_of(learner, held)
     patients = sorted({one.patient for one in sequences if one.patient})
     if len(patients) * _HELD_OUT >= 1.0:
-        held = set(patients[-round(len(patients) * _HELD_OUT) :])
-        train = [one for one in sequences if one.patient not in held]
-        return samples_of(learner, train), samples_of(
-            learner, [one for one in sequences if one.patient in held]
-        )
-    first, last = [], []
+        last = set(patients[-round(len(patients) * _HELD_OUT) :])
+        train = [one for one in sequences if one.patient not in last]
+        held = [one for one in sequences if one.patient in last]
+        return samples_of(learner, train), samples_of(learner, held)
+    before, after = [], []
     for one in sequences:
         frames = [(one, index) for index in learner.items(one)]
         cut = len(frames) - round(_HELD_OUT * len(frames))
-        first, last = first + frames[:cut], last + frames[cut:]
-    if not first or not last:
+        before.extend(frames[:cut])
+        after.extend(frames[cut:])
+    if not before or not after:
         raise InputError(f"There are too few frames to learn {learner.kind} from: five or more.")
-    return Samples(learner, first), Samples(learner, last)
+    return Samples(learner, before), Samples(learner, after)
 
 
 def batch_of(samples: Sequence[Sample], device: str = "cpu") -> Batch:

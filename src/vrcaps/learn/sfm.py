@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 
 from vrcaps.errors import InputError
-from vrcaps.learn.depth import DepthLearner, depth_of, depth_picture
+from vrcaps.learn.depth import depth_of, depth_picture, image_and_rays
 from vrcaps.learn.fit import Fit, require_size
 from vrcaps.learn.learner import Batch, Figure, Sample, with_gain
 from vrcaps.learn.networks import ENCODER, dense_network, motion_network, require_torch
@@ -115,7 +115,7 @@ class SfmLearner:
         Raises:
             InputError: If there is no camera.
         """
-        return DepthLearner(self.size).inputs(image, fit, camera)
+        return image_and_rays(image, fit, camera)
 
     def augmented(self, sample: Sample, rng: np.random.Generator) -> Sample:
         """All three frames with another exposure and white balance."""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.errors import InputError, MissingExtraError
+from vrcaps.errors import InputError, import_extra
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -53,11 +53,7 @@ def _vector_heat(
     patch: Patch, center: int, edge_length: float
 ) -> tuple[Any, Float[np.ndarray, "n 2"]]:
     """Solver that has tangent frames, and log map of every vertex [m]."""
-    try:
-        import potpourri3d as pp3d
-    except ImportError as error:
-        raise MissingExtraError("potpourri3d", "lesions") from error
-
+    pp3d = import_extra("potpourri3d", "lesions")
     corners = patch.moved[patch.faces]
     mean_edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean()
     # Heat flows for t = coefficient · (mean edge)²; fine meshes of other lesions would stop it.

@@ -16,7 +16,7 @@ import numpy as np
 
 from vrcaps import rng
 from vrcaps.env.settings import EnvSettings
-from vrcaps.errors import MissingExtraError, require
+from vrcaps.errors import MissingExtraError, import_extra, require
 from vrcaps.limits import Range, check_fields
 from vrcaps.policy.mlp_policy import MlpPolicy, Normalizer, kept_settings
 
@@ -222,10 +222,7 @@ def require_learner() -> None:
     Raises:
         MissingExtraError: If it is not.
     """
-    try:
-        import stable_baselines3  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("stable-baselines3", "learn") from error
+    import_extra("stable_baselines3", "learn", package="stable-baselines3")
 
 
 def _seed(seed: int, purpose: str, number: int) -> int:

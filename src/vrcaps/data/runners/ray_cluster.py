@@ -15,7 +15,7 @@ from typing import Any
 from vrcaps.data.make_unit import Job, Maker, Outcome
 from vrcaps.data.runners.runner import Deaths, UnitQueue, num_processors
 from vrcaps.data.units import Units
-from vrcaps.errors import InputError, MissingExtraError
+from vrcaps.errors import InputError, import_extra
 
 LOCAL, AUTO = "local", "auto"
 
@@ -55,10 +55,7 @@ class RayCluster:
         """Make units; one whose worker dies is made again by another, but not for ever."""
         if not numbers:
             return
-        try:
-            import ray
-        except ImportError as error:
-            raise MissingExtraError("ray", "scale") from error
+        ray = import_extra("ray", "scale")
         with _connected(ray, self) as head:
             yield from _outcomes(ray, job, numbers, self.workers, head)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.errors import InputError, MissingExtraError
+from vrcaps.errors import InputError, import_extra
 from vrcaps.tools.camera_calibration.board import MAX_SQUARES, Board
 from vrcaps.tools.camera_calibration.subpixel import refine_corners
 
@@ -156,8 +156,4 @@ def _check_whole(photos: Sequence[Photo], board: Board) -> None:
 
 
 def _opencv() -> Any:
-    try:
-        import cv2
-    except ImportError as error:
-        raise MissingExtraError("opencv-python-headless", "calibrate") from error
-    return cv2
+    return import_extra("cv2", "calibrate", package="opencv-python-headless")

@@ -10,7 +10,7 @@ from numpy.polynomial import chebyshev
 from scipy import ndimage
 from scipy.sparse import coo_array, csr_array
 
-from vrcaps.errors import InputError, MissingExtraError
+from vrcaps.errors import InputError, import_extra
 from vrcaps.geometry import triangle_areas
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.tools.ct.fraction import LumenFraction
@@ -159,10 +159,7 @@ def decimate(mesh: Mesh, edge: float) -> Mesh:
     Raises:
         MissingExtraError: If fast-simplification is not installed.
     """
-    try:
-        import fast_simplification
-    except ImportError as error:
-        raise MissingExtraError("fast-simplification", "ct") from error
+    fast_simplification = import_extra("fast_simplification", "ct", package="fast-simplification")
     area = triangle_areas(mesh.vertices[mesh.faces]).sum()
     wanted = int(area / (np.sqrt(3.0) / 4.0 * edge**2))
     if wanted >= len(mesh.faces):

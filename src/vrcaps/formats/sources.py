@@ -1,4 +1,4 @@
-"""Where learners take frames from: episodes, data sets, and folders in any known layout."""
+"""Where frames are taken from: episodes, data sets, and folders in any known layout."""
 
 from __future__ import annotations
 

@@ -23,9 +23,9 @@ from playwright.sync_api import Page, sync_playwright
 
 from validation import parser, table, write_section
 from vrcaps.cli.cockpit import Cockpit as CockpitCommand
-from vrcaps.cockpit.camera_images import LiveImage
+from vrcaps.cockpit.camera_images import LiveImage, Look
 from vrcaps.cockpit.cockpit import Cockpit, open_cockpit
-from vrcaps.cockpit.panels.camera_panel import CameraPanel
+from vrcaps.cockpit.view import View
 
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 WINDOWS = {"small": ((900, 300), 0.2), "large": ((1400, 850), 1.0)}
@@ -155,19 +155,19 @@ def latency_of_a_press(tab: Page, key: str) -> float:
 
 def mark_images(cockpit: Cockpit) -> None:
     """Paints a corner yellow of images of states after a command that moves the magnet."""
-    panel = next(panel for panel in cockpit.page.panels if isinstance(panel, CameraPanel))
-    operator = cockpit.session.operator
+    images, operator = cockpit.page.images, cockpit.session.operator
+    make = images.image
 
-    def show_image(image: LiveImage) -> None:
-        picture = image.picture.copy()
+    def marked(view: View, look: Look) -> LiveImage:
+        picture = make(view, look).picture.copy()
         # The page does not send an image again that has not changed.
-        picture[-MARK_PX:, :MARK_PX] = 255 * (image.view.number % 2)
-        past = [c for c in operator.commands()[1][-40:] if c.time < image.view.state.time]
+        picture[-MARK_PX:, :MARK_PX] = 255 * (view.number % 2)
+        past = [c for c in operator.commands()[1][-40:] if c.time < view.state.time]
         if past and any(past[-1].linear):
             picture[:MARK_PX, :MARK_PX] = (255, 255, 0)
-        panel._image.image = picture
+        return LiveImage(look, picture)
 
-    panel.show_image = show_image  # type: ignore[method-assign]
+    images.image = marked  # type: ignore[method-assign]
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from vrcaps.files import (
     TEMPORARY,
     atomic_write,
     file_sha256,
+    is_new_folder,
     read_arrays,
     sync_folder,
     write_arrays,
@@ -85,3 +86,11 @@ def test_damaged_arrays_are_errors_of_reading(tmp_path):
     np.save(tmp_path / "b.npy", np.zeros(3))
     with pytest.raises(ValueError, match="no whole NumPy archive"):
         read_arrays(tmp_path / "b.npy")
+
+
+def test_a_new_folder_is_one_that_is_not_there_or_empty(tmp_path):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "file").touch()
+    names = ("none", "empty", "full", "full/file")
+    assert [is_new_folder(tmp_path / name) for name in names] == [True, True, False, False]

@@ -99,13 +99,18 @@ def write_json(path: Path, value: Any) -> None:
     write_bytes(path, (text + "\n").encode())
 
 
+def is_new_folder(folder: Path) -> bool:
+    """Whether a folder to be made is not there, or is empty; a file is neither."""
+    return not folder.exists() or (folder.is_dir() and not any(folder.iterdir()))
+
+
 def require_new_folder(folder: Path) -> None:
     """Check that a folder to be made is not there, or is empty.
 
     Raises:
         InputError: If it is there with something in it, or is a file.
     """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+    if not is_new_folder(folder):
         raise InputError(f"{folder} exists. Give a new or empty folder.")
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from vrcaps import __version__
 from vrcaps.errors import InputError
-from vrcaps.files import write_json
+from vrcaps.files import is_new_folder, write_json
 from vrcaps.made_with import core_sha256, versions
 
 SETTINGS = "settings.json"
@@ -31,7 +31,7 @@ def begin_training(
     path = out / SETTINGS
     made_with = {"vrcaps": __version__, "core": core_sha256(), **versions(packages)}
     if not path.is_file():
-        if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        if not is_new_folder(out):
             raise InputError(f"{out} holds no training. Give a new or empty folder.")
         out.mkdir(parents=True, exist_ok=True)
         write_json(path, {"made_with": made_with, "settings": plain})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,9 +13,6 @@ from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.env import CapsuleEnv
 from vrcaps.env.vector_env import CapsuleVectorEnv
 from vrcaps.errors import InputError
-
-if TYPE_CHECKING:
-    pass
 
 pytest.importorskip("stable_baselines3")
 

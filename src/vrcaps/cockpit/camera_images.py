@@ -7,7 +7,7 @@ import time as wall_clock
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from vrcaps.camera_pipeline.capsule_cameras import CapsuleCameras
 from vrcaps.camera_pipeline.effects import Effects
@@ -67,15 +67,11 @@ class LiveImage:
     """One image of the camera.
 
     Attributes:
-        view: What it is of.
         look: How it was made.
-        values: Of its channel.
         picture: To look at.
     """
 
-    view: View
     look: Look
-    values: Any
     picture: UInt8[ndarray, "h w 3"]
 
 
@@ -152,7 +148,7 @@ class CameraImages:
         values = getattr(pipeline.capture(step), look.channel)
         self.exposure = pipeline.state.exposure
         limits = limits_of(look.channel, [values])
-        return LiveImage(view, look, values, picture(look.channel, values, limits))
+        return LiveImage(look, picture(look.channel, values, limits))
 
     def _earlier(self, state: State) -> State:
         """The state one frame of the recording before, as nearly as it is known."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from vrcaps.actuation.steering_program import JOYSTICK_COLUMNS, JoystickCommand
 from vrcaps.errors import InputError
 from vrcaps.file_ref import FileRef
-from vrcaps.files import write_bytes, write_json
+from vrcaps.files import is_new_folder, write_bytes, write_json
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.scenario.scenario import Scenario, scenario_to_plain
 
@@ -32,7 +32,7 @@ def make_folder(folder: Path) -> None:
     Raises:
         InputError: If it holds anything, or cannot be made.
     """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+    if not is_new_folder(folder):
         raise InputError(f"{folder} is not empty. Give a new or empty folder.")
     try:
         folder.mkdir(parents=True, exist_ok=True)

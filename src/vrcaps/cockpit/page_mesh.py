@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.geometry import triangle_areas
+
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
@@ -41,10 +43,7 @@ def coarse_mesh(
     """
     if len(faces) <= most:
         return PageMesh(np.arange(len(points)), np.asarray(faces))
-    corners = points[faces]
-    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = 0.5 * np.linalg.norm(crosses, axis=1).sum()
-    cell = float(np.sqrt(2.0 * area / most))
+    cell = float(np.sqrt(2.0 * triangle_areas(points[faces]).sum() / most))
     while True:
         mesh = _clustered(points, faces, cell)
         if len(mesh.faces) <= most:

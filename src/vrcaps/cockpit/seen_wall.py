@@ -9,6 +9,7 @@ import numpy as np
 from vrcaps.metrics.coverage import CoverageCriteria
 from vrcaps.metrics.point_coverage import POINT_LEVELS, mark_points, wall_points
 from vrcaps.transforms import invert
+from vrcaps.world.schedule import patient_at
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -57,12 +58,12 @@ class SeenWall:
             return
         if view.frame < self._frame:
             self._forget()
-            for pose in self._session.poses:
-                self._mark(pose)
+            rollout, first = self._session.rollout, self._model.T_world_patient
+            changes = rollout.settings.posture_changes
+            for frame, pose in enumerate(self._session.poses):
+                self._mark(patient_at(first, changes, frame / rollout.fps), pose)
         self._frame = view.frame
-        # The wall does not move, so the capsule is put where it is in the patient.
-        to_rest = self._model.T_world_patient @ invert(view.T_world_patient)
-        self._mark(to_rest @ view.state.T_world_capsule)
+        self._mark(view.T_world_patient, view.state.T_world_capsule)
 
     def _forget(self) -> None:
         self._flags = np.zeros(len(self._points), np.uint8)
@@ -70,13 +71,18 @@ class SeenWall:
         self._frame, self.fraction = 0, 0.0
         self.version += 1
 
-    def _mark(self, T_world_capsule: Float[np.ndarray, "4 4"]) -> None:
+    def _mark(
+        self, T_world_patient: Float[np.ndarray, "4 4"], T_world_capsule: Float[np.ndarray, "4 4"]
+    ) -> None:
+        """Adds what the cameras of a capsule see in a patient who lies so."""
+        # The wall does not move, so the capsule is put where it is in the patient.
+        to_rest = self._model.T_world_patient @ invert(T_world_patient)
         for camera in self._model.device.cameras:
             gained = mark_points(
                 [self._model.wall],
                 [self._points],
                 camera,
-                (T_world_capsule @ camera.T_capsule_camera)[None],
+                (to_rest @ T_world_capsule @ camera.T_capsule_camera)[None],
                 [self._flags],
                 self._cells,
                 CoverageCriteria(),

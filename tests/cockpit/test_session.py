@@ -102,6 +102,19 @@ def test_says_what_cannot_be_done(drive_scenario, tmp_path):
 
 
 @pytest.mark.slow
+def test_snapshots_of_what_is_forgotten_are_forgotten(drive_scenario, tmp_path):
+    with driving(drive_scenario, tmp_path / "drive") as session:
+        run_to(session, 1)
+        early = session.keep_snapshot()
+        run_to(session, 3)
+        late = session.keep_snapshot()
+        session.go_back(early)
+        wait_until(lambda: session.snapshots == (early,))
+        with pytest.raises(UnknownNameError, match=f"No snapshot named '{late}'"):
+            session.go_back(late)
+
+
+@pytest.mark.slow
 def test_a_world_that_cannot_step_pauses_at_its_last_frame(drive_scenario, tmp_path, monkeypatch):
     """It is told, and goes on when the driver wishes so."""
     told: list[str] = []

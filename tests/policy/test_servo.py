@@ -11,11 +11,12 @@ import pytest
 from small_envs import small_settings
 from vrcaps.capsule.body import homogeneous_body
 from vrcaps.capsule.catalog import read_device
+from vrcaps.env.actuation.magnet import MagnetActuation
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.settings import EnvSettings
 from vrcaps.errors import InputError
-from vrcaps.policy.servo import Goal, heading_error, servo_actions
-from vrcaps.transforms import rotation_from_vector
+from vrcaps.policy.servo import Goal, heading_error, magnet_action, servo_actions
+from vrcaps.transforms import rotation_from_vector, transform_from
 
 DEVICE = read_device("magnetic")
 TAU = 0.1
@@ -109,3 +110,16 @@ def test_an_actuation_that_it_cannot_drive_is_one_line() -> None:
     body = free_body(SimpleNamespace(actuation=SimpleNamespace(kind="rope")))  # type: ignore[arg-type]
     with pytest.raises(InputError, match="cannot drive 'rope'"):
         servo_actions(body, Goal(np.zeros((2, 3)), np.zeros((2, 3))))
+
+
+def test_the_action_of_a_magnet_arrives_where_it_can_and_else_keeps_its_direction() -> None:
+    """In 0.1 s at most 5 mm along each axis and 0.1 rad about each."""
+    actuation = MagnetActuation(speed=0.05, angular_speed=1.0)
+    now = transform_from(rotation_from_vector(np.array([0.4, 0.1, 0.0])), np.array([0.1, 0.2, 0.3]))
+    turn, way = np.array([0.0, 0.05, -0.02]), np.array([0.001, -0.004, 0.002])
+    near = transform_from(rotation_from_vector(turn) @ now[:3, :3], now[:3, 3] + way)
+    action = magnet_action(actuation, now, near, 0.1)
+    assert action == pytest.approx([0.2, -0.8, 0.4, 0.0, 0.5, -0.2])
+    far = transform_from(rotation_from_vector(10 * turn) @ now[:3, :3], now[:3, 3] + 10 * way)
+    action = magnet_action(actuation, now, far, 0.1)
+    assert action == pytest.approx([0.25, -1.0, 0.5, 0.0, 1.0, -0.4])

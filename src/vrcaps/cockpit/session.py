@@ -260,7 +260,7 @@ class Session:
         """Forgets what comes after a checkpoint."""
         frame = 0 if state is None else state.frame
         time = frame / self.rollout.fps
-        self.operator.rewind(0.0 if state is None else time)
+        self.operator.rewind(time)
         settings = self.rollout.settings
         turns = tuple(change for change in settings.posture_changes if change.time <= time)
         entries = settings.insufflation
@@ -270,6 +270,9 @@ class Session:
         with self._lock:
             self._last = state
             del self._poses[frame:]
+            self._snapshots = {
+                name: kept for name, kept in self._snapshots.items() if kept.frame <= frame
+            }
 
     def _keep(self, moment: Moment) -> None:
         """Keeps a whole frame and its checkpoint."""

@@ -27,8 +27,8 @@ from vrcaps.geometry import unit
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.policy.policy import Requirements
-from vrcaps.policy.servo import heading_error
-from vrcaps.transforms import rotation_from_vector, vector_from_rotation
+from vrcaps.policy.servo import heading_error, magnet_action
+from vrcaps.transforms import rotation_from_vector
 from vrcaps.units import CM, MM
 from vrcaps.world.control import GRAVITY
 
@@ -119,8 +119,9 @@ class Guide:
             index: The world.
         """
         model, memory = simulation.patient(index).model, simulation.memory
-        actuation = _magnet_of(simulation)
-        magnet, (low, high) = read_magnet(actuation.magnet), memory["magnet/box"][index].tolist()
+        self._actuation = _magnet_of(simulation)
+        magnet = read_magnet(self._actuation.magnet)
+        low, high = memory["magnet/box"][index].tolist()
         workspace = Workspace(tuple(low), tuple(high), 0.5 * magnet.diameter + 3.0 * CM)
         self._solver = MagnetPoseSolver(SourceSet([magnet]), model.device.magnets, workspace)
         self._index, self._weight = index, model.device.mass * GRAVITY
@@ -191,13 +192,10 @@ class Guide:
         self, simulation: Simulation, T_world_capsule: Float[np.ndarray, "4 4"], dt: float
     ) -> Float[np.ndarray, " 6"]:
         """Action that moves the magnet to where a capsule at a pose would feel the force."""
-        actuation, now = _magnet_of(simulation), simulation.memory["magnet/T"][self._index]
+        now = simulation.memory["magnet/T"][self._index]
         target = WrenchTarget(self._force.tolist(), motion_weight=_MOTION_WEIGHT)
         solution = self._solver.solve(target, T_world_capsule, now, max_iterations=_ITERATIONS)
-        wanted = solution.T_world_magnet
-        linear = (wanted[:3, 3] - now[:3, 3]) / (actuation.speed * dt)
-        turn = vector_from_rotation(wanted[:3, :3] @ now[:3, :3].T) / (actuation.angular_speed * dt)
-        return np.concatenate([v / max(1.0, np.abs(v).max()) for v in (linear, turn)])
+        return magnet_action(self._actuation, now, solution.T_world_magnet, dt)
 
 
 def _path(simulation: Simulation, index: int) -> WallPath:

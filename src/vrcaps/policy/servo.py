@@ -169,7 +169,7 @@ def _magnet(
     force[:, 2] = max(simulation.device.mass * GRAVITY - _REST, 0.0)
     sources = SourceSet([read_magnet(actuation.magnet)])
     dt, memory = simulation.settings.control_period, simulation.memory
-    actions = np.zeros((simulation.num_worlds, 6))
+    actions = np.zeros((simulation.num_worlds, 6), np.float32)
     for index, T_world_capsule in enumerate(simulation.T_world_capsule):
         (x0, y0, z0), (x1, y1, z1) = memory["magnet/box"][index].tolist()
         solver = MagnetPoseSolver(
@@ -179,11 +179,27 @@ def _magnet(
         ahead[:3, :3] = rotation_from_vector(_LEAD * spin[index]) @ ahead[:3, :3]
         now = memory["magnet/T"][index]
         wanted = solver.solve(WrenchTarget(force[index].tolist()), ahead, now).T_world_magnet
-        turn = vector_from_rotation(wanted[:3, :3] @ now[:3, :3].T)
-        actions[index, :3] = (wanted[:3, 3] - now[:3, 3]) / (actuation.speed * dt)
-        actions[index, 3:] = turn / (actuation.angular_speed * dt)
-    shares = [_share(actions[:, :3], 1.0), _share(actions[:, 3:], 1.0)]
-    return np.concatenate(shares, axis=1).astype(np.float32)
+        actions[index] = magnet_action(actuation, now, wanted, dt)
+    return actions
+
+
+def magnet_action(
+    actuation: MagnetActuation,
+    now: Float[np.ndarray, "4 4"],
+    wanted: Float[np.ndarray, "4 4"],
+    dt: float,
+) -> Float[np.ndarray, " 6"]:
+    """Action that brings a magnet towards a pose, straight on and by the shortest turn.
+
+    Args:
+        actuation: Whose largest speeds the action is a share of.
+        now: Pose of the magnet, in the world.
+        wanted: Pose that it is to have.
+        dt: Control period [s].
+    """
+    way = (wanted[:3, 3] - now[:3, 3]) / (actuation.speed * dt)
+    turn = vector_from_rotation(wanted[:3, :3] @ now[:3, :3].T) / (actuation.angular_speed * dt)
+    return np.concatenate([_share(part[None], 1.0)[0] for part in (way, turn)])
 
 
 def _share(wanted: Float[np.ndarray, "n 3"], most: float) -> Float[np.ndarray, "n 3"]:

@@ -71,6 +71,9 @@ class RunPanel:
         label = "Go on" if view.is_paused else "Pause"
         if self._pause.label != label:
             self._pause.label = label
+        names = self._session.snapshots or (_NO_SNAPSHOT,)
+        if self._names.options != names:  # going back forgets later ones
+            self._names.options = names
 
     def _toggle(self) -> None:
         clock = self._session.clock

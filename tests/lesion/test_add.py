@@ -18,9 +18,11 @@ from vrcaps.lesion import (
     Polyp,
     Stricture,
     add_lesions,
+    sites,
 )
 from vrcaps.lesion.focal import FocalForm
 from vrcaps.mesh.edges import find_edges, signed_volume
+from vrcaps.mesh.log_map import ThinTrianglesError
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.surface import face_label
 from vrcaps.render.renderer import Renderer
@@ -267,3 +269,27 @@ def test_clean_twin_looks_like_the_organ_itself(tube):
         for organ in (tube, clean)
     )
     assert np.abs(one - two).mean() < 1.0
+
+
+def test_another_location_is_drawn_where_triangles_are_too_thin(tube, monkeypatch):
+    whole, calls = sites.log_map, []
+
+    def thin_at_first(*args, **settings):
+        calls.append(args)
+        if len(calls) == 1:
+            raise ThinTrianglesError("thin")
+        return whole(*args, **settings)
+
+    monkeypatch.setattr(sites, "log_map", thin_at_first)
+    pair = add_lesions(tube, [Polyp(size=6 * MM)], np.random.default_rng(3))
+    assert len(calls) == 2
+    assert pair.organ.instance.max() == 1
+
+
+def test_thin_triangles_at_a_stated_location_are_one_line(tube, monkeypatch):
+    def thin(*args, **settings):
+        raise ThinTrianglesError("the wall there has triangles too thin to lay a lesion on")
+
+    monkeypatch.setattr(sites, "log_map", thin)
+    with pytest.raises(InputError, match=r"No location for polyp Is .*too thin.*Choose another"):
+        add_lesions(tube, [Polyp(size=6 * MM)], np.random.default_rng(3))

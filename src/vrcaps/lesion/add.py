@@ -15,6 +15,7 @@ from vrcaps.lesion.base import Form, Lesion
 from vrcaps.lesion.mesh_patch import ExtractedPatch, as_organ, insert, whole_wall
 from vrcaps.lesion.placement import PlacedLesion, describe
 from vrcaps.lesion.sites import SITES, PlacementContext, samples
+from vrcaps.mesh.log_map import ThinTrianglesError
 from vrcaps.mesh.refine import Patch, refine, renewed_normals
 from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.surface import OrganSurface
@@ -110,8 +111,13 @@ class _Work:
         """
         organ = as_organ(self.wall, self.organ, self.wall.moved)
         context = PlacementContext(organ, self.wall, self.down, self.num_vertices, self.focal)
+        reason = f"in {_NUM_TRIES} tries it cuts into the wall beside it"
         for _ in range(_NUM_TRIES):
-            found = SITES[lesion.extent](lesion, context, rng)
+            try:
+                found = SITES[lesion.extent](lesion, context, rng)
+            except ThinTrianglesError as error:
+                reason = str(error)
+                continue
             form = lesion.form(found.site, rng)
             patch = _formed(found.patch, form, is_focal=lesion.extent == "focal")
             wall = samples(patch)
@@ -123,8 +129,8 @@ class _Work:
                 break
         else:
             raise InputError(
-                f"No location for {describe(lesion)}: in {_NUM_TRIES} tries it cuts into the wall "
-                "beside it. Choose another location or a smaller one."
+                f"No location for {describe(lesion)}: {reason}. Choose another location or a "
+                "smaller one."
             )
         if self.clean is not None and self.lesioned is not None:
             self._paint(lesion, instance, patch, shown)

@@ -14,6 +14,11 @@ if TYPE_CHECKING:
 
     from vrcaps.mesh.refine import Patch
 
+
+class ThinTrianglesError(InputError):
+    """A piece of wall whose triangles are needles, on which there is no log map."""
+
+
 _BEYOND = 1.05  # radii up to which distances are made exact
 
 
@@ -37,7 +42,7 @@ def log_map(
 
     Raises:
         MissingExtraError: If potpourri3d is not installed.
-        InputError: If the triangles there are needles.
+        ThinTrianglesError: If the triangles there are needles.
     """
     solver, xy = _vector_heat(patch, center, edge_length)
     x, y, normal = (np.asarray(axis)[center] for axis in solver.get_tangent_frames())
@@ -67,9 +72,8 @@ def _vector_heat(
         if np.isfinite(xy).all():
             return solver, xy
     x, y, z = patch.moved[center] / MM
-    raise InputError(
-        f"The wall at ({x:.1f}, {y:.1f}, {z:.1f}) mm has triangles too thin to lay a lesion on. "
-        "Choose another location, or remesh the organ."
+    raise ThinTrianglesError(
+        f"the wall at ({x:.1f}, {y:.1f}, {z:.1f}) mm has triangles too thin to lay a lesion on"
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from vrcaps.errors import InputError, require
 from vrcaps.learn.fit import Fit
-from vrcaps.learn.learner import Batch, Figure, Sample, mirrored, outputs_of, with_gain
+from vrcaps.learn.learner import Batch, Figure, Sample, mirrored, outputs_of, recolored, zoomed
 from vrcaps.learn.networks import ENCODER, classifier, require_torch
 from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.classification import accuracy, confusion_matrix, f1_scores, matthews, roc_auc
@@ -37,6 +37,8 @@ class ClassLearner:
         min_fraction: Share of a recorded frame that a lesion must take to give the frame its class.
         dropout: Share of features left out while learning.
         brightness: Largest random change of exposure, as a factor: 1.3 is ± 30 %.
+        tint: Largest random change of each color, as a factor.
+        zoom: Least side of the random part of an image that is learned from; 1 is all of it.
     """
 
     classes: tuple[str, ...] = (NORMAL, "polyp", "ulcer")
@@ -45,6 +47,8 @@ class ClassLearner:
     min_fraction: Annotated[float, Range(0.0, 1.0)] = 0.005
     dropout: Annotated[float, Range(0.0, below=1.0)] = 0.2
     brightness: Annotated[float, Range(1.0)] = 1.3
+    tint: Annotated[float, Range(1.0)] = 1.25
+    zoom: Annotated[float, Range(above=0.0, most=1.0)] = 0.7
 
     kind: ClassVar[str] = "classes"
     input_names: ClassVar[tuple[str, ...]] = ("image",)
@@ -90,11 +94,11 @@ class ClassLearner:
         return {"image": fit.image(image)}
 
     def augmented(self, sample: Sample, rng: np.random.Generator) -> Sample:
-        """Mirrored, turned by quarters, and with another exposure and white balance."""
-        sample = mirrored(sample, rng)
-        gain = self.brightness ** rng.uniform(-1.0, 1.0) * rng.uniform(0.9, 1.1, 3)
+        """A part of the image, mirrored, turned by quarters, and with other colors."""
+        sample = mirrored(zoomed(sample, rng, self.zoom), rng)
         image = np.rot90(sample["image"], int(rng.integers(4))).copy()
-        return sample | {"image": with_gain(image, gain, rng.uniform(0.85, 1.15))}
+        image = recolored(image, rng, exposure=self.brightness, tint=self.tint, gamma=1.3)
+        return sample | {"image": image}
 
     def network(self, *, is_pretrained: bool) -> Any:
         """A network from batches to logits [b c]."""

@@ -20,7 +20,7 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.learn.fit import Fit, require_size
-from vrcaps.learn.learner import Batch, Figure, Sample, flip, outputs_of, with_gain
+from vrcaps.learn.learner import Batch, Figure, Sample, flip, outputs_of, recolored, zoomed
 from vrcaps.learn.networks import ENCODER, dense_network, require_torch
 from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.depth import depth_errors, mean_depth_errors
@@ -50,6 +50,8 @@ class DepthLearner:
         has_light_cue: Whether the network is given the cue of the light.
         gradient_weight: Weight of the loss of gradients.
         brightness: Largest random change of exposure, as a factor: 1.3 is ± 30 %.
+        tint: Largest random change of each color, as a factor.
+        zoom: Least side of the random part of a frame that is learned from; 1 is all of it.
     """
 
     size: Annotated[int, Range(32)] = 192
@@ -57,6 +59,8 @@ class DepthLearner:
     has_light_cue: bool = True
     gradient_weight: Annotated[float, Range(0.0)] = 0.5
     brightness: Annotated[float, Range(1.0)] = 1.2
+    tint: Annotated[float, Range(1.0)] = 1.2
+    zoom: Annotated[float, Range(above=0.0, most=1.0)] = 0.6
 
     kind: ClassVar[str] = "depth"
     input_names: ClassVar[tuple[str, ...]] = ("image", "ray")
@@ -94,14 +98,16 @@ class DepthLearner:
         return image_and_rays(image, fit, camera)
 
     def augmented(self, sample: Sample, rng: np.random.Generator) -> Sample:
-        """Mirrored and with another exposure and white balance."""
+        """A part of the frame, mirrored, and with another exposure and white balance."""
+        sample = zoomed(sample, rng, self.zoom)
         for axis, component in ((1, 0), (0, 1)):
             if rng.random() < 0.5:
                 sample = flip(sample, axis)
                 sample["ray"][..., component] *= -1.0
-        exposure = self.brightness ** rng.uniform(-1.0, 1.0)
-        gain = exposure * rng.uniform(0.95, 1.05, 3)
-        return sample | {"image": with_gain(sample["image"], gain, rng.uniform(0.9, 1.1))}
+        image = recolored(
+            sample["image"], rng, exposure=self.brightness, tint=self.tint, gamma=1.15
+        )
+        return sample | {"image": image}
 
     def network(self, *, is_pretrained: bool) -> Any:
         """A network from batches to ln(depth / 30 mm) [b 1 s s]."""

@@ -134,6 +134,52 @@ def mirrored(sample: Sample, rng: np.random.Generator) -> Sample:
     return sample
 
 
+def zoomed(sample: Sample, rng: np.random.Generator, least: float) -> Sample:
+    """A random square part of a sample, brought to its size, as another lens would see it.
+
+    Args:
+        sample: `image`, and maps [s s ...] of which the nearest values are taken.
+        rng: Draws the part.
+        least: Smallest side of the part, relative to the sample's.
+    """
+    from PIL import Image
+
+    size = sample["image"].shape[0]
+    side = size * rng.uniform(least, 1.0)
+    left, top = rng.uniform(0.0, size - side, 2)
+    middles = (np.arange(size) + 0.5) * side / size
+    part = np.ix_((top + middles).astype(int), (left + middles).astype(int))
+    image = Image.fromarray(sample["image"])
+    box = (left, top, left + side, top + side)
+    large = np.asarray(image.resize((size, size), Image.Resampling.BILINEAR, box=box))
+    maps = {
+        name: np.ascontiguousarray(array[part]) if np.shape(array)[:2] == (size, size) else array
+        for name, array in sample.items()
+    }
+    return maps | {"image": large}
+
+
+def recolored(
+    image: UInt8[np.ndarray, "h w 3"],
+    rng: np.random.Generator,
+    *,
+    exposure: float,
+    tint: float,
+    gamma: float,
+) -> UInt8[np.ndarray, "h w 3"]:
+    """The image with random exposure, white balance and gamma, each drawn evenly in its logarithm.
+
+    Args:
+        image: To change.
+        rng: Draws them.
+        exposure: Largest factor on all colors.
+        tint: Largest factor on each color.
+        gamma: Largest exponent.
+    """
+    change = exposure ** rng.uniform(-1.0, 1.0) * tint ** rng.uniform(-1.0, 1.0, 3)
+    return with_gain(image, change, gamma ** rng.uniform(-1.0, 1.0))
+
+
 def with_gain(
     image: UInt8[np.ndarray, "h w 3"], gain: Float[np.ndarray, " 3"], gamma: float
 ) -> UInt8[np.ndarray, "h w 3"]:

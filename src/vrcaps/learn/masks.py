@@ -14,8 +14,9 @@ import numpy as np
 
 from vrcaps.errors import InputError, require
 from vrcaps.learn.fit import Fit, require_size
-from vrcaps.learn.learner import Batch, Figure, Sample, mirrored, outputs_of, with_gain
+from vrcaps.learn.learner import Batch, Figure, Sample, mirrored, outputs_of, recolored, zoomed
 from vrcaps.learn.networks import ENCODER, dense_network, require_torch
+from vrcaps.lesion.registry import LESIONS
 from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.masks import boundary_f_score, dice, iou
 from vrcaps.recording.frame_sequence import FrameSequence
@@ -36,16 +37,21 @@ class MaskLearner:
     """Masks of lesions, one for each class; they may overlap.
 
     Attributes:
-        classes: `lesion` for any lesion, or names of labels such as `polyp`.
+        classes: `lesion` for any lesion, kinds of lesions of a recording such as `polyp`, or names
+            of labels.
         size: Side of the images that the network is given [px]; maps need a multiple of 32.
         encoder: Name of timm's, such as resnet152.
         brightness: Largest random change of exposure, as a factor: 1.3 is ± 30 %.
+        tint: Largest random change of each color, as a factor.
+        zoom: Least side of the random part of an image that is learned from; 1 is all of it.
     """
 
     classes: tuple[str, ...] = (LESION,)
     size: Annotated[int, Range(32)] = 192
     encoder: str = ENCODER
     brightness: Annotated[float, Range(1.0)] = 1.3
+    tint: Annotated[float, Range(1.0)] = 1.25
+    zoom: Annotated[float, Range(above=0.0, most=1.0)] = 0.6
 
     kind: ClassVar[str] = "masks"
     input_names: ClassVar[tuple[str, ...]] = ("image",)
@@ -63,14 +69,14 @@ class MaskLearner:
             InputError: If it has no masks, or none of a class.
         """
         for name in self.classes:
-            channel = "instance" if name == LESION and "instance" in sequence.channels else "label"
+            channel = _channel_of(sequence, name)
             for needed in ("rgb", channel):
                 if needed not in sequence.channels:
                     raise InputError(
                         f"Learning masks needs the channel {needed!r}, which {sequence.name} has "
                         "not: images without masks."
                     )
-            if name != LESION and name not in sequence.label_names:
+            if channel == "label" and name not in (LESION, *sequence.label_names):
                 known = ", ".join(sequence.label_names[1:])
                 raise InputError(
                     f"{sequence.name} has no class {name!r}. It has: {known}; {LESION!r} is any."
@@ -92,22 +98,24 @@ class MaskLearner:
         return {**self.inputs(image, fit, None), "mask": truth}
 
     def _mask(self, sequence: FrameSequence, index: int, name: str) -> NDArray:
-        if name != LESION:
-            return sequence.image("label", index) == sequence.label_names.index(name)
-        channel = "instance" if "instance" in sequence.channels else "label"
-        return sequence.image(channel, index) > 0
+        shown = sequence.image(_channel_of(sequence, name), index)
+        if name == LESION:
+            return shown > 0
+        if name in _kinds(sequence):
+            return np.isin(shown, _kinds(sequence)[name])
+        return shown == sequence.label_names.index(name)
 
     def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Fit, camera: Any) -> Sample:
         """The image; any camera will do."""
         return {"image": fit.image(image)}
 
     def augmented(self, sample: Sample, rng: np.random.Generator) -> Sample:
-        """Mirrored, turned by quarters, and with another exposure and white balance."""
-        sample = mirrored(sample, rng)
+        """A part of the image, mirrored, turned by quarters, and with other colors."""
+        sample = mirrored(zoomed(sample, rng, self.zoom), rng)
         if rng.random() < 0.5:
             sample = {name: np.swapaxes(array, 0, 1).copy() for name, array in sample.items()}
-        gain = self.brightness ** rng.uniform(-1.0, 1.0) * rng.uniform(0.9, 1.1, 3)
-        return sample | {"image": with_gain(sample["image"], gain, rng.uniform(0.85, 1.15))}
+        image = recolored(sample["image"], rng, exposure=self.brightness, tint=self.tint, gamma=1.3)
+        return sample | {"image": image}
 
     def network(self, *, is_pretrained: bool) -> Any:
         """A network from batches to logits [b c s s]."""
@@ -168,6 +176,20 @@ class MaskLearner:
     def row(self, output: NDArray) -> Mapping[str, Any]:
         """Nothing."""
         return {}
+
+
+def _channel_of(sequence: FrameSequence, name: str) -> str:
+    """The channel that the masks of a class come from."""
+    is_instance = "instance" in sequence.channels and (name == LESION or name in _kinds(sequence))
+    return "instance" if is_instance else "label"
+
+
+def _kinds(sequence: FrameSequence) -> dict[str, list[int]]:
+    """Instances of each kind of lesion, of a recording; empty for data of others."""
+    if sequence.episode is None:
+        return {}
+    lesions = sequence.episode.head["organ"]["lesions"]
+    return {kind: [one["instance"] for one in lesions if one["kind"] == kind] for kind in LESIONS}
 
 
 def _outlined(image: NDArray, mask: NDArray) -> NDArray:

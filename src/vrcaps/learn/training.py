@@ -187,7 +187,8 @@ class _Run:
         self.settings, self.samples, self.validation = settings, samples, validation
         self.out, self.device, self.learner = out, device, settings.learner
         torch.manual_seed(settings.seed)
-        self.network = _first_network(settings).to(device)
+        # Convolutions of images with neighboring channels take two thirds of the time.
+        self.network = _first_network(settings).to(device, memory_format=torch.channels_last)
         self.optimizer = torch.optim.AdamW(
             self.network.parameters(), lr=settings.rate, weight_decay=settings.weight_decay
         )

@@ -23,7 +23,7 @@ from functools import partial
 from pathlib import Path
 
 import readme
-from validation import PAGE, ROOT, SPEED_PAGE
+from validation import PAGE, ROOT, SPEED_PAGE, page_of
 from vrcaps.cli.benchmarks.page import read_sections, tree, write_page
 
 BUILD = ROOT / "build" / "figures"
@@ -52,7 +52,7 @@ class Figure:
     @property
     def page(self) -> Path:
         """The page that its section is on."""
-        return SPEED_PAGE if "bench " in self.name or "/speed_" in self.name else PAGE
+        return page_of(self.name)
 
     @property
     def command(self) -> list[str]:

@@ -16,15 +16,13 @@ import numpy as np
 import pyarrow
 from PIL import Image
 
-from validation import ROOT, options, table, write_section
+from validation import options, table, write_section
 from vrcaps import _core
 from vrcaps.render.channels import CHANNELS
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
 from vrcaps.scenario.build import build
 from vrcaps.scenario.scenario import DEFAULT_CHANNELS, Scenario
-
-PAGE = ROOT / "docs" / "datasets.md"
 
 
 @dataclass(frozen=True)
@@ -152,8 +150,7 @@ kB of each channel and of all, and ms of one processor for all, without the disk
 """
     head = ["codec", *(f"`{name}`" for name in DEFAULT_CHANNELS)]
     text += table([*head, "all [kB]", "write [ms]", "read [ms]", "opened by"], rows)
-    page = PAGE if given.out.name == "validation.md" else given.out
-    write_section(page, "frame_codecs.py", text, title="")
+    write_section(given.out, "frame_codecs.py", text)
 
 
 if __name__ == "__main__":

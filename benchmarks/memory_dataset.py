@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from validation import ROOT, options, table, write_section
+from validation import options, table, write_section
 from vrcaps.data.make import make_dataset
 from vrcaps.data.plan import plan_from_plain
 from vrcaps.data.runners.in_process import InProcess
@@ -26,7 +26,6 @@ from vrcaps.organ.surface import Appearance
 from vrcaps.organ.write_organ import write_organ
 from write_ply import write_ply
 
-PAGE = ROOT / "docs" / "datasets.md"
 _WARM, _ALLOWED = 50, 0.05
 _MB = 1e6
 
@@ -94,9 +93,8 @@ def main() -> None:
 process. Growth after unit {warm}: {growth:.1%}; claimed: at most {_ALLOWED:.0%}: {verdict}.
 
 """
-    page = PAGE if given.out.name == "validation.md" else given.out
     text += table(["recordings", "resident memory [MB]"], rows)
-    write_section(page, "memory_dataset.py", text, title="")
+    write_section(given.out, "memory_dataset.py", text)
     if growth > _ALLOWED:
         sys.exit(1)
 

@@ -11,6 +11,7 @@ from vrcaps.cli.benchmarks.report import PAGE_TITLE as SPEED_TITLE
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE, SPEED_PAGE = ROOT / "docs" / "validation.md", ROOT / "docs" / "benchmarks.md"
+DATASET_PAGE = ROOT / "docs" / "datasets.md"
 DATA = ROOT.parent / "shared" / "data" / "organs"
 """Optional organs from CT; rows that need them are left out where it is absent."""
 
@@ -20,15 +21,22 @@ Each table below is written by the command named below it; nobody types results.
 """
 
 table = pages.table
+_OF_DATASETS = ("organ_files", "frame_codecs", "memory_dataset")
 
 sys.path.append(str(ROOT / "tests" / "support"))
 
 
+def page_of(name: str) -> Path:
+    """The page of docs/ that a command, `vrcaps bench …` or a script, writes its section into."""
+    if "bench " in name or Path(name).name.startswith("speed_"):
+        return SPEED_PAGE
+    return DATASET_PAGE if Path(name).stem in _OF_DATASETS else PAGE
+
+
 def parser(description: str) -> argparse.ArgumentParser:
-    """Command-line options with `--out`: the page of speed for scripts of speed."""
-    is_speed = Path(sys.argv[0]).name.startswith("speed_")
+    """Command-line options with `--out`: the script's page."""
     made = argparse.ArgumentParser(description=description)
-    page = SPEED_PAGE if is_speed else PAGE
+    page = page_of(sys.argv[0])
     made.add_argument("--out", type=Path, default=page, help="Markdown page to write into")
     return made
 

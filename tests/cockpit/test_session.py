@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from vrcaps.actuation.steering_program import read_commands
+from vrcaps.cockpit.policy_driver import PolicyDriver
 from vrcaps.cockpit.session import Session
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.recording.episode import read_episode
@@ -45,17 +46,25 @@ def run_to(session: Session, frame: int) -> None:
     wait_until(lambda: len(session.poses) > frame)
 
 
+def navigator(session: Session) -> PolicyDriver:
+    return PolicyDriver("navigator", session.rollout, posture="supine")
+
+
 @pytest.mark.slow
 def test_a_drive_is_recorded_again_to_the_same_bytes(drive_scenario, tmp_path):
-    """With keys, a dragged magnet, a turn, an insufflation and a return to a snapshot."""
+    """With keys, a dragged magnet, a policy, a turn, an insufflation and a return to a snapshot."""
     with driving(drive_scenario, tmp_path / "drive") as session:
         session.operator.push(np.array([0.8, 0, 0, 0, 0, -0.3]))
+        run_to(session, 2)
+        session.operator.hand_over(navigator(session))
         run_to(session, 4)
+        assert session.operator.policy == "navigator"
         snapshot = session.keep_snapshot()
         lost = session.poses
         session.turn("left-lateral")
         session.operator.push(np.array([-1.0, 1.0, 0, 0, 0, 0]))
         run_to(session, 7)
+        assert session.operator.policy == ""
         session.go_back(snapshot)
         wait_until(lambda: len(session.poses) <= 5)
         np.testing.assert_array_equal(session.poses[:4], lost[:4])

@@ -30,6 +30,8 @@ KEYS = {
     "I / K": "tilt about x",
     "L / J": "tilt about y",
     "Shift": "a third of the speed",
+    "P, N, B": "pause; next frame; keep a snapshot",
+    "T": "let the policy drive, take back",
 }
 """Keys that drive, and what they do."""
 
@@ -42,6 +44,7 @@ PAD = {
     "A": "pause, go on",
     "B": "next frame",
     "X": "keep a snapshot",
+    "Y": "let the policy drive, take back",
 }
 """Controls of a gamepad of standard layout, and what they do."""
 

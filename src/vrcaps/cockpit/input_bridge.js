@@ -7,7 +7,7 @@ if (!window.vrcapsBridge) {
     KeyD: [0, 1], KeyA: [0, -1], KeyW: [1, 1], KeyS: [1, -1], KeyR: [2, 1], KeyF: [2, -1],
     KeyI: [3, 1], KeyK: [3, -1], KeyL: [4, 1], KeyJ: [4, -1], KeyE: [5, 1], KeyQ: [5, -1],
   };
-  const BUTTONS = { 0: "pause", 1: "step", 2: "snapshot" };
+  const BUTTONS = { 0: "pause", 1: "step", 2: "snapshot", 3: "policy" };
   const bridge = { held: new Set(), slow: false, pressed: {}, actions: [], last: "", sent: 0 };
   window.vrcapsBridge = bridge;
 

@@ -14,6 +14,8 @@ from vrcaps.transforms import vector_from_rotation
 if TYPE_CHECKING:
     from jaxtyping import Float
 
+    from vrcaps.cockpit.policy_driver import PolicyDriver
+
 _ARRIVED = (1e-5, 1e-4)
 """Distance [m] and angle [rad] from a dragged pose within which the magnet has arrived."""
 
@@ -26,8 +28,9 @@ class Operator:
 
     All ways to drive end in axes from −1 to 1, as a joystick has them: keys and pad give them as
     they are; a dragged magnet follows the pose by the axes that lead to it at the greatest speed
-    allowed. A command is logged only where it differs from the one before, at the time from which
-    it holds. So the log, played back as `MagnetSteering.joystick`, is the same drive.
+    allowed; a policy gives its own until a human gives any. A command is logged only where it
+    differs from the one before, at the time from which it holds. So the log, played back as
+    `MagnetSteering.joystick`, is the same drive.
     """
 
     def __init__(self, program: SteeringProgram) -> None:
@@ -36,6 +39,7 @@ class Operator:
         self._axes = np.zeros(6)
         self._target: Float[np.ndarray, "4 4"] | None = None
         self._is_dragging = False
+        self._driver: PolicyDriver | None = None
         self._log: list[JoystickCommand] = []
         self._num_rewound = 0
 
@@ -43,6 +47,18 @@ class Operator:
     def is_dragged(self) -> bool:
         """Whether the magnet is on its way to a pose that it was dragged to."""
         return self._target is not None
+
+    @property
+    def policy(self) -> str:
+        """Name of the policy that drives; empty where none does."""
+        driver = self._driver
+        return "" if driver is None else driver.name
+
+    def hand_over(self, driver: PolicyDriver) -> None:
+        """Lets a policy drive, until it hands back or a human drives again."""
+        self.stop()
+        with self._lock:
+            self._driver = driver
 
     def push(self, axes: Float[np.ndarray, " 6"]) -> None:
         """Holds the axes of keys or a pad, until other ones come.
@@ -59,7 +75,7 @@ class Operator:
         with self._lock:
             self._axes = given
             if given.any():
-                self._target = None
+                self._target = self._driver = None
 
     def drag(self, T_world_magnet: Float[np.ndarray, "4 4"], *, is_dragging: bool = True) -> None:
         """Leads the magnet to a pose, as near as its workspace allows.
@@ -70,17 +86,17 @@ class Operator:
         """
         target = self._program.controller.actuator.workspace.clamp_pose(T_world_magnet)
         with self._lock:
-            self._target, self._is_dragging = target, is_dragging
+            self._target, self._is_dragging, self._driver = target, is_dragging, None
 
     def stop(self) -> None:
         """Lets go of everything: the magnet stays where it is asked for."""
         with self._lock:
-            self._axes, self._target = np.zeros(6), None
+            self._axes, self._target, self._driver = np.zeros(6), None, None
 
     def __call__(self, time: float, dt: float) -> JoystickCommand:
         """The command at a time [s] for the next `dt` [s]; logged from the first frame on."""
         with self._lock:
-            axes = np.zeros(6) if time < 0.0 else self._axes_now(dt)
+            axes = np.zeros(6) if time < 0.0 else self._axes_now(time, dt)
             linear, angular = tuple(axes[:3].tolist()), tuple(axes[3:].tolist())
             command = JoystickCommand(time, linear, angular)  # type: ignore[arg-type]
             last = self._log[-1] if self._log else None
@@ -100,8 +116,13 @@ class Operator:
             self._log = [command for command in self._log if command.time < time]
             self._num_rewound += 1
 
-    def _axes_now(self, dt: float) -> Float[np.ndarray, " 6"]:
-        """Axes of keys or pad, or those that lead to the dragged pose."""
+    def _axes_now(self, time: float, dt: float) -> Float[np.ndarray, " 6"]:
+        """Axes of keys or pad, of a policy, or those that lead to the dragged pose."""
+        if self._driver is not None:
+            axes = self._driver.axes(time)
+            if axes is not None:
+                return axes
+            self._driver = None
         if self._target is None:
             return self._axes
         settings, controller = self._program.settings, self._program.controller

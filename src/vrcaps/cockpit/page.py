@@ -12,6 +12,7 @@ import numpy as np
 
 from vrcaps.cockpit.browser import InputBridge, parse_input
 from vrcaps.cockpit.camera_images import CameraImages, LiveImage
+from vrcaps.cockpit.gate import is_loopback
 from vrcaps.cockpit.seen_wall import SeenWall
 from vrcaps.errors import InputError, VrcapsError
 
@@ -150,6 +151,21 @@ class Page:
         """
         if client != self._driver:
             raise InputError("Another browser drives. Press 'Take the controls' to take over.")
+
+    def require_here(self, what: str) -> None:
+        """Check that only browsers of this machine reach the page.
+
+        Args:
+            what: That reads files of this machine or runs programs of it.
+
+        Raises:
+            InputError: If others do.
+        """
+        if not is_loopback(self.server.get_host()):
+            raise InputError(
+                f"{what} can be given only where no other machine reaches the page. Start the "
+                "cockpit without --host, and forward the port."
+            )
 
     def take_over(self, client: int) -> None:
         """Makes a browser the driver's; what the one before held is let go."""

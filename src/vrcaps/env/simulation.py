@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from vrcaps.env.settings import EnvSettings
     from vrcaps.env.snapshot import WorldSnapshot
+    from vrcaps.world.model import Model
 
 _NEARBY = 3.0 * CM
 """How far along the gut the capsule's place is sought from where it was a step before."""
@@ -151,18 +152,45 @@ class Simulation:
         require_threads()
         settings = self.settings
         drawn = rng.integers(len(self.patients))
-        self._patient[index] = drawn if number is None else number
-        patient = self.patient(index)
-        model = patient.model
-        self.course.begin(index, model)
-        self.cell_area[index], self.cell_center[index] = patient.cell_area, patient.cell_center
+        model = self._enter(index, int(drawn if number is None else number))
         start, self.arc_length[index] = settings.start.draw(model, rng)
         self._start[index] = start.T_world_capsule
         self._factors[index], self.effects_seed[index] = settings.randomization.draw(rng)
         world = self._make_world(index, int(rng.integers(2**31)))
         if settings.start.settle:
             world.step(Control(), settings.start.settle)
-        self.flags[index] = np.zeros(len(patient.points), np.uint8)
+        self._begin(index, rng)
+
+    def follow(self, index: int, world: World, arc_length: float, rng: np.random.Generator) -> None:
+        """Begin an episode in a world that somebody else steps, who tells of it by `arrive`.
+
+        Args:
+            index: Its number.
+            world: Of the first of the settings' patients.
+            arc_length: Place of its capsule along the centerline [m].
+            rng: Draws all that is random.
+
+        Raises:
+            InputError: If the actuation cannot begin there.
+        """
+        self._enter(index, 0)
+        self._start[index], self.arc_length[index] = world.T_world_capsule, arc_length
+        self.settings.actuation.begin(self, index, world.state)
+        self._put(index, world)
+        self._begin(index, rng)
+
+    def _enter(self, index: int, number: int) -> Model:
+        """Takes over a patient in one world."""
+        self._patient[index] = number
+        patient = self.patient(index)
+        self.course.begin(index, patient.model)
+        self.cell_area[index], self.cell_center[index] = patient.cell_area, patient.cell_center
+        return patient.model
+
+    def _begin(self, index: int, rng: np.random.Generator) -> None:
+        """Nothing is seen or done yet in one world."""
+        settings = self.settings
+        self.flags[index] = np.zeros(len(self.patient(index).points), np.uint8)
         for array in (self.time, self.fraction, self.gain, self.cells):
             array[index] = 0.0
         self.failure[index] = ""
@@ -187,10 +215,13 @@ class Simulation:
             seed=seed,
             sources=sources,
         )
+        self._put(index, world)
+        return world
+
+    def _put(self, index: int, world: World) -> None:
         if not self.worlds:
             self.worlds = [world] * self.num_worlds
         self.worlds[index] = world
-        return world
 
     def restore(self, index: int, saved: WorldSnapshot) -> None:
         """Goes back to a snapshot of one world.
@@ -216,9 +247,13 @@ class Simulation:
         failures = step_together(worlds, controls, settings.control_period)
         for place, failure in failures.items():
             self.failure[numbers[place]] = failure
-        self.time[numbers] += settings.control_period
+        self.arrive(numbers, settings.control_period)
+
+    def arrive(self, numbers: np.ndarray, duration: float) -> None:
+        """Take in worlds of some numbers after they have moved on by a time [s]."""
+        self.time[numbers] += duration
         self._read(numbers)
-        settings.task.update(self, numbers)
+        self.settings.task.update(self, numbers)
 
     def _read(self, numbers: np.ndarray) -> None:
         """Bring all arrays up to date with some of the worlds."""

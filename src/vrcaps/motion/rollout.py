@@ -126,6 +126,11 @@ class Rollout:
         """Simulated time, with settling [s]."""
         return self.settings.settle + (self.frames - 1) / self.fps
 
+    @property
+    def arc_length(self) -> float:
+        """Place of the capsule along the gut after the last step [m]."""
+        return self._arc_length
+
     def checkpoint(self) -> MotionState | None:
         """The simulation at the step given last, if it was due; see `Motion.checkpoint`."""
         return self._checkpoint

@@ -109,7 +109,7 @@ def read_policy(name: str | Path) -> Policy:
     text = str(name)
     if text in BASELINES:
         return _imported(BASELINES[text])
-    shipped = {path.stem: path for path in _SHIPPED.glob("*.npz")}
+    shipped = _shipped()
     path = shipped.get(text, Path(name))
     if path.is_file():
         from vrcaps.policy.mlp_policy import read_mlp_policy
@@ -119,6 +119,21 @@ def read_policy(name: str | Path) -> Policy:
         return _imported(text)
     known = [*BASELINES, *shipped, "an import path package.module:Class", "a trained policy's file"]
     raise UnknownNameError("policy", text, known)
+
+
+def policy_names(actuation: str) -> tuple[str, ...]:
+    """Names of the baselines and of the trained policies of the package that fit an actuation.
+
+    Args:
+        actuation: Its kind, such as `magnet`.
+    """
+    kinds = {name: read_policy(name).requires.actuations for name in (*BASELINES, *_shipped())}
+    return tuple(name for name, known in kinds.items() if not known or actuation in known)
+
+
+def _shipped() -> dict[str, Path]:
+    """Files of the trained policies that come with the package, by name."""
+    return {path.stem: path for path in sorted(_SHIPPED.glob("*.npz"))}
 
 
 def _imported(path: str) -> Policy:

@@ -10,11 +10,12 @@ from vrcaps.cockpit.panels.driving_panel import DrivingPanel
 from vrcaps.cockpit.panels.look_panel import LookPanel
 from vrcaps.cockpit.panels.map_panel import MapPanel
 from vrcaps.cockpit.panels.patient_panel import PatientPanel
+from vrcaps.cockpit.panels.policy_panel import PolicyPanel
 from vrcaps.cockpit.panels.record_panel import RecordPanel
 from vrcaps.cockpit.panels.run_panel import RunPanel
 from vrcaps.cockpit.panels.scene_panel import ScenePanel
 
 PANELS = (
-    *(RunPanel, DrivingPanel, RecordPanel, PatientPanel, LookPanel, ScenePanel),
+    *(RunPanel, DrivingPanel, PolicyPanel, RecordPanel, PatientPanel, LookPanel, ScenePanel),
     *(CameraPanel, MapPanel, ChartPanel),
 )

@@ -1,0 +1,65 @@
+"""Policy panel: a policy or baseline that takes over and hands back."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from vrcaps.cockpit.policy_driver import PolicyDriver
+from vrcaps.env.actuation.magnet import MagnetActuation
+from vrcaps.policy.policy import policy_names
+
+if TYPE_CHECKING:
+    from vrcaps.cockpit.page import Page
+    from vrcaps.cockpit.view import View
+
+_TAKE, _BACK = "Let the policy drive", "Take the magnet back"
+_FIRST = "navigator"
+"""The policy that is offered first: it leads to a place."""
+
+
+class PolicyPanel:
+    """Which policy may drive, and who does."""
+
+    def __init__(self, page: Page) -> None:
+        self._page, self._session, self._shown = page, page.session, ""
+        gui = page.server.gui
+        with gui.add_folder("Policy", expand_by_default=False):
+            names = policy_names(MagnetActuation.kind)
+            self._name = gui.add_dropdown("Policy", names, initial_value=_FIRST)
+            self._own = gui.add_text(
+                "Own policy", "", hint="Its file, or package.module:Class; empty takes the list's."
+            )
+            self._goal = gui.add_slider(
+                "Goal", 0.0, 1.0, 0.01, 1.0, hint="Where navigate leads, from the oral end"
+            )
+            self._button = gui.add_button(_TAKE, hint="Key T, pad Y; any other input takes back")
+        page.actions["policy"] = page.handler(self._toggle)
+        self._button.on_click(page.for_driver(self._toggle))
+        gui.add_command(_TAKE, hotkey="T").on_trigger(page.for_driver(self._toggle))
+
+    def update(self, view: View) -> None:
+        """Tells when a policy has begun or has handed back."""
+        drives = self._session.operator.policy
+        if drives == self._shown:
+            return
+        self._page.tell(f"{drives} drives." if drives else f"{self._shown} has handed back.")
+        self._shown = drives
+        self._button.label = _BACK if drives else _TAKE
+
+    def _toggle(self) -> None:
+        operator, session = self._session.operator, self._session
+        if operator.policy:
+            operator.stop()
+            return
+        own = self._own.value.strip()
+        if own:
+            self._page.require_here("A policy of your own")
+        driver = PolicyDriver(
+            own or self._name.value,
+            session.rollout,
+            posture=session.scenario.posture,
+            seed=session.scenario.seed,
+            goal=float(self._goal.value),
+            on_message=self._page.tell,
+        )
+        operator.hand_over(driver)

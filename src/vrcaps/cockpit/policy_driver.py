@@ -1,0 +1,167 @@
+"""Policy driver: a policy or baseline at the joystick of a drive."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps import rng
+from vrcaps.env.actuation.magnet import MagnetActuation
+from vrcaps.env.settings import EnvSettings, env_settings
+from vrcaps.env.tasks.navigate import NavigateTask
+from vrcaps.env.vector_env import CapsuleVectorEnv
+from vrcaps.errors import InputError, VrcapsError
+from vrcaps.policy.policy import Policy, read_policy
+from vrcaps.world.schedule import patient_at
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.motion.rollout import Rollout
+
+_WORLD = np.zeros(1, int)
+"""Number of the only world."""
+
+_SOON = 1e-9
+"""A step that begins so little before a control period is over [s] counts as after it."""
+
+
+class PolicyDriver:
+    """Asks a policy once in each control period of simulated time, and holds its axes until then.
+
+    The policy sees an environment of one world, that of the drive, in which the magnet is where it
+    was asked for. It acts by `MagnetActuation`, whose actions are a joystick's axes but for the
+    speeds that they are shares of.
+
+    Attributes:
+        name: Of the policy.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        rollout: Rollout,
+        *,
+        posture: str,
+        seed: int = 0,
+        goal: float | None = None,
+        on_message: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        """Reads the policy; the simulation may go on meanwhile.
+
+        Args:
+            name: See `read_policy`.
+            rollout: The simulation of the drive.
+            posture: How the patient lay before all turns.
+            seed: Of what is random in the policy.
+            goal: Where a policy that navigates is to lead, as a fraction of the centerline; None
+                is its own.
+            on_message: Told why the policy hands back.
+
+        Raises:
+            InputError: If it is no policy, or none that can move a magnet.
+            UnknownNameError: If there is no policy of that name.
+        """
+        self.name, self._rollout, self._tell = name, rollout, on_message
+        self._policy = read_policy(name)
+        changes = rollout.settings.posture_changes
+        self._posture = changes[-1].posture if changes else posture
+        settings = _settings(self._policy, rollout, self._posture, goal)
+        self._policy.requires.check(settings, name)
+        self._env, self._seed = CapsuleVectorEnv(settings), seed
+        self._patient = self._env.episode.simulation.patients[0]  # made now: it takes a while
+        self._axes, self._time, self._due = np.zeros(6), -np.inf, -np.inf
+
+    def axes(self, time: float) -> Float[np.ndarray, " 6"] | None:
+        """Joystick axes at a time [s], called from the thread that steps; None hands back."""
+        if time < self._due - _SOON:
+            return self._axes
+        try:
+            self._axes = self._act(time)
+        except VrcapsError as error:
+            self._tell(f"{self.name} hands back: {error}")
+            return None
+        except Exception as error:  # the simulation outlives any fault of a policy
+            self._tell(f"{self.name} hands back: {type(error).__name__}: {error}.")
+            return None
+        return self._axes
+
+    def _act(self, time: float) -> Float[np.ndarray, " 6"]:
+        """What the policy wants at a time [s].
+
+        Raises:
+            InputError: If the patient is turned, or the action is impossible.
+        """
+        rollout, episode = self._rollout, self._env.episode
+        program, simulation, period = rollout.program, episode.simulation, self._period
+        assert program is not None
+        self._check_posture(time)
+        if self._time < 0.0:
+            generator = rng.stream(self._seed, "cockpit/policy")
+            simulation.follow(0, rollout.world, rollout.arc_length, generator)
+            self._policy.reset(_WORLD, [self._seed])
+            self._due = time
+        else:
+            simulation.arrive(_WORLD, time - self._time)
+        self._time, self._due = time, max(self._due + period, time)
+        simulation.memory["magnet/T"][0] = program.controller.requested
+        actions = self._policy.act(episode.observe(), self._env)
+        axes = episode.check_actions(actions)[0] * self._joystick_shares()
+        return axes / max(1.0, float(np.abs(axes).max()))
+
+    @property
+    def _period(self) -> float:
+        return self._env.settings.control_period
+
+    def _joystick_shares(self) -> Float[np.ndarray, " 6"]:
+        """Axes of a joystick that are as fast as full actions."""
+        steering, actuation = self._rollout.settings.magnet, self._env.settings.actuation
+        assert steering is not None
+        assert isinstance(actuation, MagnetActuation)
+        linear = actuation.speed / steering.joystick_speed
+        angular = actuation.angular_speed / steering.joystick_angular_speed
+        return np.repeat([linear, angular], 3)
+
+    def _check_posture(self, time: float) -> None:
+        """Check that the patient lies as the policy takes it.
+
+        Raises:
+            InputError: If not.
+        """
+        model, settings = self._rollout.model, self._rollout.settings
+        now = patient_at(model.T_world_patient, settings.posture_changes, time)
+        taken = self._patient.model.T_world_patient
+        if not np.allclose(now[:3, :3], taken[:3, :3], atol=1e-9):
+            raise InputError(
+                f"it knows the way in a patient who lies {self._posture}. Let it take over again "
+                "when the turn is done."
+            )
+
+
+def _settings(policy: Policy, rollout: Rollout, posture: str, goal: float | None) -> EnvSettings:
+    """Settings of an environment with the patient and the capsule of a rollout."""
+    steering, world = rollout.settings.magnet, rollout.world
+    assert steering is not None
+    wanted: dict[str, Any] = dict(policy.requires.settings)
+    own = wanted.get("actuation")
+    if not isinstance(own, MagnetActuation):
+        own = MagnetActuation(
+            speed=steering.joystick_speed, angular_speed=steering.joystick_angular_speed
+        )
+    settings = env_settings(
+        **wanted
+        | {
+            "organs": (rollout.model.organ,),
+            "capsule": rollout.model.device,
+            "posture": posture,
+            "tissue": world.tissue,
+            "dynamics": world.dynamics,
+            "actuation": replace(own, magnet=steering.magnet, standoff=steering.standoff),
+        }
+    )
+    if goal is not None and isinstance(settings.task, NavigateTask):
+        settings = replace(settings, task=replace(settings.task, goal=goal))
+    return settings

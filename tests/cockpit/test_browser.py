@@ -16,11 +16,22 @@ def test_reads_what_the_program_in_the_browser_writes():
     assert given == DriverInput((0.0, 0.5, -1.0, 0.0, 0.0, 1.0), ("pause",), "P", False)
 
 
+def test_a_layout_holds_controls_only():
+    said = {"axes": [0] * 6, "pad": "P", "standard": True, "actions": [], "listening": "x+"}
+    said["layout"] = {"x+": "axis 0 +", "pause": "button 0" * 9, "format": "disk"}
+    given = parse_input("vrcaps:" + json.dumps(said))
+    assert given.layout == {"x+": "axis 0 +", "pause": "button 0button 0butt"}
+    assert given.listening == "x+"
+
+
 NONSENSE = ("", "vrcaps:", "vrcaps:{}", "vrcaps:[1]", "vrcaps:" + "[" * 100_000)
 WRONG_TYPE = 'vrcaps:{"axes": "abcdef", "pad": "", "standard": true, "actions": []}'
 
 
-@pytest.mark.parametrize("text", [*NONSENSE, WRONG_TYPE])
+WRONG_LAYOUT = WRONG_TYPE.replace('"abcdef"', "[0, 0, 0, 0, 0, 0]").replace("}", ', "layout": 1}')
+
+
+@pytest.mark.parametrize("text", [*NONSENSE, WRONG_TYPE, WRONG_LAYOUT])
 def test_nonsense_is_told(text):
     with pytest.raises(InputError, match="A browser sent no driver's input"):
         parse_input(text)

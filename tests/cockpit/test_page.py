@@ -141,6 +141,45 @@ def test_a_gamepad_and_keys_steer_beyond_the_dead_zone(tab, cockpit):
     wait_until(tab, lambda: operator.commands()[1][-1].linear == (0.0, 0.0, 0.0))
 
 
+def test_a_pads_controls_are_assigned_by_pushing_them(tab, cockpit):
+    """A pad of unknown layout drives nothing; a stick goes both ways, a trigger rests at −1."""
+    operator, page = cockpit.session.operator, cockpit.page
+
+    def last() -> tuple[float, ...]:
+        command = operator.commands()[1][-1]
+        return command.linear + command.angular
+
+    def assign(control: str, axes: list[float]) -> None:
+        page.bridge.ask(control)
+        wait_until(tab, lambda: page.pad.listening == control)
+        tab.evaluate(f"window.pad.axes = {json.dumps(axes)}")
+        wait_until(tab, lambda: page.pad.listening == "" and control in page.pad.layout)
+        tab.evaluate("window.pad.axes = [0, 0, 0, 0, 0, -1]")
+
+    tab.evaluate(
+        "Object.assign(window.pad, {id: 'Odd Pad', mapping: '', axes: [1, 0, 0, 0, 0, -1]})"
+    )
+    wait_until(tab, lambda: page.pad is not None and page.pad.pad == "Odd Pad")
+    assert page.pad.layout == {}
+    assert last() == (0, 0, 0, 0, 0, 0)
+    tab.get_by_text("drives nothing yet").first.wait_for()
+    tab.evaluate("window.pad.axes = [0, 0, 0, 0, 0, -1]")
+    tab.wait_for_timeout(100)
+    assign("y+", [0, 0, 0, 0.9, 0, -1])
+    assign("tilt-x+", [0, 0, 0, 0, 0, 1])
+    assert page.pad.layout == {"y+": "axis 3 +", "y-": "axis 3 −", "tilt-x+": "axis 5 +"}
+    tab.evaluate("window.pad.axes = [0, 0, 0, -1, 0, -1]")
+    wait_until(tab, lambda: last() == (0, -1, 0, 0, 0, 0))
+    tab.evaluate("window.pad.axes = [0, 0, 0, 0, 0, 1]")
+    wait_until(tab, lambda: last() == (0, 0, 0, 1, 0, 0))
+    assert "Odd Pad" in tab.evaluate("localStorage.getItem('vrcaps-pads')")
+    page.bridge.ask("standard")
+    wait_until(tab, lambda: page.pad.layout.get("x+") == "axis 0 +")
+    tab.evaluate("Object.assign(window.pad, {id: 'Test Pad', mapping: 'standard'})")
+    tab.evaluate("window.pad.axes = [0, 0, 0, 0]")
+    wait_until(tab, lambda: last() == (0, 0, 0, 0, 0, 0))
+
+
 def test_a_second_browser_looks_on_and_takes_over_when_the_driver_is_gone(browser, tab, cockpit):
     operator, page = cockpit.session.operator, cockpit.page
     driver = page.driver
@@ -183,3 +222,32 @@ def test_the_look_changes_and_goes_into_the_recording(tab, cockpit):
     choose(tab, "Imaging", "narrow-band")
     wait_until(tab, lambda: cockpit.page.latest_image.look.render.imaging == "narrow-band")
     assert cockpit.session.scenario_so_far().render.imaging == "narrow-band"
+
+
+def test_another_drive_begins_in_the_same_page(tab, cockpit):
+    """Not while a recording is made, nor with what cannot be; the driver stays the driver."""
+    before, page = cockpit.session, cockpit.page
+    driver = page.driver
+    tab.get_by_text("New drive", exact=True).click()
+    begin = tab.get_by_role("button", name="Begin a new drive")
+    with page.is_busy:
+        begin.click()
+        tab.get_by_text("A recording is under way").first.wait_for()
+    tab.get_by_label("Lesions").fill("wart")
+    begin.click()
+    tab.get_by_text("No lesion named 'wart'").first.wait_for()
+    assert cockpit.session is before
+    tab.get_by_label("Lesions").fill("polyp-Is:size=6mm")
+    begin.click()
+    wait_until(tab, lambda: cockpit.session is not before and cockpit.page.latest_image is not None)
+    after = cockpit.session
+    assert after.drive.folder == before.drive.folder / "drive-2"
+    assert (before.drive.folder / "drive.json").is_file()
+    assert [lesion.kind for lesion in after.scenario.lesions] == ["polyp"]
+    assert after.scenario.render == before.scenario.render
+    assert cockpit.page.driver == driver
+    tab.evaluate("window.pad.axes = [0, -1, 0, 0]")
+    wait_until(tab, lambda: after.operator.commands()[1][-1:][0].linear == (0.0, 1.0, 0.0))
+    tab.evaluate("window.pad.axes = [0, 0, 0, 0]")
+    image = live_image(tab)
+    wait_until(tab, lambda: live_image(tab) != image)

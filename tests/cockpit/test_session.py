@@ -6,6 +6,7 @@ import errno
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +16,29 @@ from vrcaps.actuation.steering_program import read_commands
 from vrcaps.cockpit.policy_driver import PolicyDriver
 from vrcaps.cockpit.session import Session
 from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.lumen.contents import Contents
 from vrcaps.recording.episode import read_episode
 from vrcaps.recording.recorder import record
 from vrcaps.recording.table import POSE_COLUMNS
 from vrcaps.scenario.scenario import Scenario, read_scenario
 from vrcaps.transforms import quaternion_from_matrix
+
+
+def test_all_commands_are_in_the_drive_and_go_with_what_is_forgotten(drive_scenario, tmp_path):
+    scenario = replace(drive_scenario, contents=Contents(bubbles=1))
+    session = Session(scenario, tmp_path / "drive")
+    session.flush()
+    with pytest.raises(InputError, match="flush before is still under way"):
+        session.flush()
+    session.start_phase_three()
+    session.drive.save()
+    motion = read_scenario(session.drive.folder / "drive.json").motion
+    assert motion.flushes == session.rollout.settings.flushes
+    assert [front.arc_length for front in motion.phase_three] == [session.rollout.front_arc_length]
+    assert session.rollout.world.muscle is not None
+    session._rewind(None)
+    assert session.rollout.settings.flushes == session.rollout.settings.phase_three == ()
+    assert (session.rollout.world.muscle.lumen_scale(99.0) == 1.0).all()
 
 
 @contextmanager
@@ -105,6 +124,11 @@ def test_says_what_cannot_be_done(drive_scenario, tmp_path):
     session.turn("prone")
     with pytest.raises(InputError, match="still being turned to prone"):
         session.turn("supine")
+    with pytest.raises(InputError, match="Neither bubbles nor chyme are in the lumen"):
+        session.flush()
+    session.start_phase_three()
+    with pytest.raises(InputError, match="Phase III is already beginning"):
+        session.start_phase_three()
     session.insufflate(1.2)
     with pytest.raises(InputError, match="still taking on the insufflation"):
         session.insufflate(1.0)

@@ -10,18 +10,20 @@ import pytest
 from tubes import straight_gut
 from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.lumen.contents import Contents
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.rollout import Rollout
 from vrcaps.motion.step import Step
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.fem.deformation import FemDeformation
+from vrcaps.tissue.motility.migrating_complex import Front
 from vrcaps.tissue.motility.propulsion import Propulsion
 from vrcaps.tissue.spring_wall import SpringWall
 from vrcaps.transforms import transform_points
 from vrcaps.units import CM, MM
 from vrcaps.world.model import Contact, Model, posture_transform
-from vrcaps.world.schedule import Insufflation, PostureChange, Wrench
+from vrcaps.world.schedule import Flush, Insufflation, PostureChange, Wrench
 from vrcaps.world.step_means import mean_contact
 
 G = 9.80665
@@ -279,3 +281,39 @@ def test_tissue_has_the_fields_asked_for() -> None:
     assert steady is not None
     assert steady.complex is None
     assert Dynamics().make_tissue(front=0.0).motility is None
+
+
+@pytest.mark.parametrize("motility", ["none", "fasting"])
+def test_commands_given_on_the_way_are_as_if_known_from_the_beginning(
+    lying: Model, motility: str
+) -> None:
+    """A flush and phase III, begun where the capsule is."""
+    model = replace(lying, contents=Contents(bubbles=2))
+    settings = Dynamics(start=0.3, motility=motility, settle=0.1, substep=1e-3)  # type: ignore[arg-type]
+    live = Rollout(model, settings, frames=6, fps=2.0, seed=3)
+    given, steps = settings, []
+    for moment in live.moments(None, lambda *_: None, lambda: False):
+        if moment.index == 0:
+            front = Front(0.4, live.front_arc_length)
+            given = replace(settings, flushes=(Flush(0.3, 0.5),), phase_three=(front,))
+            live.change(given)
+        steps.append(moment)
+    known = Rollout(model, given, frames=6, fps=2.0, seed=3)
+    for one, other in zip(steps, known.moments(None, lambda *_: None, lambda: False), strict=True):
+        np.testing.assert_array_equal(one.state.T_world_capsule, other.state.T_world_capsule)
+        np.testing.assert_array_equal(one.state.vertices_world, other.state.vertices_world)
+        spheres = [moment.state.lumen_contents.spheres.centers for moment in (one, other)]  # type: ignore[union-attr]
+        np.testing.assert_array_equal(*spheres)
+    phases = [moment.command.phase for moment in steps]
+    assert phases[2] == 3
+    assert phases[0] == 0 or motility == "fasting"
+    still = Rollout(model, settings, frames=6, fps=2.0, seed=3)
+    *_, last = still.moments(None, lambda *_: None, lambda: False)
+    assert not np.array_equal(last.state.T_world_capsule, steps[-1].state.T_world_capsule)
+
+
+def test_steady_muscle_has_no_fronts() -> None:
+    with pytest.raises(InputError, match="motility is steady, which has none"):
+        Dynamics(motility="steady", phase_three=(Front(0.0, 0.1),))
+    with pytest.raises(InputError, match="phase_three: time 1 s does not come after 2 s"):
+        Dynamics(phase_three=(Front(2.0, 0.1), Front(1.0, 0.1)))

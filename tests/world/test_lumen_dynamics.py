@@ -455,3 +455,40 @@ def test_posture_takes_the_liquid_along(gut: OrganSurface) -> None:
     vertices = (gut.vertices @ over[:3, :3].T)[:, 2]
     wet = vertices < lumen_contents.pools.levels[np.maximum(lumen_contents.pools.of_vertex, 1) - 1]
     assert gut.vertices[wet, 2].min() > 0.0
+
+
+def test_a_flush_washes_off_what_is_near_and_a_snapshot_knows_it() -> None:
+    """Half of all within 5 cm, then the other half; liquid and what is farther stay."""
+    contents = Contents(bubbles=Bubbles(per_area=2e4, burst_rate=0.0, on_dome=2), liquid=2, drift=0)
+    gut = straight_gut({"jejunum": 0.3}, radius=0.012, edge=4e-3)
+    model = Model(gut, read_device("mirocam"), contents=contents)
+    world = World(model, substep=1e-3)
+    before = world.state
+    assert before.lumen_contents is not None
+    center = before.T_world_capsule[:3, 3]
+
+    def left(state: State) -> np.ndarray:
+        assert state.lumen_contents is not None
+        away = np.linalg.norm(state.lumen_contents.spheres.centers - center, axis=1)
+        return np.array([(away < 0.04).sum(), ((away > 0.06) & (away < 1.0)).sum()])
+
+    near, far = left(before)
+    world.step(Control(flush=0.5), 0.01)
+    half = world.snapshot()
+    assert left(world.state)[0] == pytest.approx(0.5 * near, abs=0.15 * near)
+    world.step(Control(flush=1.0), 0.01)
+    assert left(world.state).tolist() == [0, far]
+    world.step(Control(), 0.1)
+    assert left(world.state)[0] == 0
+    last = world.state.lumen_contents
+    assert last is not None
+    assert last.pools is not None
+    assert last.pools.volume.sum() == pytest.approx(before.lumen_contents.pools.volume.sum())
+    again = World(model, substep=1e-3)
+    again.restore(half)
+    again.step(Control(flush=1.0), 0.01)
+    again.step(Control(), 0.1)
+    assert again.state.lumen_contents is not None
+    np.testing.assert_array_equal(again.state.lumen_contents.spheres.centers, last.spheres.centers)
+    with pytest.raises(InputError, match=r"Control's flush is 1\.5\. Allowed: 0 to 1"):
+        Control(flush=1.5)

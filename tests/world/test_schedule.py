@@ -13,12 +13,15 @@ from vrcaps.transforms import rotation_vector
 from vrcaps.world.model import posture_transform
 from vrcaps.world.schedule import (
     WRENCH_COLUMNS,
+    Flush,
     Insufflation,
     PostureChange,
     Wrench,
+    check_flushes,
     check_insufflation,
     check_posture_changes,
     check_wrenches,
+    flush_between,
     in_world,
     insufflation_at,
     patient_at,
@@ -34,6 +37,21 @@ def test_wrenches_are_linear_between_and_constant_beyond() -> None:
     np.testing.assert_allclose(wrench_at(RAMP, 2.0), [[2.0, 2.0, -1.0], [0.0, 0.0, 5e-4]])
     np.testing.assert_allclose(wrench_at(RAMP, 9.0), [[3.0, 4.0, 0.0], [0.0, 0.0, 1e-3]])
     np.testing.assert_array_equal(wrench_at((), 1.0), np.zeros((2, 3)))
+
+
+def test_a_flush_gets_on_evenly_while_it_lasts() -> None:
+    flushes = (Flush(1.0, 2.0), Flush(5.0, 1.0))
+    steps = [(0.9, 1.0), (0.9, 1.1), (1.9, 2.0), (2.9, 3.1), (3.0, 3.1), (5.4, 5.5)]
+    shares = [flush_between(flushes, *step) for step in steps]
+    np.testing.assert_allclose(shares, [0.0, 0.05, 0.5, 1.0, 0.0, 0.5], atol=1e-12)
+
+
+@pytest.mark.parametrize("flush", [Flush(0.0, 0.0), Flush(np.inf), Flush(0.0, np.inf)])
+def test_rejects_impossible_flushes(flush: Flush) -> None:
+    with pytest.raises(InputError, match=r"flushes: entry 0 takes .* Allowed: above 0 s"):
+        check_flushes((flush,), "flushes")
+    with pytest.raises(InputError, match="does not come after"):
+        check_flushes((Flush(2.0), Flush(1.0)), "flushes")
 
 
 def test_fillings_are_linear_between_and_constant_beyond() -> None:

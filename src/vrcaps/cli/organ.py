@@ -11,9 +11,10 @@ from tyro.conf import Positional, UseAppendAction
 
 from vrcaps.anatomy.distension import Distension
 from vrcaps.cli.console import console
-from vrcaps.cli.lesions import chosen_lesions, lesion_lines
+from vrcaps.cli.lesions import lesion_lines
 from vrcaps.errors import InputError
 from vrcaps.organ.organ_file import is_organ_file
+from vrcaps.scenario.chosen_lesions import chosen_lesions
 from vrcaps.scenario.scenario import OrganFile, organ_named
 from vrcaps.units import CM, LENGTH_UNITS, MM
 

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
 
 from vrcaps.cli.console import console
-from vrcaps.cli.lesions import chosen_lesions
 from vrcaps.cli.recording import run_recording
 from vrcaps.cli.scenario_flags import ImageFlags, MotionFlags, OrganFlags, changes
 from vrcaps.errors import InputError
+from vrcaps.scenario.chosen_lesions import chosen_lesions
 from vrcaps.scenario.settings import changed, parse_change, settings
 
 if TYPE_CHECKING:

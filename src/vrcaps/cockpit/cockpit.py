@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import io
+import itertools
 import logging
 import secrets
+import shutil
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,9 +29,8 @@ _SWITCHING = 1e-3
 """Time [s] for which one thread may keep the interpreter from the others."""
 
 
-@dataclass(frozen=True)
 class Cockpit:
-    """An open cockpit.
+    """An open cockpit: one drive after another, each a session of its own, in the same page.
 
     Attributes:
         session: What is driven.
@@ -37,9 +38,80 @@ class Cockpit:
         gate: Who may open it; has the address.
     """
 
-    session: Session
-    page: Page
-    gate: Gate
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        gate: Gate,
+        session: Session,
+        say: Callable[[str], None],
+    ) -> None:
+        """Starts a session and its page.
+
+        Args:
+            server: Of the page.
+            gate: In front of it.
+            session: The first, not started.
+            say: Called with each message for the terminal.
+        """
+        self.gate = gate
+        self._server, self._say, self._folder = server, say, session.drive.folder
+        self._is_busy, self._number = threading.Lock(), 1
+        self._show(session)
+
+    def begin(self, scenario: Scenario) -> None:
+        """Ends the drive, which is kept, and begins another one in the same page.
+
+        Its folder is the first of `drive-2`, `drive-3`, … in that of the first drive.
+
+        Args:
+            scenario: What to drive, see `cockpit_scenario`.
+
+        Raises:
+            InputError: If it cannot be made, or a recording is under way; the drive goes on then.
+        """
+        if not self._is_busy.acquire(blocking=False):
+            raise InputError(
+                "A recording is under way, or another drive is being made. Begin the new drive "
+                "when it is done."
+            )
+        try:
+            self.page.tell("Making organ and world …")
+            session = self._made(scenario)
+            driver = self.page.driver
+            self.close()
+            self._server.gui.reset()
+            self._server.scene.reset()
+            dock(self._server)
+            self._show(session)
+            if driver is not None:
+                self.page.take_over(driver)
+            self.page.tell(f"A new drive has begun. It is kept in {session.drive.folder}.")
+        finally:
+            self._is_busy.release()
+
+    def close(self) -> None:
+        """Ends page and session."""
+        self.page.close()
+        self.session.close()
+
+    def _made(self, scenario: Scenario) -> Session:
+        """A session in a new folder; where it cannot be made the folder is removed."""
+        numbers = itertools.count(self._number + 1)
+        folders = ((number, self._folder / f"drive-{number}") for number in numbers)
+        self._number, folder = next(each for each in folders if not each[1].exists())
+        try:
+            return Session(scenario, folder, on_message=self._say)
+        except BaseException:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+
+    def _show(self, session: Session) -> None:
+        self.session = session
+        self.page = Page(
+            self._server, session, PANELS, self._say, begin=self.begin, is_busy=self._is_busy
+        )
+        session.start()
+        self.page.start()
 
 
 @contextmanager
@@ -73,14 +145,11 @@ def open_cockpit(
     gate = make_gate(host, port)
     session = Session(scenario, folder, on_message=say)
     with serving(gate, say) as server:
-        page = Page(server, session, PANELS, say)
-        session.start()
-        page.start()
+        cockpit = Cockpit(server, gate, session, say)
         try:
-            yield Cockpit(session, page, gate)
+            yield cockpit
         finally:
-            page.close()
-            session.close()
+            cockpit.close()
 
 
 def make_gate(host: str, port: int) -> Gate:
@@ -139,5 +208,10 @@ def _make_server(gate: Gate, say: Callable[[str], None]) -> viser.ViserServer:
     server.gui.configure_theme(
         control_width="large", dark_mode=True, show_logo=False, show_share_button=False
     )
-    server.gui.main_panel.dock_left()
+    dock(server)
     return server
+
+
+def dock(server: viser.ViserServer) -> None:
+    """Puts the page's main panel where it belongs."""
+    server.gui.main_panel.dock_left()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from vrcaps.cockpit.browser import InputBridge, parse_input
+from vrcaps.cockpit.browser import DriverInput, InputBridge, parse_input
 from vrcaps.cockpit.camera_images import CameraImages, LiveImage
 from vrcaps.cockpit.gate import is_loopback
 from vrcaps.cockpit.seen_wall import SeenWall
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from vrcaps.cockpit.session import Session
     from vrcaps.cockpit.view import View
+    from vrcaps.scenario.scenario import Scenario
 
 _SECONDS_PER_UPDATE = 1.0 / 20.0
 _DEAD_MAN = 1.0
@@ -54,8 +55,10 @@ class Page:
         seen: What the cameras have seen.
         side_panel: Window at the right, in which panels have tabs.
         bridge: To the browsers' keys and gamepads.
+        is_busy: Held while a recording is made.
         actions: What the buttons of a gamepad do, by name.
         latest_image: The last of them.
+        pad: What the driver's browser said last of its gamepad's layout; None before it has one.
     """
 
     def __init__(
@@ -64,6 +67,9 @@ class Page:
         session: Session,
         panels: tuple[Callable[[Page], Panel], ...],
         say: Callable[[str], None],
+        *,
+        begin: Callable[[Scenario], None] | None = None,
+        is_busy: threading.Lock | None = None,
     ) -> None:
         """Fills the page.
 
@@ -72,6 +78,8 @@ class Page:
             session: What is driven.
             panels: Its parts, in their order.
             say: Called with each message, for the terminal.
+            begin: Begins another drive in the same page.
+            is_busy: Held while a recording is made; shared by all drives.
         """
         self.server, self.session, self._say = server, session, say
         self.latest_image: LiveImage | None = None
@@ -79,7 +87,10 @@ class Page:
         self._axes_time = np.inf
         self._told: dict[str, float] = {}
         self._pads: set[str] = set()
+        self.pad: DriverInput | None = None
         self._is_closed = False
+        self.is_busy = is_busy or threading.Lock()
+        self._begin = begin
         self.actions: dict[str, Callable[[], None]] = {}
         session.on_message = self.tell
         self.images, self.seen = CameraImages(session, self._keep_image), SeenWall(session)
@@ -167,6 +178,16 @@ class Page:
                 "cockpit without --host, and forward the port."
             )
 
+    def begin(self, scenario: Scenario) -> None:
+        """Ends this drive and begins another one in the same browsers.
+
+        Raises:
+            InputError: If the scenario cannot be made, or a recording is under way.
+        """
+        if self._begin is None:
+            raise InputError("This page holds one drive. Open another one by open_cockpit.")
+        self._begin(scenario)
+
     def take_over(self, client: int) -> None:
         """Makes a browser the driver's; what the one before held is let go."""
         self.session.operator.stop()
@@ -174,11 +195,11 @@ class Page:
         self.tell(f"Browser {client} has the controls.")
 
     def _join(self, client: int) -> None:
-        if self._driver is None:
+        if self._driver is None and not self._is_closed:
             self.take_over(client)
 
     def _leave(self, client: int) -> None:
-        if client == self._driver:
+        if client == self._driver and not self._is_closed:
             self._driver = None
             self.session.operator.stop()
             self.tell("The driver's browser is gone: the magnet stops.")
@@ -195,8 +216,9 @@ class Page:
             return
         if given.pad and given.pad not in self._pads:
             self._pads.add(given.pad)
-            unknown = "" if given.is_standard else " Its layout is unknown: try each stick."
-            self.tell(f"Gamepad: {given.pad}.{unknown}")
+            self.tell(f"Gamepad: {given.pad}.{_unknown(given)}")
+        if given.layout is not None:
+            self.pad = given
         self.session.operator.push(np.array(given.axes))
         self._axes_time = wall_clock.monotonic() if any(given.axes) else np.inf
         for action in given.actions:
@@ -225,3 +247,10 @@ class Page:
             shown = view.number
             for panel in self.panels:
                 self.handler(panel.update)(view)
+
+
+def _unknown(given: DriverInput) -> str:
+    """What to do with a gamepad that drives nothing."""
+    if given.is_standard or given.layout:
+        return ""
+    return " Its layout is unknown, so it drives nothing yet: assign its sticks under 'Gamepad'."

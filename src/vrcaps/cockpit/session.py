@@ -23,8 +23,15 @@ from vrcaps.motion.rollout import Rollout
 from vrcaps.recording.source_organ import with_stored_organ
 from vrcaps.scenario.build import build, resolve
 from vrcaps.scenario.scenario import MOST_FRAMES, Scenario
+from vrcaps.tissue.motility.migrating_complex import Front
 from vrcaps.world.model import posture_transform
-from vrcaps.world.schedule import Insufflation, PostureChange, insufflation_at, patient_at
+from vrcaps.world.schedule import (
+    Flush,
+    Insufflation,
+    PostureChange,
+    insufflation_at,
+    patient_at,
+)
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -39,6 +46,9 @@ TURN_SECONDS = 5.0
 
 INFLATE_SECONDS = 3.0
 """How long the gut takes to another insufflation."""
+
+FRONT_SECONDS = 2.0
+"""Least time between beginnings of phase III."""
 
 _SECONDS_PER_VIEW = 1.0 / 40.0
 """Least real time between views."""
@@ -66,7 +76,8 @@ def cockpit_scenario(scenario: Scenario) -> Scenario:
     magnet = motion.magnet or MagnetSteering(arm="panda")
     still = (JoystickCommand(0.0),)
     magnet = replace(magnet, waypoints=(), command_file=None, joystick=still)
-    motion = replace(motion, magnet=magnet, posture_changes=(), insufflation=())
+    orders = {"posture_changes": (), "insufflation": (), "flushes": (), "phase_three": ()}
+    motion = replace(motion, magnet=magnet, **orders)
     return resolve(replace(scenario, motion=motion, frames=MOST_FRAMES))
 
 
@@ -205,7 +216,7 @@ class Session:
         if changes and begin < changes[-1].time + changes[-1].duration:
             raise InputError(f"The patient is still being turned to {changes[-1].posture}.")
         changes = (*changes, PostureChange(posture, begin, TURN_SECONDS))
-        self.rollout.settings = replace(settings, posture_changes=changes)
+        self.rollout.change(replace(settings, posture_changes=changes))
 
     def insufflate(self, factor: float) -> None:
         """Inflates or empties the gut to a factor on its radius.
@@ -219,7 +230,39 @@ class Session:
             raise InputError("The gut is still taking on the insufflation before.")
         now = insufflation_at(entries, begin)
         ramp = (Insufflation(begin, now), Insufflation(begin + INFLATE_SECONDS, factor))
-        self.rollout.settings = replace(settings, insufflation=(*entries, *ramp))
+        self.rollout.change(replace(settings, insufflation=(*entries, *ramp)))
+
+    def flush(self) -> None:
+        """Washes bubbles and chyme around the capsule off.
+
+        Raises:
+            InputError: If there are none, or a flush is under way.
+        """
+        begin, settings = self._begin_of_order(), self.rollout.settings
+        contents = self.rollout.model.lumen_contents
+        if contents is None or not len(contents.spheres):
+            raise InputError(
+                "Neither bubbles nor chyme are in the lumen. Choose some with a new drive."
+            )
+        flushes = settings.flushes
+        if flushes and begin <= flushes[-1].time + flushes[-1].duration:
+            raise InputError("The flush before is still under way.")
+        self.rollout.change(replace(settings, flushes=(*flushes, Flush(begin))))
+
+    def start_phase_three(self) -> None:
+        """Begins phase III of the migrating motor complex where the capsule is.
+
+        Raises:
+            InputError: If it does not pass there, or has begun just now.
+            UnknownNameError: If there is no muscle for a segment of the wall.
+        """
+        self.rollout.add_muscle()
+        begin, settings = self._begin_of_order(), self.rollout.settings
+        fronts = settings.phase_three
+        if fronts and begin < fronts[-1].time + FRONT_SECONDS:
+            raise InputError("Phase III is already beginning.")
+        fronts = (*fronts, Front(begin, self.rollout.front_arc_length))
+        self.rollout.change(replace(settings, phase_three=fronts))
 
     def change_look(self, render: RenderSettings, effects: Effects) -> None:
         """Sets how the drive will look when it is recorded; the simulation does not change."""
@@ -266,7 +309,10 @@ class Session:
         entries = settings.insufflation
         ramps = list(zip(entries[::2], entries[1::2], strict=True))
         kept = tuple(entry for ramp in ramps if ramp[0].time <= time for entry in ramp)
-        self.rollout.settings = replace(settings, posture_changes=turns, insufflation=kept)
+        flushes = tuple(flush for flush in settings.flushes if flush.time <= time)
+        fronts = tuple(front for front in settings.phase_three if front.time <= time)
+        commands = {"insufflation": kept, "flushes": flushes, "phase_three": fronts}
+        self.rollout.change(replace(settings, posture_changes=turns, **commands))
         with self._lock:
             self._last = state
             del self._poses[frame:]

@@ -19,6 +19,7 @@ from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.motion.rollout import Rollout
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.fem.deformation import FemDeformation
+from vrcaps.tissue.motility.migrating_complex import Front
 from vrcaps.tissue.motility.motility import Motility
 from vrcaps.tissue.motility.propulsion import Propulsion
 from vrcaps.tissue.spring_wall import SpringWall
@@ -26,12 +27,15 @@ from vrcaps.tissue.tissue import Tissue
 from vrcaps.tissue.winkler_foundation import WinklerFoundation
 from vrcaps.world.dynamics import DYNAMICS, DynamicsKind
 from vrcaps.world.schedule import (
+    Flush,
     Insufflation,
     PostureChange,
     Wrench,
+    check_flushes,
     check_insufflation,
     check_posture_changes,
     check_wrenches,
+    require_rising,
 )
 from vrcaps.world.world import SUBSTEP
 
@@ -79,6 +83,9 @@ class Dynamics:
             `gut`'s at the capsule: z along the centerline towards the anal end.
         posture_changes: When the patient turns over.
         insufflation: How full the gut is in time; empty: as modeled.
+        flushes: When bubbles and chyme around the capsule are washed off.
+        phase_three: Fronts of phase III, each at a place at a time, in place of the next that would
+            come; where `motility` is none the muscle rests until the first.
         magnet: A magnet outside that steers the capsule; None is without.
         settle: Time that passes before the first frame, without commands [s]. The gut takes on
             its first insufflation, and the muscle wakes within 1 s.
@@ -103,6 +110,8 @@ class Dynamics:
     wrench_frame: Literal["world", "capsule", "gut"] = "world"
     posture_changes: tuple[PostureChange, ...] = ()
     insufflation: tuple[Insufflation, ...] = ()
+    flushes: tuple[Flush, ...] = ()
+    phase_three: tuple[Front, ...] = ()
     magnet: MagnetSteering | None = None
     settle: float = 1.0
     step: float = 0.05
@@ -129,8 +138,13 @@ class Dynamics:
     def make_tissue(self, front: float) -> Tissue:
         """The tissue, with the front of `phase-three` at an arc length in the first frame [m]."""
         motility = None
-        if self.motility != "none":
-            motility = Motility(fallback_segment=self.fallback_segment, propulsion=self.propulsion)
+        if self.motility != "none" or self.phase_three:
+            motility = Motility(
+                fallback_segment=self.fallback_segment,
+                propulsion=self.propulsion,
+                fronts=self.phase_three,
+                is_asleep=self.motility == "none",
+            )
         if self.motility == "phase-three" and motility is not None:
             motility = replace(motility, front=front)
         elif self.motility == "steady" and motility is not None:
@@ -175,3 +189,10 @@ class Dynamics:
         check_wrenches(self.wrenches, "wrenches")
         check_posture_changes(self.posture_changes, "posture_changes")
         check_insufflation(self.insufflation, "insufflation")
+        check_flushes(self.flushes, "flushes")
+        if self.phase_three and self.motility == "steady":
+            raise InputError(
+                "phase_three begins fronts, but motility is steady, which has none. Choose none, "
+                "fasting or phase-three."
+            )
+        require_rising([front.time for front in self.phase_three], "phase_three")

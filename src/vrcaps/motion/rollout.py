@@ -18,6 +18,7 @@ from vrcaps.motion.motion import MotionState
 from vrcaps.motion.start_pose import start_pose
 from vrcaps.motion.step import Command, Step, with_neighbors
 from vrcaps.organ.surface import OrganSurface
+from vrcaps.tissue.motility.motility import Motility
 from vrcaps.transforms import (
     invert,
     rotate_vectors,
@@ -27,7 +28,14 @@ from vrcaps.transforms import (
 from vrcaps.units import CM
 from vrcaps.world.control import Control
 from vrcaps.world.model import Model, State
-from vrcaps.world.schedule import in_world, insufflation_at, patient_at, read_wrenches, wrench_at
+from vrcaps.world.schedule import (
+    flush_between,
+    in_world,
+    insufflation_at,
+    patient_at,
+    read_wrenches,
+    wrench_at,
+)
 from vrcaps.world.snapshot import snapshot_arrays, snapshot_from_arrays
 from vrcaps.world.step_means import mean_contact, mean_coupling
 from vrcaps.world.world import World
@@ -99,13 +107,14 @@ class Rollout:
         self._line = model.organ.centerline
         self._offset = None if shown is None else _offset(model.organ, shown)
         pose, arc_length, self.notes = start_pose(model, settings.start, settings.angle)
+        self._arc_length = arc_length
         self.program = None
         if settings.magnet is not None:
             self.program = SteeringProgram(model, settings.magnet, pose, arc_length, seed=seed)
             self.notes += self.program.notes
         self.world = World(
             model,
-            settings.make_tissue(front=min(arc_length + _PASSED, self._line.length)),
+            settings.make_tissue(front=self.front_arc_length),
             State(-settings.settle, pose),
             substep=settings.substep,
             dynamics=settings.dynamics,
@@ -114,7 +123,6 @@ class Rollout:
         )
         self._require_phase(arc_length)
         self._require_time()
-        self._arc_length = arc_length
         self._begin = self._save(0)
         self._checkpoint: MotionState | None = None
 
@@ -125,6 +133,38 @@ class Rollout:
     def duration(self) -> float:
         """Simulated time, with settling [s]."""
         return self.settings.settle + (self.frames - 1) / self.fps
+
+    def change(self, settings: Dynamics) -> None:
+        """Takes other commands: turns, insufflation, flushes, fronts of phase III.
+
+        A run is the same as if they had been known from the beginning where no step has reached
+        those that are new or left out.
+
+        Args:
+            settings: As they are but for these commands.
+
+        Raises:
+            InputError: If no front of phase III passes where one is to begin.
+            UnknownNameError: If there is no muscle for a segment of the wall.
+        """
+        if settings.phase_three != self.settings.phase_three:
+            self.add_muscle()
+            self.world.begin_fronts(settings.phase_three)
+        self.settings = settings
+
+    def add_muscle(self) -> None:
+        """Makes the muscle, which takes a while, where there is none; it rests for now.
+
+        Raises:
+            UnknownNameError: If there is no muscle for a segment of the wall.
+        """
+        fallback = self.settings.fallback_segment
+        self.world.add_muscle(Motility(fallback_segment=fallback, is_asleep=True))
+
+    @property
+    def front_arc_length(self) -> float:
+        """Where a front of phase III has just passed the capsule [m]."""
+        return min(self._arc_length + _PASSED, self._line.length)
 
     @property
     def arc_length(self) -> float:
@@ -239,6 +279,7 @@ class Rollout:
                 torque_world=wrenches[index, 1],
                 T_world_patient=self._patient(times[1]),
                 insufflation=self._insufflation(times[1]),
+                flush=flush_between(self.settings.flushes, *times),
             )
             try:
                 self.world.step(control, times[1] - times[0])

@@ -36,6 +36,8 @@ class Control:
         insufflation: Factor on the lumen's radius at the end of the step, 1 = as modeled.
         Ts_world_magnet: Poses of the world's sources at the end of the step, which they approach
             evenly: straight on, and by the shortest turn. None leaves them where they are.
+        flush: How far a rinse of what floats around the capsule has got at the end of the step: the
+            share, 0 to 1, of bubbles and chyme there that are washed off by then.
         strengths: How many times its own field each source has at the end of the step, such as the
             current of a coil as a share of the stated one; None leaves them as they are.
     """
@@ -46,6 +48,7 @@ class Control:
     insufflation: float = 1.0
     Ts_world_magnet: Float[np.ndarray, "k 4 4"] | None = None
     strengths: Float[np.ndarray, " k"] | None = None
+    flush: float = 0.0
 
     def __post_init__(self) -> None:
         shapes = {"force_world": (3,), "torque_world": (3,), "T_world_patient": (4, 4)}
@@ -63,6 +66,7 @@ class Control:
                 raise InputError(f"Control's {name} is {shown}. Allowed: finite numbers.")
         if not 0.2 <= self.insufflation <= 2.0:
             raise InputError(f"Control's insufflation is {self.insufflation}. Allowed: 0.2 to 2.")
+        require(0.0 <= self.flush <= 1.0, "Control's flush", self.flush, "0 to 1")
         self._check_sources()
         if self.T_world_patient is not None:
             turn = np.asarray(self.T_world_patient)[:3, :3]

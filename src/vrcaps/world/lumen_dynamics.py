@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+import vrcaps.rng
 from vrcaps import _core
 from vrcaps.capsule.body import Body
 from vrcaps.lumen.lumen_contents import LumenContents
 from vrcaps.lumen.pools import Pools, Sections, cut_sections, level_pools, submerged
 from vrcaps.tissue.arc_length_samples import arc_length_samples
 from vrcaps.transforms import invert, transform_points
+from vrcaps.units import CM
 from vrcaps.world.core_pose import center_of_mass_and_rotation
 from vrcaps.world.model import Model
 
@@ -28,6 +30,13 @@ each."""
 
 _LEVEL_TOLERANCE = 0.01
 """Change of the lumen's radius, relative to that at rest, after which liquid is leveled anew."""
+
+FLUSH_REACH = 5.0 * CM
+"""Distance from the capsule's center within which a flush washes bubbles and chyme off [m]."""
+
+_AWAY = 1e3
+"""How far outside the patient spheres are kept that were washed off [m]: they stay as many, so that
+a snapshot and the motion from image to image need not know of it."""
 
 _DRAG = 0.5
 """Drag coefficient of a capsule in liquid, by its frontal area (a long body with round ends:
@@ -115,6 +124,8 @@ class LumenDynamics:
         at_rest = self._rest.spheres.at(centers)
         self._particles = _core.Particles(wall, at_rest, laws, tangents, float(places[1]))
         self._push = np.zeros(6)
+        lots = vrcaps.rng.stream(model.contents.seed, "lumen/flush")
+        self._lots = lots.random(len(self._rest.spheres))
         self._place_dome_bubbles(pose)
 
     def lumen_contents(self, T_world_patient: Float[np.ndarray, "4 4"]) -> LumenContents:
@@ -133,6 +144,22 @@ class LumenDynamics:
         states[first:, :3] = center + dome_sites @ rotation.T
         states[first:, 7:] = dome_sites
         self._particles.states = states
+
+    def wash_off(self, pose: _core.Pose, share: float) -> None:
+        """Takes bubbles and chyme around the capsule out of the lumen; liquid stays.
+
+        Args:
+            pose: The capsule's, in the core's frame.
+            share: Of all spheres, those that go where they are near; the same ones each time.
+        """
+        states = self._particles.states
+        center, _ = center_of_mass_and_rotation(pose)
+        is_near = np.linalg.norm(states[:, :3] - center, axis=1) < FLUSH_REACH
+        goes = is_near & (self._lots < share)
+        if goes.any():
+            states[goes, :3] += [0.0, 0.0, _AWAY]
+            states[goes, 3:6] = states[goes, 7:] = 0.0  # at rest, and off the capsule
+            self._particles.states = states
 
     def level_liquid(
         self, T_world_patient: Float[np.ndarray, "4 4"], lumen_scale: Float[np.ndarray, " m"]

@@ -64,6 +64,19 @@ class Insufflation:
     factor: float = 1.0
 
 
+@dataclass(frozen=True)
+class Flush:
+    """A rinse of the lumen around the capsule, which washes bubbles and chyme off.
+
+    Attributes:
+        time: When it begins, since the first frame [s].
+        duration: How long it takes until all are gone [s].
+    """
+
+    time: float = 0.0
+    duration: float = 2.0
+
+
 def wrench_at(wrenches: tuple[Wrench, ...], time: float) -> Float[np.ndarray, "2 3"]:
     """Force [N] and torque [N·m] at a time: linear between entries, constant beyond them."""
     if not wrenches:
@@ -77,6 +90,22 @@ def insufflation_at(insufflation: tuple[Insufflation, ...], time: float) -> floa
     if not insufflation:
         return 1.0
     return float(row_at([(entry.time, entry.factor) for entry in insufflation], time)[0])
+
+
+def flush_between(flushes: tuple[Flush, ...], begin: float, end: float) -> float:
+    """How far a flush has got at the end of a step in which it was under way, 0 to 1; else 0.
+
+    Args:
+        flushes: In the order of time.
+        begin: Of the step [s].
+        end: Of the step [s].
+    """
+    shares = [
+        min(1.0, (end - flush.time) / flush.duration)
+        for flush in flushes
+        if begin < flush.time + flush.duration and end > flush.time
+    ]
+    return max(shares, default=0.0)
 
 
 def row_at(rows: Sequence[tuple[float, ...]], time: float) -> Float[np.ndarray, " k"]:
@@ -180,6 +209,21 @@ def check_insufflation(insufflation: tuple[Insufflation, ...], where: str) -> No
                 "factors of 0.2 to 2 at finite times."
             )
     require_rising([entry.time for entry in insufflation], where)
+
+
+def check_flushes(flushes: tuple[Flush, ...], where: str) -> None:
+    """Check that durations are possible and times rise.
+
+    Raises:
+        InputError: If not; names the entry.
+    """
+    for index, flush in enumerate(flushes):
+        if not (np.isfinite(flush.time) and 0.0 < flush.duration < np.inf):
+            raise InputError(
+                f"{where}: entry {index} takes {flush.duration} s at {flush.time} s. Allowed: "
+                "above 0 s, at finite times."
+            )
+    require_rising([flush.time for flush in flushes], where)
 
 
 def check_posture_changes(changes: tuple[PostureChange, ...], where: str) -> None:

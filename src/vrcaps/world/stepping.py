@@ -39,6 +39,7 @@ class _Trip:
         T_world_patient: How the patient lies then.
         sources: Where the sources are at its end.
         lumen_scale: Lumen's radius at its samples at its end.
+        flush: See `Control.flush`.
     """
 
     world: World
@@ -47,6 +48,7 @@ class _Trip:
     T_world_patient: Float[np.ndarray, "4 4"]
     sources: Float[np.ndarray, "k 8"]
     lumen_scale: Float[np.ndarray, " m"]
+    flush: float = 0.0
 
 
 def step_together(
@@ -77,7 +79,7 @@ def step_together(
             scale = world._lumen_scale_at(world.time + dt, control.insufflation)
             if world.dynamics == "quasi-static":
                 _add_propulsion(world, loads[k])
-            trips[k] = _Trip(world, dt, loads[k], postures[k], ends[k], scale)
+            trips[k] = _Trip(world, dt, loads[k], postures[k], ends[k], scale, control.flush)
     plain = {
         k: trip for k, trip in trips.items() if trip.world._lumen is None and _num_pieces(trip) == 1
     }
@@ -160,6 +162,8 @@ def _in_pieces(trip: _Trip) -> str | None:
         world._core.settle()  # nothing to do but after `restore`
     before, (count, outer) = _save(world), _strides(trip, pieces)
     gravity = tuple(trip.load[6:9])
+    if lumen is not None and trip.flush > 0.0:
+        lumen.wash_off(world._core.pose, trip.flush)
     try:
         for piece in range(pieces):
             scales, length = _lumen_scales(trip, piece, pieces), trip.dt / pieces

@@ -29,6 +29,9 @@ from vrcaps.world.stepping import step_together
 if TYPE_CHECKING:
     from jaxtyping import Float
 
+    from vrcaps.tissue.motility.migrating_complex import Front
+    from vrcaps.tissue.motility.motility import Motility
+
 SUBSTEP = 5e-5
 """Longest substep by default [s]."""
 
@@ -104,12 +107,40 @@ class World:
         self._lumen_scale: Float[np.ndarray, " k"] = np.ones(self._num_samples)
         self.muscle: Muscle | None = None
         if tissue.motility is not None:
-            self.muscle = Muscle(organ, tissue.motility, vrcaps.rng.stream(seed, "tissue/muscle"))
+            self.muscle = self._make_muscle(tissue.motility)
         self._moves = tissue.deformation is not None or self.muscle is not None
         self._check_start()
         if model.lumen_contents is not None:
             self._lumen = LumenDynamics(model, self._wall, self.body, self._core.pose)
         self._state: State | None = None
+
+    def _make_muscle(self, motility: Motility) -> Muscle:
+        return Muscle(self.model.organ, motility, vrcaps.rng.stream(self.seed, "tissue/muscle"))
+
+    def add_muscle(self, motility: Motility) -> None:
+        """Gives a world without muscle one that rests until fronts are begun.
+
+        Args:
+            motility: Settings of a muscle that is asleep.
+
+        Raises:
+            UnknownNameError: If it has no muscle for a segment of the wall.
+        """
+        if self.muscle is None:
+            self.muscle, self._moves = self._make_muscle(motility), True
+
+    def begin_fronts(self, fronts: tuple[Front, ...]) -> None:
+        """Sets the fronts of phase III that begin, see `Motility.fronts`.
+
+        Args:
+            fronts: Those before the present time as they were.
+
+        Raises:
+            InputError: If there is no muscle, or no front passes where one is to begin.
+        """
+        if self.muscle is None:
+            raise InputError("This world has no muscle in which a front could begin. Add it first.")
+        self.muscle = self.muscle.with_fronts(fronts)
 
     def _make_core(self, pose: _core.Pose) -> _core.World:
         """The core's world: body, wall and laws."""

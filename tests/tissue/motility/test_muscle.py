@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from tubes import straight_gut
-from vrcaps.errors import UnknownNameError
+from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.tissue.motility.migrating_complex import Front
 from vrcaps.tissue.motility.motility import GiantContractions, Motility
 from vrcaps.tissue.motility.muscle import Muscle, uniform
 from vrcaps.tissue.motility.segment import PER_MINUTE, SegmentMotility, segment_motilities
@@ -196,3 +197,41 @@ def test_draws_are_uniform_and_independent() -> None:
         assert abs(np.corrcoef(cut.ravel(), shifted.ravel())[0, 1]) < 0.015
     again = uniform(12345, 2, one.ravel(), other.ravel())
     assert abs(np.corrcoef(draws, again)[0, 1]) < 0.015
+
+
+def test_a_front_that_is_begun_brings_phase_three_and_changes_nothing_before() -> None:
+    """Within 2 s, evenly, and the same whenever it was known."""
+    gut = straight_gut({"jejunum": 0.4}, edge=4e-3)
+    plain = Muscle(gut, Motility(), np.random.default_rng(5))
+    begun = plain.with_fronts((Front(30.0, 0.2),))
+    known = Muscle(gut, Motility(fronts=(Front(30.0, 0.2),)), np.random.default_rng(5))
+    for time in (3.0, 29.99, 31.0, 60.0):
+        np.testing.assert_array_equal(begun.lumen_scale(time), known.lumen_scale(time))
+    np.testing.assert_array_equal(begun.lumen_scale(29.99), plain.lumen_scale(29.99))
+    assert begun.phase(np.array(0.2), 30.1) == 3
+    assert begun.strength(np.array([0.2]), 32.1) == 1.0
+    times = np.arange(29.9, 34.0, 0.02)
+    steps = np.abs(np.diff([begun.lumen_scale(time) for time in times], axis=0))
+    assert steps.max() < 0.05
+    assert min(begun.lumen_scale(time)[150:250].min() for time in times) < 0.7
+
+
+def test_a_muscle_that_is_asleep_rests_until_its_first_front() -> None:
+    gut = straight_gut({"ileum": 0.2}, edge=4e-3)
+    asleep = Muscle(gut, Motility(is_asleep=True), np.random.default_rng(5))
+    assert (asleep.lumen_scale(1234.0) == 1.0).all()
+    assert asleep.phase(np.array(0.1), 3.0) == 0
+    assert asleep.strength(np.array([0.1]), 3.0) == 0.0
+    woken = asleep.with_fronts((Front(7.0, 0.1),))
+    assert (woken.lumen_scale(6.99) == 1.0).all()
+    assert min(woken.lumen_scale(time).min() for time in np.arange(9.0, 20.0, 0.5)) < 0.6
+
+
+def test_no_front_begins_where_none_passes() -> None:
+    colon = Muscle(straight_gut({"sigmoid": 0.2}), Motility(), np.random.default_rng(0))
+    with pytest.raises(InputError, match="Phase III begins only where the migrating motor complex"):
+        colon.with_fronts((Front(1.0, 0.1),))
+    with pytest.raises(InputError, match="A front's arc_length is -1"):
+        Front(0.0, -1.0)
+    with pytest.raises(InputError, match="A front's time is nan"):
+        Front(np.nan, 0.0)

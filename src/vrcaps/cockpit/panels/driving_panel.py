@@ -27,9 +27,9 @@ class DrivingPanel:
         with gui.add_folder("Drive"):
             take = gui.add_button("Take the controls")
             stop = gui.add_button("Stop the magnet")
-            rows = [f"| **{key}** | {meaning} |" for key, meaning in (KEYS | PAD).items()]
+            rows = KEYS | PAD
             with gui.add_folder("Keys and gamepad", expand_by_default=False):
-                gui.add_markdown("\n".join(["| | |", "|-|-|", *rows]))
+                gui.add_markdown(two_columns(rows))
         take.on_click(page.handler(lambda event: page.take_over(event.client_id)))
         stop.on_click(page.for_driver(self._operator.stop))
         self._gizmo = page.server.scene.add_transform_controls(GIZMO, scale=0.12, depth_test=False)
@@ -52,3 +52,9 @@ class DrivingPanel:
         rotation = matrix_from_quaternion(np.array(self._gizmo.wxyz, float))
         pose = transform_from(rotation, np.array(self._gizmo.position, float))
         self._operator.drag(pose, is_dragging=self._is_dragged)
+
+
+def two_columns(rows: dict[str, str]) -> str:
+    """A table as Markdown, the first column bold."""
+    lines = [f"| **{first}** | {second} |" for first, second in rows.items()]
+    return "\n".join(["| | |", "|-|-|", *lines])

@@ -19,7 +19,7 @@ _FEW_SAMPLES = 4
 
 LIVE_EFFECTS = tuple(name for name in SEVERITIES if issubclass(EFFECTS[name], ImageEffect))
 """Effects that change while the simulation runs: those of the image. The capsule's cameras and the
-organ are what they were made."""
+organ are what they were made; their effects are chosen with a new drive."""
 
 
 class LookPanel:

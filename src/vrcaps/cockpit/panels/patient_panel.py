@@ -1,4 +1,4 @@
-"""Patient panel: posture and insufflation."""
+"""Patient panel: posture, insufflation, flush and phase III."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class PatientPanel:
-    """Turns the patient, and inflates or empties the gut."""
+    """Turns the patient, inflates or empties the gut, rinses it, and starts phase III."""
 
     def __init__(self, page: Page) -> None:
         session = page.session
@@ -22,7 +22,13 @@ class PatientPanel:
             turn = gui.add_button("Turn the patient")
             factor = gui.add_slider("Insufflation", 0.6, 1.6, 0.05, 1.0)
             inflate = gui.add_button("Inflate or empty")
+            flush = gui.add_button("Flush", hint="Washes off bubbles and chyme around the capsule")
+            phase = gui.add_button(
+                "Start phase III", hint="The strongest contractions, where the capsule is"
+            )
         turn.on_click(page.for_driver(lambda: session.turn(posture.value)))
+        flush.on_click(page.for_driver(session.flush))
+        phase.on_click(page.for_driver(session.start_phase_three))
         inflate.on_click(page.for_driver(lambda: session.insufflate(float(factor.value))))
 
     def update(self, view: View) -> None:

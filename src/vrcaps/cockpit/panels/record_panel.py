@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from typing import TYPE_CHECKING
 
 from vrcaps.recording.recorder import record
@@ -17,7 +16,7 @@ class RecordPanel:
 
     def __init__(self, page: Page) -> None:
         self._page, self._session = page, page.session
-        self._number, self._is_busy = 0, threading.Lock()
+        self._number = 0
         gui = page.server.gui
         with gui.add_folder("Record", expand_by_default=False):
             folder = self._session.drive.folder
@@ -31,8 +30,8 @@ class RecordPanel:
 
     def _record(self) -> None:
         """Called in a thread of the page's library, which it keeps until the episode is there."""
-        if not self._is_busy.acquire(blocking=False):
-            self._page.tell("A recording is under way.")
+        if not self._page.is_busy.acquire(blocking=False):
+            self._page.tell("A recording is under way, or another drive is being made.")
             return
         try:
             scenario = self._session.drive.save()
@@ -42,7 +41,7 @@ class RecordPanel:
             record(scenario, out, progress=self._show)
             self._page.tell(f"Recorded {scenario.frames} frames into {out}.")
         finally:
-            self._is_busy.release()
+            self._page.is_busy.release()
 
     def _show(self, done: int, total: int) -> None:
         self._progress.value = 100.0 * done / total

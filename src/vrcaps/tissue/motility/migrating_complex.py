@@ -116,6 +116,24 @@ class ComplexStatistics:
 
 
 @dataclass(frozen=True)
+class Front:
+    """A front of phase III that is at a place at a time.
+
+    Attributes:
+        time: Of the world [s].
+        arc_length: The place along the centerline [m].
+    """
+
+    time: float
+    arc_length: float
+
+    def __post_init__(self) -> None:
+        require(math.isfinite(self.time), "A front's time", self.time, "finite [s]")
+        is_on = 0.0 <= self.arc_length < math.inf
+        require(is_on, "A front's arc_length", self.arc_length, "0 m or more")
+
+
+@dataclass(frozen=True)
 class MigratingMotorComplex:
     """A patient's clock: which phase each place of the gut is in at each time.
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from vrcaps.errors import UnknownNameError, require
-from vrcaps.tissue.motility.migrating_complex import ComplexStatistics
+from vrcaps.tissue.motility.migrating_complex import ComplexStatistics, Front
 from vrcaps.tissue.motility.propulsion import Propulsion
 from vrcaps.tissue.motility.segment import SegmentMotility, segment_motilities
 from vrcaps.units import CM
@@ -63,6 +63,9 @@ class Motility:
             `activity`.
         front: Arc length that a front of phase III reaches when the world's time is 0 [m]; None
             leaves it to chance.
+        fronts: Fronts that begin while the world is stepped, in the order of time: from each on the
+            clock is set so that it is there then.
+        is_asleep: Whether the muscle rests until the first of `fronts`.
         giant: Giant contractions of the colon, or None.
         min_lumen_scale: Share of the lumen's radius at rest that no contraction takes away.
         propulsion: The force F = β (v_p − u) on the capsule in addition to contact, or None.
@@ -72,6 +75,8 @@ class Motility:
     fallback_segment: str | None = None
     complex: ComplexStatistics | None = field(default_factory=ComplexStatistics)
     front: float | None = None
+    fronts: tuple[Front, ...] = ()
+    is_asleep: bool = False
     giant: GiantContractions | None = field(default_factory=GiantContractions)
     min_lumen_scale: float = 0.1
     propulsion: Propulsion | None = None

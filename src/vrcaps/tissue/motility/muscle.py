@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import math
+from bisect import bisect_right
+from collections.abc import Callable
+from copy import copy
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.errors import InputError
 from vrcaps.tissue.motility.layout import lay_out
 from vrcaps.tissue.motility.migrating_complex import draw_complex
 from vrcaps.tissue.motility.rows import KINDS, Rows, Table, make_table
@@ -14,6 +20,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int, Real
 
     from vrcaps.organ.surface import OrganSurface
+    from vrcaps.tissue.motility.migrating_complex import Front, MigratingMotorComplex
     from vrcaps.tissue.motility.motility import GiantContractions, Motility
 
 _WEYL = 0x9E3779B97F4A7C15
@@ -41,6 +48,9 @@ def uniform(key: int, purpose: int, *numbers: Real[np.ndarray, " n"]) -> Float[n
 
 
 _HOUR = 3600.0
+_CHANGE_OVER = 2.0
+"""Time within which contractions become those of a front that was begun [s]."""
+
 _GIANT_RAMP = 0.1
 """Share of its extent over which a giant contraction grows, and fades."""
 
@@ -60,6 +70,21 @@ _STRENGTH = np.array([[0.0, 0.0, 0.5, 0.0, -1.0], [1.0, 0.0, 0.5, 1.0, 1.0]])
 """How strong they are, likewise."""
 
 
+@dataclass(frozen=True)
+class _Rule:
+    """What the muscle does from a time on.
+
+    Attributes:
+        begin: The time [s].
+        clock: Of the migrating motor complex; None where none passes.
+        is_awake: Whether there are contractions at all.
+    """
+
+    begin: float
+    clock: MigratingMotorComplex | None
+    is_awake: bool = True
+
+
 class Muscle:
     """Waves of contraction along an organ, as functions of time alone.
 
@@ -71,8 +96,9 @@ class Muscle:
     of the lumen's radius while |φ − n| < f d / 2; d is the contraction's duration and g how far
     this wave leads to a contraction here. g changes smoothly between nodes that are `extent`
     apart and differ from wave to wave; at each it is 0 or 1, by draws that depend on patient,
-    wave and node only. The largest contraction counts. So the lumen_scale at a time does not depend
-    on how time was stepped through, and there is no state.
+    wave and node only. The largest contraction counts. Where a front of phase III is begun, the
+    muscle changes over from the clock before within a short time. So the lumen_scale at a time does
+    not depend on how time was stepped through, and there is no state.
     """
 
     def __init__(self, organ: OrganSurface, motility: Motility, rng: np.random.Generator) -> None:
@@ -96,6 +122,43 @@ class Muscle:
             self.clock = draw_complex(motility.complex, self.layout.zones, rng)
             if motility.front is not None:
                 self.clock = self.clock.at_front(motility.front)
+        self._rules = self._rules_of(motility)
+
+    def with_fronts(self, fronts: tuple[Front, ...]) -> Muscle:
+        """The same patient's muscle with other fronts of phase III, see `Motility.fronts`.
+
+        Raises:
+            InputError: If no front passes where one is to begin.
+        """
+        other = copy(self)
+        other.motility = replace(self.motility, fronts=fronts)
+        other._rules = other._rules_of(other.motility)
+        return other
+
+    def _rules_of(self, motility: Motility) -> list[_Rule]:
+        """What it does from each time on."""
+        rules = [_Rule(-math.inf, self.clock, not motility.is_asleep)]
+        for front in motility.fronts:
+            if self.clock is None:
+                raise InputError(
+                    "Phase III begins only where the migrating motor complex passes: in stomach "
+                    "and small bowel, unless motility is steady."
+                )
+            clock = self.clock.at_front(front.arc_length, ahead=front.time)
+            rules.append(_Rule(front.time, clock))
+        return rules
+
+    def _under_rules(
+        self, time: float, value: Callable[[_Rule], Float[np.ndarray, "*n"]]
+    ) -> Float[np.ndarray, "*n"]:
+        """A value under the rule of a time [s]; at its beginning on the way from that before."""
+        number = bisect_right(self._rules, time, key=lambda rule: rule.begin) - 1
+        passed = (time - self._rules[number].begin) / _CHANGE_OVER
+        now = value(self._rules[number])
+        if number == 0 or passed >= 1.0:
+            return now
+        before = value(self._rules[number - 1])
+        return before + passed * passed * (3.0 - 2.0 * passed) * (now - before)
 
     def lumen_scale(self, time: float, span: slice = slice(None)) -> Float[np.ndarray, " k"]:
         """Lumen's radius at the samples, as a share of that at rest.
@@ -104,7 +167,13 @@ class Muscle:
             time: Of the world [s].
             span: Stations wanted, in steps of 1; all by default.
         """
+        return self._under_rules(time, lambda rule: self._lumen_scale(rule, time, span))
+
+    def _lumen_scale(self, rule: _Rule, time: float, span: slice) -> Float[np.ndarray, " k"]:
+        """Lumen's radius at the samples under one rule."""
         first, last, _ = span.indices(len(self.layout.arc_length))
+        if not rule.is_awake:
+            return np.ones(last - first)
         rows = self._table.near(first, last)
         turns = rows.rate * time - rows.lag
         wave = np.rint(turns)
@@ -112,7 +181,7 @@ class Muscle:
         at = np.flatnonzero(np.abs(offset) < 0.5 * rows.duty)
         deepest = np.zeros(last - first)
         if len(at):
-            at, factor = self._strengths(rows, wave, at)
+            at, factor = self._strengths(rule, rows, wave, at)
             pulse = np.cos(np.pi * offset[at] / rows.duty[at]) ** 2
             depth = rows.amplitude[at] * pulse * factor
             np.maximum.at(deepest, rows.sample[at] - first, depth)
@@ -130,14 +199,21 @@ class Muscle:
         arc_length = np.asarray(arc_length, float)
         phase = np.zeros(arc_length.shape, int)
         cycles = self.layout.cycles[self._nearest(arc_length)]
-        if self.clock is not None:
-            phase = np.where(cycles, self.clock.phase(arc_length, time)[0], 0)
+        number = bisect_right(self._rules, time, key=lambda rule: rule.begin) - 1
+        rule = self._rules[number]
+        if rule.clock is not None and rule.is_awake:
+            phase = np.where(cycles, rule.clock.phase(arc_length, time)[0], 0)
         return phase
 
     def strength(self, arc_length: Float[np.ndarray, "*n"], time: float) -> np.ndarray:
         """How strong contractions are at places [m], 0 in phase I to 1 in phase III."""
         arc_length = np.asarray(arc_length, float)
-        return self._activity(arc_length, np.full(arc_length.shape, time))[1]
+        times = np.full(arc_length.shape, time)
+
+        def strength(rule: _Rule) -> Float[np.ndarray, "*n"]:
+            return rule.is_awake * self._activity(rule, arc_length, times)[1]
+
+        return self._under_rules(time, strength)
 
     def propulsion(
         self,
@@ -169,7 +245,7 @@ class Muscle:
         return np.clip(number, 0, len(samples) - 1)
 
     def _strengths(
-        self, rows: Rows, wave: Float[np.ndarray, " r"], at: Int[np.ndarray, " q"]
+        self, rule: _Rule, rows: Rows, wave: Float[np.ndarray, " r"], at: Int[np.ndarray, " q"]
     ) -> tuple[Int[np.ndarray, " p"], Float[np.ndarray, " p"]]:
         """Of rows `at` those that may contract, and how far, 0 to 1, blended between nodes."""
         run, starts = _runs(rows.group[at], wave[at])
@@ -183,6 +259,7 @@ class Muscle:
         part, starts = _runs(run, node)
         first, waves = at[starts], run[starts]
         before, after = self._contracts(
+            rule,
             rows.take(first),
             wave[first],
             drawn[waves],
@@ -195,6 +272,7 @@ class Muscle:
 
     def _contracts(
         self,
+        rule: _Rule,
         rows: Rows,
         wave: Float[np.ndarray, " r"],
         drawn: Float[np.ndarray, " r"],
@@ -205,7 +283,7 @@ class Muscle:
         arc_length = np.interp(node - shift, self._table.place, self.layout.arc_length)
         nearest = self._nearest(arc_length)
         when = wave / rows.rate + rows.start + rows.kind * self._table.delay[nearest]
-        activity, strength, stands = self._activity(arc_length, when)
+        activity, strength, stands = self._activity(rule, arc_length, when)
         back, stand = self.layout.parameters[5:, nearest]
         kind = np.where(drawn > 1.0 - stand * stands, KINDS[2], KINDS[0])
         kind = np.where(drawn < back, KINDS[1], kind)
@@ -213,14 +291,14 @@ class Muscle:
         return strength * ((kind == rows.kind) & (lot < activity))
 
     def _activity(
-        self, arc_length: Float[np.ndarray, " r"], time: Float[np.ndarray, " r"]
+        self, rule: _Rule, arc_length: Float[np.ndarray, " r"], time: Float[np.ndarray, " r"]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Share of slow waves that contract, how strongly, and whether some of them stand."""
         nearest = self._nearest(arc_length)
         steady = self.layout.parameters[4, nearest]
-        if self.clock is None:
+        if rule.clock is None:
             return steady, np.ones_like(steady), np.ones_like(steady)
-        phase, passed = self.clock.phase(arc_length, time)
+        phase, passed = rule.clock.phase(arc_length, time)
         phase = np.where(self.layout.cycles[nearest], phase, 0)
         slope, base, of_steady = _ACTIVITY[:, phase]
         activity = np.where(of_steady, steady, 1.0) * (base + slope * passed)

@@ -1,0 +1,97 @@
+"""New drive: what changes from one drive to the next, in the same page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+from vrcaps.camera_pipeline.effect.base import ImageEffect
+from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES
+from vrcaps.capsule.catalog import device_names, device_of, read_device
+from vrcaps.scenario.chosen_lesions import PREVALENCE, chosen_lesions
+from vrcaps.scenario.scenario import OrganGenerated, organ_named
+
+if TYPE_CHECKING:
+    from vrcaps.scenario.scenario import Scenario
+
+NO_LESIONS = "none"
+"""Text in place of lesions that takes all out."""
+
+CONTENTS = ("bubbles", "chyme", "liquid")
+"""What may float in the lumen, by severity."""
+
+LASTING_EFFECTS = tuple(name for name in SEVERITIES if not issubclass(EFFECTS[name], ImageEffect))
+"""Effects that belong to a drive: those of the capsule's cameras, of the wall and of what floats in
+the lumen. Those of the image change at any time."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What is to be other than it was; what is left out stays.
+
+    Attributes:
+        organ: Name of a generated organ, or a file.
+        seed: Of the patient.
+        lesions: Short texts with spaces between them, `prevalence` for as many as a screening
+            patient has, or `none`.
+        capsule: Name in the catalog, or a device file.
+        contents: Severities by name, see `CONTENTS`.
+        effects: Severities by name, see `LASTING_EFFECTS`.
+    """
+
+    organ: str | None = None
+    seed: int | None = None
+    lesions: str = ""
+    capsule: str | None = None
+    contents: Mapping[str, int] = field(default_factory=dict)
+    effects: Mapping[str, int] = field(default_factory=dict)
+
+
+def magnetic_capsules() -> tuple[str, ...]:
+    """Names of the catalog's capsules that a magnet can steer."""
+    return tuple(name for name in device_names() if read_device(name).magnets)
+
+
+def chosen_scenario(scenario: Scenario, choice: Choice) -> Scenario:
+    """The scenario of the next drive.
+
+    Args:
+        scenario: Of the drive before.
+        choice: What changes.
+
+    Raises:
+        InputError: If a text or a device file cannot be read, or a value is impossible.
+        UnknownNameError: If there is no lesion, capsule or generator of a name.
+    """
+    changed: dict[str, Any] = {"organ": _organ(scenario, choice)}
+    contents: dict[str, Any] = dict(choice.contents)
+    if choice.seed is not None:
+        contents["seed"] = choice.seed
+    changed["contents"] = replace(scenario.contents, **contents)
+    changed["effects"] = replace(scenario.effects, **choice.effects)
+    if choice.lesions.strip():
+        changed["lesions"] = _lesions(choice.lesions, changed["organ"], scenario.seed)
+    if choice.capsule is not None:
+        changed["capsule"] = read_device(choice.capsule)
+        if scenario.fps == device_of(scenario.capsule).frame_rate:
+            changed["fps"] = None  # the capsule's own
+    return replace(scenario, **changed)
+
+
+def _organ(scenario: Scenario, choice: Choice) -> Any:
+    organ = scenario.organ if choice.organ is None else organ_named(choice.organ)
+    if isinstance(organ, OrganGenerated):
+        seed = getattr(scenario.organ, "seed", 0) if choice.seed is None else choice.seed
+        return replace(organ, seed=seed)
+    return organ
+
+
+def _lesions(text: str, organ: Any, seed: int) -> tuple[Any, ...]:
+    words = text.split()
+    if words == [NO_LESIONS]:
+        return ()
+    table = PREVALENCE if PREVALENCE in words else None
+    is_generated = isinstance(organ, OrganGenerated)
+    seed, name = (organ.seed, organ.name) if is_generated else (seed, "")
+    return chosen_lesions([word for word in words if word != PREVALENCE], table, seed, name)

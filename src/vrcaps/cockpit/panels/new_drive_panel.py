@@ -1,0 +1,88 @@
+"""New drive panel: another organ, patient, capsule, lesions or contents, in the same page."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from vrcaps.anatomy.catalog import ORGANS
+from vrcaps.camera_pipeline.effect.base import MAX_SEVERITY
+from vrcaps.camera_pipeline.effects import EFFECTS
+from vrcaps.cockpit.new_drive import (
+    CONTENTS,
+    LASTING_EFFECTS,
+    Choice,
+    chosen_scenario,
+    magnetic_capsules,
+)
+from vrcaps.scenario.scenario import OrganGenerated
+
+if TYPE_CHECKING:
+    from vrcaps.cockpit.page import Page
+    from vrcaps.cockpit.view import View
+
+_SAME = "as it is"
+
+
+class NewDrivePanel:
+    """Ends the drive, which is kept, and begins another one with what is chosen here."""
+
+    def __init__(self, page: Page) -> None:
+        self._page, self._session = page, page.session
+        scenario, gui = page.session.scenario, page.server.gui
+        organ = scenario.organ
+        self._seed_before = organ.seed if isinstance(organ, OrganGenerated) else 0
+        with gui.add_folder("New drive", expand_by_default=False):
+            gui.add_markdown("The drive so far is kept; all else stays as it is.")
+            self._organ = gui.add_dropdown("Organ", (_SAME, *ORGANS))
+            self._seed = gui.add_number("Patient", self._seed_before, min=0, step=1)
+            self._lesions = gui.add_text(
+                "Lesions",
+                "",
+                hint="Such as polyp-Ip:size=12mm colitis-2, prevalence, or none; empty: as it is",
+            )
+            self._capsule = gui.add_dropdown("Capsule", (_SAME, *magnetic_capsules()))
+            self._file = gui.add_text("Capsule file", "", hint="A device file (TOML); empty: none")
+            with gui.add_folder("Contents and camera", expand_by_default=False):
+                self._sliders = {
+                    name: self._slider(name, getattr(scenario.contents, name), f"Of {name}")
+                    for name in CONTENTS
+                } | {
+                    name: self._slider(
+                        name, getattr(scenario.effects, name), EFFECTS[name].summary()
+                    )
+                    for name in LASTING_EFFECTS
+                }
+            button = gui.add_button("Begin a new drive")
+        self._before = {name: slider.value for name, slider in self._sliders.items()}
+        button.on_click(page.for_driver(self._begin))
+
+    def update(self, view: View) -> None:
+        """Shows nothing: the drive does."""
+
+    def _slider(self, name: str, given: Any, hint: str) -> Any:
+        first = given if isinstance(given, int) else 0
+        label, gui = name.replace("_", " "), self._page.server.gui
+        return gui.add_slider(label, 0, MAX_SEVERITY, 1, first, hint=hint)
+
+    def _begin(self) -> None:
+        file = self._file.value.strip()
+        if file:
+            self._page.require_here("A file")
+        self._page.begin(chosen_scenario(self._session.scenario, self._choice(file)))
+
+    def _choice(self, file: str) -> Choice:
+        """What was changed in the page; an exact figure stays until its slider is moved."""
+        moved = {
+            name: int(slider.value)
+            for name, slider in self._sliders.items()
+            if slider.value != self._before[name]
+        }
+        organ, capsule, seed = self._organ.value, self._capsule.value, int(self._seed.value)
+        return Choice(
+            organ=None if organ == _SAME else organ,
+            seed=None if seed == self._seed_before else seed,
+            lesions=self._lesions.value,
+            capsule=file or (None if capsule == _SAME else capsule),
+            contents={name: value for name, value in moved.items() if name in CONTENTS},
+            effects={name: value for name, value in moved.items() if name in LASTING_EFFECTS},
+        )

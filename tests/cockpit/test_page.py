@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from cockpit_browser import wait_until
+from pad_pilot import PAD, PadPilot, push
 from vrcaps.transforms import matrix_from_quaternion
 
 if TYPE_CHECKING:
@@ -19,14 +20,6 @@ if TYPE_CHECKING:
     from vrcaps.cockpit.cockpit import Cockpit
 
 pytestmark = pytest.mark.slow
-
-
-PAD = """
-window.pad = {id: "Test Pad", index: 0, connected: true, mapping: "standard",
-  axes: [0, 0, 0, 0], buttons: [...Array(17)].map(() => ({pressed: false, value: 0}))};
-navigator.getGamepads = () => [window.pad, null, null, null];
-"""
-"""A gamepad as a browser would show it."""
 
 
 @pytest.fixture(scope="module")
@@ -222,6 +215,28 @@ def test_the_look_changes_and_goes_into_the_recording(tab, cockpit):
     choose(tab, "Imaging", "narrow-band")
     wait_until(tab, lambda: cockpit.page.latest_image.look.render.imaging == "narrow-band")
     assert cockpit.session.scenario_so_far().render.imaging == "narrow-band"
+
+
+def test_a_scripted_gamepad_leads_the_capsule(tab, cockpit):
+    """Towards the oral end, against where it looks; sticks and triggers come through exactly."""
+    session, operator = cockpit.session, cockpit.session.operator
+    wanted = (0.25, -0.5, 0.0, 0.75, -1.0, 0.5)
+    push(tab, wanted)
+    wait_until(tab, lambda: operator.commands()[1][-1].linear == wanted[:3])
+    assert operator.commands()[1][-1].angular == wanted[3:]
+    session.reset()
+    wait_until(tab, lambda: 1 < len(session.poses) < 5)
+    pilot = PadPilot(session, 0.0)
+    start = pilot.arc_length
+
+    def has_come() -> bool:
+        axes = pilot.axes()
+        if axes is not None:
+            push(tab, axes.tolist())
+        return pilot.arc_length < start - 4e-3
+
+    wait_until(tab, has_come)
+    push(tab, [0.0] * 6)
 
 
 def test_another_drive_begins_in_the_same_page(tab, cockpit):

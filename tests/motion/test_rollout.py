@@ -283,31 +283,32 @@ def test_tissue_has_the_fields_asked_for() -> None:
     assert Dynamics().make_tissue(front=0.0).motility is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motility", ["none", "fasting"])
 def test_commands_given_on_the_way_are_as_if_known_from_the_beginning(
     lying: Model, motility: str
 ) -> None:
     """A flush and phase III, begun where the capsule is."""
-    model = replace(lying, contents=Contents(bubbles=2))
+    model = replace(lying, contents=Contents(bubbles=1))
     settings = Dynamics(start=0.3, motility=motility, settle=0.1, substep=1e-3)  # type: ignore[arg-type]
-    live = Rollout(model, settings, frames=6, fps=2.0, seed=3)
+    live = Rollout(model, settings, frames=6, fps=5.0, seed=3)
     given, steps = settings, []
     for moment in live.moments(None, lambda *_: None, lambda: False):
         if moment.index == 0:
-            front = Front(0.4, live.front_arc_length)
-            given = replace(settings, flushes=(Flush(0.3, 0.5),), phase_three=(front,))
+            front = Front(0.3, live.front_arc_length)
+            given = replace(settings, flushes=(Flush(0.1, 0.5),), phase_three=(front,))
             live.change(given)
         steps.append(moment)
-    known = Rollout(model, given, frames=6, fps=2.0, seed=3)
+    known = Rollout(model, given, frames=6, fps=5.0, seed=3)
     for one, other in zip(steps, known.moments(None, lambda *_: None, lambda: False), strict=True):
         np.testing.assert_array_equal(one.state.T_world_capsule, other.state.T_world_capsule)
         np.testing.assert_array_equal(one.state.vertices_world, other.state.vertices_world)
         spheres = [moment.state.lumen_contents.spheres.centers for moment in (one, other)]  # type: ignore[union-attr]
         np.testing.assert_array_equal(*spheres)
     phases = [moment.command.phase for moment in steps]
-    assert phases[2] == 3
+    assert phases[-1] == 3
     assert phases[0] == 0 or motility == "fasting"
-    still = Rollout(model, settings, frames=6, fps=2.0, seed=3)
+    still = Rollout(model, settings, frames=6, fps=5.0, seed=3)
     *_, last = still.moments(None, lambda *_: None, lambda: False)
     assert not np.array_equal(last.state.T_world_capsule, steps[-1].state.T_world_capsule)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 
 from cockpit_browser import wait_until
 from pad_pilot import PAD, PadPilot, push
+from vrcaps.errors import InputError
 from vrcaps.transforms import matrix_from_quaternion
 
 if TYPE_CHECKING:
@@ -251,7 +253,10 @@ def test_another_drive_begins_in_the_same_page(tab, cockpit):
     tab.get_by_label("Lesions").fill("wart")
     begin.click()
     tab.get_by_text("No lesion named 'wart'").first.wait_for()
+    with pytest.raises(InputError, match="magnet"):
+        cockpit.begin(replace(before.scenario, capsule="mirocam"))
     assert cockpit.session is before
+    assert not (before.drive.folder / "drive-2").exists()
     tab.get_by_label("Lesions").fill("polyp-Is:size=6mm")
     begin.click()
     wait_until(tab, lambda: cockpit.session is not before and cockpit.page.latest_image is not None)

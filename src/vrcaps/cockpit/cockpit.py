@@ -55,7 +55,7 @@ class Cockpit:
         """
         self.gate = gate
         self._server, self._say, self._folder = server, say, session.drive.folder
-        self._is_busy, self._number = threading.Lock(), 1
+        self._is_busy = threading.Lock()
         self._show(session)
 
     def begin(self, scenario: Scenario) -> None:
@@ -83,11 +83,18 @@ class Cockpit:
             self._server.scene.reset()
             dock(self._server)
             self._show(session)
-            if driver is not None:
-                self.page.take_over(driver)
+            self._look_on(driver)
             self.page.tell(f"A new drive has begun. It is kept in {session.drive.folder}.")
         finally:
             self._is_busy.release()
+
+    def _look_on(self, driver: int | None) -> None:
+        """The browsers that were there look at the new scene, and the same one drives."""
+        clients, first = self._server.get_clients(), self._server.initial_camera
+        for client in clients.values():
+            client.camera.position, client.camera.look_at = first.position, first.look_at
+        if driver in clients:
+            self.page.take_over(driver)
 
     def close(self) -> None:
         """Ends page and session."""
@@ -96,9 +103,8 @@ class Cockpit:
 
     def _made(self, scenario: Scenario) -> Session:
         """A session in a new folder; where it cannot be made the folder is removed."""
-        numbers = itertools.count(self._number + 1)
-        folders = ((number, self._folder / f"drive-{number}") for number in numbers)
-        self._number, folder = next(each for each in folders if not each[1].exists())
+        folders = (self._folder / f"drive-{number}" for number in itertools.count(2))
+        folder = next(each for each in folders if not each.exists())
         try:
             return Session(scenario, folder, on_message=self._say)
         except BaseException:

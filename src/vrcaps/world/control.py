@@ -36,10 +36,10 @@ class Control:
         insufflation: Factor on the lumen's radius at the end of the step, 1 = as modeled.
         Ts_world_magnet: Poses of the world's sources at the end of the step, which they approach
             evenly: straight on, and by the shortest turn. None leaves them where they are.
-        flush: How far a rinse of what floats around the capsule has got at the end of the step: the
-            share, 0 to 1, of bubbles and chyme there that are washed off by then.
         strengths: How many times its own field each source has at the end of the step, such as the
             current of a coil as a share of the stated one; None leaves them as they are.
+        flush: How far a rinse of what floats around the capsule has got at the end of the step: the
+            share, 0 to 1, of bubbles and chyme there that are washed off by then.
     """
 
     force_world: tuple[float, float, float] | Float[np.ndarray, " 3"] = _ZERO

@@ -148,11 +148,15 @@ class Muscle:
             rules.append(_Rule(front.time, clock))
         return rules
 
+    def _number_of_rule(self, time: float) -> int:
+        """Which of the rules holds at a time [s]."""
+        return bisect_right(self._rules, time, key=lambda rule: rule.begin) - 1
+
     def _under_rules(
         self, time: float, value: Callable[[_Rule], Float[np.ndarray, "*n"]]
     ) -> Float[np.ndarray, "*n"]:
         """A value under the rule of a time [s]; at its beginning on the way from that before."""
-        number = bisect_right(self._rules, time, key=lambda rule: rule.begin) - 1
+        number = self._number_of_rule(time)
         passed = (time - self._rules[number].begin) / _CHANGE_OVER
         now = value(self._rules[number])
         if number == 0 or passed >= 1.0:
@@ -199,8 +203,7 @@ class Muscle:
         arc_length = np.asarray(arc_length, float)
         phase = np.zeros(arc_length.shape, int)
         cycles = self.layout.cycles[self._nearest(arc_length)]
-        number = bisect_right(self._rules, time, key=lambda rule: rule.begin) - 1
-        rule = self._rules[number]
+        rule = self._rules[self._number_of_rule(time)]
         if rule.clock is not None and rule.is_awake:
             phase = np.where(cycles, rule.clock.phase(arc_length, time)[0], 0)
         return phase

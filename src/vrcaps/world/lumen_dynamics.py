@@ -145,17 +145,17 @@ class LumenDynamics:
         states[first:, 7:] = dome_sites
         self._particles.states = states
 
-    def wash_off(self, pose: _core.Pose, share: float) -> None:
+    def wash_off(self, pose: _core.Pose, fraction: float) -> None:
         """Takes bubbles and chyme around the capsule out of the lumen; liquid stays.
 
         Args:
             pose: The capsule's, in the core's frame.
-            share: Of all spheres, those that go where they are near; the same ones each time.
+            fraction: Of all spheres, those that go where they are near; the same ones each time.
         """
         states = self._particles.states
         center, _ = center_of_mass_and_rotation(pose)
         is_near = np.linalg.norm(states[:, :3] - center, axis=1) < FLUSH_REACH
-        goes = is_near & (self._lots < share)
+        goes = is_near & (self._lots < fraction)
         if goes.any():
             states[goes, :3] += [0.0, 0.0, _AWAY]
             states[goes, 3:6] = states[goes, 7:] = 0.0  # at rest, and off the capsule

@@ -175,6 +175,28 @@ def test_a_pads_controls_are_assigned_by_pushing_them(tab, cockpit):
     wait_until(tab, lambda: last() == (0, 0, 0, 0, 0, 0))
 
 
+def test_a_policy_takes_over_by_a_key_and_a_stick_takes_back(tab, cockpit):
+    operator = cockpit.session.operator
+    tab.get_by_text("Policy", exact=True).click()
+    tab.get_by_label("Own policy").fill("autopilot")
+    button = tab.get_by_role("button", name="Let the policy drive")
+    button.click()
+    tab.get_by_text("No policy named 'autopilot'").first.wait_for()
+    tab.get_by_label("Own policy").fill("")
+    tab.get_by_role("button", name="Stop the magnet").focus()
+    tab.keyboard.press("t")
+    tab.get_by_role("button", name="Take the magnet back").wait_for()
+    assert operator.policy == "navigator"
+    number = len(operator.commands()[1])
+    wait_until(tab, lambda: len(operator.commands()[1]) > number)
+    assert cockpit.page.driver is not None
+    tab.evaluate("window.pad.axes = [1, 0, 0, 0]")
+    button.wait_for()
+    assert operator.policy == ""
+    tab.evaluate("window.pad.axes = [0, 0, 0, 0]")
+    tab.get_by_text("navigator has handed back").first.wait_for()
+
+
 def test_a_second_browser_looks_on_and_takes_over_when_the_driver_is_gone(browser, tab, cockpit):
     operator, page = cockpit.session.operator, cockpit.page
     driver = page.driver

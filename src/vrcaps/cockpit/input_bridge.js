@@ -82,6 +82,10 @@ if (!window.vrcapsBridge) {
   };
 
   const restOf = (pad) => ({ axes: [...pad.axes], buttons: pad.buttons.map((each) => each.pressed) });
+  const isBeyond = (source, rest) => (pad) => // whether what was pushed to be assigned is still held
+    Boolean(source && pad) && (source.button === undefined
+      ? Math.abs(pad.axes[source.axis] - rest.axes[source.axis]) > 0.5
+      : Boolean(pad.buttons[source.button] && pad.buttons[source.button].pressed));
   const movedFrom = (pad, rest) => { // what was pressed or pushed since; null if nothing
     const pressed = pad.buttons.findIndex((each, k) => each.pressed && !rest.buttons[k]);
     if (pressed >= 0) return button(pressed);
@@ -111,7 +115,7 @@ if (!window.vrcapsBridge) {
     const { control, rest, until } = bridge.listening;
     const source = pad && movedFrom(pad, rest);
     if (source) assign(pad, control, source);
-    if (source || !pad || now > until) Object.assign(bridge, { listening: null, shown: "", released: rest });
+    if (source || !pad || now > until) Object.assign(bridge, { listening: null, shown: "", isHeld: isBeyond(source, rest) });
   };
   const layoutText = (pad, layout) => {
     const name = ({ axis, sign, button: number }) => (axis === undefined ? `button ${number}` : `axis ${axis} ${sign > 0 ? "+" : "−"}`);
@@ -137,8 +141,7 @@ if (!window.vrcapsBridge) {
     const pad = firstPad(), now = performance.now();
     hearAsk(ask.value, pad, now);
     if (bridge.listening) listen(pad, now);
-    // What was pushed to be assigned drives only after it was let go.
-    else if (bridge.isMuted && (!pad || !movedFrom(pad, bridge.released))) bridge.isMuted = false;
+    else if (bridge.isMuted && !bridge.isHeld(pad)) bridge.isMuted = false; // it drives after it was let go
     const layout = pad ? layoutOf(pad) : {};
     notePressed(pad, layout);
     const axes = axesNow(pad, layout);

@@ -25,7 +25,7 @@ class PolicyPanel:
         gui = page.server.gui
         with gui.add_folder("Policy", expand_by_default=False):
             names = policy_names(MagnetActuation.kind)
-            self._name = gui.add_dropdown("Policy", names, initial_value=_FIRST)
+            self._name = gui.add_dropdown("Baseline", names, initial_value=_FIRST)
             self._own = gui.add_text(
                 "Own policy", "", hint="Its file, or package.module:Class; empty takes the list's."
             )

@@ -35,8 +35,8 @@ from vrcaps.recording.recorder import record
 from vrcaps.recording.table import POSE_COLUMNS
 from vrcaps.render.settings import RenderSettings
 from vrcaps.scenario.scenario import OrganGenerated, Scenario, read_scenario
-from vrcaps.transforms import quaternion_from_matrix
-from vrcaps.units import CM
+from vrcaps.transforms import quaternion_from_matrix, transform_points
+from vrcaps.units import CM, MM
 
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 PORT = 8951
@@ -44,7 +44,8 @@ LOOK_MS = 40
 """Time between looks at the page [ms]."""
 FPS = 4.0
 HEAD = (
-    *("patient", "arm", "way [cm]", "arrived", "simulated [s]", "real [s]"),
+    *("patient", "arm", "way [cm]", "arrived", "to the outlet's end [mm]"),
+    *("simulated [s]", "real [s]"),
     *("commands", "frames recorded", "poses as driven", "problems found by check"),
 )
 
@@ -57,6 +58,7 @@ class Drive:
         folder: Where it is kept.
         poses: `T_world_capsule` of each frame.
         way: Along the gut, from where to where [m].
+        left: From the capsule to the end of the centerline [m].
         has_arrived: Whether the capsule is in the pylorus.
         simulated: Time that passed in the simulation [s].
         real: Time that passed here [s].
@@ -66,6 +68,7 @@ class Drive:
     folder: Path
     poses: np.ndarray
     way: tuple[float, float]
+    left: float
     has_arrived: bool
     simulated: float
     real: float
@@ -88,7 +91,7 @@ def main() -> None:
                 drive = driven(
                     browser, scenario_of(seed, arm), root / f"{seed}-{arm}", args.seconds
                 )
-                rows.append((seed, arm, *result(drive)))
+                rows.append((str(seed), arm, *result(drive)))
         browser.close()
     shutil.rmtree(root)
     text = (
@@ -134,7 +137,10 @@ def driven(browser: Browser, scenario: Scenario, folder: Path, seconds: float) -
         tab.close()
         _, commands = session.operator.commands()
         way, poses = (first, pilot.arc_length), session.poses
-    return Drive(folder, poses, way, way[1] >= goal, len(poses) / FPS, real, len(commands))
+        end = transform_points(session.model.T_world_patient, session.model.organ.centerline.points)
+        left = float(np.linalg.norm(poses[-1][:3, 3] - end[-1]))
+    has_arrived = way[1] >= goal
+    return Drive(folder, poses, way, left, has_arrived, len(poses) / FPS, real, len(commands))
 
 
 def lead(tab: Page, cockpit: Cockpit, pilot: PadPilot, goal: float, seconds: float) -> None:
@@ -173,6 +179,7 @@ def result(drive: Drive) -> tuple[str, ...]:
     return (
         f"{drive.way[0] / CM:.1f} to {drive.way[1] / CM:.1f}",
         "yes" if drive.has_arrived else "no",
+        f"{drive.left / MM:.0f}",
         f"{drive.simulated:.0f}",
         f"{drive.real:.0f}",
         str(drive.commands),

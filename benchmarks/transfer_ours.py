@@ -1,0 +1,171 @@
+"""Our images, of a data set of `vrcaps dataset make`: with classes, with masks, or as they are."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+import vrcaps.data
+from transfer_pictures import Pictures, disc_only
+from transfer_real import small_image, small_map
+from vrcaps import rng
+from vrcaps.errors import InputError
+from vrcaps.recording.frame_sequence import FrameSequence
+from vrcaps.recording.shown_lesion import shown_lesion
+
+MIN_FRACTION = 0.005
+"""Part of an image that a lesion must take to give the image its class."""
+_MOST_OF_RAREST = 3
+"""Images of a class are at most so many times those of the rarest."""
+_NEGATIVES = 0.2
+"""Part of the images for masks that show none of the lesions."""
+
+
+@dataclass(frozen=True)
+class OurFrame:
+    """One of our images at the size of a network.
+
+    Attributes:
+        image: Colors, uint8 [h w 3].
+        lesions: Kind of the lesion at each pixel, its number in `kinds` plus 1; 0 for none.
+        kinds: Names of the kinds of lesions.
+        shown: Class of the image; None where its lesions are too small.
+        is_validation: Whether its patient is not learned from.
+    """
+
+    image: np.ndarray
+    lesions: np.ndarray
+    kinds: tuple[str, ...]
+    shown: str | None
+    is_validation: bool
+
+    def mask(self, kinds: Sequence[str]) -> np.ndarray:
+        """Where lesions of some kinds are [h w]."""
+        numbers = [k + 1 for k, kind in enumerate(self.kinds) if kind in kinds]
+        return np.isin(self.lesions, numbers)
+
+
+@cache
+def data_digest(url: str) -> str:
+    """Twelve digits that name a data set's bytes: its plan, versions and whole recordings.
+
+    Raises:
+        InputError: If there is no data set, or it is empty.
+    """
+    dataset = vrcaps.data.open(url)
+    if not len(dataset):
+        raise InputError(f"The data set {url} has no whole recording.")
+    names = [member.name for member in dataset]
+    return hashlib.sha256(json.dumps([dataset.plan, names]).encode()).hexdigest()[:12]
+
+
+@cache
+def our_frames(url: str, size: int) -> tuple[OurFrame, ...]:
+    """Images of training and validation patients, at the size of a network.
+
+    Raises:
+        InputError: If the data set lacks the channels rgb or instance.
+    """
+    return tuple(
+        frame
+        for split in ("train", "val")
+        for sequence in vrcaps.data.open(url).sequences(split)
+        for frame in _frames(sequence, size)
+    )
+
+
+def _frames(sequence: FrameSequence, size: int) -> Iterator[OurFrame]:
+    if "instance" not in sequence.channels or sequence.episode is None:
+        raise InputError(
+            f"{sequence.name} lacks the channel 'instance'. Make the data set with channels "
+            '["rgb", "depth", "instance"].'
+        )
+    lesions = sequence.episode.head["organ"]["lesions"]
+    kinds = tuple(sorted({one["kind"] for one in lesions}))
+    number_of = np.zeros(1 + max((one["instance"] for one in lesions), default=0), np.uint8)
+    for one in lesions:
+        number_of[one["instance"]] = 1 + kinds.index(one["kind"])
+    for index in range(len(sequence)):
+        instance = sequence.image("instance", index)
+        yield OurFrame(
+            small_image(sequence.image("rgb", index), size),
+            small_map(number_of[instance], size),
+            kinds,
+            shown_lesion(instance, lesions, MIN_FRACTION),
+            sequence.split == "val",
+        )
+
+
+def our_classes(
+    url: str, classes: Sequence[str], size: int, *, has_overlays: bool
+) -> tuple[Pictures, Pictures]:
+    """Images with classes for training and for validation, in discs as the real ones.
+
+    Args:
+        url: Of the data set.
+        classes: Kinds of lesions, or `normal` for images without any; others are left out.
+        size: Longest side [px].
+        has_overlays: Whether the places where recorders print are black.
+
+    Raises:
+        InputError: If there is no image of a class.
+    """
+
+    def pictures(frames: Sequence[OurFrame]) -> Pictures:
+        shown = np.array([frame.shown or "" for frame in frames])
+        members = [np.flatnonzero(shown == name) for name in classes]
+        most = _MOST_OF_RAREST * min(len(found) for found in members)
+        chance = rng.stream(0, "benchmarks/classes")
+        chosen = np.sort(np.concatenate([chance.permutation(found)[:most] for found in members]))
+        images = [disc_only(frames[k].image, has_overlays=has_overlays) for k in chosen]
+        return Pictures("ours", images, [str(shown[k]) for k in chosen])
+
+    return _by_split(url, size, pictures, " or of ".join(classes))
+
+
+def our_masks(url: str, kinds: Sequence[str], size: int) -> tuple[Pictures, Pictures]:
+    """Images with masks of lesions of some kinds, and some without, to learn and to validate.
+
+    Raises:
+        InputError: If no image shows such a lesion.
+    """
+
+    def pictures(frames: Sequence[OurFrame]) -> Pictures:
+        masks = [frame.mask(kinds) for frame in frames]
+        area = np.array([mask.mean() for mask in masks])
+        shown, empty = np.flatnonzero(area >= MIN_FRACTION), np.flatnonzero(area == 0.0)
+        most = round(_NEGATIVES / (1.0 - _NEGATIVES) * len(shown))
+        negatives = rng.stream(0, "benchmarks/negatives").permutation(empty)[:most]
+        chosen = np.sort(np.concatenate([shown, negatives]))
+        return Pictures("ours", [frames[k].image for k in chosen], masks=[masks[k] for k in chosen])
+
+    return _by_split(url, size, pictures, " or of ".join(kinds))
+
+
+def _by_split(
+    url: str, size: int, pictures: Callable[[Sequence[OurFrame]], Pictures], wanted: str
+) -> tuple[Pictures, Pictures]:
+    """Pictures of training and of validation; of a small data set both are of training."""
+    frames = our_frames(url, size)
+    train = pictures([frame for frame in frames if not frame.is_validation])
+    if not len(train):
+        raise InputError(f"{url} has no image of {wanted} to learn from.")
+    return train, pictures([frame for frame in frames if frame.is_validation]) or train
+
+
+def our_sequences(url: str) -> tuple[Sequence[FrameSequence], Sequence[FrameSequence]]:
+    """Sequences of training and of validation patients, at full size."""
+    dataset = vrcaps.data.open(url)
+    return dataset.sequences("train"), dataset.sequences("val")
+
+
+def evenly(sequences: Sequence[FrameSequence], most: int) -> list[tuple[FrameSequence, int]]:
+    """At most so many frames of sequences, evenly spread."""
+    frames = [(sequence, index) for sequence in sequences for index in range(len(sequence))]
+    chosen = np.unique(np.linspace(0, len(frames) - 1, min(most, len(frames))).astype(int))
+    return [frames[k] for k in chosen]

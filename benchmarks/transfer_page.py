@@ -1,0 +1,320 @@
+"""The page of the experiment: tables with intervals, where ours does not help, learning curves."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from transfer_ablations import COMPLETE, VARIANTS
+from transfer_cells import Row
+from transfer_statistics import Judged, difference_interval, figure_interval
+from transfer_tasks import DEPTH, TASKS, Task
+from vrcaps.cli.benchmarks.page import table, write_section
+from vrcaps.metrics.bootstrap import Interval
+
+SCRIPT = "benchmarks/sim_to_real.py"
+COMMAND = f"python {SCRIPT} --run runs/transfer --report"
+FIGURE = "images/sim-to-real.png"
+ARM_TITLES = {
+    "scratch": "from scratch",
+    "imagenet": "ImageNet",
+    "ours": "ours",
+    "imagenet+ours": "ImageNet + ours",
+    "unitycam": "UnityCam",
+    "imagenet+unitycam": "ImageNet + UnityCam",
+    "constant": "one depth everywhere",
+    "mean": "mean of our depth maps",
+    "light": "brightness alone",
+}
+PAIRS = (("imagenet+ours", "imagenet"), ("ours", "scratch"), ("ours", "unitycam"))
+"""Arms that are compared: the first less the second."""
+_COLORS = {"scratch": "0.6", "imagenet": "C0", "ours": "C1", "imagenet+ours": "C3"}
+_COLORS |= {"unitycam": "C4"}
+
+BySeed = Mapping[int, Row]
+
+
+def report(rows: Sequence[Row], page: Path) -> None:
+    """Write the section of the page, and the figure beside it."""
+    found = by_arm(rows)
+    parts = ["## Measured", about(rows)]
+    for task in TASKS.values():
+        parts += task_part(task, found)
+    figure = page.parent / FIGURE
+    if draw_curves(found, figure):
+        parts.append(f"![Learning curves]({FIGURE})")
+    parts += depth_part(found)
+    parts += ablation_part(found)
+    parts += verdict_part(found)
+    text = "\n\n".join(parts)
+    write_section(page, SCRIPT, text, command=COMMAND, title="# From simulation to reality\n")
+    print(text)
+
+
+Found = Mapping[tuple[str, str, float, str], BySeed]
+"""Rows by seed, of each task, arm, fraction and variant."""
+
+
+def by_arm(rows: Iterable[Row]) -> Found:
+    """Rows by what they are of; where settings or data have changed, those of the newest."""
+    rows = list(rows)
+    basis = {row.cell.task: row.made_of["basis"] for row in rows}
+    first = {_arm_key(row): row.made_of["first"] for row in rows if _is_of(row, basis)}
+    found: dict[tuple[str, str, float, str], dict[int, Row]] = defaultdict(dict)
+    for row in rows:
+        if _is_of(row, basis) and first[_arm_key(row)] == row.made_of["first"]:
+            cell = row.cell
+            found[cell.task, cell.arm, cell.fraction, cell.variant][cell.seed] = row
+    return found
+
+
+def _is_of(row: Row, basis: Mapping[str, str]) -> bool:
+    return row.made_of["basis"] == basis[row.cell.task]
+
+
+def _arm_key(row: Row) -> tuple[str, str, str]:
+    return row.cell.task, row.cell.arm, row.cell.variant
+
+
+def about(rows: Sequence[Row]) -> str:
+    """How many networks there are, and what they took."""
+    hours = sum(row.seconds for row in rows) / 3600.0
+    return (
+        f"{len(rows)} networks, {hours:.1f} hours of computing. In brackets: 95 % intervals over "
+        "seeds and groups of images."
+    )
+
+
+def judged(task: Task, row: Row, name: str = "") -> Judged:
+    """A row as its statistics need it."""
+    return Judged(task.features(row.values, name), np.array(row.groups))
+
+
+def interval_of(task: Task, rows: BySeed, name: str = "") -> Interval:
+    """A figure of an arm over its seeds."""
+    return figure_interval(task.figure_of, [judged(task, row, name) for row in rows.values()])
+
+
+def difference_of(task: Task, first: BySeed, second: BySeed, name: str = "") -> Interval | None:
+    """Figure of the first less that of the second, of the seeds that both have."""
+    seeds = sorted({*first} & {*second})
+    if not seeds:
+        return None
+    pairs = [[judged(task, rows[seed], name) for seed in seeds] for rows in (first, second)]
+    return difference_interval(task.figure_of, *pairs)
+
+
+def fractions_of(task: Task, found: Found) -> list[float]:
+    """Fractions of a task that have rows, from small to large."""
+    return sorted({key[2] for key in found if key[0] == task.name and not key[3]})
+
+
+def task_part(task: Task, found: Found) -> list[str]:
+    """Tables of one task; nothing where it has no rows."""
+    fractions = fractions_of(task, found)
+    if not fractions:
+        return []
+    arms = [arm for arm in task.arms if any((task.name, arm, f, "") in found for f in fractions)]
+    body = [
+        [f"{100.0 * f:g} %", *(_cell(task, found.get((task.name, arm, f, ""))) for arm in arms)]
+        for f in fractions
+    ]
+    head = ["real images", *(ARM_TITLES[arm] for arm in arms)]
+    parts = [f"### {task.title}", _sample(task, found), table(head, body)]
+    if task.kind == "super-resolution":
+        parts += quality_part(task, found, arms)
+    return [*parts, *difference_part(task, found, fractions)]
+
+
+def _sample(task: Task, found: Found) -> str:
+    rows = next(rows for key, rows in found.items() if key[0] == task.name and not key[3])
+    images = sum(len(row.groups) for row in rows.values())
+    groups = sum(len(set(row.groups)) for row in rows.values())
+    seeds = max(len(rows) for key, rows in found.items() if key[0] == task.name)
+    figure = task.figure[0].upper() + task.figure[1:]
+    return (
+        f"{figure}; up to {seeds} seeds, each judged by a fold of its own: of "
+        f"one arm {images} images in {groups} groups. Fewer seeds are marked with their number."
+    )
+
+
+def _cell(task: Task, rows: BySeed | None) -> str:
+    if not rows:
+        return ""
+    scale, digits = (1.0, 2) if task.unit == "dB" else (100.0, 1)
+    mark = f" ({len(rows)})" if len(rows) < 5 else ""
+    return _shown(interval_of(task, rows), scale, digits) + mark
+
+
+def _shown(interval: Interval, scale: float, digits: int, sign: str = "") -> str:
+    value, low, high = (
+        f"{scale * number:{sign}.{digits}f}"
+        for number in (interval.value, interval.low, interval.high)
+    )
+    return f"{value} [{low}, {high}]"
+
+
+def difference_part(task: Task, found: Found, fractions: Sequence[float]) -> list[str]:
+    """Differences between arms on the same images; nothing where no pair of arms is there."""
+    scale, digits = (1.0, 2) if task.unit == "dB" else (100.0, 1)
+    body = []
+    for fraction in fractions:
+        for first, second in PAIRS:
+            rows = [found.get((task.name, arm, fraction, "")) for arm in (first, second)]
+            interval = difference_of(task, rows[0] or {}, rows[1] or {})
+            if interval is not None:
+                words = f"{ARM_TITLES[first]} − {ARM_TITLES[second]}"
+                shown = _shown(interval, scale, digits, "+")
+                body.append([f"{100.0 * fraction:g} %", words, shown, verdict(interval)])
+    head = ["real images", "difference", task.unit, "so"]
+    return [table(head, body)] if body else []
+
+
+def verdict(interval: Interval) -> str:
+    """What an interval of a difference says."""
+    if interval.low > 0.0:
+        return "better"
+    return "**worse**" if interval.high < 0.0 else "not told apart"
+
+
+def quality_part(task: Task, found: Found, arms: Sequence[str]) -> list[str]:
+    """PSNR and SSIM over bicubic enlargement of the same images."""
+    body = []
+    for fraction in fractions_of(task, found):
+        for arm in arms:
+            rows = found.get((task.name, arm, fraction, ""))
+            if rows:
+                gains = [_over_bicubic(task, rows, name) for name in ("psnr", "ssim")]
+                shown = _shown(gains[0], 1.0, 2, "+"), _shown(gains[1], 1.0, 4, "+")
+                body.append([f"{100.0 * fraction:g} %", ARM_TITLES[arm], *shown])
+    return [table(["real images", "over bicubic", "PSNR [dB]", "SSIM"], body)]
+
+
+def _over_bicubic(task: Task, rows: BySeed, name: str) -> Interval:
+    own, bicubic = (
+        [judged(task, row, one) for row in rows.values()] for one in (name, f"{name}_bicubic")
+    )
+    return difference_interval(task.figure_of, own, bicubic)
+
+
+def depth_part(found: Found) -> list[str]:
+    """Errors on real frames by networks that saw none; nothing without rows."""
+    arms = {key[1]: rows for key, rows in found.items() if key[0] == DEPTH}
+    if not arms:
+        return []
+    names = sorted({name for rows in arms.values() for row in rows.values() for name in row.values})
+    titles = {
+        "c3vd_abs_rel": "C3VD AbsRel", "c3vd_rank": "C3VD rank correlation",
+        "sinus_abs_rel": "sinus AbsRel", "sinus_rank": "sinus rank correlation",
+    }  # fmt: skip
+    body = [
+        [ARM_TITLES[arm], *(_depth_cell(arms[arm], name) for name in names), str(len(arms[arm]))]
+        for arm in ARM_TITLES
+        if arm in arms
+    ]
+    return [
+        "### Depth without any real frame",
+        "Relative error after scaling by medians (smaller is better) and Spearman's correlation. "
+        "Intervals are over networks only: there is one phantom frame of C3VD, and one patient of "
+        "the sinus data.",
+        table(["learned from", *(titles[name] for name in names), "networks"], body),
+    ]
+
+
+def _depth_cell(rows: BySeed, name: str) -> str:
+    means = [float(np.mean(row.values[name])) for row in rows.values()]
+    if len(means) == 1:
+        return f"{means[0]:.3f}"
+    seeds = [Judged(np.array([[value, 1.0]]), np.zeros(1, int)) for value in means]
+    return str(figure_interval(lambda sums: sums[:, 0] / sums[:, 1], seeds))
+
+
+def ablation_part(found: Found) -> list[str]:
+    """What is lost where our images lack something; nothing without rows."""
+    names = [task for task in TASKS if (task, "ours", 0.1, COMPLETE) in found]
+    body = []
+    for variant in (name for name in VARIANTS if name != COMPLETE):
+        cells = []
+        for name in names:
+            rows = [found.get((name, "ours", 0.1, one), {}) for one in (variant, COMPLETE)]
+            interval = difference_of(TASKS[name], rows[0], rows[1])
+            cells.append("" if interval is None else _shown(interval, 100.0, 1, "+"))
+        if any(cells):
+            body.append([variant, *cells])
+    if not body:
+        return []
+    return [
+        "### What of the simulator matters",
+        "Networks that begin with ours alone and learn from a tenth of the real images: change "
+        "[points] where our images are made without one thing. All are of one small plan.",
+        table(["without", *(TASKS[name].title for name in names)], body),
+    ]
+
+
+def verdict_part(found: Found) -> list[str]:
+    """A list of all comparisons in which ours is not better."""
+    lines = []
+    for task in TASKS.values():
+        for fraction in fractions_of(task, found):
+            for first, second in PAIRS:
+                rows = [found.get((task.name, arm, fraction, ""), {}) for arm in (first, second)]
+                interval = difference_of(task, rows[0], rows[1])
+                if interval is not None and interval.low <= 0.0:
+                    scale, digits = (1.0, 2) if task.unit == "dB" else (100.0, 1)
+                    shown = _shown(interval, scale, digits, "+")
+                    lines.append(
+                        f"- {task.title}, {100.0 * fraction:g} % of the real images: "
+                        f"{ARM_TITLES[first]} − {ARM_TITLES[second]} is {shown} {task.unit}: "
+                        f"{verdict(interval)}."
+                    )
+    if not lines:
+        return []
+    return ["### Where ours does not help", "By these intervals:", "\n".join(lines)]
+
+
+def draw_curves(found: Found, path: Path) -> bool:
+    """Draw figures of merit over the number of real images; says whether there were two points."""
+    tasks = [t for t in TASKS.values() if len([f for f in fractions_of(t, found) if f]) > 1]
+    if not tasks:
+        return False
+    import matplotlib.pyplot as plt
+
+    columns = min(3, len(tasks))
+    rows = -(-len(tasks) // columns)
+    figure, axes = plt.subplots(rows, columns, figsize=(4.2 * columns, 3.4 * rows), squeeze=False)
+    for axis in axes.ravel()[len(tasks) :]:
+        axis.axis("off")
+    for task, axis in zip(tasks, axes.ravel(), strict=False):
+        for arm in task.arms:
+            _draw_arm(axis, task, arm, found)
+        axis.set_xscale("log")
+        ticks = [f for f in fractions_of(task, found) if f > 0.0]
+        axis.set_xticks(ticks, [f"{100.0 * f:g} %" for f in ticks])
+        axis.minorticks_off()
+        axis.set_title(task.title, fontsize=9)
+        axis.set_ylabel(task.figure)
+        axis.grid(alpha=0.3)
+    axes[0, 0].legend(fontsize=8)
+    figure.supxlabel("real images learned from", fontsize=9)
+    figure.tight_layout()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110, metadata={"Software": None})
+    plt.close(figure)
+    return True
+
+
+def _draw_arm(axis, task: Task, arm: str, found: Found) -> None:
+    points = [
+        (fraction, interval_of(task, rows))
+        for fraction in fractions_of(task, found)
+        if fraction > 0.0 and (rows := found.get((task.name, arm, fraction, "")))
+    ]
+    if points:
+        x = [fraction for fraction, _ in points]
+        color = _COLORS[arm]
+        axis.plot(x, [i.value for _, i in points], "o-", color=color, label=ARM_TITLES[arm], ms=3)
+        low, high = [i.low for _, i in points], [i.high for _, i in points]
+        axis.fill_between(x, low, high, color=color, alpha=0.15, linewidth=0)

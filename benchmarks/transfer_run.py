@@ -1,0 +1,316 @@
+"""One cell of the experiment: weights to begin with, training on real images, judging."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+from transfer_cells import Cell, Row, digest_of
+from transfer_depth import (
+    by_light,
+    by_mean,
+    by_network,
+    constant,
+    depth_values,
+    read_c3vd,
+    read_sinus,
+)
+from transfer_ours import data_digest, evenly, our_classes, our_masks, our_sequences
+from transfer_pictures import Pictures
+from transfer_real import middle
+from transfer_tasks import DEPTH, PRESETS, TASKS, Effort, Task
+from vrcaps.camera.camera import Camera
+from vrcaps.camera.lens import LensPinhole
+from vrcaps.errors import InputError
+from vrcaps.files import file_sha256, files_in
+from vrcaps.formats.read_format import read_format
+from vrcaps.learn.samples import Samples, samples_of
+from vrcaps.learn.training import (
+    CHECKPOINT,
+    IMAGENET,
+    SCRATCH,
+    WEIGHTS,
+    Machine,
+    TrainSettings,
+    train,
+)
+from vrcaps.learn.validation import validate
+from vrcaps.learn.weights import read_weights
+from vrcaps.recording.frame_sequence import FrameSequence
+from vrcaps.serialization import to_plain
+from vrcaps.torch_threads import exact_torch
+
+DEPTH_TASK = Task(DEPTH, DEPTH, "c3vd", (), "Depth without any real frame", "AbsRel")
+WITHOUT_LEARNING = ("constant", "mean", "light")
+DEPTH_ARMS = (*WITHOUT_LEARNING, "ours", "imagenet+ours", "unitycam", "imagenet+unitycam")
+DEPTH_READERS = {"c3vd": read_c3vd, "sinus": read_sinus}
+_MOST_LARGE, _MOST_DEPTH = 400, 2000
+"""Most of our frames that super-resolution and depth learn from, evenly spread."""
+_UNITYCAM = (156.0418, 155.7529, 178.5604, 181.8043, 360.0)
+"""fx, fy, cx, cy and width [px] of UnityCam's `cam.txt`, for frames that have none beside them."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What an experiment is made of.
+
+    Attributes:
+        real: Folders of real data by layout.
+        out: Folder of its files.
+        ours: Folder or URL of our data set; None leaves the arms out that need it.
+        weights: Folder of weights that were learned on ours; None learns them here.
+        preset: Name of the preset.
+        device: Where networks learn.
+        variants: Our data sets that lack something, by what they lack.
+    """
+
+    real: Mapping[str, Path]
+    out: Path
+    ours: str | None = None
+    weights: Path | None = None
+    preset: str = "quick"
+    device: str = "cpu"
+    variants: Mapping[str, str] | None = None
+
+    def effort(self, task: Task) -> Effort:
+        """Effort of a task."""
+        return PRESETS[self.preset][task.kind]
+
+    def pictures(self, task: Task) -> Pictures:
+        """Real images of a task."""
+        return task.read(self.real[task.layout], self.effort(task))
+
+    def ours_of(self, cell: Cell) -> str:
+        """Our data set that a cell's weights were learned on.
+
+        Raises:
+            InputError: If none was given.
+        """
+        url = (self.variants or {}).get(cell.variant) if cell.variant else self.ours
+        if url is None:
+            raise InputError("There are no images of ours. Give --ours URL.")
+        return url
+
+
+def task_of(cell: Cell) -> Task:
+    """The task of a cell."""
+    return DEPTH_TASK if cell.task == DEPTH else TASKS[cell.task]
+
+
+def made_of(setup: Setup, cell: Cell) -> dict[str, str]:
+    """Names of what a cell's result follows from, beside the cell itself.
+
+    Results of one task are compared where `basis` is the same: settings, and real images. `first`
+    is what was learned from before.
+    """
+    task = task_of(cell)
+    if task.kind == DEPTH:
+        real = [folder_digest(setup.real[name]) for name in DEPTH_READERS if name in setup.real]
+    else:
+        real = [setup.pictures(task).digest]
+    learner = to_plain(_settings(setup, cell, 1), TrainSettings)["learner"]
+    basis = [learner, to_plain(setup.effort(task), Effort), real]
+    given = _given_weights(setup, cell)
+    first = ""
+    if given is not None:
+        first = file_sha256(given)[:12]
+    elif cell.arm.endswith("ours") or cell.arm == "mean":
+        first = data_digest(setup.ours_of(cell))
+    elif cell.arm.endswith("unitycam"):
+        first = folder_digest(setup.real["unitycam"])
+    return {"basis": digest_of(basis), "first": first, "device": setup.device}
+
+
+@cache
+def folder_digest(folder: Path) -> str:
+    """Twelve digits that name the files of a folder, by names and sizes."""
+    files = [(str(path.relative_to(folder)), path.stat().st_size) for path in files_in(folder)]
+    return digest_of(files)
+
+
+def _settings(setup: Setup, cell: Cell, steps: int) -> TrainSettings:
+    """Settings that all trainings of a task have in common."""
+    task = task_of(cell)
+    effort = setup.effort(task)
+    return TrainSettings(
+        task.learner(effort),
+        start=SCRATCH,
+        steps=steps,
+        batch=effort.batch,
+        rate=effort.rate,
+        evaluate_every=steps,
+        evaluation_frames=8,
+        seed=cell.seed,
+    )
+
+
+def run_cell(setup: Setup, cell: Cell) -> Row:
+    """Train and judge; nothing of it stays but the row and the weights learned on ours.
+
+    Raises:
+        InputError: If data that it needs cannot be read.
+    """
+    began = time.perf_counter()
+    with exact_torch(1) if setup.device == "cpu" else nullcontext():
+        values, groups = _depth(setup, cell) if cell.task == DEPTH else _transfer(setup, cell)
+    seconds = round(time.perf_counter() - began, 1)
+    return Row(cell, made_of(setup, cell), values, groups, seconds)
+
+
+def _transfer(setup: Setup, cell: Cell) -> tuple[dict[str, list[float]], list[int]]:
+    """Values of the fold that a seed holds out, and groups of its images."""
+    task, pictures = task_of(cell), setup.pictures(task_of(cell))
+    learned, held = pictures.split(cell.seed % (pictures.folds.max() + 1))
+    learner = task.learner(setup.effort(task))
+    start = first_weights(setup, cell)
+    judged = Samples(learner, _frames(held))
+    if cell.fraction == 0.0:
+        trained = read_weights(start, task=task.kind, device=setup.device)
+        return task.values(validate(trained, judged)), held.groups.tolist()
+    settings = _settings(setup, cell, setup.effort(task).steps)
+    settings = replace(settings, start=start, fraction=cell.fraction)
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "cell"
+        few = Samples(learner, _frames(learned)[:8])
+        train(settings, Samples(learner, _frames(learned)), few, out, machine=_machine(setup))
+        trained = read_weights(out / WEIGHTS, device=setup.device)
+    return task.values(validate(trained, judged)), held.groups.tolist()
+
+
+def _depth(setup: Setup, cell: Cell) -> tuple[dict[str, list[float]], list[int]]:
+    """Values of the real frames with depth, by their data set; groups are not known."""
+    if cell.arm in WITHOUT_LEARNING:
+        size = setup.effort(DEPTH_TASK).size
+        estimate = {"constant": constant, "light": by_light}.get(cell.arm)
+        estimate = estimate or by_mean(our_sequences(setup.ours_of(cell))[0], size)
+    else:
+        estimate = by_network(read_weights(first_weights(setup, cell), device=setup.device))
+    found: dict[str, list[float]] = {}
+    for name, read in DEPTH_READERS.items():
+        if name in setup.real:
+            values = depth_values(estimate, read(setup.real[name]))
+            found |= {f"{name}_{figure}": numbers for figure, numbers in values.items()}
+    return found, []
+
+
+def first_weights(setup: Setup, cell: Cell) -> str:
+    """What training of a cell begins with: `scratch`, `imagenet`, or a file of weights.
+
+    Weights that were learned on other images are made once, and kept.
+
+    Raises:
+        InputError: If there is nothing to learn from.
+    """
+    if cell.arm in (SCRATCH, IMAGENET):
+        return cell.arm
+    given = _given_weights(setup, cell)
+    if given is not None:
+        return str(given)
+    task = task_of(cell)
+    effort = setup.effort(task)
+    is_ours = cell.arm.endswith("ours")
+    digest = data_digest(setup.ours_of(cell)) if is_ours else "frames"
+    seed = cell.seed if task.kind == DEPTH else 0
+    settings = replace(
+        _settings(setup, cell, effort.first_steps),
+        start=_first_start(cell),
+        seed=seed,
+        data=(digest,),
+        evaluate_every=-(-effort.first_steps // 4),
+        evaluation_frames=100,
+    )
+    name = f"{task.name}-{cell.arm}-{seed}-{effort.size}px-{effort.first_steps}-{digest}"
+    out = setup.out / "weights" / name.replace("+", "-")
+    if not (out / WEIGHTS).is_file():
+        samples, validation = _first_samples(setup, cell, settings)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        train(settings, samples, validation, out, machine=_machine(setup), is_forced=True)
+        (out / CHECKPOINT).unlink(missing_ok=True)
+    return str(out / WEIGHTS)
+
+
+def _first_start(cell: Cell) -> str:
+    return IMAGENET if cell.arm.startswith(f"{IMAGENET}+") else SCRATCH
+
+
+def _given_weights(setup: Setup, cell: Cell) -> Path | None:
+    """File of weights that were learned on ours elsewhere, if there is one."""
+    if setup.weights is None or not cell.arm.endswith("ours") or cell.variant:
+        return None
+    task = task_of(cell)
+    names = (f"{prefix}-{_first_start(cell)}.safetensors" for prefix in (task.name, task.kind))
+    return next((path for name in names if (path := setup.weights / name).is_file()), None)
+
+
+def lacks(setup: Setup, task: Task) -> str:
+    """Why our data set cannot serve a task; empty if it can."""
+    cell = Cell(task.name, "ours", 0.0, 0)
+    if task.kind not in ("classes", "masks"):
+        return ""
+    try:
+        if _given_weights(setup, cell) is None:
+            _first_samples(setup, cell, _settings(setup, cell, 1))
+    except InputError as error:
+        return str(error)
+    return ""
+
+
+def _first_samples(setup: Setup, cell: Cell, settings: TrainSettings) -> tuple[Samples, Samples]:
+    """Images that are not real, to learn from and to validate with."""
+    task, learner = task_of(cell), settings.learner
+    if cell.arm.endswith("unitycam"):
+        sequences = unitycam(setup.real["unitycam"])
+        if task.kind != DEPTH:
+            sequences = [_large(evenly(sequences, _MOST_LARGE), 4 * learner.size).sequence()]
+        samples = samples_of(learner, sequences)
+        return samples, samples
+    url = setup.ours_of(cell)
+    if task.kind == "classes":
+        parts = our_classes(url, task.kinds, learner.size, has_overlays=task.has_overlays)
+    elif task.kind == "masks":
+        parts = our_masks(url, task.kinds, learner.size)
+    else:
+        many = _MOST_DEPTH if task.kind == DEPTH else _MOST_LARGE
+        chosen = [
+            evenly(part, most) for part, most in zip(our_sequences(url), (many, 100), strict=True)
+        ]
+        if task.kind == DEPTH:
+            return Samples(learner, chosen[0]), Samples(learner, chosen[1] or chosen[0])
+        parts = [_large(part or chosen[0], 4 * learner.size) for part in chosen]
+    train_part, validation = (samples_of(learner, [part.sequence()]) for part in parts)
+    return train_part, validation
+
+
+def unitycam(folder: Path) -> list[FrameSequence]:
+    """Frames of VR-Caps, as published with EndoSLAM: one step of depth is taken as a millimeter.
+
+    Their unit is disputed; for depth up to scale it is the same.
+    """
+    return [_with_camera(one) for one in read_format("endoslam", folder, depth_step_mm=1.0)]
+
+
+def _with_camera(sequence: FrameSequence) -> FrameSequence:
+    if sequence.camera is not None:
+        return sequence
+    height, width = sequence.image("rgb", 0).shape[:2]
+    fx, fy, cx, cy = (width / _UNITYCAM[4] * value for value in _UNITYCAM[:4])
+    lens = LensPinhole(fx=fx, fy=fy, cx=cx, cy=cy)
+    return replace(sequence, camera=Camera("unitycam", lens, width, height))
+
+
+def _large(frames: Sequence[tuple[FrameSequence, int]], side: int) -> Pictures:
+    return Pictures("large", [middle(one.image("rgb", index), side) for one, index in frames])
+
+
+def _frames(pictures: Pictures) -> list[tuple[FrameSequence, int]]:
+    sequence = pictures.sequence()
+    return [(sequence, index) for index in range(len(sequence))]
+
+
+def _machine(setup: Setup) -> Machine:
+    return Machine(setup.device)

@@ -41,7 +41,7 @@ from transfer_run import (
 )
 from transfer_tasks import FRACTIONS, PRESETS, TASKS, Task
 from validation import ROOT
-from vrcaps.errors import InputError, VrcapsError
+from vrcaps.errors import InputError, UnknownNameError, VrcapsError, require
 
 PAGE = ROOT / "docs" / "sim-to-real.md"
 
@@ -113,9 +113,11 @@ def run(given: argparse.Namespace, rows: RowFile) -> None:
 
 def main_cells(given: argparse.Namespace, setup: Setup) -> list[Cell]:
     """Cells of the tasks that there is data for."""
-    unknown = [name for name in given.tasks if name not in (*TASKS, DEPTH)]
-    if unknown:
-        raise InputError(f"No task {unknown[0]!r}. Known: {', '.join((*TASKS, DEPTH))}.")
+    for name in given.tasks:
+        if name not in (*TASKS, DEPTH):
+            raise UnknownNameError("task", name, (*TASKS, DEPTH))
+    for fraction in given.fractions:
+        require(0.0 < fraction <= 1.0, "A fraction", fraction, "above 0, at most 1")
     tasks = [t for t in TASKS.values() if t.name in given.tasks and t.layout in setup.real]
     arms = {task.name: possible_arms(setup, task) for task in tasks}
     cells = ordered_cells(arms, given.fractions, given.seeds) if arms else []
@@ -126,8 +128,10 @@ def main_cells(given: argparse.Namespace, setup: Setup) -> list[Cell]:
             for arm in DEPTH_ARMS
             if is_possible(setup, arm) and (seed == 0 or arm not in WITHOUT_LEARNING)
         ]
+        # Two networks of each kind tell much, more tell how they vary.
         place = next((k for k, cell in enumerate(cells) if cell.fraction == 0.0), len(cells))
-        cells[place:place] = own
+        cells[place:place] = [cell for cell in own if cell.seed < 2]
+        cells += [cell for cell in own if cell.seed >= 2]
     if not cells:
         raise InputError("There is no data for these tasks. Give --real or --layout.")
     return cells

@@ -2,16 +2,20 @@
 
 import json
 import sys
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from PIL import Image
 
 import sim_to_real
-from small_frames import image_of
+import transfer_ours
+from small_frames import image_of, small_sequence
 from transfer_ablations import COMPLETE, PLAN, VARIANTS, without
 from transfer_cells import ROWS, Cell, Row, RowFile, ordered_cells
 from transfer_depth import DepthImage, by_light, constant, depth_values, read_sinus
+from transfer_ours import our_classes, our_masks
 from transfer_page import by_arm, verdict
 from transfer_pictures import Pictures, alike, balanced_folds, disc_only, merged
 from transfer_real import found_layouts, kvasir_class, read_classes, read_masks
@@ -293,6 +297,55 @@ def test_real_folders_become_pictures(tmp_path):
     assert not classes.images[0][20:, :15].any()
     with pytest.raises(InputError, match="holds no images with masks"):
         read_masks(real / "hyperkvasir", 32)
+
+
+def our_sequence(split):
+    """Frames of a patient with a polyp and a bleeding; every second frame shows one of them."""
+    plain = small_sequence(seed=1, name=split, split=split)
+    lesions = [{"instance": 1, "kind": "polyp"}, {"instance": 2, "kind": "bleeding"}]
+
+    def load(channel, index):
+        image = plain.load(channel, index)
+        return image * (1 + index // 2 % 2) if channel == "instance" else image
+
+    episode = SimpleNamespace(head={"organ": {"lesions": lesions}})
+    return replace(plain, load=load, episode=episode)
+
+
+def test_our_images_have_the_classes_and_masks_of_their_lesions(monkeypatch):
+    dataset = SimpleNamespace(sequences=lambda split: (our_sequence(split),))
+    monkeypatch.setattr(transfer_ours.vrcaps.data, "open", lambda url: dataset)
+    classes, _ = our_classes("made-up", ("normal", "bleeding"), 32, has_overlays=False)
+    assert [classes.classes.count(name) for name in ("normal", "bleeding")] == [10, 5]
+    masks, _ = our_masks("made-up", ("polyp",), 32)
+    assert sum(mask.any() for mask in masks.masks) == 5
+    assert masks.masks[0].shape == masks.images[0].shape[:2] == (32, 32)
+    with pytest.raises(InputError, match="no image of colitis to learn from"):
+        our_masks("made-up", ("colitis",), 32)
+
+
+def test_our_images_without_instances_are_refused(monkeypatch):
+    plain = small_sequence(split="train").with_channels(("rgb", "depth"))
+    dataset = SimpleNamespace(sequences=lambda split: (plain,))
+    monkeypatch.setattr(transfer_ours.vrcaps.data, "open", lambda url: dataset)
+    with pytest.raises(InputError, match="lacks the channel 'instance'"):
+        our_masks("without-instances", ("polyp",), 32)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--tasks", "nope"], "No task named 'nope'"),
+        (["--fractions", "0"], "above 0, at most 1"),
+        (["--tasks", "super-resolution"], "There is no data for these tasks"),
+    ],
+)
+def test_what_cannot_run_is_told_on_one_line(tmp_path, monkeypatch, words, message):
+    (tmp_path / "kvasir-seg").mkdir()
+    command = ["sim_to_real.py", "--real", str(tmp_path), "--run", str(tmp_path / "run"), *words]
+    monkeypatch.setattr(sys, "argv", command)
+    with pytest.raises(SystemExit, match=message):
+        sim_to_real.main()
 
 
 @pytest.mark.slow

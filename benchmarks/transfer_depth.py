@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,8 @@ from vrcaps.transforms import invert, matrix_from_quaternion, transform_from, tr
 
 _STEP = 4
 """Every so many pixels of a dense map count, along rows and columns."""
+_DARK, _BORDER = 24, 0.02
+"""Level of 255 up to which a pixel is black, and part of a row that is brighter inside."""
 _BETWEEN = -1
 """What parts the lists of views of one point from those of the next."""
 
@@ -71,7 +73,8 @@ def read_c3vd(folder: Path) -> list[DepthImage]:
             row, column = np.nonzero(np.isfinite(depth) & (depth > 0.0))
             pixels = _STEP * np.column_stack([column, row])
             image = sequence.image("rgb", index)
-            found.append(DepthImage(image, sequence.camera, pixels, depth[row, column], group))
+            whole = DepthImage(image, sequence.camera, pixels, depth[row, column], group)
+            found.append(without_border(whole))
     return found
 
 
@@ -98,16 +101,32 @@ def read_sinus(folder: Path) -> list[DepthImage]:
         height, width = image_size(path)
         fx, fy, cx, cy = numbers[4 * number : 4 * number + 4] if len(numbers) > 4 else numbers
         half = 0.5 if cx > 0.75 * width else 1.0
-        lens = LensPinhole(fx=half * fx, fy=half * fy, cx=half * cx, cy=half * cy)
-        camera = Camera("sinus", lens, width, height)
+        fx, fy, cx, cy = (half * float(value) for value in (fx, fy, cx, cy))
+        camera = Camera("sinus", LensPinhole(fx=fx, fy=fy, cx=cx, cy=cy), width, height)
         own = points[[view in of for of in seen]]
         pixels, depth = _projected(own, T_world_camera, camera)
         if mask_path.is_file():
             inside = _mask(mask_path, width, height)[pixels[:, 1], pixels[:, 0]]
             pixels, depth = pixels[inside], depth[inside]
         if len(depth) > 2:
-            found.append(DepthImage(read_rgb(path), camera, pixels, depth, 0))
+            found.append(without_border(DepthImage(read_rgb(path), camera, pixels, depth, 0)))
     return found
+
+
+def without_border(one: DepthImage) -> DepthImage:
+    """The image without rows and columns at its edges in which nearly all is black."""
+    bright = one.image.max(axis=-1) > _DARK
+    rows, columns = (np.flatnonzero(bright.mean(axis=axis) > _BORDER) for axis in (1, 0))
+    if not rows.size or not columns.size:
+        return one
+    (top, bottom), (left, right) = (rows[0], rows[-1] + 1), (columns[0], columns[-1] + 1)
+    pixels = one.pixels - (left, top)
+    inside = ((pixels >= 0) & (pixels < (right - left, bottom - top))).all(axis=1)
+    old: Any = one.camera.lens
+    lens = replace(old, cx=float(old.cx - left), cy=float(old.cy - top))
+    camera = Camera(one.camera.name, lens, int(right - left), int(bottom - top))
+    image = np.ascontiguousarray(one.image[top:bottom, left:right])
+    return DepthImage(image, camera, pixels[inside], one.depth[inside], one.group)
 
 
 def _projected(

@@ -14,7 +14,7 @@ import transfer_ours
 from small_frames import image_of, small_sequence
 from transfer_ablations import COMPLETE, PLAN, VARIANTS, without
 from transfer_cells import ROWS, Cell, Row, RowFile, ordered_cells
-from transfer_depth import DepthImage, by_light, constant, depth_values, read_sinus
+from transfer_depth import DepthImage, by_light, constant, depth_values, read_sinus, without_border
 from transfer_ours import our_classes, our_masks
 from transfer_page import by_arm, verdict
 from transfer_pictures import Pictures, alike, balanced_folds, disc_only, merged
@@ -216,10 +216,24 @@ def test_depth_of_light_and_of_nothing():
     assert by_none["abs_rel"][0] == pytest.approx(exact, abs=1e-4)
 
 
+def test_a_black_border_is_left_out_and_rays_stay():
+    image = np.zeros((60, 80, 3), np.uint8)
+    image[10:50, 20:70] = 99
+    camera = Camera("front", LensPinhole(fx=60.0, fy=60.0, cx=40.0, cy=31.0), 80, 60)
+    pixels = np.array([[20, 10], [69, 49], [5, 30]])
+    one = without_border(DepthImage(image, camera, pixels, np.array([1.0, 2.0, 3.0]), 0))
+    assert one.image.shape == (40, 50, 3) and one.image.all()
+    np.testing.assert_array_equal(one.pixels, [[0, 0], [49, 39]])
+    given = ((camera, pixels[:2]), (one.camera, one.pixels))
+    rays = [one.lens.unproject(places.astype(float)) for one, places in given]
+    np.testing.assert_allclose(*rays)
+    np.testing.assert_array_equal(one.depth, [1.0, 2.0])
+
+
 def write_sinus(folder):
     """Three points two and three units before a camera that has moved by one along x."""
     folder.mkdir()
-    Image.fromarray(np.zeros((540, 960, 3), np.uint8)).save(folder / "00000007.jpg")
+    Image.fromarray(np.full((540, 960, 3), 90, np.uint8)).save(folder / "00000007.jpg")
     (folder / "structure.ply").write_text(
         "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nelement camera 1\n"
         "end_header\n1 0 2\n1.5 0 3\n1 0.5 2\n0 0 0\n"

@@ -16,7 +16,7 @@ from transfer_real import small_image, small_map
 from vrcaps import rng
 from vrcaps.errors import InputError
 from vrcaps.recording.frame_sequence import FrameSequence
-from vrcaps.recording.shown_lesion import shown_lesion
+from vrcaps.recording.shown_lesion import lesion_instances, shown_lesion
 
 MIN_FRACTION = 0.005
 """Part of an image that a lesion must take to give the image its class."""
@@ -94,7 +94,7 @@ def _frames(sequence: FrameSequence, size: int) -> Iterator[OurFrame]:
         instance = sequence.image("instance", index)
         yield OurFrame(
             small_image(sequence.image("rgb", index), size),
-            small_map(number_of[instance], size),
+            small_map(number_of[lesion_instances(instance)], size),
             kinds,
             shown_lesion(instance, lesions, MIN_FRACTION),
             sequence.split == "val",

@@ -11,7 +11,7 @@ import numpy as np
 from transfer_ablations import COMPLETE, VARIANTS
 from transfer_cells import Row
 from transfer_statistics import Judged, difference_interval, figure_interval
-from transfer_tasks import DEPTH, TASKS, Task
+from transfer_tasks import DEPTH, PRESETS, TASKS, Task
 from vrcaps.cli.benchmarks.page import table, write_section
 from vrcaps.metrics.bootstrap import Interval
 
@@ -80,12 +80,20 @@ def _arm_key(row: Row) -> tuple[str, str, str]:
 
 
 def about(rows: Sequence[Row]) -> str:
-    """How many networks there are, and what they took."""
+    """How many networks there are, what they took, and how long each learned."""
     hours = sum(row.seconds for row in rows) / 3600.0
-    return (
-        f"{len(rows)} networks, {hours:.1f} hours of computing. In brackets: 95 % intervals over "
-        "seeds and groups of images."
+    presets = sorted({row.made_of["preset"] for row in rows})
+    words = (
+        f"{len(rows)} networks, {hours:.1f} hours, preset {' and '.join(presets)}. In brackets: "
+        "95 % intervals over seeds and groups of images."
     )
+    body = [
+        [name, *map(str, (e.size, e.steps or "none", e.first_steps, e.batch, f"{e.rate:g}"))]
+        for preset in presets
+        for name, e in PRESETS[preset].items()
+    ]
+    head = ["", "images [px]", "steps on real images", "steps before", "batch", "rate"]
+    return f"{words}\n\n{table(head, body)}"
 
 
 def judged(task: Task, row: Row, name: str = "") -> Judged:

@@ -123,7 +123,8 @@ def made_of(setup: Setup, cell: Cell) -> dict[str, str]:
         first = data_digest(setup.ours_of(cell))
     elif cell.arm.endswith("unitycam"):
         first = folder_digest(setup.real["unitycam"])
-    return {"basis": digest_of(basis), "first": first, "device": setup.device}
+    names = {"preset": setup.preset, "device": setup.device}
+    return {"basis": digest_of(basis), "first": first, **names}
 
 
 @cache

@@ -14,6 +14,7 @@ from vrcaps.learn.fit import Fit
 from vrcaps.learn.learner import recolored, zoomed
 from vrcaps.learn.masks import MaskLearner
 from vrcaps.learn.samples import Samples, samples_of, split_samples
+from vrcaps.lumen.particles import FIRST_CLUMP
 
 
 @pytest.mark.parametrize("shape", [(48, 48), (30, 90), (101, 57), (640, 480)])
@@ -86,7 +87,7 @@ def test_colors_stay_within_their_factors():
 def test_masks_of_one_kind_of_lesion():
     lesions = [{"instance": 1, "kind": "polyp"}, {"instance": 2, "kind": "bleeding"}]
     numbers = np.zeros((SIDE, SIDE), np.uint16)
-    numbers[:10], numbers[20:25] = 1, 2
+    numbers[:10], numbers[20:25], numbers[30:35] = 1, 2, FIRST_CLUMP
     recorded = replace(
         small_sequence(episode=SimpleNamespace(head={"organ": {"lesions": lesions}})),
         load=lambda channel, index: numbers if channel == "instance" else image_of(channel, index),

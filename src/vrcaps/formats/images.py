@@ -26,7 +26,7 @@ from vrcaps.formats.stored_images import IMAGES, read_plane, read_rgb
 from vrcaps.limits import Range, check_fields
 from vrcaps.recording.frame_sequence import TIME, FrameSequence
 from vrcaps.recording.image_files import write_images
-from vrcaps.recording.shown_lesion import shown_lesion
+from vrcaps.recording.shown_lesion import lesion_instances, shown_lesion
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -140,7 +140,9 @@ class Images:
         else:
             channel = self._channel(sequence)
             mask = sequence.image(channel, index)
-            mask = np.where(mask > 0, 255, 0).astype(np.uint8) if channel == "instance" else mask
+            if channel == "instance":
+                numbers = mask if sequence.episode is None else lesion_instances(mask)
+                mask = np.where(numbers > 0, 255, 0).astype(np.uint8)
             files = [(place / _IMAGES[0] / name, image), (place / _MASKS[0] / name, mask)]
         for path, _ in files:
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -20,6 +20,7 @@ from vrcaps.lesion.registry import LESIONS
 from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.masks import boundary_f_score, dice, iou
 from vrcaps.recording.frame_sequence import FrameSequence
+from vrcaps.recording.shown_lesion import lesion_instances
 
 if TYPE_CHECKING:
     from jaxtyping import UInt8
@@ -100,7 +101,7 @@ class MaskLearner:
     def _mask(self, sequence: FrameSequence, index: int, name: str) -> NDArray:
         shown = sequence.image(_channel_of(sequence, name), index)
         if name == LESION:
-            return shown > 0
+            return (shown if sequence.episode is None else lesion_instances(shown)) > 0
         if name in _kinds(sequence):
             return np.isin(shown, _kinds(sequence)[name])
         return shown == sequence.label_names.index(name)

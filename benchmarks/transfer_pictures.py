@@ -22,6 +22,8 @@ FOLDS = 5
 _COPY_BITS, _COPY_LEVELS = 24, 24.0
 """Largest difference of near copies: bits of 242 of their hashes (of unrelated images about 90 to
 120 differ), and levels of 255 of their mean colors."""
+_COPY_CORRELATION, _DETAIL_SIDE = 0.6, 32
+"""Least correlation of the details of near copies, and the side at which they are taken [px]."""
 _NEXT_BITS, _NEXT_LEVELS = 80, 10.0
 """The same of two frames that follow each other in a video."""
 _HASH_SIDE, _DARK = 11, 16
@@ -120,22 +122,38 @@ def perceptual_hash(image: np.ndarray) -> np.ndarray:
     The difference hash, along rows and along columns, of the part of the image that is not black,
     at 11 by 11 places: borders, scale and compression change few bits.
     """
+    small = _gray(image, _HASH_SIDE + 1)
+    across, down = np.diff(small, axis=1)[:-1], np.diff(small, axis=0)[:, :-1]
+    return np.concatenate([across.ravel() > 0.0, down.ravel() > 0.0])
+
+
+def _gray(image: np.ndarray, side: int) -> np.ndarray:
+    """The part of an image that is not black, as gray values [side side]."""
     bright = image.max(axis=-1) > _DARK
     rows, columns = np.flatnonzero(bright.any(axis=1)), np.flatnonzero(bright.any(axis=0))
     if not rows.size:
-        return np.zeros(2 * _HASH_SIDE**2, bool)
+        return np.zeros((side, side))
     inner = image[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     gray = Image.fromarray(np.ascontiguousarray(inner)).convert("L")
-    side = _HASH_SIDE + 1
-    small = np.asarray(gray.resize((side, side), Image.Resampling.BOX), float)
-    across, down = np.diff(small, axis=1)[:-1], np.diff(small, axis=0)[:, :-1]
-    return np.concatenate([across.ravel() > 0.0, down.ravel() > 0.0])
+    return np.asarray(gray.resize((side, side), Image.Resampling.BOX), float)
+
+
+def _detail(image: np.ndarray) -> np.ndarray:
+    """What is finer than a quarter of an image, away from its edge, as a vector of length 1."""
+    from scipy.ndimage import gaussian_filter
+
+    gray = _gray(image, _DETAIL_SIDE)
+    place = (np.arange(_DETAIL_SIDE) + 0.5) / _DETAIL_SIDE - 0.5
+    inside = np.hypot(place[:, None], place[None]) < 0.38
+    fine = (gray - gaussian_filter(gray, _DETAIL_SIDE / 8.0))[inside]
+    return fine / max(float(np.linalg.norm(fine)), 1e-9)
 
 
 def alike(images: Sequence[np.ndarray], order: Sequence[int | None] = ()) -> np.ndarray:
     """Group of each image [n]: near copies, and frames of one video that follow each other.
 
-    Near copies have hashes that differ in few bits, and nearly the same mean color. Frames that
+    Near copies have hashes that differ in few bits, nearly the same mean color, and details that
+    correlate: smooth walls have alike hashes, since light falls off towards all edges. Frames that
     follow each other need only look somewhat alike; they join all that lies between two of them.
 
     Args:
@@ -147,7 +165,9 @@ def alike(images: Sequence[np.ndarray], order: Sequence[int | None] = ()) -> np.
     total = bits.sum(axis=1)
     color = np.array([_mean_color(image) for image in images])
     first, second = np.nonzero(total[:, None] + total[None] - 2.0 * bits @ bits.T <= _COPY_BITS)
+    detail = np.array([_detail(image) for image in images])
     near = np.abs(color[first] - color[second]).max(axis=1) <= _COPY_LEVELS
+    near &= (detail[first] * detail[second]).sum(axis=1) >= _COPY_CORRELATION
     numbered = np.array([k for k, number in enumerate(order) if number is not None], int)
     chain = numbered[np.argsort([order[k] for k in numbered], kind="stable")]
     before, after = chain[:-1], chain[1:]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -115,6 +115,24 @@ class Learner(Protocol):
 
     def row(self, output: NDArray) -> Mapping[str, Any]:
         """What a table says of an estimate; empty if its files say all."""
+        ...
+
+
+@runtime_checkable
+class Adversarial(Protocol):
+    """What a learner also has whose network can learn against a second one, the adversary.
+
+    The adversary learns to tell outputs from truths. Only checkpoints keep it.
+    """
+
+    def adversary(self) -> Any | None:
+        """A new adversary (`torch.nn.Module`); None if the settings want none."""
+        ...
+
+    def losses(
+        self, network: Any, adversary: Any, batch: Batch
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Terms of the loss of the network, and of the adversary's; `loss` is their sum."""
         ...
 
 

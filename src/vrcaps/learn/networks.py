@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import copy
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -119,16 +120,66 @@ def motion_network(encoder: str, *, is_pretrained: bool) -> Any:
     return network
 
 
+@cache
+def feature_network(encoder: str, device: str) -> Any:
+    """A network from color images [b 3 h w], 0 to 1, to feature maps [b c h' w'] of four scales.
+
+    Its weights are ImageNet's and do not learn. To make it changes no random numbers of PyTorch.
+
+    Args:
+        encoder: Name of timm's, such as vgg19; the weights of `ENCODER` need no hub.
+        device: Where it computes.
+
+    Raises:
+        UnknownNameError: If timm has no such encoder.
+        InputError: If its weights cannot be fetched, or it has no maps of four scales.
+        MissingExtraError: If a package is not installed.
+    """
+    torch = require_torch()
+    # What is first made for scores must serve gradients, too.
+    with torch.inference_mode(False), torch.random.fork_rng(devices=[]):
+        network = _feature_network(encoder).eval().requires_grad_(False)
+    return network.to(device)
+
+
+def _feature_network(encoder: str) -> Any:
+    torch, timm = require_torch(), _require_encoder(encoder)
+    from_hub = encoder != ENCODER
+    with _hub(encoder, "Give"):
+        network = timm.create_model(
+            encoder, pretrained=from_hub, features_only=True, out_indices=(0, 1, 2, 3)
+        )
+    if not from_hub:
+        known = imagenet_weights()
+        network.load_state_dict({name: known[name] for name in network.state_dict()})
+    normal = timm.data.resolve_data_config({}, model=network)
+    mean, spread = (torch.tensor(normal[name]).view(3, 1, 1) for name in ("mean", "std"))
+
+    class FeatureNetwork(torch.nn.Module):
+        """An encoder's maps of images, brought to the range that it was trained on."""
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.net = network
+            self.register_buffer("mean", mean)
+            self.register_buffer("spread", spread)
+
+        def forward(self, image: Any) -> Any:
+            return self.net((image - self.mean) / self.spread)
+
+    return FeatureNetwork()
+
+
 @contextmanager
-def _hub(encoder: str) -> Iterator[None]:
+def _hub(encoder: str, advice: str = "Give --start scratch, or") -> Iterator[None]:
     """Errors of fetching weights as one line."""
     try:
         yield
     except (OSError, RuntimeError) as error:
         reason = str(error).splitlines()[0]
         raise InputError(
-            f"ImageNet weights of {encoder} cannot be fetched ({reason}). Give --start scratch, or "
-            f"the encoder {ENCODER}, whose weights are installed."
+            f"ImageNet weights of {encoder} cannot be fetched ({reason}). {advice} the encoder "
+            f"{ENCODER}, whose weights are installed."
         ) from error
 
 

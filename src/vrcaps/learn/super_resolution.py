@@ -3,20 +3,31 @@
 Small images are made of large ones by averaging bicubic reduction. The network is EDSR (Lim et al.,
 CVPR workshops 2017) in its small form: residual blocks without normalization, then a pixel shuffle;
 it learns what is to be added to bicubic enlargement. The loss is the mean absolute difference.
+
+Three more terms make it EndoL2H (Almalioglu et al., IEEE TMI 39(12), 2020), a conditional GAN whose
+generator is a U-Net with spatial attention::
+
+    loss = |Δ| + adversarial · deceived + content · ‖Δφ‖² + style · ‖ΔGram(φ)‖²
+
+with features φ of a network trained on ImageNet. It looks sharper, and is further from the truth.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
 from vrcaps.errors import InputError
+from vrcaps.learn.adversary import deceiving_loss, discriminating_loss, patch_discriminator
+from vrcaps.learn.attention_unet import attention_unet
+from vrcaps.learn.feature_losses import content_loss, feature_distance, style_loss
 from vrcaps.learn.fit import Fit
 from vrcaps.learn.learner import Batch, Figure, Sample, mirrored, outputs_of, with_gain
-from vrcaps.learn.networks import require_torch
+from vrcaps.learn.networks import ENCODER, feature_network, require_torch
 from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.image_quality import psnr, ssim
 from vrcaps.recording.frame_sequence import FrameSequence
@@ -26,25 +37,39 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _LARGEST = 255.0
+_MEASURES = ("psnr", "ssim", "feature_distance")
 
 
 @dataclass(frozen=True)
 class SuperResolutionLearner:
-    """Images of twice or four times the side.
+    """Images of two, four or eight times the side.
 
     Attributes:
         factor: By which the side grows.
         size: Side of the large crops that are learned from [px].
         validation_size: Largest side of the middle of an image that is validated with [px].
-        blocks: Number of residual blocks.
-        features: Channels of a block.
+        generator: Network: edsr, or attention-unet as in EndoL2H.
+        blocks: Number of residual blocks of edsr.
+        halvings: Number of levels of attention-unet.
+        features: Channels of a block, and of a U-Net's first level.
+        adversarial: Weight of deceiving a network that learns to tell estimates from originals.
+        content: Weight of the squared difference of features.
+        style: Weight of the squared difference of the features' Gram matrices.
+        feature_encoder: Network of these features, by timm's name, such as vgg19; that of the
+            default needs no hub.
     """
 
-    factor: Literal[2, 4] = 4
+    factor: Literal[2, 4, 8] = 4
     size: Annotated[int, Range(32)] = 192
     validation_size: Annotated[int, Range(32)] = 512
+    generator: Literal["edsr", "attention-unet"] = "edsr"
     blocks: Annotated[int, Range(1)] = 16
+    halvings: Annotated[int, Range(1, 8)] = 5
     features: Annotated[int, Range(8)] = 64
+    adversarial: Annotated[float, Range(0.0)] = 0.0
+    content: Annotated[float, Range(0.0)] = 0.0
+    style: Annotated[float, Range(0.0)] = 0.0
+    feature_encoder: str = ENCODER
 
     kind: ClassVar[str] = "super-resolution"
     input_names: ClassVar[tuple[str, ...]] = ("image",)
@@ -100,27 +125,59 @@ class SuperResolutionLearner:
 
     def network(self, *, is_pretrained: bool) -> Any:
         """A network from images [b 3 h w] to images [b 3 fh fw]; it has no ImageNet weights."""
-        return _network_class()(self.factor, self.blocks, self.features)
+        if self.generator == "edsr":
+            body = partial(_residual_blocks, self.blocks, self.features)
+        else:
+            body = partial(attention_unet, self.features, self.halvings)
+        return _network_class()(self.factor, body, self.features)
+
+    def adversary(self) -> Any | None:
+        """A discriminator of patches, if its judgment weighs anything."""
+        return patch_discriminator(self.features) if self.adversarial > 0.0 else None
 
     def loss(self, network: Any, batch: Batch) -> dict[str, Any]:
-        """Mean absolute difference."""
-        output = outputs_of(network, self, batch)
-        return {"loss": (output - batch["truth"].float() / _LARGEST).abs().mean()}
+        """Mean absolute difference, content and style."""
+        return _summed(self._terms(outputs_of(network, self, batch), _truth_of(batch)))
+
+    def losses(
+        self, network: Any, adversary: Any, batch: Batch
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """The same with the adversary's judgment, and how wrong that is."""
+        small, truth, output = batch["image"], _truth_of(batch), outputs_of(network, self, batch)
+        deceived = self.adversarial * deceiving_loss(adversary(small, output))
+        judged = adversary(small, truth), adversary(small, output.detach())
+        terms = {**self._terms(output, truth), "adversarial": deceived}
+        return _summed(terms), {"loss": discriminating_loss(*judged)}
+
+    def _terms(self, output: Any, truth: Any) -> dict[str, Any]:
+        terms = {"pixel": (output - truth).abs().mean()}
+        if self.content > 0.0 or self.style > 0.0:
+            maps = feature_network(self.feature_encoder, str(output.device))
+            found, wanted = ([m.float() for m in maps(image)] for image in (output, truth))
+            terms["content"] = self.content * content_loss(found, wanted)
+            terms["style"] = self.style * style_loss(found, wanted)
+        return terms
 
     def scores(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
-        """PSNR [dB] and SSIM of 8-bit images without a border of `factor`, and bicubic's."""
+        """PSNR [dB] and SSIM of 8-bit images without a border of `factor`, and bicubic's.
+
+        `feature_distance` is that of `feature_losses`, on the features of the setting.
+        """
         rows = []
+        distance = partial(feature_distance, encoder=self.feature_encoder)
+        within = {"data_range": _LARGEST, "crop": self.factor}
+        measures = (partial(psnr, **within), partial(ssim, **within), distance)
         for output, sample in zip(outputs, samples, strict=True):
             truth = sample["truth"]
             bicubic = _resized(sample["image"], *truth.shape[:2])
             rows.append(
                 [
-                    measure(image, truth, data_range=_LARGEST, crop=self.factor)
+                    measure(image, truth)
                     for image in (image_of(output), bicubic)
-                    for measure in (psnr, ssim)
+                    for measure in measures
                 ]
             )
-        names = ("psnr", "ssim", "psnr_bicubic", "ssim_bicubic")
+        names = [f"{n}{of}" for of in ("", "_bicubic") for n in _MEASURES]
         return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))
 
     def picture(self, output: NDArray, sample: Sample) -> UInt8[np.ndarray, "s k 3"]:
@@ -160,7 +217,16 @@ def _middle(image: NDArray, height: int, width: int) -> NDArray:
     return np.ascontiguousarray(image[top : top + height, left : left + width])
 
 
-def _network_class() -> Any:
+def _truth_of(batch: Batch) -> Any:
+    """True images [b 3 h w], 0 to 1."""
+    return batch["truth"].float() / _LARGEST
+
+
+def _summed(terms: dict[str, Any]) -> dict[str, Any]:
+    return {**terms, "loss": sum(terms.values())}
+
+
+def _residual_blocks(count: int, features: int) -> Any:
     torch = require_torch()
     nn = torch.nn
 
@@ -175,14 +241,20 @@ def _network_class() -> Any:
         def forward(self, x: Any) -> Any:
             return x + self.second(torch.relu(self.first(x)))
 
+    return nn.Sequential(*(Block(features) for _ in range(count)))
+
+
+def _network_class() -> Any:
+    nn = require_torch().nn
+
     class SuperResolutionNetwork(nn.Module):
         """What is to be added to bicubic enlargement."""
 
-        def __init__(self, factor: int, blocks: int, features: int) -> None:
+        def __init__(self, factor: int, body: Callable[[], Any], features: int) -> None:
             super().__init__()
             self.factor = factor
             self.head = nn.Conv2d(3, features, 3, padding=1)
-            self.body = nn.Sequential(*(Block(features) for _ in range(blocks)))
+            self.body = body()
             self.tail = nn.Conv2d(features, 3 * factor**2, 3, padding=1)
             nn.init.zeros_(self.tail.weight)  # begins as bicubic enlargement
             nn.init.zeros_(self.tail.bias)

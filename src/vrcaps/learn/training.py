@@ -16,7 +16,9 @@ from vrcaps import rng
 from vrcaps.errors import InputError
 from vrcaps.files import atomic_write, write_csv
 from vrcaps.learn.depth import DepthLearner
+from vrcaps.learn.learner import Adversarial
 from vrcaps.learn.networks import require_torch
+from vrcaps.learn.optimized import Optimized
 from vrcaps.learn.registry import AnyLearner
 from vrcaps.learn.samples import Samples, batch_of
 from vrcaps.learn.validation import validate, write_pictures
@@ -33,6 +35,8 @@ _PACKAGES = ("numpy", "pillow", "segmentation-models-pytorch", "timm", "torch")
 """Packages that a training's bytes depend on."""
 _WARM_UP = 0.05
 """Share of the steps in which the learning rate rises."""
+_ADVERSARIAL_MOMENTUM = 0.5
+"""AdamW's first coefficient where two networks learn against each other (Radford, ICLR 2016)."""
 
 
 @dataclass(frozen=True)
@@ -173,7 +177,7 @@ def chosen_device(device: str) -> str:
 
 
 class _Run:
-    """Network, optimizer and where they are."""
+    """Networks that learn, and where they are."""
 
     def __init__(
         self,
@@ -189,9 +193,8 @@ class _Run:
         torch.manual_seed(settings.seed)
         # Convolutions of images with neighboring channels take two thirds of the time.
         self.network = _first_network(settings).to(device, memory_format=torch.channels_last)
-        self.optimizer = torch.optim.AdamW(
-            self.network.parameters(), lr=settings.rate, weight_decay=settings.weight_decay
-        )
+        self.adversary = _adversary(settings, device)
+        self.learning = _optimized(settings, self.network, self.adversary)
         self.progress = Progress(0, settings.steps)
         self._losses: list[float] = []
         self._began = time.perf_counter()
@@ -202,26 +205,29 @@ class _Run:
         torch = require_torch()
         number = self.progress.step
         torch.manual_seed(int(rng.stream(self.settings.seed, "learn/step", number).integers(2**31)))
-        for group in self.optimizer.param_groups:
-            group["lr"] = self._rate(number)
         self.network.train()
         batch = batch_of(self._samples_of(number), self.device)
         with torch.autocast(self.device.split(":")[0], torch.bfloat16, self.device != "cpu"):
-            loss = self.learner.loss(self.network, batch)["loss"]
-        value = loss.item()
-        if not math.isfinite(value):
+            losses = self._losses_of(batch)
+        value = losses[0].item()
+        if not all(math.isfinite(loss.item()) for loss in losses):
             raise InputError(
                 f"The loss is {value} at step {number}. {self.out / BEST} and the last "
                 "checkpoint are kept. Try a smaller --set rate."
             )
-        self.optimizer.zero_grad(set_to_none=True)
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
-        self.optimizer.step()
+        for part, loss in zip(self.learning, losses, strict=True):
+            part.learn(loss, self._rate(number))
         self._losses.append(value)
         self.progress = Progress(
             number + 1, self.settings.steps, self.progress.rows, self.progress.best
         )
+
+    def _losses_of(self, batch: Any) -> list[Any]:
+        """The loss of each network that learns."""
+        if self.adversary is None or not isinstance(self.learner, Adversarial):
+            return [self.learner.loss(self.network, batch)["loss"]]
+        both = self.learner.losses(self.network, self.adversary, batch)
+        return [terms["loss"] for terms in both]
 
     def is_due(self) -> bool:
         """Whether an evaluation is due."""
@@ -281,9 +287,10 @@ class _Run:
     def _write_checkpoint(self) -> None:
         torch = require_torch()
         write_csv(self.out / PROGRESS, self.progress.rows)
+        network, *others = (part.state() for part in self.learning)
         state = {
-            "network": self.network.state_dict(),
-            "optimizer": self.optimizer.state_dict(),
+            **network,
+            "adversaries": others,
             "progress": {**asdict(self.progress), "rows": list(self.progress.rows)},
         }
         with atomic_write(self.out / CHECKPOINT) as temporary:
@@ -295,8 +302,9 @@ class _Run:
             return
         try:
             state = torch.load(path, map_location=self.device, weights_only=True)
-            self.network.load_state_dict(state["network"])
-            self.optimizer.load_state_dict(state["optimizer"])
+            known = [state, *state.get("adversaries", [])]
+            for part, one in zip(self.learning, known, strict=True):
+                part.load(one)
             found = state["progress"]
             self.progress = Progress(**{**found, "rows": tuple(found["rows"])})
         except Exception as error:  # what a damaged pickle raises has no common base
@@ -320,6 +328,23 @@ def _first_network(settings: TrainSettings) -> Any:
     fits = {k: v for k, v in known.items() if k in own and own[k].shape == v.shape}
     network.load_state_dict(fits, strict=False)
     return network
+
+
+def _adversary(settings: TrainSettings, device: str) -> Any | None:
+    """The network that the learner's learns against; None for most learners."""
+    found = settings.learner.adversary() if isinstance(settings.learner, Adversarial) else None
+    return None if found is None else found.to(device)
+
+
+def _optimized(settings: TrainSettings, network: Any, adversary: Any | None) -> list[Optimized]:
+    """The networks that learn, each with its optimizer."""
+    decay = settings.weight_decay
+    if adversary is None:
+        return [Optimized(network, weight_decay=decay)]
+    return [
+        Optimized(one, weight_decay=decay, momentum=_ADVERSARIAL_MOMENTUM)
+        for one in (network, adversary)
+    ]
 
 
 def _writer(folder: Path) -> Any:

@@ -94,7 +94,7 @@ def test_attention_takes_the_mean_of_places_that_are_all_alike():
     with torch.no_grad():
         for one in (block.query.weight, block.query.bias, block.out.bias, block.value.bias):
             one.zero_()
-        block.share.fill_(1.0)
+        block.gain.fill_(1.0)
         mean = x.mean(dim=(2, 3), keepdim=True)
         torch.testing.assert_close(block(x), x + block.out(block.value(mean)).expand_as(x))
     assert attention_unet(8, 4)(torch.randn(1, 8, 21, 13)).shape == (1, 8, 21, 13)

@@ -1,10 +1,11 @@
-"""`vrcaps reconstruct`: the wall that a run saw, from depth and poses."""
+"""`vrcaps reconstruct`: the wall that a run saw, by fusion of its frames or by stitching."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
@@ -13,20 +14,33 @@ from vrcaps.errors import InputError
 from vrcaps.files import require_new_folder
 from vrcaps.units import MM
 
+if TYPE_CHECKING:
+    import numpy as np
+
+    from vrcaps.mesh.mesh import Mesh
+    from vrcaps.recording.frame_sequence import FrameSequence
+
 
 @dataclass(frozen=True)
 class Reconstruct:
-    """Fuse depth and poses of a whole run into a surface, and compare it with the true wall.
+    """Make a surface of what a run saw, and compare it with the true wall.
 
-    Depth and poses are those of the recording, or estimates: --depth takes the folder that `vrcaps
-    predict depth` wrote, --poses a trajectory in TUM's form. The folder then holds mesh.ply, the
-    wall in the colors of the images; and for an episode errors.csv, errors.ply and errors.png, its
-    distances from the true wall at rest.
+    --method fusion fuses depth and poses of the whole run. Both are those of the recording, or
+    estimates: --depth takes the folder that `vrcaps predict depth` wrote, --poses a trajectory in
+    TUM's form. --method stitching follows algorithm 1 of the VR-Caps paper: highlights are
+    inpainted, the images stitched into one without any poses, its depth made a surface, and that
+    registered to the true wall. Depth then also comes from --weights or --shading.
+
+    The folder holds mesh.ply, the wall in the colors of the images; and for an episode errors.csv,
+    errors.ply and errors.png, its distances from the true wall at rest. Stitching adds
+    highlights.png, matches.png and matches.csv, mosaic.png, depth.png and registration.csv.
 
     For example:
       vrcaps reconstruct runs/colon --out runs/colon-mesh
       vrcaps reconstruct runs/colon --depth runs/colon-depth --out runs/colon-estimated
       vrcaps reconstruct runs/colon --poses slam.txt --align sim3 --out runs/colon-slam
+      vrcaps reconstruct runs/colon --method stitching --out runs/colon-stitched
+      vrcaps reconstruct runs/colon --method stitching --shading --out runs/colon-shaded
     """
 
     source: Positional[str]
@@ -35,11 +49,20 @@ class Reconstruct:
     out: Path
     """Folder to make."""
 
+    method: Literal["fusion", "stitching"] = "fusion"
+    """How: from depth and poses of all frames, or from one image that is stitched of them."""
+
     camera: str = ""
     """Camera to use; by default the first."""
 
     depth: Path | None = None
     """Folder of estimated depth that `vrcaps predict depth` wrote."""
+
+    weights: Path | None = None
+    """File of weights of `vrcaps train depth` or `sfm`, to estimate depth of the stitched image."""
+
+    shading: bool = False
+    """Take depth of the stitched image from its shading, as if its albedo were one."""
 
     poses: Path | None = None
     """File of estimated poses, rows `timestamp tx ty tz qx qy qz qw`, camera to world."""
@@ -48,16 +71,19 @@ class Reconstruct:
     """What is fitted to the true poses first, for estimates in a frame or scale of their own."""
 
     voxel_mm: float = 1.0
-    """Side of a voxel [mm]."""
+    """Side of a voxel of fusion [mm]."""
 
     max_distance_mm: float = 80.0
-    """Distance beyond which depth is left out [mm]."""
+    """Distance beyond which depth is left out of fusion [mm]."""
+
+    field_of_view_deg: float = 90.0
+    """Field of view that images that are stitched [deg]; less if the lens sees less."""
 
     every: int = 1
     """Every how many frames is used."""
 
     min_views: int = 2
-    """Views in which a place must have been seen to count."""
+    """Views in which a place must have been seen to count in fusion."""
 
     def run(self) -> None:
         """Reconstruct, compare and report.
@@ -67,28 +93,15 @@ class Reconstruct:
         """
         from vrcaps.formats.sources import read_source
         from vrcaps.tools.reconstruction.compare import compare, write_comparison, write_ply
-        from vrcaps.tools.reconstruction.estimates import read_depth, read_poses
-        from vrcaps.tools.reconstruction.fuse import FuseSettings, fuse
 
+        self._check()
         require_new_folder(self.out)
         found = read_source(self.source)
         chosen = [one for one in found if self.camera in ("", one.name.rpartition("/")[2])]
         if not chosen:
             raise InputError(f"{self.source} has no camera {self.camera!r}.")
         sequence = chosen[0]
-        settings = FuseSettings(
-            self.voxel_mm * MM, self.max_distance_mm * MM, self.every, self.min_views
-        )
-        with progress_bar("fusing") as progress:
-            mesh, color = fuse(
-                sequence,
-                settings,
-                depth_of=None if self.depth is None else read_depth(self.depth, sequence),
-                Ts_world_camera=(
-                    None if self.poses is None else read_poses(self.poses, sequence, self.align)
-                ),
-                progress=progress,
-            )
+        mesh, color = (self._fused if self.method == "fusion" else self._stitched)(sequence)
         self.out.mkdir(parents=True, exist_ok=True)
         write_ply(self.out / "mesh.ply", mesh, color)
         console.print(f"Written: {self.out / 'mesh.ply'}, {len(mesh.faces)} triangles.")
@@ -101,3 +114,53 @@ class Reconstruct:
             f"{100.0 * errors.completeness:.0f} % of the wall within 2 mm. See "
             f"{self.out / 'errors.png'}."
         )
+
+    def _check(self) -> None:
+        """Check that flags of depth go with the method and with each other.
+
+        Raises:
+            InputError: If they do not.
+        """
+        of_image = [self.weights is not None, self.shading]
+        if self.method == "fusion" and any(of_image):
+            raise InputError("--weights and --shading go with --method stitching.")
+        if self.method == "stitching" and self.poses is not None:
+            raise InputError("--poses goes with --method fusion; stitching needs none.")
+        if sum([*of_image, self.depth is not None]) > 1:
+            raise InputError("Depth comes from one of --depth, --weights and --shading.")
+
+    def _fused(self, sequence: FrameSequence) -> tuple[Mesh, np.ndarray]:
+        from vrcaps.tools.reconstruction.estimates import read_depth, read_poses
+        from vrcaps.tools.reconstruction.fuse import FuseSettings, fuse
+
+        settings = FuseSettings(
+            self.voxel_mm * MM, self.max_distance_mm * MM, self.every, self.min_views
+        )
+        with progress_bar("fusing") as progress:
+            return fuse(
+                sequence,
+                settings,
+                depth_of=None if self.depth is None else read_depth(self.depth, sequence),
+                Ts_world_camera=(
+                    None if self.poses is None else read_poses(self.poses, sequence, self.align)
+                ),
+                progress=progress,
+            )
+
+    def _stitched(self, sequence: FrameSequence) -> tuple[Mesh, np.ndarray]:
+        from vrcaps.tools.reconstruction.estimates import read_depth
+        from vrcaps.tools.reconstruction.stitch import StitchSettings, stitch
+        from vrcaps.tools.reconstruction.stitch_files import write_registration, write_stitched
+        from vrcaps.tools.reconstruction.stitch_surface import DepthSource, wall_surface
+
+        settings = StitchSettings(math.radians(self.field_of_view_deg), self.every)
+        depth = None if self.depth is None else read_depth(self.depth, sequence)
+        with progress_bar("finding features") as progress:
+            found = stitch(sequence, settings, depth_of=depth, progress=progress)
+        used = len(found.mosaic.images)
+        console.print(f"{used} of {len(found.frames)} frames are stitched.")
+        found, surface = wall_surface(found, DepthSource(self.weights, self.shading))
+        self.out.mkdir(parents=True, exist_ok=True)
+        write_stitched(self.out, found)
+        write_registration(self.out, surface)
+        return surface.mesh, surface.color

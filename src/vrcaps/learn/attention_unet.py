@@ -42,7 +42,7 @@ def _network_class() -> Any:
             narrow = max(1, features // _NARROWER)
             self.query, self.key, self.value = (nn.Conv2d(features, narrow, 1) for _ in range(3))
             self.out = nn.Conv2d(narrow, features, 1)
-            self.share = nn.Parameter(torch.zeros(1))
+            self.gain = nn.Parameter(torch.zeros(1))
 
         def forward(self, x: Any) -> Any:
             pooled = functional.avg_pool2d(x, _POOLED, ceil_mode=True)
@@ -52,7 +52,7 @@ def _network_class() -> Any:
             )
             taken = functional.scaled_dot_product_attention(query, key, value)
             taken = taken[:, 0].transpose(1, 2).unflatten(2, x.shape[-2:])
-            return x + self.share * self.out(taken)
+            return x + self.gain * self.out(taken)
 
     class AttentionUnet(nn.Module):
         """Halves and doubles the side; each level sees the one of its size before."""

@@ -1,0 +1,180 @@
+"""Homographies of many images to one of them: along the best pairs, then all pairs at once.
+
+Brown and Lowe, IJCV 74(1), 2007, sections 3 and 4, with homographies in place of rotations, since a
+capsule moves as well as turns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps.tools.reconstruction.matching import Pair
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_POINTS = 40
+"""Most matches of a pair that are adjusted to."""
+_ROUGH_PX = 1.0
+"""Distance from which a match counts less than by its square."""
+_EVALUATIONS = 30
+
+
+def connected(count: int, pairs: Sequence[Pair]) -> list[int]:
+    """Numbers of the images of the largest connected component, sorted; empty without pairs.
+
+    Args:
+        count: Number of images.
+        pairs: Which of them show the same place.
+    """
+    from scipy.sparse.csgraph import connected_components
+
+    if not pairs:
+        return []
+    _, number = connected_components(_weights(count, pairs), directed=False)
+    largest = np.bincount(number).argmax()
+    return np.flatnonzero(number == largest).tolist()
+
+
+def chained(
+    count: int, images: Sequence[int], pairs: Sequence[Pair]
+) -> tuple[int, dict[int, Float[np.ndarray, "3 3"]]]:
+    """The reference image and the homography of each image to it, by the pairs of most inliers.
+
+    The reference is the image from which the others are the fewest pairs away.
+
+    Args:
+        count: Number of images.
+        images: Those of one component.
+        pairs: Which images show the same place.
+    """
+    from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree, shortest_path
+
+    weights = _weights(count, pairs)
+    weights.data = 1.0 / weights.data  # the tree of least weight has the most inliers
+    tree = minimum_spanning_tree(weights)
+    steps = shortest_path(tree, directed=False, unweighted=True, indices=list(images))
+    reference = images[int(steps[:, list(images)].mean(axis=1).argmin())]
+    known = {}
+    for pair in pairs:
+        known[pair.first, pair.second] = pair.homography
+        known[pair.second, pair.first] = np.linalg.inv(pair.homography)
+    found = {reference: np.eye(3)}
+    order, before = breadth_first_order(tree, reference, directed=False)
+    for image in order[1:].tolist():
+        parent = int(before[image])
+        found[image] = _normalized(found[parent] @ known[image, parent])
+    return reference, {image: found[image] for image in sorted(found)}
+
+
+def adjusted(
+    homographies: dict[int, Float[np.ndarray, "3 3"]],
+    pairs: Sequence[Pair],
+    reference: int,
+    size: tuple[int, int],
+) -> dict[int, Float[np.ndarray, "3 3"]]:
+    """Homographies to the reference by which the matches of all pairs meet best.
+
+    Minimized is the Huber norm of the distances [px], in the second image of a pair, between its
+    matches and those of the first image brought there (bundle adjustment; Brown 2007, eq. 15).
+
+    Args:
+        homographies: Of each image, near the solution.
+        pairs: Matches.
+        reference: The image that stays as it is.
+        size: Width and height of the images [px].
+    """
+    from scipy.optimize import least_squares
+
+    free = [image for image in homographies if image != reference]
+    used = [p for p in pairs if p.first in homographies and p.second in homographies]
+    if not free or not used:
+        return dict(homographies)
+    # About the middle and in units of half a width, so that all eight numbers are of one size.
+    half, (x, y) = size[0] / 2.0, ((size[0] - 1) / 2.0, (size[1] - 1) / 2.0)
+    to_pixel = np.array([[half, 0.0, x], [0.0, half, y], [0.0, 0.0, 1.0]])
+    to_unit = np.linalg.inv(to_pixel)
+    problem = _Matches(used, free, reference, to_unit)
+    start = [_normalized(to_unit @ homographies[k] @ to_pixel).ravel()[:8] for k in free]
+    solved = least_squares(
+        lambda x: half * problem.residuals(x),
+        np.concatenate(start),
+        jac_sparsity=problem.sparsity(),
+        loss="huber",
+        f_scale=_ROUGH_PX,
+        max_nfev=_EVALUATIONS,
+        x_scale="jac",
+    )
+    found = dict(homographies)
+    for image, matrix in zip(free, problem.matrices(solved.x), strict=False):
+        found[image] = _normalized(to_pixel @ matrix @ to_unit)
+    return found
+
+
+class _Matches:
+    """Matches of all pairs, as one least squares problem in units of half a width."""
+
+    def __init__(self, pairs: Sequence[Pair], free: Sequence[int], reference: int, to_unit) -> None:
+        places = {image: k for k, image in enumerate([*free, reference])}
+        chosen = [
+            np.unique(np.linspace(0, len(p.points_first) - 1, _POINTS).astype(int)) for p in pairs
+        ]
+        self.pair = np.repeat(np.arange(len(pairs)), [len(c) for c in chosen])
+        self.first = np.array([places[p.first] for p in pairs])
+        self.second = np.array([places[p.second] for p in pairs])
+        one, other = (
+            np.concatenate([points[c] for points, c in zip(sides, chosen, strict=True)])
+            for sides in ([p.points_first for p in pairs], [p.points_second for p in pairs])
+        )
+        self.one, self.other = (mapped(to_unit, points) for points in (one, other))
+        self.num_free = len(free)
+
+    def matrices(self, x: np.ndarray) -> np.ndarray:
+        """Homographies of the free images, and that of the reference."""
+        rows = np.concatenate([x.reshape(-1, 8), np.ones((self.num_free, 1))], axis=1)
+        return np.concatenate([rows.reshape(-1, 3, 3), np.eye(3)[None]])
+
+    def residuals(self, x: np.ndarray) -> np.ndarray:
+        """Offsets of the matches."""
+        matrices = self.matrices(x)
+        across = np.linalg.inv(matrices)[self.second] @ matrices[self.first]
+        rows = np.concatenate([self.one, np.ones((len(self.one), 1))], axis=1)
+        there = np.einsum("nij,nj->ni", across[self.pair], rows)
+        return (there[:, :2] / there[:, 2:] - self.other).ravel()
+
+    def sparsity(self) -> Any:
+        """Which residuals depend on which numbers."""
+        from scipy.sparse import coo_array
+
+        rows, columns = [], []
+        for images in (self.first[self.pair], self.second[self.pair]):
+            counts = np.flatnonzero(images < self.num_free)
+            row = (2 * counts[:, None] + np.arange(2)).ravel()
+            rows.append(np.repeat(row, 8))
+            columns.append((8 * np.repeat(images[counts], 2)[:, None] + np.arange(8)).ravel())
+        at = (np.concatenate(rows), np.concatenate(columns))
+        shape = (2 * len(self.pair), 8 * self.num_free)
+        return coo_array((np.ones(len(at[0])), at), shape=shape).tocsr()
+
+
+def mapped(
+    homography: Float[np.ndarray, "3 3"], points: Float[np.ndarray, "n 2"]
+) -> Float[np.ndarray, "n 2"]:
+    """Points under a homography."""
+    rows = np.concatenate([points, np.ones((len(points), 1))], axis=1) @ homography.T
+    return rows[:, :2] / rows[:, 2:]
+
+
+def _normalized(homography: np.ndarray) -> np.ndarray:
+    return homography / homography[2, 2]
+
+
+def _weights(count: int, pairs: Sequence[Pair]) -> Any:
+    """Sparse matrix of the numbers of inliers."""
+    from scipy.sparse import csr_array
+
+    at = ([p.first for p in pairs], [p.second for p in pairs])
+    return csr_array(([float(len(p.points_first)) for p in pairs], at), shape=(count, count))

@@ -1,0 +1,122 @@
+"""Registration of points to a surface: iterative closest point with point-to-plane distances.
+
+Besl and McKay, IEEE TPAMI 14(2), 1992, with the distances of Chen and Medioni, Image and Vision
+Computing 10(3), 1992: they leave points free to slide along the surface, so few steps suffice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import require
+from vrcaps.geometry import triangle_normals, unit
+from vrcaps.mesh.mesh import Mesh, wall_of
+from vrcaps.metrics.trajectory import Similarity
+from vrcaps.transforms import rotation_from_vector
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_MOST_STEPS = 60
+_CONVERGED = 1e-6
+"""Relative change of the error below which registration ends."""
+_MOST_POINTS = 20_000
+_USED = 0.9
+"""Part of the points, the nearest, that a step is fitted to; the others may be off the surface."""
+_SOFT = 1e-2
+"""Directions that distances constrain less than this, relative to the best, stay as they are: in a
+tube points can slide and roll."""
+
+
+@dataclass(frozen=True)
+class Registration:
+    """Where points lie best on a surface.
+
+    Attributes:
+        similarity: From the given points to the surface.
+        rmse: Root mean square distance from the surface before each step and after the last [m].
+    """
+
+    similarity: Similarity
+    rmse: tuple[float, ...]
+
+
+def register(points: Float[np.ndarray, "n 3"], surface: Mesh, *, scale: bool) -> Registration:
+    """The motion that brings points near to a surface, from where they are.
+
+    Args:
+        points: Points near their place [m].
+        surface: Where they belong [m].
+        scale: Whether a scale is fitted, too.
+
+    Raises:
+        InputError: If there are fewer than 10 points.
+    """
+    require(len(points) >= 10, "number of points to register", len(points), "10 or more")
+    wall = wall_of(surface.vertices, surface.faces)
+    normals = unit(triangle_normals(surface.vertices[surface.faces]))
+    found, errors = Similarity(np.eye(3), np.zeros(3), 1.0), []
+    best, least = found, np.inf
+    for _ in range(_MOST_STEPS):
+        moved = apply(found, points)
+        nearest, face = wall.closest_point(np.ascontiguousarray(moved))
+        distance = np.linalg.norm(nearest - moved, axis=1)
+        errors.append(float(np.sqrt(np.mean(distance**2))))
+        if errors[-1] < least:
+            best, least = found, errors[-1]
+        if len(errors) > 1 and abs(errors[-2] - errors[-1]) <= _CONVERGED * errors[-2]:
+            break
+        near = distance <= np.quantile(distance, _USED)
+        step = _step(moved[near], nearest[near], normals[face[near]], scale=scale)
+        found = after(step, found)
+    return Registration(best, tuple(errors))
+
+
+def registered(mesh: Mesh, surface: Mesh, *, scale: bool) -> tuple[Mesh, Registration]:
+    """A mesh moved to where it lies best on a surface.
+
+    Args:
+        mesh: Near its place [m].
+        surface: Where it belongs [m].
+        scale: Whether a scale is fitted, too.
+
+    Raises:
+        InputError: If it has fewer than 10 vertices.
+    """
+    step = 1 + len(mesh.vertices) // _MOST_POINTS
+    found = register(mesh.vertices[::step], surface, scale=scale)
+    return replace(mesh, vertices=apply(found.similarity, mesh.vertices)), found
+
+
+def apply(similarity: Similarity, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """Points moved by a similarity."""
+    return similarity.scale * points @ similarity.rotation.T + similarity.translation
+
+
+def after(second: Similarity, first: Similarity) -> Similarity:
+    """One similarity after another."""
+    return Similarity(
+        second.rotation @ first.rotation,
+        apply(second, first.translation[None])[0],
+        second.scale * first.scale,
+    )
+
+
+def _step(
+    points: np.ndarray, nearest: np.ndarray, normals: np.ndarray, *, scale: bool
+) -> Similarity:
+    """The small motion after which points lie nearest to the planes of their nearest points."""
+    center = points.mean(axis=0)
+    arm = points - center
+    size = float(np.sqrt(np.mean(np.sum(arm**2, axis=1))))
+    columns = [np.cross(arm, normals) / size, normals]
+    if scale:
+        columns.append(np.sum(arm * normals, axis=1, keepdims=True) / size)
+    gap = np.sum((nearest - points) * normals, axis=1)
+    solved = np.linalg.lstsq(np.concatenate(columns, axis=1), gap, rcond=_SOFT)[0]
+    rotation = rotation_from_vector(solved[:3] / size)
+    factor = float(np.exp(solved[6] / size)) if scale else 1.0
+    return Similarity(rotation, center + solved[3:6] - factor * rotation @ center, factor)

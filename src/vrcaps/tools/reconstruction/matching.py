@@ -1,0 +1,144 @@
+"""Which images show the same place, and by which homography: features, matches, RANSAC.
+
+After Brown and Lowe, Automatic Panoramic Image Stitching using Invariant Features, IJCV 74(1),
+2007, sections 2 and 3. Nearest descriptors are exact ones, so that results are the same each time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.tools.reconstruction.opencv import opencv
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Float32, Int, UInt8
+
+_RATIO = 0.8
+"""Largest distance to the nearest descriptor over that to the next (Lowe, IJCV 60(2), 2004)."""
+_SAMPLED = 200
+"""Features of an image by which candidates are chosen."""
+_CANDIDATES = 6
+"""Images that each image is compared with in full (Brown 2007, section 3: m = 6)."""
+_LEAST_INLIERS, _INLIER_PART = 8.0, 0.3
+"""A pair is right if its inliers outnumber 8 + 0.3 of its matches (Brown 2007, eq. 13)."""
+_TRIALS, _CONFIDENCE = 4000, 0.999
+
+
+@dataclass(frozen=True)
+class Features:
+    """SIFT features of an image, the strongest first.
+
+    Attributes:
+        points: Columns and rows [px].
+        descriptors: Unit vectors.
+    """
+
+    points: Float[np.ndarray, "n 2"]
+    descriptors: Float32[np.ndarray, "n 128"]
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two images that show the same place.
+
+    Attributes:
+        first: Number of one image.
+        second: Number of the other.
+        homography: From pixels of the first to pixels of the second.
+        points_first: Pixels of the matches that fit it, in the first image.
+        points_second: In the second.
+        num_matches: Number of matches, right and wrong.
+    """
+
+    first: int
+    second: int
+    homography: Float[np.ndarray, "3 3"]
+    points_first: Float[np.ndarray, "m 2"]
+    points_second: Float[np.ndarray, "m 2"]
+    num_matches: int
+
+
+def sift_features(rgb: UInt8[np.ndarray, "h w 3"], count: int) -> Features:
+    """The strongest features of an image (Lowe 2004).
+
+    Raises:
+        MissingExtraError: If OpenCV is not installed.
+    """
+    cv2 = opencv()
+    # Mucosa has little contrast: SIFT's own threshold of 0.04 finds a few dozen features.
+    detector = cv2.SIFT_create(nfeatures=count, contrastThreshold=0.01)
+    points, descriptors = detector.detectAndCompute(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), None)
+    if not points:
+        return Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32))
+    order = np.argsort([-point.response for point in points], kind="stable")[:count]
+    length = np.linalg.norm(descriptors, axis=1, keepdims=True)
+    places = np.array([point.pt for point in points], float)
+    return Features(places[order], (descriptors / np.maximum(length, 1e-6))[order])
+
+
+def matches(
+    one: Float32[np.ndarray, "n d"], other: Float32[np.ndarray, "k d"]
+) -> Int[np.ndarray, "m 2"]:
+    """Numbers of descriptors, unit vectors, that are each other's nearest by a clear margin."""
+    if len(one) < 2 or len(other) < 2:
+        return np.zeros((0, 2), int)
+    square = np.maximum(2.0 - 2.0 * one @ other.T, 0.0)
+    nearest, back = square.argmin(axis=1), square.argmin(axis=0)
+    best, next_best = np.partition(square, 1, axis=1)[:, :2].T
+    rows = np.arange(len(one))
+    is_clear = (best < _RATIO**2 * next_best) & (back[nearest] == rows)
+    return np.stack([rows, nearest], axis=1)[is_clear]
+
+
+def homography_pair(
+    numbers: tuple[int, int], one: Features, other: Features, tolerance: float
+) -> Pair | None:
+    """The homography that most matches of two images fit (RANSAC); None if too few do.
+
+    Args:
+        numbers: Of the images.
+        one: Features of the first.
+        other: Features of the second.
+        tolerance: Distance from where the homography puts it within which a match fits [px].
+
+    Raises:
+        MissingExtraError: If OpenCV is not installed.
+    """
+    cv2 = opencv()
+    found = matches(one.descriptors, other.descriptors)
+    if len(found) <= _LEAST_INLIERS:
+        return None
+    first, second = one.points[found[:, 0]], other.points[found[:, 1]]
+    homography, mask = cv2.findHomography(
+        first, second, cv2.RANSAC, tolerance, maxIters=_TRIALS, confidence=_CONFIDENCE
+    )
+    if homography is None or mask.sum() <= _LEAST_INLIERS + _INLIER_PART * len(found):
+        return None
+    fits = mask.ravel() > 0
+    return Pair(*numbers, homography, first[fits], second[fits], len(found))
+
+
+def image_pairs(features: Sequence[Features], tolerance: float) -> list[Pair]:
+    """All pairs of images that show the same place, in any order of the images.
+
+    Args:
+        features: Of each image.
+        tolerance: As of `homography_pair` [px].
+
+    Raises:
+        MissingExtraError: If OpenCV is not installed.
+    """
+    count = len(features)
+    score = np.zeros((count, count), int)
+    for i, j in combinations(range(count), 2):
+        few = (features[k].descriptors[:_SAMPLED] for k in (i, j))
+        score[i, j] = score[j, i] = len(matches(*few))
+    best = np.argsort(-score, axis=1, kind="stable")[:, :_CANDIDATES]
+    chosen = {(min(i, j), max(i, j)) for i in range(count) for j in best[i].tolist() if score[i, j]}
+    found = (homography_pair(ij, *(features[k] for k in ij), tolerance) for ij in sorted(chosen))
+    return [pair for pair in found if pair is not None]

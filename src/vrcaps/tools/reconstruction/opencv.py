@@ -1,0 +1,16 @@
+"""OpenCV, which stitching needs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from vrcaps.errors import import_extra
+
+
+def opencv() -> Any:
+    """OpenCV.
+
+    Raises:
+        MissingExtraError: If it is not installed.
+    """
+    return import_extra("cv2", "reconstruct", package="opencv-python-headless")

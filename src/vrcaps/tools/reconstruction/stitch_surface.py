@@ -1,0 +1,150 @@
+"""The surface that a stitched image shows, and where it lies on the true wall."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps.camera.camera import Camera, pixel_grid
+from vrcaps.errors import InputError
+from vrcaps.mesh.mesh import Mesh
+from vrcaps.recording.frame_sequence import CAMERA_POSE
+from vrcaps.tools.reconstruction.icp import Registration, registered
+from vrcaps.tools.reconstruction.mosaic import Mosaic
+from vrcaps.tools.reconstruction.shading import depth_from_shading
+from vrcaps.tools.reconstruction.stitch import Stitched
+from vrcaps.transforms import transform_points
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, UInt8
+
+_JUMP = 1.15
+"""Ratio of neighboring depths beyond which they are of two surfaces."""
+
+
+@dataclass(frozen=True)
+class DepthSource:
+    """Where depth of a stitched image comes from; from its frames, if from nowhere else.
+
+    Attributes:
+        weights: File of weights of the task `depth` or `sfm`.
+        shading: Whether from shading.
+    """
+
+    weights: Path | None = None
+    shading: bool = False
+
+
+@dataclass(frozen=True)
+class WallSurface:
+    """A surface in the world frame, or in the reference's camera where no poses are known.
+
+    Attributes:
+        mesh: [m].
+        color: Of its vertices.
+        registration: How it was moved to the true wall; None where that is not known.
+    """
+
+    mesh: Mesh
+    color: UInt8[np.ndarray, "n 3"]
+    registration: Registration | None
+
+
+def wall_surface(found: Stitched, source: DepthSource) -> tuple[Stitched, WallSurface]:
+    """The surface of a stitched image, and the image with the depth that made it.
+
+    It begins at the true pose of the reference and, if its scale is free, at the scale of the
+    frames' own depth: in place of the polygon that the paper labels by hand.
+
+    Args:
+        found: What stitching found.
+        source: Where depth comes from.
+
+    Raises:
+        InputError: If there is no depth, or the weights do not fit.
+        MissingExtraError: If a package is not installed.
+    """
+    mosaic, sequence = found.mosaic, found.sequence
+    depth, has_scale = _depth(mosaic, source)
+    if not has_scale and np.isfinite(mosaic.depth).any():
+        depth = depth * np.nanmedian(mosaic.depth / depth)
+    mesh, color = surface_of(depth, mosaic.rgb, mosaic.camera)
+    if CAMERA_POSE in sequence.values:
+        pose = sequence.Ts_world_camera[mosaic.reference]
+        mesh = replace(mesh, vertices=transform_points(pose, mesh.vertices))
+    registration = None
+    if sequence.episode is not None:
+        mesh, registration = registered(mesh, sequence.episode.organ, scale=not has_scale)
+    moved = replace(found, mosaic=replace(mosaic, depth=depth.astype(np.float32)))
+    return moved, WallSurface(mesh, color, registration)
+
+
+def _depth(mosaic: Mosaic, source: DepthSource) -> tuple[Float[np.ndarray, "h w"], bool]:
+    """Depth z of the image, and whether it is in meters."""
+    if source.shading:
+        return depth_from_shading(mosaic.rgb, mosaic.camera), False
+    if source.weights is not None:
+        from vrcaps.learn.weights import read_weights
+
+        return estimated_depth(read_weights(source.weights), mosaic)
+    if not np.isfinite(mosaic.depth).any():
+        raise InputError("The frames have no depth. Give --depth, --weights or --shading.")
+    return mosaic.depth.astype(float), True
+
+
+def surface_of(
+    depth: Float[np.ndarray, "h w"], rgb: UInt8[np.ndarray, "h w 3"], camera: Camera
+) -> tuple[Mesh, UInt8[np.ndarray, "n 3"]]:
+    """The surface that a depth image shows, in the camera frame, and the color of its vertices.
+
+    Args:
+        depth: Depth z [m]; NaN where it is not known. The surface is cut where it jumps.
+        rgb: Colors.
+        camera: What sees both.
+
+    Raises:
+        InputError: If there is no surface.
+    """
+    height, width = depth.shape
+    rays = camera.lens.unproject(pixel_grid(width, height))
+    points = rays / rays[..., 2:] * depth[..., None]
+    number = np.arange(height * width).reshape(height, width)
+    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]
+    faces = np.concatenate([np.stack(t, axis=-1).reshape(-1, 3) for t in ((a, d, b), (b, d, c))])
+    corners = depth.ravel()[faces]
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    faces = faces[np.isfinite(low) & (low > 0.0) & (high <= _JUMP * low)]
+    if not len(faces):
+        raise InputError("The stitched image has no surface: its depth is nowhere known.")
+    used, faces = np.unique(faces, return_inverse=True)
+    return Mesh(points.reshape(-1, 3)[used], faces.reshape(-1, 3)), rgb.reshape(-1, 3)[used]
+
+
+def estimated_depth(trained: Any, mosaic: Mosaic) -> tuple[Float[np.ndarray, "h w"], bool]:
+    """Depth z of a stitched image by a network, and whether it is in meters.
+
+    Args:
+        trained: Weights of the task `depth` or, up to scale, `sfm`.
+        mosaic: The image.
+
+    Raises:
+        InputError: If the weights are of another task.
+    """
+    from vrcaps.learn.fit import Fit
+    from vrcaps.learn.samples import batch_of
+    from vrcaps.render.channels import CHANNELS
+
+    kind = trained.learner.kind
+    if kind not in ("depth", "sfm"):
+        raise InputError(f"The weights are of the task {kind!r}. Allowed: 'depth' or 'sfm'.")
+    height, width = mosaic.depth.shape
+    fit = Fit(height, width, trained.learner.size)
+    sample = trained.learner.inputs(mosaic.rgb, fit, mosaic.camera)
+    image = trained.learner.files(trained(batch_of([sample]))[0], fit)[".png"]
+    depth = CHANNELS["depth"].encoding.decode(image)
+    if kind == "sfm":  # distances along rays
+        depth = depth * mosaic.camera.lens.unproject(pixel_grid(width, height))[..., 2]
+    return np.where(mosaic.rgb.any(axis=2), depth, np.nan), kind == "depth"

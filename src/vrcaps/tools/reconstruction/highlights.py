@@ -1,8 +1,8 @@
 """Specular highlights of endoscopic images: found by Otsu's threshold, inpainted by Telea's method.
 
 What is thresholded is by how much the least color channel exceeds its median around, brightened as
-the greatest channel is: a highlight adds white light, and mucosa is poor in blue. (Images lit from
-the camera are brightest where the wall is near: a threshold on brightness would part near from far.)
+the greatest channel is: a highlight adds white light, and mucosa is poor in blue. Brightness itself
+would not do: near walls are the brightest.
 """
 
 from __future__ import annotations

@@ -77,7 +77,7 @@ class Reconstruct:
     """Distance beyond which depth is left out of fusion [mm]."""
 
     field_of_view_deg: float = 90.0
-    """Field of view that images that are stitched [deg]; less if the lens sees less."""
+    """Field of view of the images that are stitched [deg]; less if the lens sees less."""
 
     every: int = 1
     """Every how many frames is used."""

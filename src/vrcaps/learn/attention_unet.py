@@ -30,7 +30,7 @@ def attention_unet(features: int, halvings: int) -> Any:
     return _network_class()(features, halvings)
 
 
-def _network_class() -> Any:
+def _attention_class() -> Any:
     torch = require_torch()
     nn, functional = torch.nn, torch.nn.functional
 
@@ -54,6 +54,13 @@ def _network_class() -> Any:
             taken = taken[:, 0].transpose(1, 2).unflatten(2, x.shape[-2:])
             return x + self.gain * self.out(taken)
 
+    return SpatialAttention
+
+
+def _network_class() -> Any:
+    torch, attention = require_torch(), _attention_class()
+    nn, functional = torch.nn, torch.nn.functional
+
     class AttentionUnet(nn.Module):
         """Halves and doubles the side; each level sees the one of its size before."""
 
@@ -64,7 +71,7 @@ def _network_class() -> Any:
             self.down = nn.ModuleList(
                 nn.Conv2d(widths[k], widths[k + 1], 4, stride=2, padding=1) for k in range(halvings)
             )
-            self.attention = SpatialAttention(widths[1])
+            self.attention = attention(widths[1])
             self.up = nn.ModuleList(
                 nn.Conv2d(widths[k + 1] + widths[k], widths[k], 3, padding=1)
                 for k in range(halvings)

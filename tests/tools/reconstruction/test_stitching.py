@@ -264,6 +264,7 @@ def test_a_flat_wall_is_stitched_from_the_command_line(tmp_path, monkeypatch, ca
     assert {path.name for path in tmp_path.iterdir()} == pictures | tables
 
 
+@pytest.mark.slow
 def test_depth_of_another_source_begins_at_the_scale_of_the_frames():
     exact = _homographies()
     mosaic = blended(exact, CAMERA, lambda k: _load("rgb", k), lambda k: _load("depth", k), 0)

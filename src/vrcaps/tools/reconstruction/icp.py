@@ -21,8 +21,10 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _MOST_STEPS = 60
-_CONVERGED = 1e-6
+_CONVERGED = 1e-4
 """Relative change of the error below which registration ends."""
+_EXACT = 1e-8
+"""Error at which it ends, too [m]: nearest points are found in 32 bits."""
 _MOST_POINTS = 20_000
 _USED = 0.9
 """Part of the points, the nearest, that a step is fitted to; the others may be off the surface."""
@@ -67,12 +69,18 @@ def register(points: Float[np.ndarray, "n 3"], surface: Mesh, *, scale: bool) ->
         errors.append(float(np.sqrt(np.mean(distance**2))))
         if errors[-1] < least:
             best, least = found, errors[-1]
-        if len(errors) > 1 and abs(errors[-2] - errors[-1]) <= _CONVERGED * errors[-2]:
+        if _has_converged(errors):
             break
         near = distance <= np.quantile(distance, _USED)
         step = _step(moved[near], nearest[near], normals[face[near]], scale=scale)
         found = after(step, found)
     return Registration(best, tuple(errors))
+
+
+def _has_converged(errors: list[float]) -> bool:
+    if errors[-1] <= _EXACT or len(errors) == 1:
+        return errors[-1] <= _EXACT
+    return abs(errors[-2] - errors[-1]) <= _CONVERGED * errors[-2]
 
 
 def registered(mesh: Mesh, surface: Mesh, *, scale: bool) -> tuple[Mesh, Registration]:

@@ -140,5 +140,7 @@ def image_pairs(features: Sequence[Features], tolerance: float) -> list[Pair]:
         score[i, j] = score[j, i] = len(matches(*few))
     best = np.argsort(-score, axis=1, kind="stable")[:, :_CANDIDATES]
     chosen = {(min(i, j), max(i, j)) for i in range(count) for j in best[i].tolist() if score[i, j]}
-    found = (homography_pair(ij, *(features[k] for k in ij), tolerance) for ij in sorted(chosen))
+    found = (
+        homography_pair((i, j), features[i], features[j], tolerance) for i, j in sorted(chosen)
+    )
     return [pair for pair in found if pair is not None]

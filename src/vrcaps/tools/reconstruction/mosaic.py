@@ -158,11 +158,11 @@ def _views(
         there = points @ back.T.astype(np.float32)
         ahead = there[..., 2] > 1e-6
         scale = np.where(ahead, there[..., 2], 1.0)
-        at = tuple(np.where(ahead, there[..., k] / scale, -10.0).astype(np.float32) for k in (0, 1))
-        sizes = zip(at, (camera.width, camera.height), strict=True)
-        across = [1.0 - np.abs(2.0 * (a + 0.5) / size - 1.0) for a, size in sizes]
-        weight = np.prod([np.clip(a, 0.0, 1.0) for a in across], axis=0)
-        yield image, at, np.where(ahead, weight, 0.0).astype(np.float32)
+        at = np.where(ahead[..., None], there[..., :2] / scale[..., None], -10.0)
+        across = 1.0 - np.abs(2.0 * (at + 0.5) / (camera.width, camera.height) - 1.0)
+        weight = np.clip(across, 0.0, 1.0).prod(axis=-1)
+        column, row = (np.ascontiguousarray(at[..., k], np.float32) for k in (0, 1))
+        yield image, (column, row), np.where(ahead, weight, 0.0).astype(np.float32)
 
 
 def _depth_factor(

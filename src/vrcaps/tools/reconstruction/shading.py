@@ -45,14 +45,15 @@ def depth_from_shading(rgb: UInt8[np.ndarray, "h w 3"], camera: Camera) -> Float
     height, width = light.shape
     scale = min(1.0, _SIDE / max(height, width))
     size = (max(2, round(scale * height)), max(2, round(scale * width)))
-    small = resize(light, size, order=1, anti_aliasing=True)
+    small = np.asarray(resize(light, size, order=1, anti_aliasing=True))
     rays = camera.lens.unproject(pixel_grid(width, height))
     plane = rays[..., :2] / rays[..., 2:]
     axes = (
         np.linspace(plane[0, 0, 0], plane[0, -1, 0], size[1]),
         np.linspace(plane[0, 0, 1], plane[-1, 0, 1], size[0]),
     )
-    log_distance = resize(_solved(np.maximum(small, _DARK), *axes), (height, width), order=1)
+    solved = _solved(np.maximum(small, _DARK), *axes)
+    log_distance = np.asarray(resize(solved, (height, width), order=1))
     return np.where(is_seen, np.exp(log_distance) * rays[..., 2], np.nan)
 
 

@@ -56,8 +56,8 @@ class WallSurface:
 def wall_surface(found: Stitched, source: DepthSource) -> tuple[Stitched, WallSurface]:
     """The surface of a stitched image, and the image with the depth that made it.
 
-    It begins at the true pose of the reference and, if its scale is free, at the scale of the
-    frames' own depth: in place of the polygon that the paper labels by hand.
+    It begins at the true pose of the reference, in place of the polygon that the paper labels by
+    hand. A free scale is set by the median of the frames' own depth, or fitted if that is unknown.
 
     Args:
         found: What stitching found.
@@ -70,7 +70,8 @@ def wall_surface(found: Stitched, source: DepthSource) -> tuple[Stitched, WallSu
     mosaic, sequence = found.mosaic, found.sequence
     depth, has_scale = _depth(mosaic, source)
     if not has_scale and np.isfinite(mosaic.depth).any():
-        depth = depth * np.nanmedian(mosaic.depth / depth)
+        # Fitted by nearest points, a scale would shrink a wrong surface onto a part of the wall.
+        depth, has_scale = depth * np.nanmedian(mosaic.depth / depth), True
     mesh, color = surface_of(depth, mosaic.rgb, mosaic.camera)
     if CAMERA_POSE in sequence.values:
         pose = sequence.Ts_world_camera[mosaic.reference]

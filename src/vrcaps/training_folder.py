@@ -64,6 +64,8 @@ def _differences(before: Any, now: Any, at: str = "") -> list[str]:
             for key in keys
             for line in _differences(before.get(key), now.get(key), f"{at}.{key}".strip("."))
         ]
+    if before is None and now == []:  # a list that an older version did not know
+        return []
     return [] if before == now else [f"{at} was {_short(before)}, now {_short(now)}"]
 
 

@@ -74,6 +74,9 @@ _VERBS = {
         )
         for task, what in _TASKS.items()
     },
+    "weights list": ("vrcaps.cli.weights", "List", "List published weights."),
+    "weights publish": ("vrcaps.cli.weights", "Publish", "Publish a training's best weights."),
+    "weights export": ("vrcaps.cli.weights", "Export", "Write trained weights as ONNX."),
     "doctor": ("vrcaps.cli.doctor", "Doctor", "Say what is installed and what can be used."),
 }
 """Module, dataclass and summary of each verb."""
@@ -81,6 +84,7 @@ _VERBS = {
 _GROUPS = {
     "train": "Learn: policies that steer a capsule, and estimates from images.",
     "predict": "Estimate from images with trained weights.",
+    "weights": "Trained weights: list, publish with a model card, write as ONNX.",
     "dataset": "Make and verify data sets of many recordings, split by patient.",
     "export": "Write episodes and data sets in the layouts that other tools read.",
     "evaluate": "Score estimates from images; without a task, judge policies.",

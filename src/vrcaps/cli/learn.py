@@ -4,13 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from tyro.conf import UseAppendAction
 
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.cli.parts import command_of, part_of
+from vrcaps.errors import InputError
 from vrcaps.learn.registry import LEARNERS, AnyLearner
+
+if TYPE_CHECKING:
+    from vrcaps.learn.samples import Samples
+    from vrcaps.recording.frame_sequence import FrameSequence
+
+_TOLD = 20
+"""Most near-duplicates that are named."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,12 +39,16 @@ class _Train:
     """Where settings of training come from: ours, the paper's, or one that takes a minute."""
 
     start: str = ""
-    """imagenet, scratch, or a file of weights to go on from, such as those learned on other data;
-    by default what the preset says."""
+    """imagenet, scratch, a file of weights to go on from, such as those learned on other data, or
+    the name of published ones; by default what the preset says."""
 
     set: UseAppendAction[tuple[str, ...]] = ()
     """Change any setting of training: NAME=VALUE, such as steps=5000, batch=16, rate=1e-4,
     fraction=0.1 or seed=3; repeat for more. settings.json holds all of them."""
+
+    duplicates: Literal["drop", "keep", "refuse"] = "drop"
+    """What to do with real images that are to be learned from, but are near-duplicates of images to
+    validate or test with: leave them out, keep them, or stop."""
 
     device: str = "auto"
     """cpu, cuda, mps, or auto for the fastest there is."""
@@ -64,13 +76,17 @@ class _Train:
         from vrcaps.learn.training import BEST, Machine, Progress, train
 
         learner = part_of(self)
-        settings = settings_of(learner, self.preset, self.data, self.start, self.set)
+        settings = settings_of(
+            learner, self.preset, self.data, self.start, self.set, validation=self.validation
+        )
         sequences = read_sources(self.data)
         if self.validation:
             samples = samples_of(learner, [s for s in sequences if s.split in (None, "train")])
             held_out = samples_of(learner, read_sources(self.validation))
         else:
             samples, held_out = split_samples(learner, sequences)
+        tested = [s for s in sequences if s.split == "test"]
+        samples = self._without_duplicates(samples, held_out, tested)
         console.print(f"{len(samples)} frames to learn from, {len(held_out)} to validate with.")
         figure, told = learner.figure.name, 0
         with progress_bar("training") as show:
@@ -98,13 +114,42 @@ class _Train:
         _tell_skipped({**samples.skipped, **held_out.skipped})
         console.print(f"Written: {self.out / BEST}. Pictures: {self.out / 'pictures'}.")
 
+    def _without_duplicates(
+        self, samples: Samples, held_out: Samples, tested: list[FrameSequence]
+    ) -> Samples:
+        """Frames to learn from that are not among those to validate or test with."""
+        from vrcaps.learn.duplicates import without_duplicates
+        from vrcaps.learn.samples import Samples
+
+        if self.duplicates == "keep":
+            return samples
+        test = [(one, index) for one in tested for index in range(len(one))]
+        others = Samples(held_out.learner, [*held_out.frames, *test])
+        with progress_bar("comparing") as show:
+            left, found = without_duplicates(samples, others, progress=show)
+        if found and self.duplicates == "refuse":
+            name, other = next(iter(found.items()))
+            raise InputError(
+                f"{len(found)} images to learn from are among those to validate or test with: "
+                f"{name} is {other}. Give --duplicates drop to leave them out."
+            )
+        for name, other in list(found.items())[:_TOLD]:
+            console.print(f"Not learned from: {name}, which is {other}.")
+        if found:
+            console.print(
+                f"{len(found)} near-duplicates of images to validate or test with are not learned "
+                "from. Give --duplicates keep to do so."
+            )
+        return left
+
 
 @dataclass(frozen=True, kw_only=True)
 class _Evaluate:
     """What evaluation of all tasks has in common."""
 
-    weights: Path
-    """File of trained weights."""
+    weights: str = ""
+    """File of trained weights, or the name of published ones (`vrcaps weights list`); by default
+    those published for the task."""
 
     data: UseAppendAction[tuple[str, ...]]
     """Frames with truth, as for `vrcaps train`; repeat for more."""
@@ -113,7 +158,7 @@ class _Evaluate:
     """Only this split of data that has splits: train, val or test."""
 
     out: Path | None = None
-    """Folder for scores.csv and a picture."""
+    """Folder for scores.csv, evaluation.json (what a model card states) and a picture."""
 
     device: str = "auto"
     """cpu, cuda, mps, or auto for the fastest there is."""
@@ -126,14 +171,17 @@ class _Evaluate:
         Raises:
             InputError: If weights or data do not fit.
         """
-        from vrcaps.files import write_csv
+        from vrcaps.files import file_sha256, write_csv
         from vrcaps.formats.sources import read_sources
+        from vrcaps.learn.evaluation import Evaluation, write_evaluation
+        from vrcaps.learn.published import find_weights
         from vrcaps.learn.samples import samples_of
         from vrcaps.learn.training import chosen_device
         from vrcaps.learn.validation import validate, write_pictures
         from vrcaps.learn.weights import read_weights
 
-        trained = read_weights(self.weights, task=self.task, device=chosen_device(self.device))
+        weights = find_weights(self.weights, self.task)
+        trained = read_weights(weights, task=self.task, device=chosen_device(self.device))
         sequences = [s for s in read_sources(self.data) if self.split in ("", s.split)]
         samples = samples_of(trained.learner, sequences)
         found = validate(trained, samples)
@@ -143,6 +191,16 @@ class _Evaluate:
         if self.out is not None:
             self.out.mkdir(parents=True, exist_ok=True)
             write_csv(self.out / "scores.csv", [dict(found.scores)])
+            evaluation = Evaluation(
+                task=self.task,
+                sha256=file_sha256(weights),
+                data=self.data,
+                split=self.split,
+                frames=len(found.samples),
+                skipped=len(samples.skipped),
+                scores=found.scores,
+            )
+            write_evaluation(self.out, evaluation)
             write_pictures(self.out / "frames.png", trained.learner, found)
 
 
@@ -150,8 +208,9 @@ class _Evaluate:
 class _Predict:
     """What estimates of all tasks have in common."""
 
-    weights: Path
-    """File of trained weights."""
+    weights: str = ""
+    """File of trained weights, or the name of published ones (`vrcaps weights list`); by default
+    those published for the task."""
 
     images: str
     """Images: a folder of them, an episode, a data set, or KIND:FOLDER."""
@@ -175,10 +234,12 @@ class _Predict:
             InputError: If weights or images do not fit.
         """
         from vrcaps.learn.predict import images_of, predict
+        from vrcaps.learn.published import find_weights
         from vrcaps.learn.training import chosen_device
         from vrcaps.learn.weights import read_weights
 
-        trained = read_weights(self.weights, task=self.task, device=chosen_device(self.device))
+        weights = find_weights(self.weights, self.task)
+        trained = read_weights(weights, task=self.task, device=chosen_device(self.device))
         images = images_of(self.images, self.capsule)
         with progress_bar("estimating") as show:
             skipped = predict(trained, images, self.out, progress=show)
@@ -195,9 +256,10 @@ _EXAMPLES = {
     "train": """  vrcaps train {0} --data runs/cohort --out runs/{0}
   vrcaps train {0} --data runs/cohort --out runs/{0}-try --preset ci
   vrcaps train {0} --data images:real --start runs/{0}/best.safetensors --out runs/{0}-real""",
-    "evaluate": "  vrcaps evaluate {0} --weights runs/{0}/best.safetensors --data runs/cohort",
-    "predict": """  vrcaps predict {0} --weights runs/{0}/best.safetensors --images photos \\
-  --out runs/photos""",
+    "evaluate": """  vrcaps evaluate {0} --data runs/cohort --split test --out runs/{0}-test
+  vrcaps evaluate {0} --weights runs/{0}/best.safetensors --data runs/cohort""",
+    "predict": """  vrcaps predict {0} --images photos --out runs/photos
+  vrcaps predict {0} --weights runs/{0}/best.safetensors --images photos --out runs/mine""",
 }
 
 

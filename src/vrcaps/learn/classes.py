@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
@@ -12,6 +13,7 @@ from vrcaps.errors import InputError, require
 from vrcaps.learn.fit import Fit
 from vrcaps.learn.learner import Batch, Figure, Sample, mirrored, outputs_of, recolored, zoomed
 from vrcaps.learn.networks import ENCODER, classifier, require_torch
+from vrcaps.learn.overlays import Overlay, tissue_mask
 from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.classification import accuracy, confusion_matrix, f1_scores, matthews, roc_auc
 from vrcaps.recording.frame_sequence import FrameSequence
@@ -30,10 +32,15 @@ class ClassLearner:
     the lesion that takes most of it, if that is enough; it is normal where there is none at all.
     Frames between, and those whose class is not among `classes`, are left out.
 
+    Black corners, inserts and text tell the classes of many real data sets apart. So the same parts
+    of every image, learned from or estimated, are blackened: those of `hides`.
+
     Attributes:
         classes: Names of the classes, at least two.
         size: Side of the images that the network is given [px]; maps need a multiple of 32.
         encoder: Name of timm's, such as resnet152.
+        hides: What is hidden: `corners` (all beyond an ellipse), `insert` (the lower left part),
+            `text` (the left part). Capsules have corners only.
         min_fraction: Share of a recorded frame that a lesion must take to give the frame its class.
         dropout: Share of features left out while learning.
         brightness: Largest random change of exposure, as a factor: 1.3 is ± 30 %.
@@ -44,6 +51,7 @@ class ClassLearner:
     classes: tuple[str, ...] = (NORMAL, "polyp", "ulcer")
     size: Annotated[int, Range(32)] = 192
     encoder: str = ENCODER
+    hides: tuple[Overlay, ...] = ("corners", "insert")
     min_fraction: Annotated[float, Range(0.0, 1.0)] = 0.005
     dropout: Annotated[float, Range(0.0, below=1.0)] = 0.2
     brightness: Annotated[float, Range(1.0)] = 1.3
@@ -52,6 +60,7 @@ class ClassLearner:
 
     kind: ClassVar[str] = "classes"
     input_names: ClassVar[tuple[str, ...]] = ("image",)
+    output_text: ClassVar[str] = "logit of each class [b c]"
     figure: ClassVar[Figure] = Figure("f1", is_error=False)
 
     def __post_init__(self) -> None:
@@ -64,7 +73,35 @@ class ClassLearner:
         Raises:
             InputError: If classes of frames are not known.
         """
-        return [k for k in range(len(sequence)) if self._class_of(sequence, k) in self.classes]
+        names = self.with_classes(sequence).values["class"]
+        return [k for k, name in enumerate(names) if name in self.classes]
+
+    def with_classes(self, sequence: FrameSequence) -> FrameSequence:
+        """The sequence with the class of each frame among its values, so that it is read once.
+
+        Raises:
+            InputError: If classes of frames are not known.
+        """
+        if "class" in sequence.values:
+            return sequence
+        names = np.array([self._class_of(sequence, k) or "" for k in range(len(sequence))])
+        return replace(sequence, values={**sequence.values, "class": names})
+
+    def require_classes(self, frames: Sequence[tuple[FrameSequence, int]]) -> None:
+        """Check that there is a frame of each class to learn from.
+
+        Raises:
+            InputError: If a class has none.
+        """
+        counts = Counter(self._class_of(*frame) for frame in frames)
+        missing = [name for name in self.classes if not counts[name]]
+        if missing:
+            there = [name for name in self.classes if counts[name]]
+            raise InputError(
+                f"There is no frame to learn the class {missing[0]!r} from; there are "
+                f"{', '.join(f'{counts[name]} {name}' for name in there)}. Give more data, or "
+                "other --classes."
+            )
 
     def sample(self, sequence: FrameSequence, index: int) -> Sample:
         """Image and number of its class."""
@@ -76,22 +113,26 @@ class ClassLearner:
 
     def _class_of(self, sequence: FrameSequence, index: int) -> str | None:
         """Class of a frame; None where it is neither normal nor clearly a lesion's."""
-        if sequence.episode is None:
-            if "class" not in sequence.values:
-                raise InputError(
-                    f"{sequence.name} has no classes. Give a folder with a folder for each class."
-                )
+        if "class" in sequence.values:
             return str(sequence.values["class"][index])
+        if sequence.episode is None:
+            raise InputError(
+                f"{sequence.name} has no classes. Give a folder with a folder for each class."
+            )
         if "instance" not in sequence.channels:
             raise InputError(
                 f"Learning classes needs the channel 'instance', which {sequence.name} has not."
             )
         lesions = sequence.episode.head["organ"]["lesions"]
-        return shown_lesion(sequence.image("instance", index), lesions, self.min_fraction)
+        instance = sequence.image("instance", index)
+        seen = np.where(tissue_mask(*instance.shape, self.hides), instance, 0)
+        return shown_lesion(seen, lesions, self.min_fraction)
 
     def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Fit, camera: Any) -> Sample:
-        """The image; any camera will do."""
-        return {"image": fit.image(image)}
+        """The image without what is hidden; any camera will do."""
+        square = fit.image(image)
+        square[fit.place] *= tissue_mask(*fit.shape, self.hides)[..., None]
+        return {"image": square}
 
     def augmented(self, sample: Sample, rng: np.random.Generator) -> Sample:
         """A part of the image, mirrored, turned by quarters, and with other colors."""

@@ -64,6 +64,7 @@ class DepthLearner:
 
     kind: ClassVar[str] = "depth"
     input_names: ClassVar[tuple[str, ...]] = ("image", "ray")
+    output_text: ClassVar[str] = "ln(depth z / 30 mm) of each pixel [b 1 s s]"
     figure: ClassVar[Figure] = Figure("abs_rel", is_error=True)
 
     def __post_init__(self) -> None:

@@ -19,6 +19,12 @@ if TYPE_CHECKING:
 Sample = dict[str, Any]
 """Arrays of one frame at the network's size; `image` is uint8 [s s 3]. What is no array is for the
 loss only."""
+INPUTS = {
+    "image": "color from 0 to 1, sRGB [b 3 s s]",
+    "ray": "unit ray of each pixel in the camera's frame (x right, y down, z forward), zero where "
+    "the lens has none [b 3 s s]",
+}
+"""What networks are given, by the names of their inputs."""
 Batch = dict[str, Any]
 """Tensors [b c s s] or [b ...] of samples of one size; lists of what is no array."""
 
@@ -48,12 +54,14 @@ class Learner(Protocol):
     Attributes:
         kind: Its name on the command line and in weight files.
         input_names: Arrays of a sample that the network is given, in this order.
+        output_text: What the network gives, with unit and shape.
         figure: By which weights are chosen.
         size: Side of the images that the network is given [px].
     """
 
     kind: ClassVar[str]
     input_names: ClassVar[tuple[str, ...]]
+    output_text: ClassVar[str]
     figure: ClassVar[Figure]
 
     @property

@@ -56,6 +56,7 @@ class MaskLearner:
 
     kind: ClassVar[str] = "masks"
     input_names: ClassVar[tuple[str, ...]] = ("image",)
+    output_text: ClassVar[str] = "logit of each class in each pixel, above 0 inside [b c s s]"
     figure: ClassVar[Figure] = Figure("dice", is_error=False)
 
     def __post_init__(self) -> None:

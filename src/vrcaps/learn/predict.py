@@ -56,7 +56,7 @@ def predict(
     """Write the estimate of each image: maps of its size, or a row of a table.
 
     `sheet.png` shows some of them. A learner of motion writes `trajectory.txt` for each sequence,
-    in the form of TUM.
+    in the form of TUM, over its images that can be read.
 
     Args:
         trained: Learner and network.
@@ -76,6 +76,7 @@ def predict(
     rows: list[dict[str, Any]] = []
     pictures: list[NDArray] = []
     skipped: dict[str, str] = {}
+    read: list[tuple[FrameSequence, int]] = []
     for number, (sequence, index) in enumerate(frames):
         name = f"{sequence.name}/{index:06d}"
         try:
@@ -83,6 +84,7 @@ def predict(
         except (InputError, OSError) as error:
             skipped[name] = str(error)
             continue
+        read.append((sequence, index))
         fit = Fit(image.shape[0], image.shape[1], trained.learner.size)
         sample = trained.learner.inputs(image, fit, sequence.camera)
         output = trained(batch_of([sample]))[0]
@@ -98,7 +100,10 @@ def predict(
         raise InputError(f"No image can be read: {next(iter(skipped.values()), 'there is none')}")
     if isinstance(trained.learner, SfmLearner):
         for sequence in sequences:
-            text = trajectory_text(estimated_trajectory(trained, sequence))
+            kept = [k for one, k in read if one is sequence]
+            if not kept:
+                continue
+            text = trajectory_text(estimated_trajectory(trained, sequence, kept))
             write_bytes(out / sequence.name / "trajectory.txt", text.encode())
     if len(rows[0]) > 1:
         write_csv(out / f"{trained.learner.kind}.csv", rows)

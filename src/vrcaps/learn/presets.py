@@ -63,7 +63,13 @@ PRESETS = {"ci": ci, "default": default, "paper": paper}
 
 
 def settings_of(
-    learner: AnyLearner, preset: str, data: Sequence[str], start: str, changes: Sequence[str]
+    learner: AnyLearner,
+    preset: str,
+    data: Sequence[str],
+    start: str,
+    changes: Sequence[str],
+    *,
+    validation: Sequence[str] = (),
 ) -> TrainSettings:
     """Settings of a preset with changes.
 
@@ -73,6 +79,7 @@ def settings_of(
         data: What is learned from, to be noted.
         start: What training begins with; empty takes the preset's.
         changes: Texts NAME=VALUE.
+        validation: What weights are chosen by, to be noted.
 
     Raises:
         UnknownNameError: If there is no such preset or setting.
@@ -80,7 +87,7 @@ def settings_of(
     """
     if preset not in PRESETS:
         raise UnknownNameError("preset", preset, PRESETS)
-    settings = replace(PRESETS[preset](learner), data=tuple(data))
+    settings = replace(PRESETS[preset](learner), data=tuple(data), validation=tuple(validation))
     plain: dict[str, Any] = to_plain(settings, TrainSettings)
     for path, value in map(parse_change, [*changes, *([f"start={start}"] if start else [])]):
         plain = changed(plain, path, value)

@@ -10,6 +10,7 @@ import numpy as np
 
 from vrcaps import rng
 from vrcaps.errors import InputError
+from vrcaps.learn.classes import ClassLearner
 from vrcaps.learn.learner import Batch, Learner, Sample
 from vrcaps.learn.networks import require_torch
 from vrcaps.recording.frame_sequence import FrameSequence
@@ -90,7 +91,7 @@ def samples_of(learner: Learner, sequences: Sequence[FrameSequence]) -> Samples:
     Raises:
         InputError: If a sequence lacks a channel that is learned, or there is no frame.
     """
-    frames = [(one, index) for one in sequences for index in learner.items(one)]
+    frames = [frame for one in sequences for frame in _frames(learner, one)]
     if not frames:
         names = ", ".join(one.name for one in sequences[:3]) or "nothing"
         raise InputError(f"There is no frame to learn {learner.kind} from in {names}.")
@@ -118,13 +119,20 @@ def split_samples(learner: Learner, sequences: Sequence[FrameSequence]) -> tuple
         return samples_of(learner, train), samples_of(learner, held)
     before, after = [], []
     for one in sequences:
-        frames = [(one, index) for index in learner.items(one)]
+        frames = _frames(learner, one)
         cut = len(frames) - round(_HELD_OUT * len(frames))
         before.extend(frames[:cut])
         after.extend(frames[cut:])
     if not before or not after:
         raise InputError(f"There are too few frames to learn {learner.kind} from: five or more.")
     return Samples(learner, before), Samples(learner, after)
+
+
+def _frames(learner: Learner, sequence: FrameSequence) -> list[tuple[FrameSequence, int]]:
+    """Frames of a sequence that a learner can learn from."""
+    if isinstance(learner, ClassLearner):
+        sequence = learner.with_classes(sequence)
+    return [(sequence, index) for index in learner.items(sequence)]
 
 
 def batch_of(samples: Sequence[Sample], device: str = "cpu") -> Batch:

@@ -17,7 +17,7 @@ Image Analysis 71, 2021).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
@@ -77,6 +77,7 @@ class SfmLearner:
 
     kind: ClassVar[str] = "sfm"
     input_names: ClassVar[tuple[str, ...]] = ("image", "ray")
+    output_text: ClassVar[str] = "ln(distance along the ray / 30 mm), up to a scale [b 1 s s]"
     figure: ClassVar[Figure] = Figure("loss", is_error=True)
 
     def __post_init__(self) -> None:
@@ -177,17 +178,25 @@ class SfmLearner:
         return {}
 
 
-def estimated_trajectory(trained: Trained, sequence: FrameSequence) -> FrameSequence:
+def estimated_trajectory(
+    trained: Trained, sequence: FrameSequence, frames: Sequence[int] = ()
+) -> FrameSequence:
     """The sequence with the poses that were estimated, in the frame of its first camera.
 
     Motions between neighboring frames are chained; they are up to one scale.
+
+    Args:
+        trained: Learner and network.
+        sequence: Frames of one camera.
+        frames: Numbers of its frames, rising; the result has these alone. Empty for all.
 
     Raises:
         InputError: If an image cannot be read.
     """
     torch = require_torch()
     poses = [np.eye(4)]
-    images = (sequence.image("rgb", index) for index in range(len(sequence)))
+    kept = np.array(frames or range(len(sequence)))
+    images = (sequence.image("rgb", int(index)) for index in kept)
     size = trained.learner.size
     squares = (Fit(image.shape[0], image.shape[1], size).image(image) for image in images)
     tensors = (batch_of([{"image": square}])["image"] for square in squares)
@@ -195,7 +204,11 @@ def estimated_trajectory(trained: Trained, sequence: FrameSequence) -> FrameSequ
         for before, here in pairwise(one.to(trained.device) for one in tensors):
             T_before_here = matrix_of(trained.network.motion(here, before).float())[0]
             poses.append(poses[-1] @ T_before_here.double().cpu().numpy())
-    return replace(sequence, values={TIME: sequence.times, CAMERA_POSE: np.stack(poses)})
+    return replace(
+        sequence,
+        values={TIME: sequence.times[kept], CAMERA_POSE: np.stack(poses)},
+        load=lambda channel, index: sequence.load(channel, int(kept[index])),
+    )
 
 
 def _depth_of(output: NDArray, sample: Sample) -> NDArray:

@@ -73,6 +73,7 @@ class SuperResolutionLearner:
 
     kind: ClassVar[str] = "super-resolution"
     input_names: ClassVar[tuple[str, ...]] = ("image",)
+    output_text: ClassVar[str] = "color from 0 to 1 at the larger size [b 3 fs fs]"
     figure: ClassVar[Figure] = Figure("psnr", is_error=False)
 
     def __post_init__(self) -> None:

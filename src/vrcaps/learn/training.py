@@ -15,10 +15,12 @@ import numpy as np
 from vrcaps import rng
 from vrcaps.errors import InputError
 from vrcaps.files import atomic_write, write_csv
+from vrcaps.learn.classes import ClassLearner
 from vrcaps.learn.depth import DepthLearner
 from vrcaps.learn.learner import Adversarial
 from vrcaps.learn.networks import require_torch
 from vrcaps.learn.optimized import Optimized
+from vrcaps.learn.published import find_weights
 from vrcaps.learn.registry import AnyLearner
 from vrcaps.learn.samples import Samples, batch_of
 from vrcaps.learn.validation import validate, write_pictures
@@ -46,7 +48,8 @@ class TrainSettings:
     Attributes:
         learner: The task and its settings.
         data: What is learned from, as the command line named it.
-        start: `imagenet`, `scratch`, or a file of weights to go on from.
+        validation: Where weights are chosen by, likewise; empty for a part of the data.
+        start: `imagenet`, `scratch`, or weights to go on from: a file, or a published name.
         steps: Batches learned from.
         batch: Frames in a batch.
         rate: Largest learning rate of AdamW; it rises, then falls as a cosine to zero.
@@ -59,6 +62,7 @@ class TrainSettings:
 
     learner: AnyLearner = field(default_factory=DepthLearner)
     data: tuple[str, ...] = ()
+    validation: tuple[str, ...] = ()
     start: str = IMAGENET
     steps: Annotated[int, Range(1)] = 20_000
     batch: Annotated[int, Range(1)] = 8
@@ -143,6 +147,8 @@ def train(
     plain["frames"] = [len(samples), len(validation)]
     begin_training(out, plain, _PACKAGES, is_forced=is_forced)
     samples = samples.subset(settings.fraction, settings.seed)
+    if isinstance(settings.learner, ClassLearner):
+        settings.learner.require_classes(samples.frames)
     # Some of what learners need has no exact form on a GPU.
     with exact_torch(machine.threads) if device == "cpu" else nullcontext():
         run = _Run(settings, samples, validation, out, device)
@@ -322,7 +328,7 @@ def _first_network(settings: TrainSettings) -> Any:
     network = learner.network(is_pretrained=start == IMAGENET)
     if start in (SCRATCH, IMAGENET):
         return network
-    known = read_weights(start, task=learner.kind).network.state_dict()
+    known = read_weights(find_weights(start), task=learner.kind).network.state_dict()
     own = network.state_dict()
     # Another number of classes has another last layer, which then begins at random.
     fits = {k: v for k, v in known.items() if k in own and own[k].shape == v.shape}

@@ -118,26 +118,3 @@ def read_weights(path: str | Path, *, task: str | None = None, device: str = "cp
         reason = str(error).splitlines()[0]
         raise InputError(f"{path} does not fit this version of vrcaps: {reason}") from error
     return Trained(learner, network.to(device).eval(), about, device)
-
-
-def write_onnx(path: Path, trained: Trained) -> None:
-    """Write a trained network as ONNX; its inputs have any batch size.
-
-    Raises:
-        MissingExtraError: If onnxscript is not installed.
-    """
-    torch = require_torch()
-    import_extra("onnxscript", "learn")
-    learner = trained.learner
-    names = list(learner.input_names)
-    example = tuple(torch.zeros(2, 3, learner.size, learner.size) for _ in names)
-    program = torch.onnx.export(
-        trained.network.cpu(),
-        example,
-        input_names=names,
-        output_names=["output"],
-        dynamic_shapes=tuple({0: "batch"} for _ in names),
-        verbose=False,
-    )
-    with atomic_write(path) as temporary:
-        program.save(str(temporary))

@@ -1,0 +1,137 @@
+"""`vrcaps weights list`, `publish`, `export`: trained weights that go by name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional, UseAppendAction
+
+from vrcaps.cli.console import console
+from vrcaps.errors import InputError
+
+
+@dataclass(frozen=True)
+class List:
+    """List published weights: those of the checkout, or of the folder or URL VRCAPS_WEIGHTS.
+
+    For example:
+      vrcaps weights list
+    """
+
+    def run(self) -> None:
+        """Print a line for each.
+
+        Raises:
+            InputError: If there are none.
+        """
+        from rich.table import Table
+
+        from vrcaps.learn.published import read_index, weights_folder
+
+        place = weights_folder()
+        table = Table(box=None, padding=(0, 2, 0, 0))
+        for title in ("name", "task", "MB", "what"):
+            table.add_column(title, overflow="fold", no_wrap=title != "what")
+        index = read_index(place)
+        for one in index.values():
+            table.add_row(one.name, one.task, f"{one.bytes / 1e6:.1f}", one.summary)
+        console.print(f"{len(index)} in {place}")
+        console.print(table)
+
+
+@dataclass(frozen=True)
+class Publish:
+    """Publish the best weights of a training: file, model card and checksum.
+
+    The card says what goes in and out, how they were made and what they score; what you write of
+    them stays when they are published again.
+
+    For example:
+      vrcaps evaluate depth --weights runs/depth/best.safetensors --data runs/cohort --split test
+      --out runs/depth-test
+      vrcaps weights publish runs/depth --notes depth-notes.md --scores runs/depth-test
+      vrcaps weights publish runs/c3vd --name depth-c3vd --notes c3vd.md --license CC-BY-NC-4.0
+    """
+
+    training: Positional[Path]
+    """Folder that `vrcaps train` wrote."""
+
+    name: str = ""
+    """The task, for what its commands use by default, or the task, a dash and more."""
+
+    scores: UseAppendAction[tuple[Path, ...]] = ()
+    """Folder that `vrcaps evaluate TASK --out` wrote for these weights; repeat for more."""
+
+    notes: Path | None = None
+    """Markdown file with intended use and limits; without it, the notes of the card before."""
+
+    license: str = "Apache-2.0"
+    """License of the weights; data of others may ask for another."""
+
+    out: Path | None = None
+    """Folder of published weights; by default that of the checkout."""
+
+    def run(self) -> None:
+        """Publish and report.
+
+        Raises:
+            InputError: If the folder is of no training, or something is missing.
+        """
+        from vrcaps.learn.publish import publish
+        from vrcaps.learn.published import weights_folder
+
+        place = str(self.out or weights_folder())
+        if "://" in place:
+            raise InputError(f"{place} is no folder of this machine. Give one: --out FOLDER.")
+        folder = Path(place)
+        entry = publish(
+            self.training,
+            folder,
+            name=self.name,
+            evaluations=self.scores,
+            notes="" if self.notes is None else self.notes.read_text("utf-8"),
+            license_name=self.license,
+        )
+        console.print(f"{entry.name}: {entry.summary}")
+        console.print(f"Written: {folder / entry.file}, its card {entry.name}.md, index.json.")
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write trained weights as ONNX, which runs without PyTorch, and compare the two.
+
+    Inputs and output are those of the model card; a batch may have any size, an image for
+    super-resolution too. Of sfm the network of distances is written, not the one of motion.
+
+    For example:
+      vrcaps weights export depth --out depth.onnx
+      vrcaps weights export runs/masks/best.safetensors --out masks.onnx
+    """
+
+    weights: Positional[str]
+    """File of trained weights, or the name of published ones."""
+
+    out: Path
+    """ONNX file to write."""
+
+    def run(self) -> None:
+        """Write, compare and report.
+
+        Raises:
+            InputError: If there are no such weights.
+        """
+        from vrcaps.errors import MissingExtraError, require
+        from vrcaps.learn.onnx import onnx_difference, write_onnx
+        from vrcaps.learn.published import find_weights
+        from vrcaps.learn.weights import read_weights
+
+        require(self.out.suffix == ".onnx", "--out", self.out, "a name that ends in .onnx")
+        trained = read_weights(find_weights(self.weights))
+        write_onnx(self.out, trained)
+        console.print(f"Written: {self.out}, {self.out.stat().st_size / 1e6:.1f} MB.")
+        try:
+            largest = onnx_difference(self.out, trained)
+            console.print(f"Its outputs are PyTorch's but for {largest:.1e}.")
+        except MissingExtraError:
+            console.print("Not compared with PyTorch: pip install onnxruntime to do so.")

@@ -1,0 +1,62 @@
+"""Scores of weights on data, kept in a file with the checksum of the weights they are of."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from vrcaps.errors import InputError
+from vrcaps.files import write_json
+from vrcaps.plain_files import read_plain
+
+EVALUATION = "evaluation.json"
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Scores of one file of weights on one choice of data.
+
+    Attributes:
+        task: What was estimated.
+        sha256: Checksum of the weights.
+        data: Where the frames were, as the command line named it.
+        split: Which split of them; empty for all.
+        frames: How many were scored.
+        skipped: How many could not be read.
+        scores: The learner's figures; NaN where one is not defined.
+    """
+
+    task: str
+    sha256: str
+    data: tuple[str, ...]
+    split: str
+    frames: int
+    skipped: int
+    scores: Mapping[str, float]
+
+
+def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
+    """Write an evaluation into a folder, whole or not at all; NaN becomes null."""
+    scores = {k: v if math.isfinite(v) else None for k, v in evaluation.scores.items()}
+    write_json(folder / EVALUATION, {**asdict(evaluation), "scores": scores})
+
+
+def read_evaluation(folder: Path) -> Evaluation:
+    """The evaluation that `vrcaps evaluate TASK --out` wrote into a folder.
+
+    Raises:
+        InputError: If there is none, or it is damaged.
+    """
+    path = folder / EVALUATION
+    if not path.is_file():
+        raise InputError(
+            f"{folder} holds no {EVALUATION}. Give a folder that `vrcaps evaluate TASK --out` made."
+        )
+    plain = read_plain(path, "evaluation")
+    try:
+        scores = {k: math.nan if v is None else float(v) for k, v in plain["scores"].items()}
+        return Evaluation(**{**plain, "data": tuple(plain["data"]), "scores": scores})
+    except (AttributeError, LookupError, TypeError, ValueError) as error:
+        raise InputError(f"The evaluation file {path} is damaged: {error}.") from error

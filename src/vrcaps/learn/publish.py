@@ -1,0 +1,135 @@
+"""Publishing: a training folder's best weights, with their card, into a folder of weights."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from vrcaps.data.ledger import read_plain_plan
+from vrcaps.data.store import open_store
+from vrcaps.errors import InputError, VrcapsError, require
+from vrcaps.files import file_sha256, write_bytes
+from vrcaps.formats.registry import FORMATS
+from vrcaps.learn.evaluation import Evaluation, read_evaluation
+from vrcaps.learn.model_card import Training, card_text, notes_of
+from vrcaps.learn.published import SUFFIX, PublishedWeights, add_to_index, check_name
+from vrcaps.learn.registry import AnyLearner
+from vrcaps.learn.training import BEST, PROGRESS, TrainSettings
+from vrcaps.learn.weights import Trained, read_weights
+from vrcaps.plain_files import read_plain
+from vrcaps.serialization import from_plain
+from vrcaps.training_folder import SETTINGS
+
+MOST_BYTES = 25 * 10**6
+"""Largest file that is published."""
+
+
+def publish(
+    run: Path,
+    folder: Path,
+    *,
+    name: str = "",
+    evaluations: Sequence[Path] = (),
+    notes: str = "",
+    license_name: str = "Apache-2.0",
+) -> PublishedWeights:
+    """Publish the best weights of a training: the file, its card, its entry of the index.
+
+    The index is written last; what is stopped before leaves a file that the index does not name, or
+    that its checksum refuses until it is published again.
+
+    Args:
+        run: Folder that `train` wrote.
+        folder: Folder of published weights; made if it is not there.
+        name: The task, for its default weights, or the task, a dash and more; empty for the task.
+        evaluations: Folders that `vrcaps evaluate` wrote for these weights.
+        notes: Intended use and limits, in Markdown; empty keeps those of the card before.
+        license_name: License of the weights.
+
+    Raises:
+        InputError: If the folder is of no training, the weights are too large, an evaluation is of
+            other weights, or there are no notes.
+    """
+    best = run / BEST
+    if not best.is_file():
+        raise InputError(f"{run} holds no {BEST}. Give the folder of a training.")
+    trained = read_weights(best)
+    name = name or trained.learner.kind
+    check_name(name, trained.learner.kind)
+    sha256, size = file_sha256(best), best.stat().st_size
+    allowed = f"up to {MOST_BYTES:,}; train a smaller encoder"
+    require(size <= MOST_BYTES, f"The size of {best} [bytes]", f"{size:,}", allowed)
+    scored = [_evaluation(path, sha256) for path in evaluations]
+    training = _training(run, trained)
+    card = folder / f"{name}.md"
+    notes = notes.strip() or (notes_of(card.read_text("utf-8")) if card.is_file() else "")
+    if not notes:
+        raise InputError(
+            f"The card of {name} has no notes. Give --notes FILE: Markdown with the intended use "
+            "and the known limits of these weights."
+        )
+    summary = _summary(trained.learner, training, scored)
+    entry = PublishedWeights(name, trained.learner.kind, name + SUFFIX, sha256, size, summary)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_bytes(folder / entry.file, best.read_bytes())
+    write_bytes(card, card_text(entry, training, scored, license_name, notes).encode())
+    add_to_index(folder, entry)
+    return entry
+
+
+def _evaluation(folder: Path, sha256: str) -> Evaluation:
+    found = read_evaluation(folder)
+    if found.sha256 != sha256:
+        raise InputError(
+            f"The evaluation in {folder} is of weights with sha256 {found.sha256[:12]}…, not of "
+            f"these, {sha256[:12]}…. Evaluate {BEST} again."
+        )
+    return found
+
+
+def _training(run: Path, trained: Trained) -> Training:
+    """What the files of a training say of the weights that it kept."""
+    path = run / SETTINGS
+    stated = read_plain(path, "settings")
+    try:
+        plain: dict[str, Any] = dict(stated["settings"])
+        learned, chosen = plain.pop("frames")
+        settings = from_plain(TrainSettings, plain, at=str(path))
+        made_with = {str(k): str(v) for k, v in stated["made_with"].items() if k != "core"}
+        with (run / PROGRESS).open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+        done = int(float(rows[-1]["step"]))
+        step, scores = int(trained.about["steps"]), dict(trained.about["scores"])
+    except OSError as error:
+        raise InputError(f"Cannot read {run / PROGRESS}: {error.strerror}.") from error
+    except (LookupError, TypeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{run} holds a damaged training: {error}.") from error
+    frames = (max(1, round(settings.fraction * learned)), chosen)
+    return Training(settings, frames, made_with, step, done, scores, _plans(settings))
+
+
+def _plans(settings: TrainSettings) -> dict[str, dict[str, Any]]:
+    """Plans of the data that `vrcaps dataset make` made, where it still lies."""
+    found = {}
+    for source in (*settings.data, *settings.validation):
+        if source.partition(":")[0] in FORMATS:
+            continue
+        try:
+            plan = read_plain_plan(open_store(source))
+        except VrcapsError:
+            continue  # an episode, or data that is not here any more; the card names it
+        found[source] = {key: plan[key] for key in ("dataset", "scenario") if key in plan}
+    return found
+
+
+def _summary(learner: AnyLearner, training: Training, scored: Sequence[Evaluation]) -> str:
+    """What the weights are and score, on one line."""
+    meaning = (type(learner).__doc__ or "").partition("\n")[0].rstrip(".")
+    figure = learner.figure.name
+    scores = scored[-1].scores if scored else training.scores
+    where = f" on {' '.join(scored[-1].data)}" if scored else " on validation frames"
+    return f"{meaning}; {figure} {scores[figure]:.4f}{where}"

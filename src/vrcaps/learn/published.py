@@ -1,0 +1,195 @@
+"""Published weights: an index of files with checksums, in a folder or at a URL.
+
+A checkout of vrcaps has them in its folder `weights`; an installed package has none, since they are
+larger than all else of it. The variable `VRCAPS_WEIGHTS` names another folder, or a URL below which
+such a folder lies; what is read from there is kept in the cache folder.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from vrcaps.data.store import open_store
+from vrcaps.errors import InputError, StorageError, UnknownNameError, require
+from vrcaps.files import file_sha256, write_bytes, write_json
+from vrcaps.organ.cache import cache_folder
+from vrcaps.serialization import from_plain, to_plain
+
+INDEX, VARIABLE, SUFFIX = "index.json", "VRCAPS_WEIGHTS", ".safetensors"
+_FORMAT = "vrcaps-published/1"
+_NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
+_CHECKOUT = Path(__file__).parents[3] / "weights"
+
+
+@dataclass(frozen=True)
+class PublishedWeights:
+    """A published file of weights.
+
+    Attributes:
+        name: The task, for its default weights, or the task, a dash and more.
+        task: What they estimate.
+        file: Name of the file beside the index.
+        sha256: Its checksum, in hexadecimal.
+        bytes: Its size.
+        summary: What they are, on one line.
+    """
+
+    name: str
+    task: str
+    file: str
+    sha256: str
+    bytes: int
+    summary: str
+
+    def __post_init__(self) -> None:
+        check_name(self.name, self.task)
+        require(self.file == self.name + SUFFIX, "file", self.file, self.name + SUFFIX)
+
+
+@dataclass(frozen=True)
+class Index:
+    """What is published in one place.
+
+    Attributes:
+        format: Version of the index.
+        weights: The files, sorted by name.
+    """
+
+    format: str = _FORMAT
+    weights: tuple[PublishedWeights, ...] = ()
+
+    def __post_init__(self) -> None:
+        require(self.format == _FORMAT, "format", self.format, _FORMAT)
+
+
+def check_name(name: str, task: str) -> None:
+    """Check the name of published weights.
+
+    Raises:
+        InputError: If it is neither the task nor begins with it, or has other letters.
+    """
+    is_name = _NAME.fullmatch(name) is not None and f"{name}-".startswith(f"{task}-")
+    allowed = f"{task}, or {task}-NAME of small letters, digits and dashes"
+    require(is_name, "The name of published weights", name, allowed)
+
+
+def weights_folder() -> str:
+    """Folder or URL of published weights: `VRCAPS_WEIGHTS`, or `weights` of the checkout.
+
+    Raises:
+        InputError: If there is neither.
+    """
+    if chosen := os.environ.get(VARIABLE):
+        return chosen.rstrip("/")
+    if (_CHECKOUT / INDEX).is_file():
+        return str(_CHECKOUT)
+    raise InputError(
+        f"There are no published weights: the installed package has none. Set {VARIABLE} to the "
+        "folder 'weights' of a checkout of vrcaps or to its URL, or give a file (--weights FILE)."
+    )
+
+
+def read_index(place: str) -> dict[str, PublishedWeights]:
+    """What is published in a folder or at a URL, by name.
+
+    Raises:
+        InputError: If there is no index, or it is damaged.
+        StorageError: If the place cannot be reached.
+    """
+    at, text = f"{place}/{INDEX}", _read(place, INDEX)
+    try:
+        plain = json.loads(text)
+    except ValueError as error:
+        raise InputError(f"{at} is not JSON: {error}.") from error
+    return {one.name: one for one in from_plain(Index, plain, at=at).weights}
+
+
+def find_weights(given: str, task: str = "") -> Path:
+    """File of weights that a command was given.
+
+    Args:
+        given: A file, or the name of published weights; empty for those of the task.
+        task: The task, where `given` may be empty.
+
+    Raises:
+        InputError: If there are none, or a published file is missing or not the one of the index.
+        UnknownNameError: If nothing of that name is published.
+    """
+    path = Path(given)
+    if given and (path.is_file() or path.suffix == SUFFIX or path.name != given):
+        return path
+    place = weights_folder()
+    index = read_index(place)
+    if not given and task not in index:
+        raise InputError(
+            f"No weights of the task {task!r} are published in {place}. Give --weights FILE; "
+            f"`vrcaps train {task}` makes one."
+        )
+    if (given or task) not in index:
+        raise UnknownNameError("file or published weights", given, index or ("none",))
+    return fetch(place, index[given or task])
+
+
+def fetch(place: str, entry: PublishedWeights) -> Path:
+    """A published file, on this machine, with the checksum of the index.
+
+    Raises:
+        InputError: If it is missing, or is not the one that the index names.
+        StorageError: If the place cannot be reached.
+    """
+    if "://" not in place:
+        path = Path(place) / entry.file
+        if not path.is_file():
+            raise InputError(
+                f"{path} is missing, though {INDEX} beside it names it. Copy the whole folder "
+                "again, or give another file (--weights FILE)."
+            )
+        _check(path, entry)
+        return path
+    path = cache_folder() / "weights" / f"{entry.name}-{entry.sha256[:16]}{SUFFIX}"
+    if not path.is_file() or file_sha256(path) != entry.sha256:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_bytes(path, _read(place, entry.file))
+    _check(path, entry)
+    return path
+
+
+def add_to_index(folder: Path, entry: PublishedWeights) -> None:
+    """Add an entry to the index of a folder, or replace that of the same name.
+
+    Raises:
+        InputError: If the index is damaged.
+    """
+    known = read_index(str(folder)) if (folder / INDEX).is_file() else {}
+    found = {**known, entry.name: entry}
+    index = Index(weights=tuple(found[name] for name in sorted(found)))
+    write_json(folder / INDEX, to_plain(index, Index))
+
+
+def _check(path: Path, entry: PublishedWeights) -> None:
+    actual = file_sha256(path)
+    if actual != entry.sha256:
+        raise InputError(
+            f"{path} has sha256 {actual[:12]}…, but {INDEX} says {entry.sha256[:12]}…. Copy both "
+            "from one place again, or publish the weights again (vrcaps weights publish)."
+        )
+
+
+def _read(place: str, name: str) -> bytes:
+    try:
+        return open_store(place).read(name)
+    except FileNotFoundError as error:
+        raise InputError(f"There is no {name} in {place}, the place of published weights.") from (
+            error
+        )
+    except StorageError as error:
+        reason: Any = error.__cause__ or error
+        raise StorageError(
+            f"Cannot read published weights from {place}: {str(reason).splitlines()[0]}. Set "
+            f"{VARIABLE} to a folder that holds them, or give a file (--weights FILE)."
+        ) from error

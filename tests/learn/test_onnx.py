@@ -1,0 +1,84 @@
+"""ONNX files of every task: what ONNX Runtime makes of them is what PyTorch makes."""
+
+import json
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="PyTorch is not installed")
+runtime = pytest.importorskip("onnxruntime", reason="ONNX Runtime is not installed")
+pytest.importorskip("onnx", reason="its package is not installed")
+pytest.importorskip("segmentation_models_pytorch", reason="its package is not installed")
+
+from vrcaps import cli  # noqa: E402
+from vrcaps.errors import InputError  # noqa: E402
+from vrcaps.learn.classes import ClassLearner  # noqa: E402
+from vrcaps.learn.depth import DepthLearner  # noqa: E402
+from vrcaps.learn.masks import MaskLearner  # noqa: E402
+from vrcaps.learn.onnx import onnx_difference, write_onnx  # noqa: E402
+from vrcaps.learn.registry import LEARNERS  # noqa: E402
+from vrcaps.learn.sfm import SfmLearner  # noqa: E402
+from vrcaps.learn.super_resolution import SuperResolutionLearner  # noqa: E402
+from vrcaps.learn.weights import Trained, write_weights  # noqa: E402
+
+SMALL = "test_resnet"
+"""An encoder that timm has for tests."""
+TINY = {
+    one.kind: one
+    for one in (
+        DepthLearner(size=32, encoder=SMALL),
+        MaskLearner(("polyp", "ulcer"), size=32, encoder=SMALL),
+        ClassLearner(size=32, encoder=SMALL),
+        SuperResolutionLearner(2, size=32, blocks=1, features=8),
+        SfmLearner(size=32, encoder=SMALL),
+    )
+}
+
+
+def _trained(learner):
+    """A new network whose layers all take part."""
+    torch.manual_seed(0)
+    network = learner.network(is_pretrained=False)
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.add_(0.02 * torch.randn_like(parameter))
+    return Trained(learner, network.eval(), {})
+
+
+def test_there_is_a_small_learner_of_every_task():
+    assert set(TINY) == set(LEARNERS)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", TINY)
+def test_onnx_runtime_gives_what_pytorch_gives(task, tmp_path):
+    trained = _trained(TINY[task])
+    path = tmp_path / "network.onnx"
+    write_onnx(path, trained)
+    assert onnx_difference(path, trained) < 1e-4
+    session = runtime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    assert [one.name for one in session.get_inputs()] == list(trained.learner.input_names)
+    said = session.get_modelmeta().custom_metadata_map
+    assert (said["task"], said["output"]) == (task, trained.learner.output_text)
+    assert json.loads(said["learner"])["size"] == 32
+    for count in (1, 5):
+        side = 40 if task == "super-resolution" else 32
+        given = {
+            name: np.random.default_rng(count).random((count, 3, side, 32), dtype=np.float32)
+            for name in trained.learner.input_names
+        }
+        (found,) = session.run(None, given)
+        expected = trained({name: torch.from_numpy(one) for name, one in given.items()})
+        np.testing.assert_allclose(found, expected, atol=1e-4)
+    assert [file.name for file in tmp_path.iterdir()] == ["network.onnx"]
+
+
+@pytest.mark.slow
+def test_command_writes_and_compares(tmp_path, capsys):
+    learner = TINY["super-resolution"]
+    weights = tmp_path / "w.safetensors"
+    write_weights(weights, learner, _trained(learner).network, {})
+    cli.main(["weights", "export", str(weights), "--out", str(tmp_path / "w.onnx")])
+    assert "Its outputs are PyTorch's but for" in capsys.readouterr().out
+    with pytest.raises(InputError, match=r"w\.txt\. Allowed: a name that ends in \.onnx"):
+        cli._parse(["weights", "export", str(weights), "--out", str(tmp_path / "w.txt")]).run()

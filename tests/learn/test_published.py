@@ -1,0 +1,261 @@
+"""Published weights: found by name, checked, with a card that says how to make them again."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+torch = pytest.importorskip("torch", reason="PyTorch is not installed")
+
+from small_frames import small_sequence  # noqa: E402
+from vrcaps import cli  # noqa: E402
+from vrcaps.cli.parts import part_of  # noqa: E402
+from vrcaps.errors import InputError, StorageError, UnknownNameError  # noqa: E402
+from vrcaps.files import file_sha256, files_in  # noqa: E402
+from vrcaps.learn import publish as publishing  # noqa: E402
+from vrcaps.learn.classes import ClassLearner  # noqa: E402
+from vrcaps.learn.depth import DepthLearner  # noqa: E402
+from vrcaps.learn.evaluation import Evaluation, write_evaluation  # noqa: E402
+from vrcaps.learn.masks import MaskLearner  # noqa: E402
+from vrcaps.learn.model_card import train_command  # noqa: E402
+from vrcaps.learn.presets import settings_of  # noqa: E402
+from vrcaps.learn.publish import MOST_BYTES, publish  # noqa: E402
+from vrcaps.learn.published import INDEX, VARIABLE, find_weights, read_index  # noqa: E402
+from vrcaps.learn.samples import samples_of  # noqa: E402
+from vrcaps.learn.sfm import SfmLearner  # noqa: E402
+from vrcaps.learn.super_resolution import SuperResolutionLearner  # noqa: E402
+from vrcaps.learn.training import BEST, Machine, TrainSettings, train  # noqa: E402
+from vrcaps.recording.image_files import write_images  # noqa: E402
+
+TASK = "super-resolution"
+LEARNER = SuperResolutionLearner(2, size=32, blocks=1, features=8)
+OURS = Path(__file__).parents[2] / "weights"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A training of two steps."""
+    out = tmp_path_factory.mktemp("training") / "run"
+    settings = TrainSettings(
+        LEARNER, data=("runs/cohort",), start="scratch", steps=2, batch=2, evaluate_every=2
+    )
+    samples = samples_of(LEARNER, [small_sequence()])
+    train(settings, samples, samples, out, machine=Machine("cpu"))
+    return out
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """A new folder of published weights."""
+    monkeypatch.setenv(VARIABLE, str(tmp_path / "weights"))
+    return tmp_path / "weights"
+
+
+def _evaluated(folder, sha256, psnr=31.25):
+    folder.mkdir()
+    scores = {"psnr": psnr, "ssim": float("nan")}
+    write_evaluation(folder, Evaluation(TASK, sha256, ("runs/cohort",), "test", 7, 1, scores))
+    return folder
+
+
+def test_what_is_published_is_found_by_its_task_and_by_its_name(run, place):
+    publish(run, place, notes="For tests.")
+    publish(run, place, name="super-resolution-mine", notes="For tests.")
+    assert list(read_index(str(place))) == ["super-resolution", "super-resolution-mine"]
+    for given in ("", "super-resolution", "super-resolution-mine"):
+        found = find_weights(given, TASK)
+        assert found == place / f"{given or TASK}.safetensors"
+        assert found.read_bytes() == (run / BEST).read_bytes()
+    assert find_weights(str(run / BEST), TASK) == run / BEST
+
+
+def test_card_says_how_the_weights_were_made_and_what_they_score(run, place, tmp_path):
+    scored = _evaluated(tmp_path / "scored", file_sha256(run / BEST))
+    entry = publish(run, place, evaluations=[scored], notes="# Use\nOnly in tests.")
+    assert entry.summary.endswith("psnr 31.2500 on runs/cohort")
+    card = (place / "super-resolution.md").read_text()
+    settings = json.loads((run / "settings.json").read_text())["settings"]
+    validation = float((run / "progress.csv").read_text().splitlines()[1].split(",")[2])
+    for said in (
+        entry.sha256,
+        f"{settings['frames'][0]} frames of `runs/cohort`",
+        "7 frames of `runs/cohort`, test",
+        f"| psnr | {validation:.4f} | 31.2500 |",
+        "| in | `image` | color from 0 to 1",
+        "factor 2, size 32",
+        "Apache-2.0",
+        "Only in tests.",
+    ):
+        assert said in card
+    again = publish(run, place, license_name="CC-BY-4.0")
+    text = (place / "super-resolution.md").read_text()
+    assert "CC-BY-4.0" in text and text.count("Only in tests.") == 1
+    assert again.sha256 == entry.sha256
+    publish(run, place, notes="Other.")
+    assert "Only in tests." not in (place / "super-resolution.md").read_text()
+
+
+def test_card_holds_the_plan_of_its_data(run, place, tmp_path):
+    plan = {"dataset": {"name": "forty"}, "scenario": {"frames": 80}, "made_with": {"numpy": "2"}}
+    (tmp_path / "cohort").mkdir()
+    (tmp_path / "cohort" / "plan.json").write_text(json.dumps(plan))
+    mine = shutil.copytree(run, tmp_path / "mine")
+    text = (mine / "settings.json").read_text()
+    (mine / "settings.json").write_text(text.replace("runs/cohort", str(tmp_path / "cohort")))
+    publish(mine, place, notes="n")
+    block = (place / "super-resolution.md").read_text().split("```json\n")[1].split("```")[0]
+    assert json.loads(block) == {key: plan[key] for key in ("dataset", "scenario")}
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        TrainSettings(),
+        TrainSettings(DepthLearner(256, has_light_cue=False), ("runs/a b", "c3vd:d"), ("v",)),
+        TrainSettings(MaskLearner(("polyp", "ulcer")), ("a",), start="masks", steps=7, rate=1e-4),
+        TrainSettings(ClassLearner(("normal", "bleeding")), ("a",), start="scratch", seed=3),
+        TrainSettings(SfmLearner(step=2), ("a",), fraction=0.1, weight_decay=0.0),
+        TrainSettings(replace(LEARNER, validation_size=64), ("a",), batch=3),
+    ],
+    ids=lambda settings: settings.learner.kind,
+)
+def test_command_of_a_card_gives_its_settings(settings):
+    import shlex
+
+    settings = replace(settings, data=settings.data or ("runs/cohort",))
+    command = cli._parse(shlex.split(train_command(settings, "out"))[1:])
+    found = settings_of(
+        part_of(command),
+        command.preset,
+        command.data,
+        command.start,
+        command.set,
+        validation=command.validation,
+    )
+    assert found == settings
+
+
+def test_command_predicts_with_published_weights(run, place, tmp_path, capsys):
+    publish(run, place, notes="For tests.")
+    image = small_sequence().image("rgb", 1)
+    (tmp_path / "photos").mkdir()
+    write_images([(tmp_path / "photos" / "one.png", image)])
+    out = tmp_path / "large"
+    cli.main(["predict", TASK, "--images", f"images:{tmp_path / 'photos'}", "--out", str(out)])
+    assert any(path.suffix == ".png" and path.name != "sheet.png" for path in files_in(out))
+    cli.main(["weights", "list"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert TASK in said and "Images of twice or four times the side" in said
+
+
+def test_training_begins_with_published_weights(run, place):
+    publish(run, place, notes="For tests.")
+    from vrcaps.learn.training import _first_network
+    from vrcaps.learn.weights import read_weights
+
+    first = _first_network(TrainSettings(LEARNER, start=TASK)).state_dict()
+    expected = read_weights(run / BEST).network.state_dict()
+    assert all(torch.equal(first[name], expected[name]) for name in expected)
+
+
+def test_weights_at_a_url_are_kept_in_the_cache(run, place, tmp_path, monkeypatch):
+    fsspec = pytest.importorskip("fsspec")
+    publish(run, place, notes="For tests.")
+    memory = fsspec.filesystem("memory")
+    for path in files_in(place):
+        memory.pipe(f"/published/{path.name}", path.read_bytes())
+    monkeypatch.setenv(VARIABLE, "memory://published/")
+    monkeypatch.setenv("VRCAPS_CACHE", str(tmp_path / "cache"))
+    found = find_weights("", TASK)
+    assert found.is_relative_to(tmp_path / "cache")
+    assert found.read_bytes() == (run / BEST).read_bytes()
+    found.write_bytes(b"cut")
+    assert find_weights("", TASK).read_bytes() == (run / BEST).read_bytes()
+    memory.rm("/published/super-resolution.safetensors")
+    assert find_weights("", TASK) == found
+    found.unlink()
+    with pytest.raises(InputError, match=r"no super-resolution\.safetensors in memory://published"):
+        find_weights("", TASK)
+    with pytest.raises(InputError, match=r"is no folder of this machine\. Give one: --out"):
+        cli._parse(["weights", "publish", str(run)]).run()
+
+
+def test_a_place_that_cannot_be_reached_is_one_line(monkeypatch):
+    fsspec = pytest.importorskip("fsspec")
+
+    def fail(self, path, **more):
+        raise ConnectionError("No route to host")
+
+    monkeypatch.setattr(fsspec.get_filesystem_class("memory"), "cat_file", fail)
+    monkeypatch.setenv(VARIABLE, "memory://published")
+    with pytest.raises(StorageError, match=r"from memory://published: No route to host\. Set VRCA"):
+        find_weights("", TASK)
+
+
+def test_what_is_not_published_is_one_clear_line(run, place, monkeypatch):
+    with pytest.raises(InputError, match=r"There is no index\.json in .*weights"):
+        find_weights("", TASK)
+    publish(run, place, notes="For tests.")
+    with pytest.raises(InputError, match=r"No weights of the task 'depth' are published in"):
+        find_weights("", "depth")
+    with pytest.raises(UnknownNameError, match="No file or published weights named 'super'"):
+        find_weights("super", TASK)
+    path = place / "super-resolution.safetensors"
+    path.write_bytes(path.read_bytes()[:-1])
+    with pytest.raises(InputError, match=r"has sha256 .*, but index\.json says"):
+        find_weights("", TASK)
+    path.unlink()
+    with pytest.raises(InputError, match="is missing, though index"):
+        find_weights("", TASK)
+    (place / INDEX).write_text("{")
+    with pytest.raises(InputError, match="is not JSON"):
+        find_weights("", TASK)
+    (place / INDEX).write_text('{"format": "other/1", "weights": []}')
+    with pytest.raises(InputError, match=r"format is other/1\. Allowed: vrcaps-published/1"):
+        find_weights("", TASK)
+    monkeypatch.delenv(VARIABLE)
+    monkeypatch.setattr("vrcaps.learn.published._CHECKOUT", place / "none")
+    with pytest.raises(InputError, match=r"the installed package has none\. Set VRCAPS_WEIGHTS"):
+        find_weights("", TASK)
+
+
+def test_what_cannot_be_published_is_one_clear_line(run, place, tmp_path, monkeypatch):
+    with pytest.raises(InputError, match=r"has no notes\. Give --notes FILE"):
+        publish(run, place)
+    with pytest.raises(InputError, match=r"weights is depth\. Allowed: super-resolution, or"):
+        publish(run, place, name="depth", notes="n")
+    with pytest.raises(InputError, match=r"holds no best\.safetensors"):
+        publish(tmp_path, place, notes="n")
+    scored = _evaluated(tmp_path / "scored", "0" * 64)
+    with pytest.raises(InputError, match=r"is of weights with sha256 000000000000…, not of these"):
+        publish(run, place, notes="n", evaluations=[scored])
+    with pytest.raises(InputError, match=r"holds no evaluation\.json"):
+        publish(run, place, notes="n", evaluations=[tmp_path])
+    (scored / "evaluation.json").write_text('{"scores": {}}')
+    with pytest.raises(InputError, match=r"evaluation file .* is damaged"):
+        publish(run, place, notes="n", evaluations=[scored])
+    broken = shutil.copytree(run, tmp_path / "broken")
+    (broken / "progress.csv").write_text("step\n")
+    with pytest.raises(InputError, match="holds a damaged training"):
+        publish(broken, place, notes="n")
+    (broken / "progress.csv").unlink()
+    with pytest.raises(InputError, match=r"Cannot read .*progress\.csv"):
+        publish(broken, place, notes="n")
+    monkeypatch.setattr(publishing, "MOST_BYTES", 10)
+    with pytest.raises(InputError, match="Allowed: up to 10; train a smaller encoder"):
+        publish(run, place, notes="n")
+    assert not place.exists()
+
+
+def test_our_published_weights_are_whole_and_have_cards():
+    for entry in read_index(str(OURS)).values():
+        path = OURS / entry.file
+        assert (file_sha256(path), path.stat().st_size) == (entry.sha256, entry.bytes)
+        assert entry.bytes <= MOST_BYTES
+        assert entry.sha256 in (OURS / f"{entry.name}.md").read_text("utf-8")
+    named = {path.name for path in OURS.iterdir()} - {INDEX}
+    assert named == {
+        f"{name}{end}" for name in read_index(str(OURS)) for end in (".md", ".safetensors")
+    }

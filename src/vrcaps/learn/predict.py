@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -99,13 +100,19 @@ def predict(
     if not rows:
         raise InputError(f"No image can be read: {next(iter(skipped.values()), 'there is none')}")
     if isinstance(trained.learner, SfmLearner):
-        for sequence in sequences:
-            kept = [k for one, k in read if one is sequence]
-            if not kept:
-                continue
-            text = trajectory_text(estimated_trajectory(trained, sequence, kept))
-            write_bytes(out / sequence.name / "trajectory.txt", text.encode())
+        _write_trajectories(trained, read, out)
     if len(rows[0]) > 1:
         write_csv(out / f"{trained.learner.kind}.csv", rows)
     write_images([(out / "sheet.png", below_one_another(pictures))])
     return skipped
+
+
+def _write_trajectories(
+    trained: Trained, frames: list[tuple[FrameSequence, int]], out: Path
+) -> None:
+    """Write the estimated trajectory of each sequence, over these of its frames."""
+    for _, group in groupby(frames, key=lambda frame: id(frame[0])):
+        found = list(group)
+        sequence = found[0][0]
+        trajectory = estimated_trajectory(trained, sequence, [index for _, index in found])
+        write_bytes(out / sequence.name / "trajectory.txt", trajectory_text(trajectory).encode())

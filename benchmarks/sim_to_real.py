@@ -56,7 +56,7 @@ def parsed() -> argparse.Namespace:
     add("--real", type=Path, help="folder with folders of real data")
     names = ", ".join(LAYOUTS)
     add("--layout", action="append", default=[], help=f"NAME=FOLDER, NAME one of {names}")
-    add("--ours", help="data set of `vrcaps dataset make`, a folder or a URL")
+    add("--ours", action="append", default=[], help="folder or URL of a data set; repeat for more")
     add("--weights", type=Path, help="folder of weights learned on ours: TASK-scratch.safetensors")
     add("--preset", choices=tuple(PRESETS), default="quick", help="how long networks learn")
     add("--tasks", nargs="*", default=[*TASKS, DEPTH], help="default: all that there is data for")
@@ -91,7 +91,7 @@ def run(given: argparse.Namespace, rows: RowFile) -> None:
     setup = Setup(
         found_layouts(given.real, given.layout),
         given.run,
-        given.ours,
+        tuple(given.ours),
         given.weights,
         given.preset,
         given.device,
@@ -151,7 +151,7 @@ def is_possible(setup: Setup, arm: str) -> bool:
     if arm.endswith("unitycam"):
         return "unitycam" in setup.real
     is_ours = arm.endswith("ours") or arm == "mean"
-    return not is_ours or setup.ours is not None or (setup.weights is not None and arm != "mean")
+    return not is_ours or bool(setup.ours) or (setup.weights is not None and arm != "mean")
 
 
 def made_rows(setup: Setup, cells: Sequence[Cell], workers: int) -> Iterator[Row]:

@@ -1,9 +1,7 @@
-"""Our images, of a data set of `vrcaps dataset make`: with classes, with masks, or as they are."""
+"""Our images, of data sets of `vrcaps dataset make`: with classes, with masks, or as they are."""
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -11,6 +9,7 @@ from functools import cache
 import numpy as np
 
 import vrcaps.data
+from transfer_cells import digest_of
 from transfer_pictures import Pictures, disc_only
 from transfer_real import small_image, small_map
 from vrcaps import rng
@@ -18,6 +17,8 @@ from vrcaps.errors import InputError
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.recording.shown_lesion import lesion_instances, shown_lesion
 
+Urls = tuple[str, ...]
+"""Folders or URLs of data sets."""
 MIN_FRACTION = 0.005
 """Part of an image that a lesion must take to give the image its class."""
 _MOST_OF_RAREST = 3
@@ -51,21 +52,23 @@ class OurFrame:
 
 
 @cache
-def data_digest(url: str) -> str:
-    """Twelve digits that name a data set's bytes: its plan, versions and whole recordings.
+def data_digest(urls: Urls) -> str:
+    """Twelve digits that name the bytes of data sets: plans, versions and whole recordings.
 
     Raises:
         InputError: If there is no data set, or it is empty.
     """
-    dataset = vrcaps.data.open(url)
-    if not len(dataset):
-        raise InputError(f"The data set {url} has no whole recording.")
-    names = [member.name for member in dataset]
-    return hashlib.sha256(json.dumps([dataset.plan, names]).encode()).hexdigest()[:12]
+    known = []
+    for url in urls:
+        dataset = vrcaps.data.open(url)
+        if not len(dataset):
+            raise InputError(f"The data set {url} has no whole recording.")
+        known.append([dataset.plan, [member.name for member in dataset]])
+    return digest_of(known)
 
 
 @cache
-def our_frames(url: str, size: int) -> tuple[OurFrame, ...]:
+def our_frames(urls: Urls, size: int) -> tuple[OurFrame, ...]:
     """Images of training and validation patients, at the size of a network.
 
     Raises:
@@ -73,8 +76,8 @@ def our_frames(url: str, size: int) -> tuple[OurFrame, ...]:
     """
     return tuple(
         frame
-        for split in ("train", "val")
-        for sequence in vrcaps.data.open(url).sequences(split)
+        for part in our_sequences(urls)
+        for sequence in part
         for frame in _frames(sequence, size)
     )
 
@@ -102,12 +105,12 @@ def _frames(sequence: FrameSequence, size: int) -> Iterator[OurFrame]:
 
 
 def our_classes(
-    url: str, classes: Sequence[str], size: int, *, has_overlays: bool
+    urls: Urls, classes: Sequence[str], size: int, *, has_overlays: bool
 ) -> tuple[Pictures, Pictures]:
     """Images with classes for training and for validation, in discs as the real ones.
 
     Args:
-        url: Of the data set.
+        urls: Of the data sets.
         classes: Kinds of lesions, or `normal` for images without any; others are left out.
         size: Longest side [px].
         has_overlays: Whether the places where recorders print are black.
@@ -125,10 +128,10 @@ def our_classes(
         images = [disc_only(frames[k].image, has_overlays=has_overlays) for k in chosen]
         return Pictures("ours", images, [str(shown[k]) for k in chosen])
 
-    return _by_split(url, size, pictures, " or of ".join(classes))
+    return _by_split(urls, size, pictures, " or of ".join(classes))
 
 
-def our_masks(url: str, kinds: Sequence[str], size: int) -> tuple[Pictures, Pictures]:
+def our_masks(urls: Urls, kinds: Sequence[str], size: int) -> tuple[Pictures, Pictures]:
     """Images with masks of lesions of some kinds, and some without, to learn and to validate.
 
     Raises:
@@ -144,24 +147,29 @@ def our_masks(url: str, kinds: Sequence[str], size: int) -> tuple[Pictures, Pict
         chosen = np.sort(np.concatenate([shown, negatives]))
         return Pictures("ours", [frames[k].image for k in chosen], masks=[masks[k] for k in chosen])
 
-    return _by_split(url, size, pictures, " or of ".join(kinds))
+    return _by_split(urls, size, pictures, " or of ".join(kinds))
 
 
 def _by_split(
-    url: str, size: int, pictures: Callable[[Sequence[OurFrame]], Pictures], wanted: str
+    urls: Urls, size: int, pictures: Callable[[Sequence[OurFrame]], Pictures], wanted: str
 ) -> tuple[Pictures, Pictures]:
     """Pictures of training and of validation; of a small data set both are of training."""
-    frames = our_frames(url, size)
+    frames = our_frames(urls, size)
     train = pictures([frame for frame in frames if not frame.is_validation])
     if not len(train):
-        raise InputError(f"{url} has no image of {wanted} to learn from.")
+        raise InputError(f"{' and '.join(urls)}: no image of {wanted} to learn from.")
     return train, pictures([frame for frame in frames if frame.is_validation]) or train
 
 
-def our_sequences(url: str) -> tuple[Sequence[FrameSequence], Sequence[FrameSequence]]:
+@cache
+def our_sequences(urls: Urls) -> tuple[Sequence[FrameSequence], Sequence[FrameSequence]]:
     """Sequences of training and of validation patients, at full size."""
-    dataset = vrcaps.data.open(url)
-    return dataset.sequences("train"), dataset.sequences("val")
+    datasets = [vrcaps.data.open(url) for url in urls]
+    train, validation = (
+        [sequence for dataset in datasets for sequence in dataset.sequences(split)]
+        for split in ("train", "val")
+    )
+    return train, validation
 
 
 def evenly(sequences: Sequence[FrameSequence], most: int) -> list[tuple[FrameSequence, int]]:

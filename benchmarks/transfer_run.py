@@ -20,7 +20,7 @@ from transfer_depth import (
     read_c3vd,
     read_sinus,
 )
-from transfer_ours import data_digest, evenly, our_classes, our_masks, our_sequences
+from transfer_ours import Urls, data_digest, evenly, our_classes, our_masks, our_sequences
 from transfer_pictures import Pictures
 from transfer_real import middle
 from transfer_tasks import DEPTH, PRESETS, TASKS, Effort, Task
@@ -62,7 +62,7 @@ class Setup:
     Attributes:
         real: Folders of real data by layout.
         out: Folder of its files.
-        ours: Folder or URL of our data set; None leaves the arms out that need it.
+        ours: Folders or URLs of our data sets; without any, arms that need them are left out.
         weights: Folder of weights that were learned on ours; None learns them here.
         preset: Name of the preset.
         device: Where networks learn.
@@ -71,7 +71,7 @@ class Setup:
 
     real: Mapping[str, Path]
     out: Path
-    ours: str | None = None
+    ours: Urls = ()
     weights: Path | None = None
     preset: str = "quick"
     device: str = "cpu"
@@ -85,16 +85,16 @@ class Setup:
         """Real images of a task."""
         return task.read(self.real[task.layout], self.effort(task))
 
-    def ours_of(self, cell: Cell) -> str:
-        """Our data set that a cell's weights were learned on.
+    def ours_of(self, cell: Cell) -> Urls:
+        """Our data sets that a cell's weights were learned on.
 
         Raises:
             InputError: If none was given.
         """
-        url = (self.variants or {}).get(cell.variant) if cell.variant else self.ours
-        if url is None:
+        urls = ((self.variants or {})[cell.variant],) if cell.variant else self.ours
+        if not urls:
             raise InputError("There are no images of ours. Give --ours URL.")
-        return url
+        return urls
 
 
 def task_of(cell: Cell) -> Task:
@@ -270,15 +270,15 @@ def _first_samples(setup: Setup, cell: Cell, settings: TrainSettings) -> tuple[S
             sequences = [_large(evenly(sequences, _MOST_LARGE), 4 * learner.size).sequence()]
         samples = samples_of(learner, sequences)
         return samples, samples
-    url = setup.ours_of(cell)
+    urls = setup.ours_of(cell)
     if task.kind == "classes":
-        parts = our_classes(url, task.kinds, learner.size, has_overlays=task.has_overlays)
+        parts = our_classes(urls, task.kinds, learner.size, has_overlays=task.has_overlays)
     elif task.kind == "masks":
-        parts = our_masks(url, task.kinds, learner.size)
+        parts = our_masks(urls, task.kinds, learner.size)
     else:
         many = _MOST_DEPTH if task.kind == DEPTH else _MOST_LARGE
         chosen = [
-            evenly(part, most) for part, most in zip(our_sequences(url), (many, 100), strict=True)
+            evenly(part, most) for part, most in zip(our_sequences(urls), (many, 100), strict=True)
         ]
         if task.kind == DEPTH:
             return Samples(learner, chosen[0]), Samples(learner, chosen[1] or chosen[0])

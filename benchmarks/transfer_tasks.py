@@ -54,9 +54,9 @@ class Effort:
 
 PRESETS: Mapping[str, Mapping[str, Effort]] = {
     "quick": {
-        "classes": Effort(size=96, steps=120, first_steps=500, batch=8),
-        "masks": Effort(size=64, steps=120, first_steps=600, batch=8),
-        "super-resolution": Effort(size=96, steps=150, first_steps=600, batch=8),
+        "classes": Effort(size=96, steps=100, first_steps=300, batch=8),
+        "masks": Effort(size=64, steps=100, first_steps=400, batch=8),
+        "super-resolution": Effort(size=96, steps=100, first_steps=400, batch=8),
         "depth": Effort(size=96, steps=0, first_steps=300, batch=8),
     },
     "full": {

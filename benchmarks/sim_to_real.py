@@ -32,9 +32,12 @@ from transfer_real import LAYOUTS, found_layouts
 from transfer_run import (
     DEPTH,
     DEPTH_ARMS,
+    DEPTH_TASK,
+    ONE_NETWORK,
     WITHOUT_LEARNING,
     Setup,
     first_weights,
+    is_possible,
     lacks,
     made_of,
     run_cell,
@@ -57,7 +60,8 @@ def parsed() -> argparse.Namespace:
     names = ", ".join(LAYOUTS)
     add("--layout", action="append", default=[], help=f"NAME=FOLDER, NAME one of {names}")
     add("--ours", action="append", default=[], help="folder or URL of a data set; repeat for more")
-    add("--weights", type=Path, help="folder of weights learned on ours: TASK-scratch.safetensors")
+    words = "folder of weights learned on ours: TASK-scratch.safetensors, TASK-imagenet.safetensors"
+    add("--weights", type=Path, help=f"{words}; depth.safetensors is judged as it is")
     add("--preset", choices=tuple(PRESETS), default="quick", help="how long networks learn")
     add("--tasks", nargs="*", default=[*TASKS, DEPTH], help="default: all that there is data for")
     add("--fractions", nargs="*", type=float, default=FRACTIONS, help="of the real images")
@@ -126,7 +130,7 @@ def main_cells(given: argparse.Namespace, setup: Setup) -> list[Cell]:
             Cell(DEPTH, arm, 0.0, seed)
             for seed in range(given.seeds)
             for arm in DEPTH_ARMS
-            if is_possible(setup, arm) and (seed == 0 or arm not in WITHOUT_LEARNING)
+            if is_possible(setup, DEPTH_TASK, arm) and (seed == 0 or arm not in ONE_NETWORK)
         ]
         # Two networks of each kind tell much, more tell how they vary.
         place = next((k for k, cell in enumerate(cells) if cell.fraction == 0.0), len(cells))
@@ -139,19 +143,11 @@ def main_cells(given: argparse.Namespace, setup: Setup) -> list[Cell]:
 
 def possible_arms(setup: Setup, task: Task) -> list[str]:
     """Arms of a task that there are images for; says what our data set lacks."""
-    arms = [arm for arm in task.arms if is_possible(setup, arm)]
+    arms = [arm for arm in task.arms if is_possible(setup, task, arm)]
     reason = lacks(setup, task) if "ours" in arms else ""
     if reason:
         print(f"{task.name} goes without ours: {reason}")
     return [arm for arm in arms if not (reason and arm.endswith("ours"))]
-
-
-def is_possible(setup: Setup, arm: str) -> bool:
-    """Whether there are images for an arm."""
-    if arm.endswith("unitycam"):
-        return "unitycam" in setup.real
-    is_ours = arm.endswith("ours") or arm == "mean"
-    return not is_ours or bool(setup.ours) or (setup.weights is not None and arm != "mean")
 
 
 def made_rows(setup: Setup, cells: Sequence[Cell], workers: int) -> Iterator[Row]:

@@ -25,6 +25,7 @@ ARM_TITLES = {
     "imagenet+ours": "ImageNet + ours",
     "unitycam": "UnityCam",
     "imagenet+unitycam": "ImageNet + UnityCam",
+    "published": "ours, published weights",
     "constant": "one depth everywhere",
     "mean": "mean of our depth maps",
     "light": "brightness alone",

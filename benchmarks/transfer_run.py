@@ -47,7 +47,10 @@ from vrcaps.torch_threads import exact_torch
 
 DEPTH_TASK = Task(DEPTH, DEPTH, "c3vd", (), "Depth without any real frame", "AbsRel")
 WITHOUT_LEARNING = ("constant", "mean", "light")
-DEPTH_ARMS = (*WITHOUT_LEARNING, "ours", "imagenet+ours", "unitycam", "imagenet+unitycam")
+PUBLISHED = "published"
+"""Weights of vrcaps as they are: `depth.safetensors` of the folder of weights."""
+ONE_NETWORK = (*WITHOUT_LEARNING, PUBLISHED)
+DEPTH_ARMS = (*ONE_NETWORK, "ours", "imagenet+ours", "unitycam", "imagenet+unitycam")
 DEPTH_READERS = {"c3vd": read_c3vd, "sinus": read_sinus}
 _MOST_LARGE, _MOST_DEPTH = 400, 2000
 """Most of our frames that super-resolution and depth learn from, evenly spread."""
@@ -115,7 +118,7 @@ def made_of(setup: Setup, cell: Cell) -> dict[str, str]:
         real = [setup.pictures(task).digest]
     learner = to_plain(_settings(setup, cell, 1), TrainSettings)["learner"]
     basis = [learner, to_plain(setup.effort(task), Effort), real]
-    given = _given_weights(setup, cell)
+    given = given_weights(setup, cell)
     first = ""
     if given is not None:
         first = file_sha256(given)[:12]
@@ -209,7 +212,7 @@ def first_weights(setup: Setup, cell: Cell) -> str:
     """
     if cell.arm in (SCRATCH, IMAGENET):
         return cell.arm
-    given = _given_weights(setup, cell)
+    given = given_weights(setup, cell)
     if given is not None:
         return str(given)
     task = task_of(cell)
@@ -239,13 +242,27 @@ def _first_start(cell: Cell) -> str:
     return IMAGENET if cell.arm.startswith(f"{IMAGENET}+") else SCRATCH
 
 
-def _given_weights(setup: Setup, cell: Cell) -> Path | None:
+def given_weights(setup: Setup, cell: Cell) -> Path | None:
     """File of weights that were learned on ours elsewhere, if there is one."""
-    if setup.weights is None or not cell.arm.endswith("ours") or cell.variant:
+    if setup.weights is None or cell.variant:
         return None
     task = task_of(cell)
-    names = (f"{prefix}-{_first_start(cell)}.safetensors" for prefix in (task.name, task.kind))
+    names: tuple[str, ...] = ()
+    if cell.arm == PUBLISHED:
+        names = (f"{task.kind}.safetensors",)
+    elif cell.arm.endswith("ours"):
+        names = tuple(f"{one}-{_first_start(cell)}.safetensors" for one in (task.name, task.kind))
     return next((path for name in names if (path := setup.weights / name).is_file()), None)
+
+
+def is_possible(setup: Setup, task: Task, arm: str) -> bool:
+    """Whether there are images or weights for an arm."""
+    if arm.endswith("unitycam"):
+        return "unitycam" in setup.real
+    is_given = given_weights(setup, Cell(task.name, arm, 0.0, 0)) is not None
+    if arm == PUBLISHED:
+        return is_given
+    return is_given or bool(setup.ours) or not (arm.endswith("ours") or arm == "mean")
 
 
 def lacks(setup: Setup, task: Task) -> str:
@@ -254,7 +271,7 @@ def lacks(setup: Setup, task: Task) -> str:
     if task.kind not in ("classes", "masks"):
         return ""
     try:
-        if _given_weights(setup, cell) is None:
+        if given_weights(setup, cell) is None:
             _first_samples(setup, cell, _settings(setup, cell, 1))
     except InputError as error:
         return str(error)

@@ -13,25 +13,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.cockpit.cockpit import make_gate, require_viser, serving
+from vrcaps.cockpit.episode_charts import EpisodeCharts
+from vrcaps.cockpit.episode_scene import EPISODE_COLORS, ESTIMATE_COLOR, EpisodeScene
 from vrcaps.cockpit.gate import Gate
-from vrcaps.cockpit.organ_colors import COLORINGS
-from vrcaps.cockpit.page_mesh import coarse_mesh
-from vrcaps.cockpit.scene_nodes import OrganNode, add_capsule, add_path, aim, move
+from vrcaps.cockpit.path_estimate import ALIGNMENTS, PathEstimate, read_path_estimate
 from vrcaps.errors import InputError
-from vrcaps.motion.replay import read_tum
-from vrcaps.organ.read_organ import read_organ
 from vrcaps.recording.episode import Episode, read_episode
-from vrcaps.recording.pictures import limits_of, picture
-from vrcaps.transforms import transform_points
+from vrcaps.recording.pictures import legend, limits_of, picture
+from vrcaps.units import MM
 
 if TYPE_CHECKING:
     import viser
 
 MOST_EPISODES = 2
-_COLORS = ((255, 190, 40), (80, 200, 255))
-_ESTIMATE_COLOR = (255, 90, 160)
 _SIDE_WIDTH = 400.0
 _SECONDS_PER_UPDATE = 1.0 / 30.0
+_SECONDS_PER_MARK = 0.25
+"""Real time between marks of the frame in the charts."""
 
 
 @dataclass(frozen=True)
@@ -42,13 +40,11 @@ class _Shown:
         episode: The episode.
         image: Element of its image.
         caption: Element of the line below.
-        capsule: Node of its capsule.
     """
 
     episode: Episode
     image: Any
     caption: Any
-    capsule: Any
 
 
 class EpisodePage:
@@ -58,38 +54,39 @@ class EpisodePage:
         self,
         server: viser.ViserServer,
         episodes: Sequence[Episode],
-        estimate: np.ndarray | None = None,
+        estimate: PathEstimate | None = None,
     ) -> None:
         """Fills the page.
 
         Args:
             server: Of the page.
             episodes: One or two; the organ is that of the first.
-            estimate: Places [n 3] of an estimated path in the world of the first [m].
+            estimate: An estimated path of the first's capsule.
         """
         self._server, self._is_closed = server, False
-        first = episodes[0]
-        self._times = first.times
-        gui = server.gui
-        self._frame = gui.add_slider("Frame", 0, max(len(first) - 1, 1), 1, 0)
+        self._given, self._estimate = estimate, estimate
+        self._times, gui = episodes[0].times, server.gui
+        self._frame = gui.add_slider("Frame", 0, max(len(self._times) - 1, 1), 1, 0)
         self._play = gui.add_button("Play")
         self._speed = gui.add_slider("Times real time", 0.1, 8.0, 0.1, 1.0)
-        self._channel = gui.add_dropdown("Channel", tuple(map(str, first.channels)))
-        names = tuple(camera.name for camera in first.cameras)
+        self._channel = gui.add_dropdown("Channel", _all(e.channels for e in episodes))
+        names = _all([camera.name for camera in e.cameras] for e in episodes)
         self._camera = gui.add_dropdown("Camera", names)
-        self._opacity = gui.add_slider("Opacity", 0.1, 1.0, 0.05, 0.35)
-        self._is_cut = gui.add_checkbox("Cut open", False)
-        self._legend = gui.add_markdown("")
-        panel = server.gui.add_panel()
+        self._align: Any = None
+        if estimate is not None:
+            self._align = gui.add_dropdown("Align the estimate", tuple(ALIGNMENTS))
+            self._error = gui.add_markdown("")
+        panel = gui.add_panel()
         with panel.add_tab("Images"):
             self._shown = [self._add(k, episode) for k, episode in enumerate(episodes)]
+        with panel.add_tab("Charts"):
+            self._charts = EpisodeCharts(gui, episodes, [_hex(c) for c in EPISODE_COLORS])
         panel.dock_right()
         panel.set_width(_SIDE_WIDTH)
-        self._organ, self._points = self._add_organ(first)
-        if estimate is not None:
-            add_path(server.scene, "/estimate", estimate, _ESTIMATE_COLOR)
+        self._scene = EpisodeScene(server, episodes)
         self._began: tuple[float, float] | None = None
         self._drawn: tuple[object, ...] = ()
+        self._marked = (-1, 0.0)
         self._play.on_click(lambda event: self._toggle())
         self._thread = threading.Thread(target=self._run, name="vrcaps-view", daemon=True)
 
@@ -104,31 +101,12 @@ class EpisodePage:
             self._thread.join()
 
     def _add(self, number: int, episode: Episode) -> _Shown:
-        """Image, path and capsule of an episode."""
-        gui, scene, color = self._server.gui, self._server.scene, _COLORS[number]
+        """Image and caption of an episode."""
+        gui, color = self._server.gui, EPISODE_COLORS[number]
         gui.add_markdown(f'<span style="color:rgb{color}">&#9632;</span> **{episode.name}**')
         camera = episode.cameras[0]
         blank = np.zeros((camera.height, camera.width, 3), np.uint8)
-        image, caption = gui.add_image(blank, format="jpeg"), gui.add_markdown("")
-        device = episode.head["capsule"]
-        node = add_capsule(
-            scene, f"/capsule-{number}", device["length_m"], device["radius_m"], color
-        )
-        places = episode.Ts_world_capsule[:, :3, 3]
-        if len(places) >= 2:
-            add_path(scene, f"/path-{number}", places, color)
-        return _Shown(episode, image, caption, node)
-
-    def _add_organ(self, episode: Episode) -> tuple[OrganNode, np.ndarray]:
-        organ = read_organ(episode.organ_path)
-        T_world_patient = np.array(episode.head["T_world_patient"])
-        points = transform_points(T_world_patient, organ.vertices)
-        mesh = coarse_mesh(points, organ.faces)
-        self._coloring = COLORINGS["segment"](organ, mesh, None)
-        low, high = points.min(axis=0), points.max(axis=0)
-        aim(self._server, low, high, low[2])
-        self._legend.content = self._coloring.legend()
-        return OrganNode(self._server.scene, mesh), points
+        return _Shown(episode, gui.add_image(blank, format="jpeg"), gui.add_markdown(""))
 
     def _toggle(self) -> None:
         """Plays from the frame that is shown, or stops."""
@@ -143,18 +121,20 @@ class EpisodePage:
 
     def _run(self) -> None:
         """The thread that shows the frame of the slider, and moves it while playing."""
+        align: str | None = None
         while not self._is_closed:
             wall_clock.sleep(_SECONDS_PER_UPDATE)
             if self._began is not None:
                 self._advance(*self._began)
+            if self._align is not None and self._align.value != align:
+                align = str(self._align.value)
+                self._show_estimate(ALIGNMENTS[align])
+                self._drawn = ()
             wanted = (self._frame.value, self._channel.value, self._camera.value)
-            scene = (self._opacity.value, self._is_cut.value)
-            if scene != self._drawn[3:]:
-                self._organ.set_opacity(self._opacity.value)
-                self._organ.draw(self._points, self._coloring, is_cut=self._is_cut.value)
-            if wanted != self._drawn[:3]:
+            if self._scene.draw_organ() or wanted != self._drawn:
                 self._show(int(self._frame.value))
-            self._drawn = (*wanted, *scene)
+                self._drawn = wanted
+            self._mark(int(self._frame.value))
 
     def _advance(self, began: float, first: float) -> None:
         """Moves the slider to the frame whose time it is; stops at the end."""
@@ -164,23 +144,65 @@ class EpisodePage:
         if frame >= len(self._times) - 1:
             self._toggle()
 
+    def _mark(self, frame: int) -> None:
+        """Marks the frame in the charts, a few times a second."""
+        marked, at = self._marked
+        now = wall_clock.perf_counter()
+        frame = min(frame, len(self._times) - 1)
+        if frame != marked and now - at > _SECONDS_PER_MARK:
+            self._marked = (frame, now)
+            self._charts.mark(frame)
+
+    def _show_estimate(self, align: Any) -> None:
+        """Draws the estimate after an alignment; as it was given if that is not possible."""
+        assert self._given is not None
+        try:
+            self._estimate, told = self._given.aligned(align), ""
+        except InputError as error:
+            self._estimate, told = self._given, f"{error} It is shown as given. "
+        errors = self._estimate.errors / MM
+        rmse, most = float(np.sqrt(np.mean(errors**2))), float(errors.max())
+        spot = f'<span style="color:rgb{ESTIMATE_COLOR}">&#9632;</span>'
+        self._error.content = (
+            f"{spot} {told}estimate: RMSE **{rmse:.2f} mm**, at most {most:.2f} mm, over "
+            f"{len(errors)} of {len(self._times)} frames"
+        )
+        self._scene.show_estimate(self._estimate)
+        self._charts.show_error(self._estimate, _hex(ESTIMATE_COLOR))
+        self._marked = (-1, 0.0)
+
     def _show(self, frame: int) -> None:
         """Shows a frame of the first episode, and of the other that at the same time."""
         time = float(self._times[min(frame, len(self._times) - 1)])
-        for shown in self._shown:
-            episode = shown.episode
-            index = int(np.argmin(np.abs(episode.times - time)))
-            move(shown.capsule, episode.Ts_world_capsule[index])
-            shown.caption.content = f"{episode.times[index]:.2f} s · frame {index}"
-            camera = self._camera.value
-            if camera not in [known.name for known in episode.cameras]:
-                camera = episode.cameras[0].name
-            channel = self._channel.value
-            if channel not in episode.channels:
-                shown.caption.content += f" · {channel} was not recorded"
-                continue
-            values = episode.image(camera, channel, index)
-            shown.image.image = picture(channel, values, limits_of(channel, [values]))
+        indices = [int(np.argmin(np.abs(s.episode.times - time))) for s in self._shown]
+        self._scene.show(indices)
+        for shown, index in zip(self._shown, indices, strict=True):
+            caption = f"{shown.episode.times[index]:.2f} s · frame {index}"
+            shown.caption.content = caption + self._show_image(shown, index)
+
+    def _show_image(self, shown: _Shown, index: int) -> str:
+        """Shows an episode's image; what there is to say of it, after its time."""
+        episode, channel = shown.episode, self._channel.value
+        camera = self._camera.value
+        if camera not in [known.name for known in episode.cameras]:
+            camera = episode.cameras[0].name
+        if channel not in episode.channels:
+            return f" · {channel} was not recorded"
+        values = episode.image(camera, channel, index)
+        limits = limits_of(channel, [values])
+        shown.image.image = picture(channel, values, limits)
+        said = legend(channel, [values], limits, episode.label_names)
+        return f" · {channel}{said}" if said else ""
+
+
+def _all(names: Any) -> tuple[str, ...]:
+    """Names that any of some lists has, in their order."""
+    return tuple(dict.fromkeys(str(name) for own in names for name in own))
+
+
+def _hex(color: tuple[int, int, int]) -> str:
+    """A color as a chart takes it."""
+    return "#{:02x}{:02x}{:02x}".format(*color)
 
 
 @contextmanager
@@ -196,25 +218,24 @@ def open_episodes(
 
     Args:
         folders: Of one or two episodes.
-        estimate: TUM file of an estimated path of the capsule, in the world of the first [m].
+        estimate: TUM file of an estimated path of the first's capsule [m], at its frames' times.
         host: Address to listen at, see `open_cockpit`.
         port: Port to listen at.
         say: Called with each message for the terminal.
 
     Raises:
-        InputError: If there are none or more than two, one cannot be read, or the port is in use.
+        InputError: If there are none or more than two, one cannot be read, the estimate is of other
+            times, or the port is in use.
         MissingExtraError: If the extra `cockpit` is not installed.
     """
     require_viser()
     if not 1 <= len(folders) <= MOST_EPISODES:
         raise InputError(f"{len(folders)} episodes are given. Allowed: one, or two side by side.")
     episodes = [read_episode(folder) for folder in folders]
-    places = None
-    if estimate is not None:
-        places = read_tum(estimate, unit="m").Ts_world_capsule[:, :3, 3]
+    path = None if estimate is None else read_path_estimate(estimate, episodes[0])
     gate = make_gate(host, port)
     with serving(gate, say) as server:
-        page = EpisodePage(server, episodes, places)
+        page = EpisodePage(server, episodes, path)
         page.start()
         try:
             yield page, gate

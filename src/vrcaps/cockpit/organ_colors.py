@@ -1,8 +1,9 @@
-"""Colorings of the organ in the page: by segment, by lesion, by what was seen."""
+"""Colorings of the organ in the page: what they share, by segment, by lesion, by what was seen."""
 
 from __future__ import annotations
 
 import colorsys
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -10,13 +11,46 @@ import numpy as np
 from vrcaps.organ.surface import OrganSurface, face_label
 
 if TYPE_CHECKING:
-    from jaxtyping import Int
+    from jaxtyping import Float, Int
 
+    from vrcaps.capsule.body import Body
     from vrcaps.cockpit.page_mesh import PageMesh
     from vrcaps.cockpit.seen_wall import SeenWall
+    from vrcaps.tissue.winkler_foundation import WinklerFoundation
 
-_PLAIN = (225, 150, 140)
+Color = tuple[int, int, int]
+
+PLAIN = (225, 150, 140)
+"""Color of a wall that is not told apart."""
 _GOLDEN = 0.618033988749895
+
+
+@dataclass(frozen=True)
+class LiveWall:
+    """What only a running simulation knows of a wall.
+
+    Attributes:
+        seen: What of it was seen.
+        foundation: What it does against a capsule that presses in.
+        body: Shape of that capsule.
+    """
+
+    seen: SeenWall
+    foundation: WinklerFoundation
+    body: Body
+
+
+@dataclass(frozen=True)
+class Patch:
+    """Triangles of one color, drawn beside the wall.
+
+    Attributes:
+        color: sRGB.
+        corners: In the world [m].
+    """
+
+    color: Color
+    corners: Float[np.ndarray, "k 3 3"]
 
 
 class Coloring:
@@ -29,9 +63,9 @@ class Coloring:
 
     name: ClassVar[str]
 
-    def __init__(self, organ: OrganSurface, mesh: PageMesh, seen: SeenWall | None) -> None:
-        self.organ, self.mesh, self.seen = organ, mesh, seen
-        self.colors: list[tuple[int, int, int]] = [_PLAIN]
+    def __init__(self, organ: OrganSurface, mesh: PageMesh) -> None:
+        self.organ, self.mesh = organ, mesh
+        self.colors: list[Color] = [PLAIN]
 
     @property
     def version(self) -> int:
@@ -46,7 +80,19 @@ class Coloring:
 
     def classes(self) -> Int[np.ndarray, " m"]:
         """Class of each triangle, a number into `colors`."""
-        raise NotImplementedError
+        return np.zeros(len(self.mesh.faces), int)
+
+    def patches(
+        self, points: Float[np.ndarray, "n 3"], T_world_capsule: Float[np.ndarray, "4 4"]
+    ) -> tuple[Patch, ...]:
+        """What is drawn beside the wall now.
+
+        Args:
+            points: Vertices of the fine wall in the world [m].
+            T_world_capsule: Pose of the capsule.
+        """
+        del points, T_world_capsule
+        return ()
 
     def legend(self) -> str:
         """What the colors mean, as Markdown."""
@@ -62,8 +108,8 @@ class SegmentColoring(Coloring):
 
     name = "segment"
 
-    def __init__(self, organ: OrganSurface, mesh: PageMesh, seen: SeenWall | None) -> None:
-        super().__init__(organ, mesh, seen)
+    def __init__(self, organ: OrganSurface, mesh: PageMesh) -> None:
+        super().__init__(organ, mesh)
         self.colors = [_hue(k) for k in range(len(organ.label_names))]
 
     def classes(self) -> np.ndarray:
@@ -73,7 +119,7 @@ class SegmentColoring(Coloring):
     def legend(self) -> str:
         """Names of the labels."""
         present = np.unique(self.classes())
-        return _legend([(self.colors[k], self.organ.label_names[k]) for k in present])
+        return legend_of([(self.colors[k], self.organ.label_names[k]) for k in present])
 
 
 class LesionColoring(Coloring):
@@ -81,10 +127,10 @@ class LesionColoring(Coloring):
 
     name = "lesion"
 
-    def __init__(self, organ: OrganSurface, mesh: PageMesh, seen: SeenWall | None) -> None:
-        super().__init__(organ, mesh, seen)
+    def __init__(self, organ: OrganSurface, mesh: PageMesh) -> None:
+        super().__init__(organ, mesh)
         count = int(organ.instance.max(initial=0))
-        self.colors = [_PLAIN, *(_hue(k) for k in range(1, count + 1))]
+        self.colors = [PLAIN, *(_hue(k) for k in range(1, count + 1))]
 
     @classmethod
     def fits(cls, organ: OrganSurface) -> bool:
@@ -97,7 +143,7 @@ class LesionColoring(Coloring):
 
     def legend(self) -> str:
         """Numbers of the lesions."""
-        return _legend([(color, f"lesion {k}") for k, color in enumerate(self.colors) if k])
+        return legend_of([(color, f"lesion {k}") for k, color in enumerate(self.colors) if k])
 
 
 class CoverageColoring(Coloring):
@@ -105,38 +151,32 @@ class CoverageColoring(Coloring):
 
     name = "coverage"
 
-    def __init__(self, organ: OrganSurface, mesh: PageMesh, seen: SeenWall | None) -> None:
-        super().__init__(organ, mesh, seen)
+    def __init__(self, organ: OrganSurface, mesh: PageMesh, live: LiveWall) -> None:
+        super().__init__(organ, mesh)
+        self._seen = live.seen
         self.colors = [(120, 120, 128), (90, 200, 110)]
 
     @property
     def version(self) -> int:
         """Rises whenever more was seen."""
-        return 0 if self.seen is None else self.seen.version
+        return self._seen.version
 
     def classes(self) -> np.ndarray:
         """1 where most corners of a triangle were seen."""
-        count = len(self.organ.vertices)
-        seen = np.zeros(count, bool) if self.seen is None else self.seen.vertices
-        return self._faces(seen.astype(np.uint8))
+        return self._faces(self._seen.vertices.astype(np.uint8))
 
     def legend(self) -> str:
         """What was seen and what was not."""
-        return _legend([(self.colors[1], "seen"), (self.colors[0], "not seen yet")])
+        return legend_of([(self.colors[1], "seen"), (self.colors[0], "not seen yet")])
 
 
-COLORINGS: dict[str, type[Coloring]] = {
-    each.name: each for each in (SegmentColoring, LesionColoring, CoverageColoring)
-}
-"""All colorings by name."""
-
-
-def _hue(number: int) -> tuple[int, int, int]:
+def _hue(number: int) -> Color:
     """Distinct colors: hues a golden angle apart."""
     color = colorsys.hsv_to_rgb(number * _GOLDEN % 1.0, 0.45, 0.92)
     return tuple(round(255 * part) for part in color)  # type: ignore[return-value]
 
 
-def _legend(entries: list[tuple[tuple[int, int, int], str]]) -> str:
+def legend_of(entries: list[tuple[Color, str]]) -> str:
+    """Colors and what they mean, as Markdown."""
     spots = (f'<span style="color:rgb{color}">&#9632;</span> {text}' for color, text in entries)
     return " · ".join(spots)

@@ -1,4 +1,4 @@
-"""Scene nodes that the cockpit and the episode's page share: organ, capsule, paths, the view."""
+"""Scene nodes that the cockpit and the episode's page share: organ, patches, capsule, paths."""
 
 from __future__ import annotations
 
@@ -14,13 +14,36 @@ if TYPE_CHECKING:
     import viser
     from jaxtyping import Float
 
-    from vrcaps.cockpit.organ_colors import Coloring
+    from vrcaps.cockpit.organ_colors import Color, Coloring, Patch
 
 _FRONT_COLOR, _BODY_COLOR = (70, 150, 255), (240, 240, 245)
-_TABLE_COLOR = (120, 132, 145)
-_TABLE_SIZE = (1.2, 0.6)
 _FROM = (0.2, -1.05, 0.4)
 """Where one looks from at first, in sizes of what is seen."""
+_VISIBLE = 2e-4
+"""Motion of the wall [m] below which it is not sent again."""
+CUT_AXES = ("none", "x", "y", "z")
+"""World axes across which the organ may be cut."""
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A plane across a world axis; what lies on its lower side is left out.
+
+    Attributes:
+        axis: One of `CUT_AXES`.
+        fraction: Where it is, from 0, the organ's lowest place along the axis, to 1.
+    """
+
+    axis: str = "none"
+    fraction: float = 0.5
+
+    def keeps(self, points: Float[np.ndarray, "n 3"], faces: np.ndarray) -> np.ndarray:
+        """Which triangles stay, by their middle."""
+        if self.axis == "none":
+            return np.ones(len(faces), bool)
+        along = points[:, CUT_AXES.index(self.axis) - 1]
+        place = along.min() + self.fraction * np.ptp(along)
+        return along[faces].mean(axis=1) >= place
 
 
 @dataclass(frozen=True)
@@ -29,6 +52,12 @@ class _Part:
 
     vertices: np.ndarray
     handle: Any
+
+    def move(self, points: np.ndarray) -> None:
+        """Moves it to the wall's vertices, if one would see the difference."""
+        places = points[self.vertices].astype(np.float32)
+        if np.abs(places - self.handle.vertices).max() > _VISIBLE:
+            self.handle.vertices = places
 
 
 class OrganNode:
@@ -39,19 +68,16 @@ class OrganNode:
         self._parts: list[_Part] = []
         self._opacity: float | None = None
 
-    def draw(self, points: Float[np.ndarray, "n 3"], coloring: Coloring, *, is_cut: bool) -> None:
+    def draw(self, points: Float[np.ndarray, "n 3"], coloring: Coloring, cut: Cut) -> None:
         """Draws it anew.
 
         Args:
             points: Vertices of the fine wall in the world [m].
             coloring: Colors of its triangles.
-            is_cut: Leave out the half towards −y.
+            cut: What of it is left out.
         """
         faces, classes = self._mesh.faces, coloring.classes()
-        kept = np.ones(len(faces), bool)
-        if is_cut:
-            coarse = points[self._mesh.vertices]
-            kept = coarse[faces][:, :, 1].mean(axis=1) > coarse[:, 1].mean()
+        kept = cut.keeps(points[self._mesh.vertices], faces)
         for part in self._parts:
             part.handle.remove()
         groups = [(number, faces[kept & (classes == number)]) for number in np.unique(classes)]
@@ -64,7 +90,7 @@ class OrganNode:
     def move(self, points: Float[np.ndarray, "n 3"]) -> None:
         """Moves it to where the fine wall's vertices are [m]."""
         for part in self._parts:
-            part.handle.vertices = points[part.vertices].astype(np.float32)
+            part.move(points)
 
     def set_opacity(self, opacity: float) -> None:
         """Makes it as opaque, from 0 to 1."""
@@ -73,9 +99,7 @@ class OrganNode:
             if part.handle.opacity != self._opacity:
                 part.handle.opacity = self._opacity
 
-    def _add(
-        self, number: int, faces: np.ndarray, points: np.ndarray, color: tuple[int, int, int]
-    ) -> _Part:
+    def _add(self, number: int, faces: np.ndarray, points: np.ndarray, color: Color) -> _Part:
         used, local = np.unique(faces, return_inverse=True)
         fine = self._mesh.vertices[used]
         handle = self._scene.add_mesh_simple(
@@ -91,12 +115,47 @@ class OrganNode:
         return _Part(fine, handle)
 
 
+class PatchNode:
+    """Patches beside the wall: drawn anew where they have changed."""
+
+    def __init__(self, scene: viser.SceneApi) -> None:
+        self._scene = scene
+        self._drawn: dict[str, tuple[np.ndarray, Any]] = {}
+
+    def draw(self, patches: tuple[Patch, ...]) -> None:
+        """Draws these and no others."""
+        wanted = {f"/patch/{number}": patch for number, patch in enumerate(patches)}
+        for name in self._drawn.keys() - wanted.keys():
+            self._drawn.pop(name)[1].remove()
+        for name, patch in wanted.items():
+            corners = patch.corners.reshape(-1, 3).astype(np.float32)
+            if self._shows(name, corners, patch.color):
+                continue
+            handle = self._scene.add_mesh_simple(
+                name,
+                corners,
+                np.arange(len(corners)).reshape(-1, 3),
+                color=patch.color,
+                side="double",
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+            self._drawn[name] = (corners, handle)
+
+    def _shows(self, name: str, corners: np.ndarray, color: Color) -> bool:
+        """Whether a node is already so, as far as one would see."""
+        before, handle = self._drawn.get(name, (np.empty((0, 3)), None))
+        if handle is None or handle.color != color or before.shape != corners.shape:
+            return False
+        return bool(np.abs(before - corners).max() < _VISIBLE)
+
+
 def add_capsule(
     scene: viser.SceneApi,
     name: str,
     length: float,
     radius: float,
-    color: tuple[int, int, int] = _BODY_COLOR,
+    color: Color = _BODY_COLOR,
 ) -> Any:
     """A capsule with a blue front, as a frame to be moved.
 
@@ -119,7 +178,7 @@ def add_capsule(
     return frame
 
 
-def add_shape(scene: viser.SceneApi, name: str, shape: Any, color: tuple[int, int, int]) -> None:
+def add_shape(scene: viser.SceneApi, name: str, shape: Any, color: Color) -> None:
     """A mesh of trimesh in one color."""
     vertices, faces = np.asarray(shape.vertices), np.asarray(shape.faces)
     scene.add_mesh_simple(name, vertices, faces, color=color)
@@ -129,37 +188,26 @@ def add_path(
     scene: viser.SceneApi,
     name: str,
     places: Float[np.ndarray, "n 3"],
-    color: tuple[int, int, int],
+    color: Color,
 ) -> None:
     """A line through places in the world [m], two or more."""
     segments = np.stack([places[:-1], places[1:]], axis=1).astype(np.float32)
     scene.add_line_segments(name, segments, colors=color, thickness=3.0, thickness_units="screen")
 
 
-def aim(server: viser.ViserServer, low: np.ndarray, high: np.ndarray, table: float) -> None:
-    """Looks at a box, with a table below it.
+def aim(server: viser.ViserServer, low: np.ndarray, high: np.ndarray) -> None:
+    """Looks at a box.
 
     Args:
         server: Of the page.
         low: Lower corner of the box in the world [m].
         high: Upper corner [m].
-        table: Height of the table [m].
     """
     middle, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
     camera = server.initial_camera
     camera.position = tuple(middle + size * np.array(_FROM))
     camera.look_at = tuple(middle)
     server.scene.configure_default_lights(enabled=True, cast_shadow=False)
-    server.scene.add_grid(
-        "/table",
-        width=_TABLE_SIZE[0],
-        height=_TABLE_SIZE[1],
-        cell_size=0.05,
-        section_size=0.1,
-        cell_color=_TABLE_COLOR,
-        section_color=_TABLE_COLOR,
-        position=(middle[0], middle[1], table),
-    )
 
 
 def move(handle: Any, T: Float[np.ndarray, "4 4"]) -> None:

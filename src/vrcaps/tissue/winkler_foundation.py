@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from vrcaps.errors import require
 from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 
 @dataclass(frozen=True)
@@ -77,3 +83,21 @@ class WinklerFoundation:
     def rate(self) -> float:
         """Speed of indentation at which pressure begins to grow, r h [m/s]."""
         return self.strain_rate * self.thickness
+
+    def static_pressure(self, depth: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """Pressure of a slow indentation, K l (exp(u/l) − 1), without the guard [Pa].
+
+        Args:
+            depth: Indentation u [m], 0 or more.
+        """
+        if math.isinf(self.stiffening_depth):
+            return self.stiffness * depth
+        return self.stiffness * self.stiffening_depth * np.expm1(depth / self.stiffening_depth)
+
+    def stiffness_at(self, depth: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """Slope of that pressure by depth, K exp(u/l) [Pa/m]; K where nothing presses.
+
+        Args:
+            depth: Indentation u [m], 0 or more.
+        """
+        return self.stiffness * np.exp(depth / self.stiffening_depth)

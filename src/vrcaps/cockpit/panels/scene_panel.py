@@ -1,4 +1,4 @@
-"""Scene panel: organ, capsule, magnet and arm in three dimensions."""
+"""Scene panel: organ, capsule, magnet, arm and patient in three dimensions."""
 
 from __future__ import annotations
 
@@ -10,12 +10,22 @@ import numpy as np
 from vrcaps.actuation.arm.kinematics import frames
 from vrcaps.actuation.robot_actuator import RobotActuator
 from vrcaps.cockpit.arm_shapes import link_meshes
-from vrcaps.cockpit.organ_colors import COLORINGS, Coloring
+from vrcaps.cockpit.colorings import coloring_names, make_coloring
+from vrcaps.cockpit.magnet_node import MagnetNode
+from vrcaps.cockpit.organ_colors import Coloring, LiveWall
 from vrcaps.cockpit.page_mesh import coarse_mesh
-from vrcaps.cockpit.scene_nodes import OrganNode, add_capsule, add_path, add_shape, aim, move
+from vrcaps.cockpit.patient_node import PatientNode
+from vrcaps.cockpit.scene_nodes import (
+    CUT_AXES,
+    Cut,
+    OrganNode,
+    PatchNode,
+    add_capsule,
+    add_path,
+    aim,
+    move,
+)
 from vrcaps.magnet.presets import read_magnet
-from vrcaps.magnet.sources import Cylinder
-from vrcaps.units import CM
 
 if TYPE_CHECKING:
     from vrcaps.cockpit.page import Page
@@ -23,12 +33,9 @@ if TYPE_CHECKING:
 
 _SECONDS_PER_WALL = 0.5
 """Real time between updates of the wall and its colors."""
-_MAGNET_COLOR, _NORTH_COLOR = (70, 72, 80), (210, 60, 50)
+_SECONDS_PER_PATCH = 0.2
+"""Real time between updates of what the capsule touches."""
 _ARM_COLOR, _PATH_COLOR = (225, 228, 232), (255, 190, 40)
-_MAGNET_SIZE = (5.0 * CM, 5.0 * CM)
-"""Diameter and length at which a point dipole is drawn."""
-_BELOW = 3.0 * CM
-"""Gap between organ and table."""
 
 
 class ScenePanel:
@@ -39,31 +46,25 @@ class ScenePanel:
         assert program is not None
         self._page, self._session, self._program = page, page.session, program
         self._model, self._scene = page.session.model, page.server.scene
-        organ = self._model.organ
-        self._mesh = coarse_mesh(self._model.vertices_world, organ.faces)
-        self._organ = OrganNode(self._scene, self._mesh)
+        self._mesh = coarse_mesh(self._model.vertices_world, self._model.organ.faces)
+        self._organ, self._touched = OrganNode(self._scene, self._mesh), PatchNode(self._scene)
         self._coloring: Coloring | None = None
         self._drawn: tuple[object, ...] = ()
-        self._wall_time, self._path_length = 0.0, 0
-        gui = page.server.gui
-        with gui.add_folder("Scene", expand_by_default=False):
-            names = tuple(name for name, kind in COLORINGS.items() if kind.fits(organ))
-            self._color = gui.add_dropdown("Color by", names)
-            self._opacity = gui.add_slider("Opacity", 0.1, 1.0, 0.05, 0.35)
-            self._is_cut = gui.add_checkbox("Cut open", False)
-            self._legend = gui.add_markdown("")
+        self._wall_time, self._patch_time, self._path_length = 0.0, 0.0, 0
+        self._add_controls()
         points, magnet = self._model.vertices_world, program.controller.requested[:3, 3]
-        low, high = points.min(axis=0), np.maximum(points.max(axis=0), magnet)
-        aim(page.server, low, high, low[2] - _BELOW)
+        aim(page.server, points.min(axis=0), np.maximum(points.max(axis=0), magnet))
         device = self._model.device
         self._capsule = add_capsule(self._scene, "/capsule", device.length, device.radius)
-        self._magnet = self._add_magnet()
+        self._magnet = MagnetNode(self._scene, read_magnet(program.settings.magnet))
+        self._patient = PatientNode(self._scene, self._model.organ.vertices)
         self._arm_frames = self._add_arm()
 
     def update(self, view: View) -> None:
         """Moves everything to where it is."""
         move(self._capsule, view.state.T_world_capsule)
-        move(self._magnet, view.T_world_magnet)
+        self._magnet.show(view.T_world_magnet, has_lines=self._has_lines.value)
+        self._patient.show(view.T_world_patient, is_visible=self._has_patient.value)
         actuator = self._program.controller.actuator
         if isinstance(actuator, RobotActuator) and self._arm_frames:
             placed = frames(actuator.robot.arm, view.joint_angles)
@@ -75,21 +76,33 @@ class ScenePanel:
             self._wall_time = now
             self._draw_wall(view)
             self._draw_path()
+        if now - self._patch_time > _SECONDS_PER_PATCH and self._coloring is not None:
+            self._patch_time = now
+            self._touched.draw(
+                self._coloring.patches(self._points(view), view.state.T_world_capsule)
+            )
+
+    def _points(self, view: View) -> np.ndarray:
+        """Vertices of the fine wall [m]."""
+        moved = view.state.vertices_world
+        return self._model.vertices_world if moved is None else moved
 
     def _draw_wall(self, view: View) -> None:
         """Draws the wall anew where its colors have changed; else moves it."""
-        moved = view.state.vertices_world
-        points = self._model.vertices_world if moved is None else moved
+        points = self._points(view)
         if self._coloring is None or self._coloring.name != self._color.value:
-            kind = COLORINGS[self._color.value]
-            self._coloring = kind(self._model.organ, self._mesh, self._page.seen)
-        wanted = (self._color.value, self._is_cut.value, self._coloring.version)
+            world = self._session.rollout.world
+            live = LiveWall(self._page.seen, world.tissue.foundation_in_series, world.body)
+            name, organ = self._color.value, self._model.organ
+            self._coloring = make_coloring(name, organ, self._mesh, live)
+        cut = Cut(self._cut_axis.value, self._cut_fraction.value)
+        wanted = (self._color.value, cut, self._coloring.version)
         self._organ.set_opacity(self._opacity.value)
         if wanted != self._drawn:
             self._drawn = wanted
-            self._organ.draw(points, self._coloring, is_cut=self._is_cut.value)
+            self._organ.draw(points, self._coloring, cut)
             self._legend.content = self._coloring.legend()
-        elif moved is not None:
+        else:
             self._organ.move(points)
 
     def _draw_path(self) -> None:
@@ -99,19 +112,18 @@ class ScenePanel:
             self._path_length = len(places)
             add_path(self._scene, "/path", places, _PATH_COLOR)
 
-    def _add_magnet(self) -> Any:
-        import trimesh
-
-        magnet = read_magnet(self._program.settings.magnet)
-        diameter, length = _MAGNET_SIZE
-        if isinstance(magnet, Cylinder):
-            diameter, length = magnet.diameter, magnet.length
-        frame = self._scene.add_frame("/magnet", show_axes=False)
-        for name, color, side in (("south", _MAGNET_COLOR, -1.0), ("north", _NORTH_COLOR, 1.0)):
-            half = trimesh.creation.cylinder(0.5 * diameter, 0.5 * length, sections=32)
-            half.apply_translation([0.0, 0.0, 0.25 * side * length])
-            add_shape(self._scene, f"/magnet/{name}", half, color)
-        return frame
+    def _add_controls(self) -> None:
+        """How the scene is drawn."""
+        gui = self._page.server.gui
+        with gui.add_folder("Scene", expand_by_default=False):
+            names = coloring_names(self._model.organ, is_live=True)
+            self._color = gui.add_dropdown("Color by", names)
+            self._opacity = gui.add_slider("Opacity", 0.1, 1.0, 0.05, 0.35)
+            self._cut_axis = gui.add_dropdown("Cut across", CUT_AXES)
+            self._cut_fraction = gui.add_slider("Cut at", 0.0, 1.0, 0.05, 0.5)
+            self._has_lines = gui.add_checkbox("Field lines", True)
+            self._has_patient = gui.add_checkbox("Patient and table", True)
+            self._legend = gui.add_markdown("")
 
     def _add_arm(self) -> dict[int, Any]:
         """Nodes of the arm's links by their frame; empty without an arm."""

@@ -1,0 +1,72 @@
+"""Magnet node: a cylinder with its north half red, and its field lines."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.cockpit.scene_nodes import add_shape, move
+from vrcaps.magnet.field import field
+from vrcaps.magnet.field_lines import magnet_lines
+from vrcaps.magnet.sources import Cylinder
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    import viser
+    from jaxtyping import Float
+
+_SOUTH_COLOR, _NORTH_COLOR = (70, 72, 80), (210, 60, 50)
+_STRONG, _WEAK = (120, 190, 255), (38, 52, 74)
+"""Color of a line where the field is at the upper and at the lower end of `_FIELDS`."""
+_FIELDS = (1e-3, 0.1)
+"""Flux densities [T] between which a line fades, by the logarithm."""
+_REACH = 0.45
+"""Distance from the magnet at which lines end [m]."""
+_STEP = 4.0 * MM
+_EVERY = 3
+"""A line is drawn by every third of its points."""
+
+
+class MagnetNode:
+    """A magnet and its field lines, which turn and go with it: so they are computed only once."""
+
+    def __init__(self, scene: viser.SceneApi, magnet: Cylinder) -> None:
+        import trimesh
+
+        self._frame = scene.add_frame("/magnet", show_axes=False)
+        for name, color, side in (("south", _SOUTH_COLOR, -1.0), ("north", _NORTH_COLOR, 1.0)):
+            half = trimesh.creation.cylinder(
+                0.5 * magnet.diameter, 0.5 * magnet.length, sections=32
+            )
+            half.apply_translation([0.0, 0.0, 0.25 * side * magnet.length])
+            add_shape(scene, f"/magnet/{name}", half, color)
+        segments, colors = colored_lines(magnet)
+        self._lines = scene.add_line_segments(
+            "/magnet/field",
+            segments.astype(np.float32),
+            colors=colors,
+            thickness=1.5,
+            thickness_units="screen",
+        )
+
+    def show(self, T_world_magnet: Float[np.ndarray, "4 4"], *, has_lines: bool) -> None:
+        """Puts it to a pose, with its lines or without."""
+        move(self._frame, T_world_magnet)
+        if self._lines.visible != has_lines:
+            self._lines.visible = has_lines
+
+
+def colored_lines(
+    magnet: Cylinder,
+) -> tuple[Float[np.ndarray, "k 2 3"], Float[np.ndarray, "k 2 3"]]:
+    """Pieces of field lines in the magnet's frame [m], and the sRGB color of each end."""
+    own = Cylinder(magnet.diameter, magnet.length, magnet.remanence)
+    lines = magnet_lines(magnet, reach=_REACH, step=_STEP)
+    thinned = [np.concatenate([line[:-1:_EVERY], line[-1:]]) for line in lines]
+    segments = np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in thinned])
+    flux = np.linalg.norm(field([own], segments.reshape(-1, 3))[0], axis=1)
+    low, high = np.log(_FIELDS)
+    share = np.clip((np.log(flux) - low) / (high - low), 0.0, 1.0)[:, None]
+    colors = share * np.array(_STRONG) + (1.0 - share) * np.array(_WEAK)
+    return segments, colors.round().astype(np.uint8).reshape(-1, 2, 3)

@@ -1,0 +1,84 @@
+"""Patient shape: a schematic outline of a lying adult around an organ, in the patient frame.
+
+It shows where head, feet and left are, and how the patient lies. It is no anatomy: the sections are
+round numbers of an adult of 1.75 m, and the organ may come from another patient.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.units import CM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_AROUND = 24
+"""Corners of a section."""
+_ALONG = 6
+"""Every such corner a line leads from section to section."""
+_MARGIN = 2.0 * CM
+"""Gap between the organ and the outline."""
+
+# Sections [cm]: height above the navel, to the left and backwards of the middle; half of the
+# breadth and of the depth.
+_TRUNK = (
+    *((-24.0, 0.0, 0.0, 17.0, 11.0), (-12.0, 0.0, 0.0, 17.5, 12.0), (0.0, 0.0, 0.0, 16.0, 12.0)),
+    *((12.0, 0.0, 0.0, 15.5, 12.0), (24.0, 0.0, 0.0, 16.0, 12.5), (34.0, 0.0, 0.5, 18.0, 11.5)),
+    *((40.0, 0.0, 1.0, 16.0, 8.5), (43.0, 0.0, 1.0, 7.0, 6.5), (49.0, 0.0, 0.5, 6.0, 6.5)),
+)
+_HEAD = (
+    *((49.0, 0.0, 0.0, 5.5, 7.5), (54.0, 0.0, -0.5, 7.0, 9.5), (60.0, 0.0, 0.0, 7.5, 10.0)),
+    *((66.0, 0.0, 0.5, 6.5, 8.5), (70.0, 0.0, 0.5, 2.0, 3.0)),
+)
+_LEG = (
+    *((-24.0, 9.0, 0.5, 8.5, 9.5), (-40.0, 9.5, 0.5, 7.5, 8.0), (-56.0, 9.5, 0.5, 5.5, 6.0)),
+    *((-68.0, 10.0, 2.0, 5.5, 6.0), (-96.0, 10.0, 2.5, 3.5, 4.0), (-103.0, 10.0, -3.0, 4.5, 10.0)),
+)
+_ARM = (
+    *((37.0, 20.0, 1.0, 4.5, 5.5), (10.0, 24.0, 2.0, 4.5, 5.0), (-12.0, 26.0, 2.0, 3.0, 3.5)),
+    *((-30.0, 27.0, 1.5, 2.0, 4.5),),
+)
+_MIRROR = np.array([1.0, -1.0, 1.0, 1.0, 1.0])
+_PARTS = (
+    *(np.array(_TRUNK), np.array(_HEAD), np.array(_LEG), np.array(_LEG) * _MIRROR),
+    *(np.array(_ARM), np.array(_ARM) * _MIRROR),
+)
+_TRUNK_AT_ORGAN = slice(0, 6)
+"""Sections of the trunk that may enclose an organ."""
+
+
+def patient_outline(organ: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "k 2 3"]:
+    """Lines of a patient's outline around an organ, in the patient frame [m].
+
+    Generated organs have their origin at the height of the navel. Around one that does not fit
+    there, such as one from a scanner's frame, the outline is moved, then made wider.
+
+    Args:
+        organ: Vertices of its wall in the patient frame [m].
+    """
+    low, high = organ.min(axis=0) - _MARGIN, organ.max(axis=0) + _MARGIN
+    trunk = CM * np.array(_TRUNK)[_TRUNK_AT_ORGAN]
+    center = np.zeros(3)
+    room = np.array([trunk[:, 3].max(), trunk[:, 4].max()])
+    fits = (np.abs([low[:2], high[:2]]) <= room).all() and trunk[0, 0] <= low[2] <= trunk[-1, 0]
+    if not fits:
+        center = 0.5 * (low + high)
+    farthest = np.abs([low - center, high - center]).max(axis=0)[:2]
+    wider = np.maximum(1.0, farthest / room)
+    lines = [_lines(CM * sections) for sections in _PARTS]
+    return np.concatenate(lines) * (*wider, 1.0) + center
+
+
+def _lines(sections: Float[np.ndarray, "s 5"]) -> Float[np.ndarray, "k 2 3"]:
+    """Around each section of a part, an ellipse, and along it from section to section [m]."""
+    height, left, back, breadth, depth = sections.T[..., None]
+    angle = 2.0 * np.pi * np.arange(_AROUND) / _AROUND
+    x, y = left + breadth * np.cos(angle), back + depth * np.sin(angle)
+    rings = np.stack([x, y, np.broadcast_to(height, x.shape)], axis=-1)
+    around = np.stack([rings, np.roll(rings, -1, axis=1)], axis=2)
+    chosen = rings[:, ::_ALONG]
+    along = np.stack([chosen[:-1], chosen[1:]], axis=2)
+    return np.concatenate([around.reshape(-1, 2, 3), along.reshape(-1, 2, 3)])

@@ -1,30 +1,37 @@
 """Claim: on two cores the cockpit shows 20 images a second at real time, 150 ms after an input.
 
-The stomach with magnet and Panda and a camera of 320², as `vrcaps cockpit` opens it, in a headless
-Chromium that draws without a graphics card, which takes much of the two cores; once with the scene
-drawn in a small and once in a large window. An image counts when the browser has decoded it. For
-the latency the script marks a corner of each image whose state came after a key was pressed: from
-the key's event in the browser to the first marked image there.
+The stomach with magnet and Panda and a camera of 320², as `vrcaps cockpit` opens it. `no browser`
+is the server's side alone: a client in a process of its own takes the images over the page's
+connection and draws nothing. The other rows are a headless Chromium that draws without a graphics
+card, which takes much of the two cores; once with the scene in a small and once in a large window.
+An image counts when the client has it, or the browser has decoded it. For the latency the script
+marks a corner of each image whose state came after a key was pressed: from the key's message, or
+its event in the browser, to the first marked image there.
 
-    python benchmarks/speed_cockpit.py [--seconds 10] [--presses 12]
+    python benchmarks/speed_cockpit.py [--seconds 10] [--presses 12] [--no-browser]
 """
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import shutil
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from playwright.sync_api import Page, sync_playwright
 
+from cockpit_client import measure
 from validation import parser, table, write_section
 from vrcaps.cli.cockpit import Cockpit as CockpitCommand
 from vrcaps.cockpit.camera_images import LiveImage, Look
 from vrcaps.cockpit.cockpit import Cockpit, open_cockpit
+from vrcaps.cockpit.panels.camera_panel import CameraPanel
 from vrcaps.cockpit.view import View
 
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
@@ -66,7 +73,7 @@ window.addEventListener("keydown", note, true);
 """
 """Notes the time of a key's event, before the page itself sees it."""
 HEAD = (
-    *("window", "speed / real time", "images a second", "p10 of intervals [ms]", "p90"),
+    *("shown by", "speed / real time", "images a second", "p10 of intervals [ms]", "p90"),
     *("input to image [ms]: median", "p90", "processor time of the server"),
 )
 
@@ -76,16 +83,75 @@ def main() -> None:
     made = parser(__doc__ or "")
     made.add_argument("--seconds", type=float, default=10.0, help="of each window")
     made.add_argument("--presses", type=int, default=12, help="of a key, in each window")
+    made.add_argument("--no-browser", action="store_true", help="the server's side only")
     args = made.parse_args()
-    folder, rows = Path(tempfile.mkdtemp()), []
-    scenario = CockpitCommand().resolved()
-    browser_path = shutil.which("chromium") or shutil.which("chromium-browser")
+    folder, rows, loads = Path(tempfile.mkdtemp()), [], []
     began = time.perf_counter()
-    with (
-        open_cockpit(scenario, folder / "drive", port=8931) as cockpit,
-        sync_playwright() as playwright,
-    ):
-        loads = []
+    with open_cockpit(CockpitCommand().resolved(), folder / "drive", port=8931) as cockpit:
+        mark_images(cockpit)
+        rows.append(("no browser", *without_browser(cockpit, args.seconds, args.presses)))
+        if not args.no_browser:
+            rows += in_browsers(cockpit, args.seconds, args.presses, loads)
+    shutil.rmtree(folder)
+    load_1, _, _ = os.getloadavg()
+    there = f"The page was there after {min(loads):.1f} s. " if loads else ""
+    text = (
+        f"## Cockpit\n\n{' '.join((__doc__ or '').split('    python')[0].split())}\n\n"
+        f"{table(HEAD, rows)}\n\n{there}Load of the machine at the end: {load_1:.1f} on "
+        f"{os.cpu_count()} cores, of which this is a part; {time.perf_counter() - began:.0f} s "
+        "in all."
+    )
+    write_section(args.out, Path(__file__).name, text)
+
+
+@contextmanager
+def watched(cockpit: Cockpit) -> Iterator[dict[str, float]]:
+    """Simulated time per real time, and processor time of the server, of a block."""
+    session, cpu, clock = cockpit.session, time.process_time(), time.perf_counter()
+    first, found = session.view.state.time, {}  # type: ignore[union-attr]
+    yield found
+    passed = time.perf_counter() - clock
+    found["speed"] = (session.view.state.time - first) / passed  # type: ignore[union-attr]
+    found["busy"] = (time.process_time() - cpu) / passed
+
+
+def without_browser(cockpit: Cockpit, seconds: float, presses: int) -> tuple[str, ...]:
+    """The server's side alone: a client in another process takes the images."""
+    panel = next(panel for panel in cockpit.page.panels if isinstance(panel, CameraPanel))
+    context = multiprocessing.get_context("spawn")
+    told = context.Queue()
+    image, keys = panel._image._impl.uuid, cockpit.page.bridge.field._impl.uuid
+    given = (cockpit.gate.port, image, keys, seconds, presses, told)
+    process = context.Process(target=measure, args=given)
+    process.start()
+    assert told.get(timeout=120.0) == "begin"
+    with watched(cockpit) as found:
+        times = np.array(told.get(timeout=120.0 + seconds))
+    latency = 1e3 * np.array(told.get(timeout=300.0))
+    process.join()
+    return row(found, times * 1e3, latency, seconds)
+
+
+def row(
+    found: dict[str, float], times: np.ndarray, latency: np.ndarray, seconds: float
+) -> tuple[str, ...]:
+    """A row of the table, from times of images and latencies [ms]."""
+    intervals = np.diff(times) if len(times) > 2 else np.array([np.nan])
+    return (
+        f"{found['speed']:.2f}",
+        f"{len(times) / seconds:.1f}",
+        *(f"{np.percentile(intervals, q):.0f}" for q in (10, 90)),
+        *(f"{np.percentile(latency, q):.0f}" for q in (50, 90)),
+        f"{found['busy']:.2f}",
+    )
+
+
+def in_browsers(
+    cockpit: Cockpit, seconds: float, presses: int, loads: list[float]
+) -> list[tuple[str, ...]]:
+    """A row for each window; times [s] until the page was there are added to `loads`."""
+    browser_path, rows = shutil.which("chromium") or shutil.which("chromium-browser"), []
+    with sync_playwright() as playwright:
         for name, (size, scale) in WINDOWS.items():
             browser = playwright.chromium.launch(executable_path=browser_path, args=FLAGS)
             tab = browser.new_page(
@@ -93,17 +159,9 @@ def main() -> None:
             )
             tab.add_init_script(PRESSES)
             loads.append(load(tab, cockpit))
-            rows.append((name, *measured(tab, cockpit, args.seconds, args.presses)))
+            rows.append((f"browser, {name}", *measured(tab, cockpit, seconds, presses)))
             browser.close()
-    shutil.rmtree(folder)
-    load_1, _, _ = os.getloadavg()
-    text = (
-        f"## Cockpit\n\n{' '.join((__doc__ or '').split('    python')[0].split())}\n\n"
-        f"{table(HEAD, rows)}\n\nThe page was there after {min(loads):.1f} s. Load of the machine "
-        f"at the end: {load_1:.1f} on {os.cpu_count()} cores, of which this is a part; "
-        f"{time.perf_counter() - began:.0f} s in all."
-    )
-    write_section(args.out, Path(__file__).name, text)
+    return rows
 
 
 def load(tab: Page, cockpit: Cockpit) -> float:
@@ -121,24 +179,12 @@ def load(tab: Page, cockpit: Cockpit) -> float:
 
 def measured(tab: Page, cockpit: Cockpit, seconds: float, presses: int) -> tuple[str, ...]:
     """Speed, images and latency in a window."""
-    mark_images(cockpit)
-    session, cpu = cockpit.session, time.process_time()
-    first, clock = session.view.state.time, time.perf_counter()  # type: ignore[union-attr]
     before = tab.evaluate("window.seen.images.length")
-    tab.wait_for_timeout(1000.0 * seconds)
-    passed = time.perf_counter() - clock
-    speed = (session.view.state.time - first) / passed  # type: ignore[union-attr]
+    with watched(cockpit) as found:
+        tab.wait_for_timeout(1000.0 * seconds)
     times = np.array(tab.evaluate("window.seen.images"))[before:]
-    busy = (time.process_time() - cpu) / passed
-    intervals = np.diff(times) if len(times) > 2 else np.array([np.nan])
     latency = [latency_of_a_press(tab, "da"[number % 2]) for number in range(presses)]
-    return (
-        f"{speed:.2f}",
-        f"{len(times) / passed:.1f}",
-        *(f"{np.percentile(intervals, q):.0f}" for q in (10, 90)),
-        *(f"{np.percentile(latency, q):.0f}" for q in (50, 90)),
-        f"{busy:.2f}",
-    )
+    return row(found, times, np.array(latency), seconds)
 
 
 def latency_of_a_press(tab: Page, key: str) -> float:

@@ -16,7 +16,7 @@ class View:
     """Look through an episode in a browser: every image, and the capsule's path in the organ.
 
     Two episodes are shown side by side at the same time. An estimated path is drawn beside the
-    true one.
+    true one, with its error.
 
     For example:
       vrcaps view runs/demo
@@ -28,7 +28,7 @@ class View:
     """Folders of one or two episodes."""
 
     estimate: Path | None = None
-    """TUM file of an estimated path of the capsule, in the world of the first episode [m]."""
+    """TUM file of an estimated path of the first episode's capsule [m], at its frames' times."""
 
     host: str = "127.0.0.1"
     """Address to listen at; 0.0.0.0 lets other machines in, with a token."""
@@ -40,7 +40,8 @@ class View:
         """Serve the page until Ctrl-C.
 
         Raises:
-            InputError: If an episode cannot be read or the port is in use.
+            InputError: If an episode cannot be read, the estimate is of other times, or the port is
+                in use.
         """
         from vrcaps.cockpit.episode_page import open_episodes
 

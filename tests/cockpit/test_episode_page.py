@@ -24,9 +24,12 @@ def test_says_how_many_episodes_there_may_be(recorded):
 
 @pytest.mark.slow
 def test_two_episodes_play_side_by_side(browser, recorded, tmp_path):
-    """The images are those of the files, at the slider's frame; depth at a click."""
+    """The images are those of the files, at the slider's frame; depth at a click; an estimate's
+    error is told, and zero after alignment."""
     episode, path = read_episode(recorded), tmp_path / "slam.txt"
-    np.savetxt(path, np.c_[[0.0, 1.0], np.zeros((2, 3)), np.zeros((2, 3)), [1.0, 1.0]])
+    places = 2.0 * episode.Ts_world_capsule[:, :3, 3] + [0.1, 0.0, 0.0]
+    turns = np.tile([0.0, 0.0, 0.0, 1.0], (len(episode), 1))
+    np.savetxt(path, np.c_[episode.times, places, turns], fmt="%.12f")
     with open_episodes([recorded, recorded], estimate=path, port=free_port()) as (page, gate):
         tab = browser.new_page(viewport={"width": 1100, "height": 500}, device_scale_factor=0.3)
         tab.goto(gate.address)
@@ -38,6 +41,10 @@ def test_two_episodes_play_side_by_side(browser, recorded, tmp_path):
         expected = picture("rgb", episode.image(episode.cameras[0].name, "rgb", 3))
         for shown in page._shown:
             np.testing.assert_array_equal(shown.image.image, expected)
+        tab.get_by_text("estimate: RMSE").wait_for()
+        assert page._estimate.errors.min() > 0.01
+        page._align.value = "rigid and scale"
+        tab.get_by_text("RMSE 0.00 mm").wait_for()
         before = images.first.get_attribute("src")
         tab.get_by_label("Channel").first.click()
         tab.get_by_role("option", name="depth", exact=True).click()

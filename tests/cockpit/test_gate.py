@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from cockpit_browser import free_port
 from vrcaps.cockpit.gate import Gate, is_loopback, require_free
 from vrcaps.errors import InputError
 
@@ -127,6 +128,35 @@ def test_the_server_listens_here_only_and_outlives_nonsense(cockpit):
     assert status(gate.port) == 200
     assert sum("no driver's input" in text for text in told) > 0
     assert len(told) < 20  # not a line for each
+
+
+@pytest.mark.slow
+def test_without_the_token_nothing_is_served():
+    """Neither pages nor their parts nor the connection; the cookie of the first answer lets in."""
+    pytest.importorskip("viser", reason="the extra cockpit is not installed")
+    import viser
+    from websockets.exceptions import InvalidStatus
+    from websockets.sync.client import connect
+
+    from vrcaps.cockpit.cockpit import serving
+
+    gate = Gate("127.0.0.1", free_port(), "s3cret")
+    url, version = f"ws://127.0.0.1:{gate.port}", f"viser-v{viser.__version__}"
+    with serving(gate, lambda text: None):
+        for path in ("/", "/index.html", "/assets/any.js", "/?token=guess", "/../drive.json"):
+            assert status(gate.port, path) == 403
+        with pytest.raises(InvalidStatus, match="403"):
+            connect(url, subprotocols=[version])
+        connection = http.client.HTTPConnection("127.0.0.1", gate.port, timeout=10)
+        with closing(connection):
+            connection.request("GET", "/?token=s3cret")
+            answer = connection.getresponse()
+            assert answer.status == 200
+            cookie = answer.headers["Set-Cookie"].partition(";")[0]
+        assert status(gate.port, "/index.html", Cookie=cookie) == 200
+        headers = {"Cookie": cookie}
+        with connect(url, subprotocols=[version], additional_headers=headers) as browser:
+            assert browser.recv(timeout=10)
 
 
 def flood(port: int, field: str) -> None:

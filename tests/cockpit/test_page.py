@@ -13,8 +13,9 @@ import pytest
 
 from cockpit_browser import wait_until
 from pad_pilot import PAD, PadPilot, push
+from vrcaps.cockpit.panels.scene_panel import ScenePanel
 from vrcaps.errors import InputError
-from vrcaps.transforms import matrix_from_quaternion
+from vrcaps.transforms import matrix_from_quaternion, transform_points
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Locator, Page
@@ -108,6 +109,32 @@ def test_reset_goes_back_to_the_first_frame(tab, cockpit):
     wait_until(tab, lambda: len(session.poses) >= 1)
     np.testing.assert_array_equal(session.poses[0], first)
     tab.get_by_role("button", name="Go on").click()
+
+
+def test_the_scene_shows_the_touched_wall_the_field_and_where_the_patient_lies(tab, cockpit):
+    session, scene = cockpit.session, cockpit.page.server.scene
+    panel = next(each for each in cockpit.page.panels if isinstance(each, ScenePanel))
+    panel._color.value = "contact pressure"
+    wait_until(tab, lambda: scene.get_handle_by_name("/patch/0") is not None)
+    touched = scene.get_handle_by_name("/patch/0").vertices
+    place = session.view.state.T_world_capsule[:3, 3]
+    assert np.linalg.norm(touched - place, axis=1).max() < 0.02
+    panel._color.value = "segment"
+    wait_until(tab, lambda: scene.get_handle_by_name("/patch/0") is None)
+    lines = scene.get_handle_by_name("/magnet/field")
+    assert lines.visible
+    panel._has_lines.value = False
+    wait_until(tab, lambda: not lines.visible)
+    parts = len(scene.get_handle_by_name("/organ/1").faces)
+    panel._cut_axis.value = "z"
+    wait_until(tab, lambda: len(scene.get_handle_by_name("/organ/1").faces) < 0.8 * parts)
+    panel._cut_axis.value = "none"
+    table, outline = (scene.get_handle_by_name(name) for name in ("/table", "/patient/outline"))
+    lying = transform_points(session.view.T_world_patient, outline.points.reshape(-1, 3))
+    top = table.position[2] + 0.5 * table.dimensions[2]
+    assert top == pytest.approx(lying[:, 2].min(), abs=1e-6)
+    panel._has_patient.value = False
+    wait_until(tab, lambda: not table.visible)
 
 
 def test_a_gamepad_and_keys_steer_beyond_the_dead_zone(tab, cockpit):

@@ -21,6 +21,8 @@ _FROM = (0.2, -1.05, 0.4)
 """Where one looks from at first, in sizes of what is seen."""
 _VISIBLE = 2e-4
 """Motion of the wall [m] below which it is not sent again."""
+_SAME_PLACE, _SAME_TURN = 1e-5, 1e-4
+"""Differences in place [m] and quaternion below which a node stays where it is."""
 CUT_AXES = ("none", "x", "y", "z")
 """World axes across which the organ may be cut."""
 
@@ -211,5 +213,9 @@ def aim(server: viser.ViserServer, low: np.ndarray, high: np.ndarray) -> None:
 
 
 def move(handle: Any, T: Float[np.ndarray, "4 4"]) -> None:
-    """Puts a node to a pose."""
-    handle.wxyz, handle.position = quaternion_from_matrix(T[:3, :3]), T[:3, 3]
+    """Puts a node to a pose, if one would see the difference."""
+    wxyz = quaternion_from_matrix(T[:3, :3])
+    if np.abs(handle.position - T[:3, 3]).max() > _SAME_PLACE:
+        handle.position = T[:3, 3]
+    if np.abs(handle.wxyz - wxyz).max() > _SAME_TURN:
+        handle.wxyz = wxyz

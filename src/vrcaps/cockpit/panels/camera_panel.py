@@ -40,6 +40,7 @@ class CameraPanel:
     def show_image(self, image: LiveImage) -> None:
         """Shows an image of the camera; called from the thread that has rendered it."""
         self._image.image = image.picture
+        self._page.server.flush()  # else the page's library waits for what else may come
 
     def update(self, view: View) -> None:
         """Does nothing: images come by themselves."""

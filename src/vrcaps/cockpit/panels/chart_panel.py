@@ -1,4 +1,4 @@
-"""Chart panel: strip charts of speed, contact force, coupling, coverage and exposure."""
+"""Chart panel: strip charts of speed, forces, angle to the field, coverage and exposure."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.units import MM
+from vrcaps.units import DEG, MM
 
 if TYPE_CHECKING:
     from vrcaps.cockpit.page import Page
@@ -44,6 +44,11 @@ def _coupling(view: View) -> float:
     return np.nan if coupling is None else float(1e3 * np.linalg.norm(coupling.force_world))
 
 
+def _angle(view: View) -> float:
+    coupling = view.state.coupling
+    return np.nan if coupling is None else coupling.angle / DEG
+
+
 def _contact(view: View) -> float:
     contact = view.state.contact
     return np.nan if contact is None else 1e3 * contact.normal_force_total
@@ -57,6 +62,7 @@ QUANTITIES = (
     ),
     Quantity("contact force [mN]", "#ff922b", lambda page, view: _contact(view)),
     Quantity("magnetic force [mN]", "#e64980", lambda page, view: _coupling(view)),
+    Quantity("angle to the field [°]", "#cc5de8", lambda page, view: _angle(view)),
     Quantity("coverage [%]", "#51cf66", lambda page, view: 100.0 * page.seen.fraction),
     Quantity("exposure [1]", "#fcc419", lambda page, view: page.images.exposure),
 )

@@ -12,16 +12,20 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from playwright.sync_api import Page, sync_playwright
 
 from vrcaps.cli.cockpit import Cockpit as CockpitCommand
 from vrcaps.cockpit.cockpit import Cockpit, open_cockpit
 from vrcaps.cockpit.episode_page import open_episodes
+from vrcaps.cockpit.panels.scene_panel import ScenePanel
 from vrcaps.recording.recorder import record
 
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 SIZE = {"width": 1400, "height": 800}
 PORT = 8941
+NEAR = np.array([0.03, -0.08, 0.05])
+"""From where the capsule is looked at closely [m]."""
 KEYS = (("a", 1.0), ("s", 1.5), ("e", 1.5))
 """Keys, and for how much simulated time each is held [s]."""
 MOST_FRAMES = 40
@@ -59,7 +63,7 @@ def opened(tab: Page, address: str) -> Page:
 
 
 def drive(tab: Page, cockpit: Cockpit, path: Path) -> None:
-    """Holds keys, and takes pictures of three tabs."""
+    """Holds keys, and takes pictures of three tabs and of the touched wall."""
     for key, duration in KEYS:
         view = cockpit.session.view
         assert view is not None
@@ -73,14 +77,28 @@ def drive(tab: Page, cockpit: Cockpit, path: Path) -> None:
     take(tab, path)
     for folder in ("Keys and gamepad", "Run", "Scene"):
         tab.get_by_text(folder, exact=True).click()
-    tab.get_by_label("Color by").first.click()
-    tab.get_by_role("option", name="coverage").click()
+    scene = next(panel for panel in cockpit.page.panels if isinstance(panel, ScenePanel))
+    scene._color.value = "coverage"
     tab.get_by_text("Map", exact=True).click()
     tab.wait_for_timeout(4000)
     take(tab, path.with_stem("cockpit_coverage"))
     tab.get_by_text("Charts", exact=True).click()
     tab.wait_for_timeout(2000)
     take(tab, path.with_stem("cockpit_charts"))
+    scene._color.value, scene._cut_axis.value = "contact pressure", "y"
+    look_at_capsule(cockpit)
+    tab.wait_for_timeout(4000)
+    take(tab, path.with_stem("cockpit_pressure"))
+
+
+def look_at_capsule(cockpit: Cockpit) -> None:
+    """Brings the view of the scene near the capsule."""
+    view = cockpit.session.view
+    assert view is not None
+    place = view.state.T_world_capsule[:3, 3]
+    for client in cockpit.page.server.get_clients().values():
+        client.camera.look_at = place
+        client.camera.position = place + NEAR
 
 
 def take(tab: Page, path: Path) -> None:

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from cockpit_browser import free_port, wait_until
 from vrcaps.cockpit.episode_page import open_episodes
+from vrcaps.cockpit.episode_scene import RecordedWalls
 from vrcaps.errors import InputError
+from vrcaps.mesh.mesh import Mesh
+from vrcaps.organ.read_organ import read_organ
 from vrcaps.recording.episode import read_episode
 from vrcaps.recording.pictures import picture
+from vrcaps.transforms import transform_points
 
 
 def test_says_how_many_episodes_there_may_be(recorded):
@@ -54,3 +62,19 @@ def test_two_episodes_play_side_by_side(browser, recorded, tmp_path):
         tab.get_by_text(last).nth(1).wait_for()
         tab.get_by_role("button", name="Play").wait_for()
         tab.close()
+
+
+def test_recorded_walls_are_found_again_by_the_organs_vertices(recorded):
+    """The file holds vertices at seams of the texture twice, the organ that is read from it once."""
+    episode = read_episode(recorded)
+    organ = read_organ(episode.organ_path)
+    rest = transform_points(np.array(episode.head["T_world_patient"]), organ.vertices)
+
+    def wall(frame: int) -> Mesh:
+        return replace(episode.organ, vertices=(1.0 + 0.1 * frame) * episode.organ.vertices)
+
+    stored: Any = SimpleNamespace(organ=episode.organ, wall=wall)
+    walls = RecordedWalls(stored, rest)
+    assert len(rest) < len(episode.organ.vertices)
+    for frame in (0, 2):
+        np.testing.assert_allclose(walls.at(frame), (1.0 + 0.1 * frame) * rest, atol=1e-6)

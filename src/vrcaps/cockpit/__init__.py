@@ -16,6 +16,9 @@ driven is recorded again from the commands alone, to the same bytes. Types on th
 - `page.Page` is the page in all browsers. Its panels are one small file each in `panels`; what they
   do with a `View` is all that they know of the simulation. `browser` is the only file that knows
   private parts of the page's library, `gate` lets in those with a token.
+- The scene is made of nodes (`scene_nodes`, `magnet_node`, `patient_node`), which the page of
+  recorded episodes (`episode_page`) shows, too; `colorings` has what the organ is colored by.
+  `pace` sends it less often where a browser draws slowly.
 - `cockpit.open_cockpit` puts all together; its `Cockpit` begins one drive after another in the same
   page, with what `new_drive` changes.
 

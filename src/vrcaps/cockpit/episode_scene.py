@@ -19,6 +19,7 @@ from vrcaps.transforms import transform_points
 
 if TYPE_CHECKING:
     import viser
+    from jaxtyping import Float
 
     from vrcaps.cockpit.organ_colors import Color
     from vrcaps.cockpit.path_estimate import PathEstimate
@@ -37,6 +38,8 @@ class EpisodeScene:
         self._T_world_patient = np.array(first.head["T_world_patient"])
         self._vertices = transform_points(self._T_world_patient, self._surface.vertices)
         self._mesh = coarse_mesh(self._vertices, self._surface.faces)
+        self._walls = RecordedWalls(first, self._vertices) if "wall" in first.head else None
+        self._wall_frame = 0
         self._organ = OrganNode(self._scene, self._mesh)
         self._patient = PatientNode(self._scene, self._surface.vertices)
         self._patients = _poses(first, "patient")
@@ -60,6 +63,9 @@ class EpisodeScene:
                 move(self._guess, self._estimate.estimated[place])
         lies = self._T_world_patient if self._patients is None else self._patients[frame]
         self._patient.show(lies, is_visible=self._has_patient.value)
+        if self._walls is not None and frame != self._wall_frame:
+            self._wall_frame = frame
+            self._organ.move(self._walls.at(frame))
         if self._magnet is not None and self._magnets is not None:
             self._magnet.show(self._magnets[frame], has_lines=self._has_lines.value)
 
@@ -85,6 +91,7 @@ class EpisodeScene:
             coloring = make_coloring(self._color.value, self._surface, self._mesh)
             self._organ.set_opacity(self._opacity.value)
             self._organ.draw(self._vertices, coloring, cut)
+            self._wall_frame = -1
             self._legend.content = coloring.legend()
         self._drawn = wanted
         return True
@@ -117,6 +124,33 @@ class EpisodeScene:
         if not isinstance(motion, Dynamics) or motion.magnet is None:
             return None
         return MagnetNode(self._scene, read_magnet(motion.magnet.magnet))
+
+
+class RecordedWalls:
+    """Walls of an episode that were recorded with `--wall`, by the vertices of its organ."""
+
+    def __init__(self, episode: Episode, vertices: Float[np.ndarray, "n 3"]) -> None:
+        """Finds which vertex of the organ each vertex of the file is.
+
+        Args:
+            episode: With walls.
+            vertices: Of the organ at rest in the world [m]. The file holds some of them twice,
+                where seams of the texture are cut.
+        """
+        from scipy.spatial import cKDTree
+
+        self._episode, self._rest = episode, vertices
+        self._places = cKDTree(vertices).query(episode.organ.vertices)[1]
+
+    def at(self, frame: int) -> Float[np.ndarray, "n 3"]:
+        """Vertices of the organ at a frame in the world [m].
+
+        Raises:
+            InputError: If the file of that frame is missing or damaged.
+        """
+        moved = self._rest.copy()
+        moved[self._places] = self._episode.wall(frame).vertices
+        return moved
 
 
 def _poses(episode: Episode, body: str) -> np.ndarray | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -38,7 +39,10 @@ def test_two_episodes_play_side_by_side(browser, recorded, tmp_path):
     places = 2.0 * episode.Ts_world_capsule[:, :3, 3] + [0.1, 0.0, 0.0]
     turns = np.tile([0.0, 0.0, 0.0, 1.0], (len(episode), 1))
     np.savetxt(path, np.c_[episode.times, places, turns], fmt="%.12f")
-    with open_episodes([recorded, recorded], estimate=path, port=free_port()) as (page, gate):
+    other = shutil.copytree(recorded, tmp_path / "other")
+    damaged = read_episode(other).image_path(episode.cameras[0].name, "rgb", 1)
+    damaged.write_bytes(damaged.read_bytes()[:50])
+    with open_episodes([recorded, other], estimate=path, port=free_port()) as (page, gate):
         tab = browser.new_page(viewport={"width": 1100, "height": 500}, device_scale_factor=0.3)
         tab.goto(gate.address)
         tab.get_by_role("button", name="Play").wait_for()
@@ -49,6 +53,9 @@ def test_two_episodes_play_side_by_side(browser, recorded, tmp_path):
         expected = picture("rgb", episode.image(episode.cameras[0].name, "rgb", 3))
         for shown in page._shown:
             np.testing.assert_array_equal(shown.image.image, expected)
+        page._frame.value = 1
+        tab.get_by_text("lists all faults").first.wait_for()
+        page._frame.value = 3
         tab.get_by_text("estimate: RMSE").wait_for()
         assert page._estimate.errors.min() > 0.01
         page._align.value = "rigid and scale"
@@ -65,7 +72,7 @@ def test_two_episodes_play_side_by_side(browser, recorded, tmp_path):
 
 
 def test_recorded_walls_are_found_again_by_the_organs_vertices(recorded):
-    """The file holds vertices at seams of the texture twice, the organ that is read from it once."""
+    """The file holds vertices at seams of the texture twice, the organ that is read once."""
     episode = read_episode(recorded)
     organ = read_organ(episode.organ_path)
     rest = transform_points(np.array(episode.head["T_world_patient"]), organ.vertices)

@@ -17,7 +17,7 @@ from vrcaps.cockpit.episode_charts import EpisodeCharts
 from vrcaps.cockpit.episode_scene import EPISODE_COLORS, ESTIMATE_COLOR, EpisodeScene
 from vrcaps.cockpit.gate import Gate
 from vrcaps.cockpit.path_estimate import ALIGNMENTS, PathEstimate, read_path_estimate
-from vrcaps.errors import InputError
+from vrcaps.errors import InputError, VrcapsError
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.pictures import legend, limits_of, picture
 from vrcaps.units import MM
@@ -132,8 +132,12 @@ class EpisodePage:
                 self._drawn = ()
             wanted = (self._frame.value, self._channel.value, self._camera.value)
             if self._scene.draw_organ() or wanted != self._drawn:
-                self._show(int(self._frame.value))
                 self._drawn = wanted
+                try:
+                    self._show(int(self._frame.value))
+                except VrcapsError as error:  # a damaged file: other frames may be whole
+                    for shown in self._shown:
+                        shown.caption.content = f"**{error}**"
             self._mark(int(self._frame.value))
 
     def _advance(self, began: float, first: float) -> None:

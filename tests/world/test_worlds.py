@@ -112,6 +112,20 @@ def test_a_hierarchy_refitted_in_part_is_that_refitted_whole(model: Model) -> No
         assert np.array_equal(wall.signed_distance(points), whole.signed_distance(points))
 
 
+def test_a_small_wall_is_moved_by_the_same_sums_on_one_thread(model: Model) -> None:
+    """Bit by bit what the core's threads make of it, in a patient who lies askew."""
+    world = worlds_in(model)[0]
+    turn = rotation_from_vector(np.array([0.4, -0.2, 1.1]))
+    lying = transform_from(turn @ model.T_world_patient[:3, :3], np.array([0.1, 0.2, -0.3]))
+    for insufflation in (1.0, 1.05):
+        control = Control((0.0, 0.0, -0.5), T_world_patient=lying, insufflation=insufflation)
+        world.step(control, 0.02)
+        assert np.abs(world._core.wall_displacement).max() > 0.0
+        expected = world._core.vertices(np.asarray(world._T_world_patient, float))
+        assert world.state.vertices_world is not None
+        np.testing.assert_array_equal(world.state.vertices_world, expected, strict=True)
+
+
 def test_a_bad_world_does_not_hold_up_the_others(model: Model) -> None:
     worlds = worlds_in(model)
     before = [as_bytes(world.snapshot()) for world in worlds]

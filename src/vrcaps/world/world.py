@@ -40,6 +40,9 @@ _WAKING = 1.0
 
 _LONGEST_SUBSTEP = 1e-3
 
+_SMALL_WALL = 50_000
+"""Vertices up to which one thread moves a wall; takes it less than 1 ms."""
+
 
 class World:
     """A capsule in a soft organ; holds the wall's hierarchy and all that moves.
@@ -212,11 +215,24 @@ class World:
             T_world_capsule=self.T_world_capsule,
             linear_velocity_world=linear,
             angular_velocity_world=angular,
-            vertices_world=self._core.vertices(np.asarray(T, float)) if moved else None,
+            vertices_world=self._vertices_world() if moved else None,
             contact=self.contact,
             lumen_contents=None if self._lumen is None else self._lumen.lumen_contents(T),
             coupling=self.coupling,
         )
+
+    def _vertices_world(self) -> Float[np.ndarray, "n 3"]:
+        """Every vertex of the wall now [m].
+
+        A small wall is moved on this thread, by the core's own sums: the core's threads may be
+        busy with an image, and who controls a magnet must not wait for it.
+        """
+        T = np.asarray(self._T_world_patient, float)
+        if len(self.model.organ.vertices) > _SMALL_WALL:
+            return self._core.vertices(T)
+        given_way = self._core.wall_displacement[:, :3]
+        x, y, z = (self._core.active_wall + given_way + self._center).T[..., None]
+        return x * T[:3, 0] + y * T[:3, 1] + z * T[:3, 2] + T[:3, 3]
 
     @property
     def wall(self) -> _core.Wall:

@@ -119,8 +119,10 @@ def test_the_scene_shows_the_touched_wall_the_field_and_where_the_patient_lies(t
     touched = scene.get_handle_by_name("/patch/0").vertices
     place = session.view.state.T_world_capsule[:3, 3]
     assert np.linalg.norm(touched - place, axis=1).max() < 0.02
+    assert scene.get_handle_by_name("/capsule/body").opacity < 1.0
     panel._color.value = "segment"
     wait_until(tab, lambda: scene.get_handle_by_name("/patch/0") is None)
+    assert scene.get_handle_by_name("/capsule/body").opacity is None
     lines = scene.get_handle_by_name("/magnet/field")
     assert lines.visible
     panel._has_lines.value = False
@@ -135,6 +137,16 @@ def test_the_scene_shows_the_touched_wall_the_field_and_where_the_patient_lies(t
     assert top == pytest.approx(lying[:, 2].min(), abs=1e-6)
     panel._has_patient.value = False
     wait_until(tab, lambda: not table.visible)
+
+
+def test_browsers_say_how_many_frames_they_draw(tab, cockpit):
+    """Without a graphics card the scene may give way; the field that says it is hidden."""
+    pace = cockpit.page.pace
+    wait_until(tab, lambda: len(pace._rates) > 0)
+    (rate, _), *_ = pace._rates.values()
+    assert 0.0 < rate < 250.0
+    fields = tab.locator("input[value^='vrcaps-frames:']")
+    wait_until(tab, lambda: fields.count() == 0 or not fields.first.is_visible())
 
 
 def test_a_gamepad_and_keys_steer_beyond_the_dead_zone(tab, cockpit):

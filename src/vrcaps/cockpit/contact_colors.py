@@ -35,6 +35,7 @@ class ContactColoring(Coloring):
     """
 
     limits: ClassVar[tuple[float, ...]]
+    hides_capsule = True
 
     def __init__(self, organ: OrganSurface, mesh: PageMesh, live: LiveWall) -> None:
         super().__init__(organ, mesh)

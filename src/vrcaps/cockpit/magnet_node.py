@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _SOUTH_COLOR, _NORTH_COLOR = (70, 72, 80), (210, 60, 50)
-_STRONG, _WEAK = (120, 190, 255), (38, 52, 74)
+_STRONG, _WEAK = (60, 130, 210), (18, 26, 42)
 """Color of a line where the field is at the upper and at the lower end of `_FIELDS`."""
 _FIELDS = (1e-3, 0.1)
 """Flux densities [T] between which a line fades, by the logarithm."""
@@ -46,7 +46,7 @@ class MagnetNode:
             "/magnet/field",
             segments.astype(np.float32),
             colors=colors,
-            thickness=1.5,
+            thickness=1.0,
             thickness_units="screen",
         )
 
@@ -62,7 +62,7 @@ def colored_lines(
 ) -> tuple[Float[np.ndarray, "k 2 3"], Float[np.ndarray, "k 2 3"]]:
     """Pieces of field lines in the magnet's frame [m], and the sRGB color of each end."""
     own = Cylinder(magnet.diameter, magnet.length, magnet.remanence)
-    lines = magnet_lines(magnet, reach=_REACH, step=_STEP)
+    lines = magnet_lines(magnet, reach=_REACH, step=_STEP, rings=4, meridians=6)
     thinned = [np.concatenate([line[:-1:_EVERY], line[-1:]]) for line in lines]
     segments = np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in thinned])
     flux = np.linalg.norm(field([own], segments.reshape(-1, 3))[0], axis=1)

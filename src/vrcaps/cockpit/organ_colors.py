@@ -58,10 +58,12 @@ class Coloring:
 
     Attributes:
         name: What the colors stand for.
+        hides_capsule: Whether one has to see through the capsule.
         colors: sRGB of each class.
     """
 
     name: ClassVar[str]
+    hides_capsule: ClassVar[bool] = False
 
     def __init__(self, organ: OrganSurface, mesh: PageMesh) -> None:
         self.organ, self.mesh = organ, mesh

@@ -13,6 +13,7 @@ import numpy as np
 from vrcaps.cockpit.browser import DriverInput, InputBridge, parse_input
 from vrcaps.cockpit.camera_images import CameraImages, LiveImage
 from vrcaps.cockpit.gate import is_loopback
+from vrcaps.cockpit.pace import Pace, listen_to_frame_rates
 from vrcaps.cockpit.seen_wall import SeenWall
 from vrcaps.errors import InputError, VrcapsError
 
@@ -53,6 +54,7 @@ class Page:
         session: What is driven.
         images: Of the capsule's camera.
         seen: What the cameras have seen.
+        pace: How often panels may change the scene.
         side_panel: Window at the right, in which panels have tabs.
         bridge: To the browsers' keys and gamepads.
         is_busy: Held while a recording is made.
@@ -94,11 +96,13 @@ class Page:
         self.actions: dict[str, Callable[[], None]] = {}
         session.on_message = self.tell
         self.images, self.seen = CameraImages(session, self._keep_image), SeenWall(session)
+        self.pace = Pace()
         self.side_panel = server.gui.add_panel()
         self.panels = [make(self) for make in panels]
         self.side_panel.dock_right()
         self.side_panel.set_width(_SIDE_WIDTH)
         self.bridge = InputBridge(server, self.handler(self._on_input))
+        listen_to_frame_rates(server, self.pace)
         server.on_client_connect(lambda client: self._join(client.client_id))
         server.on_client_disconnect(lambda client: self._leave(client.client_id))
         self._thread = threading.Thread(target=self._run, name="vrcaps-page", daemon=True)

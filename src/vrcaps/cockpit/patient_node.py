@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import viser
     from jaxtyping import Float
 
-_OUTLINE_COLOR, _TABLE_COLOR = (190, 170, 160), (95, 105, 118)
+_OUTLINE_COLOR, _TABLE_COLOR = (150, 125, 112), (36, 40, 46)
 _TABLE_SIZE = (0.6, 1.95, 0.05)
 """Breadth, length and thickness [m]."""
 _LYING = 0.5

@@ -97,6 +97,8 @@ class ChartPanel:
     def update(self, view: View) -> None:
         """Adds a point where enough time has passed; draws twice a second."""
         time = view.state.time
+        if time < 0.0:  # the capsule is falling onto the wall
+            return
         if self._rows and time < self._rows[-1][0]:
             kept = [row for row in self._rows if row[0] < time]
             self._rows.clear()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time as wall_clock
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +23,7 @@ class DrivingPanel:
 
     def __init__(self, page: Page) -> None:
         self._page, self._operator = page, page.session.operator
-        self._is_dragged = False
+        self._is_dragged, self._moved = False, 0.0
         gui = page.server.gui
         with gui.add_folder("Drive"):
             take = gui.add_button("Take the controls")
@@ -37,8 +38,12 @@ class DrivingPanel:
 
     def update(self, view: View) -> None:
         """Keeps the gizmo at the magnet while nobody drags it."""
+        now = wall_clock.monotonic()
         if self._is_dragged or self._operator.is_dragged:
             return
+        if now - self._moved < self._page.pace.interval:
+            return
+        self._moved = now
         place, turn = view.T_world_requested[:3, 3], view.T_world_requested[:3, :3]
         wxyz = quaternion_from_matrix(turn)
         if not np.allclose(self._gizmo.position, place, atol=1e-5):

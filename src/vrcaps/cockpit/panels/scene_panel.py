@@ -35,6 +35,8 @@ _SECONDS_PER_WALL = 0.5
 """Real time between updates of the wall and its colors."""
 _SECONDS_PER_PATCH = 0.2
 """Real time between updates of what the capsule touches."""
+_SEE_THROUGH = 0.3
+"""Opacity of the capsule where one looks at what it touches."""
 _ARM_COLOR, _PATH_COLOR = (225, 228, 232), (255, 190, 40)
 
 
@@ -50,7 +52,7 @@ class ScenePanel:
         self._organ, self._touched = OrganNode(self._scene, self._mesh), PatchNode(self._scene)
         self._coloring: Coloring | None = None
         self._drawn: tuple[object, ...] = ()
-        self._wall_time, self._patch_time, self._path_length = 0.0, 0.0, 0
+        self._moved, self._wall_time, self._patch_time, self._path_length = 0.0, 0.0, 0.0, 0
         self._add_controls()
         points, magnet = self._model.vertices_world, program.controller.requested[:3, 3]
         aim(page.server, points.min(axis=0), np.maximum(points.max(axis=0), magnet))
@@ -61,7 +63,11 @@ class ScenePanel:
         self._arm_frames = self._add_arm()
 
     def update(self, view: View) -> None:
-        """Moves everything to where it is."""
+        """Moves everything to where it is, as often as browsers can draw it."""
+        now = wall_clock.monotonic()
+        if now - self._moved < self._page.pace.interval:
+            return
+        self._moved = now
         move(self._capsule, view.state.T_world_capsule)
         self._magnet.show(view.T_world_magnet, has_lines=self._has_lines.value)
         self._patient.show(view.T_world_patient, is_visible=self._has_patient.value)
@@ -71,7 +77,6 @@ class ScenePanel:
             poses = actuator.robot.T_world_base @ np.concatenate([np.eye(4)[None], placed])
             for number, handle in self._arm_frames.items():
                 move(handle, poses[number])
-        now = wall_clock.monotonic()
         if now - self._wall_time > _SECONDS_PER_WALL:
             self._wall_time = now
             self._draw_wall(view)
@@ -95,6 +100,8 @@ class ScenePanel:
             live = LiveWall(self._page.seen, world.tissue.foundation_in_series, world.body)
             name, organ = self._color.value, self._model.organ
             self._coloring = make_coloring(name, organ, self._mesh, live)
+            body: Any = self._scene.get_handle_by_name("/capsule/body")
+            body.opacity = _SEE_THROUGH if self._coloring.hides_capsule else None
         cut = Cut(self._cut_axis.value, self._cut_fraction.value)
         wanted = (self._color.value, cut, self._coloring.version)
         self._organ.set_opacity(self._opacity.value)

@@ -48,7 +48,9 @@ class EpisodeScene:
         self._estimate: PathEstimate | None = None
         self._guess: Any = None
         self._drawn: tuple[object, ...] = ()
-        aim(server, self._vertices.min(axis=0), self._vertices.max(axis=0))
+        above = self._vertices if self._magnets is None else self._magnets[:1, :3, 3]
+        high = np.maximum(self._vertices.max(axis=0), above.max(axis=0))
+        aim(server, self._vertices.min(axis=0), high)
         self._add_controls(server.gui)
 
     def show(self, indices: Sequence[int]) -> None:

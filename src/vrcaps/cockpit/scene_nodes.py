@@ -67,7 +67,7 @@ class OrganNode:
 
     def __init__(self, scene: viser.SceneApi, mesh: PageMesh) -> None:
         self._scene, self._mesh = scene, mesh
-        self._parts: list[_Part] = []
+        self._parts: dict[int, _Part] = {}
         self._opacity: float | None = None
 
     def draw(self, points: Float[np.ndarray, "n 3"], coloring: Coloring, cut: Cut) -> None:
@@ -80,24 +80,22 @@ class OrganNode:
         """
         faces, classes = self._mesh.faces, coloring.classes()
         kept = cut.keeps(points[self._mesh.vertices], faces)
-        for part in self._parts:
-            part.handle.remove()
-        groups = [(number, faces[kept & (classes == number)]) for number in np.unique(classes)]
-        self._parts = [
-            self._add(number, mine, points, coloring.colors[number])
-            for number, mine in groups
-            if len(mine)
-        ]
+        before, self._parts = self._parts, {}
+        for number in map(int, np.unique(classes[kept])):
+            mine = faces[kept & (classes == number)]
+            self._parts[number] = self._add(number, mine, points, coloring.colors[number])
+        for number in before.keys() - self._parts.keys():  # a part of the same name is replaced
+            before[number].handle.remove()
 
     def move(self, points: Float[np.ndarray, "n 3"]) -> None:
         """Moves it to where the fine wall's vertices are [m]."""
-        for part in self._parts:
+        for part in self._parts.values():
             part.move(points)
 
     def set_opacity(self, opacity: float) -> None:
         """Makes it as opaque, from 0 to 1."""
         self._opacity = None if opacity >= 1.0 else opacity
-        for part in self._parts:
+        for part in self._parts.values():
             if part.handle.opacity != self._opacity:
                 part.handle.opacity = self._opacity
 

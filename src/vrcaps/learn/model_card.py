@@ -211,7 +211,7 @@ def _plans(training: Training) -> list[str]:
             f"<summary>{source} is what <code>vrcaps dataset make plan.json</code> makes</summary>",
             "",
             "```json",
-            json.dumps(plan, indent=1),
+            json.dumps(plan),
             "```",
             "",
             "</details>",

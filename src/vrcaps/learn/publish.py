@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -61,8 +62,9 @@ def publish(
     sha256, size = file_sha256(best), best.stat().st_size
     allowed = f"up to {MOST_BYTES:,}; train a smaller encoder"
     require(size <= MOST_BYTES, f"The size of {best} [bytes]", f"{size:,}", allowed)
-    scored = [_evaluation(path, sha256) for path in evaluations]
-    training = _training(run, trained)
+    training, scored = _by_name(
+        _training(run, trained), [_evaluation(path, sha256) for path in evaluations]
+    )
     card = folder / f"{name}.md"
     notes = notes.strip() or (notes_of(card.read_text("utf-8")) if card.is_file() else "")
     if not notes:
@@ -126,10 +128,33 @@ def _plans(settings: TrainSettings) -> dict[str, dict[str, Any]]:
     return found
 
 
+def _by_name(training: Training, scored: Sequence[Evaluation]) -> tuple[Training, list[Evaluation]]:
+    """The same with data sets by their names, in whatever folders they lay here."""
+    plans, settings = training.plans, training.settings
+    named = {source: f"runs/{plan['dataset']['name']}" for source, plan in plans.items()}
+    if len(set(named.values())) < len(named):
+        return training, list(scored)
+
+    def renamed(sources: Sequence[str]) -> tuple[str, ...]:
+        return tuple(named.get(source, source) for source in sources)
+
+    settings = replace(
+        settings, data=renamed(settings.data), validation=renamed(settings.validation)
+    )
+    training = replace(
+        training, settings=settings, plans={named[source]: plan for source, plan in plans.items()}
+    )
+    return training, [replace(one, data=renamed(one.data)) for one in scored]
+
+
 def _summary(learner: AnyLearner, training: Training, scored: Sequence[Evaluation]) -> str:
     """What the weights are and score, on one line."""
     meaning = (type(learner).__doc__ or "").partition("\n")[0].rstrip(".")
     figure = learner.figure.name
     scores = scored[-1].scores if scored else training.scores
-    where = f" on {' '.join(scored[-1].data)}" if scored else " on validation frames"
+    where = (
+        f" on {', '.join(Path(one).name for one in scored[-1].data)}"
+        if scored
+        else " on validation frames"
+    )
     return f"{meaning}; {figure} {scores[figure]:.4f}{where}"

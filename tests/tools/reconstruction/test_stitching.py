@@ -196,6 +196,32 @@ def test_mosaic_shows_the_wall_and_its_depth_is_exact():
     assert np.percentile(error, 99) < 8.0
 
 
+def test_what_a_lens_does_not_see_is_neither_matched_nor_shown():
+    """A round field: its edge stays in place while the wall moves."""
+    narrow = replace(CAMERA, image_circle_px=70.0)
+    y, x = np.mgrid[:SIDE, :SIDE]
+    is_round = np.hypot(x - 79.5, y - 79.5) <= 70.0
+
+    def load(channel, index):
+        image = _load(channel, index)
+        if channel == "depth":
+            return np.where(is_round, image, np.nan)
+        return np.where(is_round[..., None], image, 0).astype(np.uint8)
+
+    sequence = replace(_sequence(), camera=narrow, load=load)
+    found = stitch(sequence, StitchSettings(num_features=400))
+    shown = found.mosaic.rgb.max(axis=2)
+    assert (shown > 0).mean() > 0.5
+    assert shown[np.isfinite(found.mosaic.depth)].min() > 30  # no black rim within
+    exact, best = _homographies(), max(found.pairs, key=lambda one: len(one.points_first))
+    scale = found.sequence.camera.lens.fx / LENS.fx
+    there = np.linalg.inv(exact[best.second]) @ exact[best.first]
+    middle = np.array([[79.5, 79.5]])
+    expected = (mapped(there, middle) - middle) * scale
+    own = np.array([[found.sequence.camera.lens.cx, found.sequence.camera.lens.cy]])
+    np.testing.assert_allclose(mapped(best.homography, own) - own, expected, atol=1.0)
+
+
 def test_images_that_would_be_stretched_are_left_out():
     good = np.array([[1.0, 0.0, 30.0], [0.0, 1.0, 5.0], [0.0, 0.0, 1.0]])
     behind, large = good.copy(), np.diag([4.0, 4.0, 1.0])

@@ -16,7 +16,7 @@ import numpy as np
 from vrcaps.tools.reconstruction.opencv import opencv
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Float32, Int, UInt8
+    from jaxtyping import Bool, Float, Float32, Int, UInt8
 
 _RATIO = 0.8
 """Largest distance to the nearest descriptor over that to the next (Lowe, IJCV 60(2), 2004)."""
@@ -63,8 +63,15 @@ class Pair:
     num_matches: int
 
 
-def sift_features(rgb: UInt8[np.ndarray, "h w 3"], count: int) -> Features:
+def sift_features(
+    rgb: UInt8[np.ndarray, "h w 3"], count: int, is_seen: Bool[np.ndarray, "h w"] | None = None
+) -> Features:
     """The strongest features of an image (Lowe 2004).
+
+    Args:
+        rgb: The image.
+        count: Most features.
+        is_seen: Where to look: the border of a lens's field stays in place, and would match.
 
     Raises:
         MissingExtraError: If OpenCV is not installed.
@@ -72,7 +79,9 @@ def sift_features(rgb: UInt8[np.ndarray, "h w 3"], count: int) -> Features:
     cv2 = opencv()
     # Mucosa has little contrast: SIFT's own threshold of 0.04 finds a few dozen features.
     detector = cv2.SIFT_create(nfeatures=count, contrastThreshold=0.01)
-    points, descriptors = detector.detectAndCompute(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), None)
+    gray = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
+    mask = None if is_seen is None else is_seen.astype(np.uint8)
+    points, descriptors = detector.detectAndCompute(gray, mask)
     if not points:
         return Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32))
     order = np.argsort([-point.response for point in points], kind="stable")[:count]

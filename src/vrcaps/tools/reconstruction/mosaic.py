@@ -24,7 +24,7 @@ from vrcaps.tools.reconstruction.bundle import mapped
 from vrcaps.tools.reconstruction.opencv import opencv
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Float32, UInt8
+    from jaxtyping import Bool, Float, Float32, UInt8
 
 _WIDEST = 2.5
 """Largest tangent to the axis that a mosaic shows: 68°; beyond, a plane stretches too far."""
@@ -105,6 +105,7 @@ def blended(
     image_of: Callable[[int], UInt8[np.ndarray, "h w 3"]],
     depth_of: Callable[[int], Float[np.ndarray, "h w"]] | None,
     reference: int,
+    is_seen: Bool[np.ndarray, "h w"] | None = None,
 ) -> Mosaic:
     """The mosaic of images.
 
@@ -114,6 +115,7 @@ def blended(
         image_of: Reads an image.
         depth_of: Reads its depth z [m]; None if there is none.
         reference: Number of the reference.
+        is_seen: Pixels of each image that count; None takes all.
 
     Raises:
         MissingExtraError: If OpenCV is not installed.
@@ -123,7 +125,9 @@ def blended(
     nearest = np.full((wide.height, wide.width), -1)
     middle = np.zeros((wide.height, wide.width), np.float32)
     total, weights = np.zeros_like(middle), np.zeros_like(middle)
+    seen = np.ones((camera.height, camera.width)) if is_seen is None else is_seen
     for image, at, weight in _views(homographies, wide, corner, camera):
+        weight *= cv2.remap(seen.astype(np.float32), *at, cv2.INTER_NEAREST)  # noqa: PLW2901
         is_nearer = weight > middle
         nearest[is_nearer], middle[is_nearer] = image, weight[is_nearer]
         if depth_of is not None:

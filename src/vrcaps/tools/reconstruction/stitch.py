@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from vrcaps.camera.camera import Camera
+from vrcaps.camera.camera import Camera, in_image, pixel_grid, project_points
 from vrcaps.errors import InputError
 from vrcaps.formats.rectify import rectified, widest_field
 from vrcaps.limits import Range, check_fields
@@ -32,7 +32,11 @@ from vrcaps.tools.reconstruction.matching import Pair, image_pairs, sift_feature
 from vrcaps.tools.reconstruction.mosaic import Mosaic, blended, usable
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Bool, Float, Int
+
+
+_RIM_PX = 4
+"""Width of the rim of a lens's field that is left out: its edge stays in place and would match."""
 
 
 @dataclass(frozen=True)
@@ -93,10 +97,12 @@ def stitch(
     """
     chosen = np.arange(0, len(sequence), settings.every)
     frames = _rectified(sequence, chosen, settings.field_of_view, depth_of)
+    camera = _camera_of(frames)
+    is_seen = _seen(_camera_of(sequence), camera)
     images, features = [], []
     for index in range(len(frames)):
         images.append(without_highlights(frames.image("rgb", index)))
-        features.append(sift_features(images[-1], settings.num_features))
+        features.append(sift_features(images[-1], settings.num_features, is_seen))
         progress(index + 1, len(frames))
     pairs = image_pairs(features, settings.tolerance)
     component = connected(len(images), pairs)
@@ -107,12 +113,11 @@ def stitch(
             f"match (at most {most} a frame). Give frames that overlap more (--every), or --method "
             "fusion."
         )
-    camera = _camera_of(frames)
     size = (camera.width, camera.height)
     reference, homographies = chained(len(images), component, pairs)
     homographies = usable(adjusted(homographies, pairs, reference, size), camera)
     depth = (lambda k: frames.image("depth", k)) if "depth" in frames.channels else None
-    mosaic = blended(homographies, camera, images.__getitem__, depth, reference)
+    mosaic = blended(homographies, camera, images.__getitem__, depth, reference, is_seen)
     return Stitched(mosaic, frames, chosen, tuple(pairs))
 
 
@@ -140,6 +145,16 @@ def _rectified(
     return rectified(used, min(field_of_view, widest_field(sequence.camera)))
 
 
+def _seen(lens_camera: Camera, pinhole: Camera) -> Bool[np.ndarray, "h w"]:
+    """Pixels of the rectified images that lie well within the field of the lens."""
+    from scipy.ndimage import binary_erosion
+
+    pixels = project_points(
+        lens_camera, pinhole.lens.unproject(pixel_grid(pinhole.width, pinhole.height))
+    )
+    return binary_erosion(in_image(lens_camera, pixels), iterations=_RIM_PX, border_value=1)
+
+
 def _camera_of(sequence: FrameSequence) -> Camera:
-    assert sequence.camera is not None, "rectified frames have a camera"
+    assert sequence.camera is not None, "frames without a camera are refused"
     return sequence.camera

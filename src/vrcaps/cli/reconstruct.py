@@ -40,7 +40,7 @@ class Reconstruct:
       vrcaps reconstruct runs/colon --depth runs/colon-depth --out runs/colon-estimated
       vrcaps reconstruct runs/colon --poses slam.txt --align sim3 --out runs/colon-slam
       vrcaps reconstruct runs/colon --method stitching --out runs/colon-stitched
-      vrcaps reconstruct runs/colon --method stitching --shading --out runs/colon-shaded
+      vrcaps reconstruct runs/colon --method stitching --weights depth --out runs/colon-as-paper
     """
 
     source: Positional[str]
@@ -58,8 +58,9 @@ class Reconstruct:
     depth: Path | None = None
     """Folder of estimated depth that `vrcaps predict depth` wrote."""
 
-    weights: Path | None = None
-    """File of weights of `vrcaps train depth` or `sfm`, to estimate depth of the stitched image."""
+    weights: str = ""
+    """Estimate depth of the stitched image: a file of weights of `vrcaps train depth` or `sfm`, or
+    the name of published ones, such as depth."""
 
     shading: bool = False
     """Take depth of the stitched image from its shading, as if its albedo were one."""
@@ -121,7 +122,7 @@ class Reconstruct:
         Raises:
             InputError: If they do not.
         """
-        of_image = [self.weights is not None, self.shading]
+        of_image = [self.weights != "", self.shading]
         if self.method == "fusion" and any(of_image):
             raise InputError("--weights and --shading go with --method stitching.")
         if self.method == "stitching" and self.poses is not None:

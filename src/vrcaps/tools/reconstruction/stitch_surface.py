@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,11 +29,11 @@ class DepthSource:
     """Where depth of a stitched image comes from; from its frames, if from nowhere else.
 
     Attributes:
-        weights: File of weights of the task `depth` or `sfm`.
+        weights: File or published name of weights of the task `depth` or `sfm`; empty for none.
         shading: Whether from shading.
     """
 
-    weights: Path | None = None
+    weights: str = ""
     shading: bool = False
 
 
@@ -87,10 +86,11 @@ def _depth(mosaic: Mosaic, source: DepthSource) -> tuple[Float[np.ndarray, "h w"
     """Depth z of the image, and whether it is in meters."""
     if source.shading:
         return depth_from_shading(mosaic.rgb, mosaic.camera), False
-    if source.weights is not None:
+    if source.weights:
+        from vrcaps.learn.published import find_weights
         from vrcaps.learn.weights import read_weights
 
-        return estimated_depth(read_weights(source.weights), mosaic)
+        return estimated_depth(read_weights(find_weights(source.weights)), mosaic)
     if not np.isfinite(mosaic.depth).any():
         raise InputError("The frames have no depth. Give --depth, --weights or --shading.")
     return mosaic.depth.astype(float), True

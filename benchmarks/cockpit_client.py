@@ -69,6 +69,21 @@ class Client:
                 self.times.append(now)
                 self.marked.append(bool(red > 200 and green > 200 and blue < 60))
 
+    def watch(self, seconds: float, *, is_driving: bool) -> list[float]:
+        """Times of the images within a window [s]; driving, a key is held to and fro."""
+        number, begin, told = len(self.times), time.perf_counter(), -np.inf
+        while (passed := time.perf_counter() - begin) < seconds:
+            if is_driving and passed - told > REPEAT:
+                told = passed
+                self.hold(1.0 if passed < 0.5 * seconds else -1.0)
+            self.take(0.1)
+        times = self.times[number:]
+        if is_driving:
+            self.hold(0.0)
+            while self.marked[-1]:
+                self.take(REPEAT)
+        return times
+
     def latency_of_a_press(self, axis: float) -> float:
         """From the message of a held axis to the first image of a state that it has moved [s]."""
         number, began = len(self.times), time.perf_counter()
@@ -97,17 +112,23 @@ def open_client(port: int, image: str, keys: str) -> Client:
 
 
 def measure(port: int, image: str, keys: str, seconds: float, presses: int, out: Any) -> None:
-    """Puts times of images within a window [s] and latencies of presses [s] into a queue."""
+    """Measures, and puts what it finds into a queue.
+
+    Args:
+        port: Of the page's server.
+        image: Name of the element of the live image.
+        keys: Name of the element that takes held axes.
+        seconds: Length of a window.
+        presses: How often a key is pressed.
+        out: Takes "begin" and times of images [s], at rest and driving, then latencies [s].
+    """
     client = open_client(port, image, keys)
     end = time.perf_counter() + 2.0
     while time.perf_counter() < end or len(client.times) < 5:
         client.take(0.1)
-    out.put("begin")
-    begin, number = time.perf_counter(), len(client.times)
-    while time.perf_counter() < begin + seconds:
-        client.take(0.1)
-    times = client.times[number:]
-    out.put(times)
+    for is_driving in (False, True):
+        out.put("begin")
+        out.put(client.watch(seconds, is_driving=is_driving))
     latencies = []
     for press in range(presses):
         latencies.append(client.latency_of_a_press((1.0, -1.0)[press % 2]))

@@ -4,7 +4,8 @@ The stomach with magnet and Panda and a camera of 320², as `vrcaps cockpit` ope
 is the server's side alone: a client in a process of its own takes the images over the page's
 connection and draws nothing. The other rows are a headless Chromium that draws without a graphics
 card, which takes much of the two cores; once with the scene in a small and once in a large window.
-An image counts when the client has it, or the browser has decoded it. For the latency the script
+An image counts when the client has it, or the browser has decoded it: first while the magnet rests,
+then while a key is held, so that magnet, arm and capsule move. For the latency the script
 marks a corner of each image whose state came after a key was pressed: from the key's message, or
 its event in the browser, to the first marked image there.
 
@@ -73,7 +74,8 @@ window.addEventListener("keydown", note, true);
 """
 """Notes the time of a key's event, before the page itself sees it."""
 HEAD = (
-    *("shown by", "speed / real time", "images a second", "p10 of intervals [ms]", "p90"),
+    *("shown by", "at rest: speed / real time", "images a second"),
+    *("driving: speed / real time", "images a second", "p10 of intervals [ms]", "p90"),
     *("input to image [ms]: median", "p90", "processor time of the server"),
 )
 
@@ -124,22 +126,36 @@ def without_browser(cockpit: Cockpit, seconds: float, presses: int) -> tuple[str
     given = (cockpit.gate.port, image, keys, seconds, presses, told)
     process = context.Process(target=measure, args=given)
     process.start()
-    assert told.get(timeout=120.0) == "begin"
-    with watched(cockpit) as found:
-        times = np.array(told.get(timeout=120.0 + seconds))
+    windows = []
+    for _ in range(2):
+        assert told.get(timeout=120.0) == "begin"
+        with watched(cockpit) as found:
+            times = 1e3 * np.array(told.get(timeout=120.0 + seconds))
+        windows.append((found, times))
     latency = 1e3 * np.array(told.get(timeout=300.0))
     process.join()
-    return row(found, times * 1e3, latency, seconds)
+    return row(windows, latency, seconds)
 
 
 def row(
-    found: dict[str, float], times: np.ndarray, latency: np.ndarray, seconds: float
+    windows: list[tuple[dict[str, float], np.ndarray]], latency: np.ndarray, seconds: float
 ) -> tuple[str, ...]:
-    """A row of the table, from times of images and latencies [ms]."""
+    """A row of the table.
+
+    Args:
+        windows: At rest and driving: what `watched` found, and times of images [ms].
+        latency: Of presses [ms].
+        seconds: Length of a window.
+    """
+    speeds = [
+        text
+        for found, times in windows
+        for text in (f"{found['speed']:.2f}", f"{len(times) / seconds:.1f}")
+    ]
+    found, times = windows[1]
     intervals = np.diff(times) if len(times) > 2 else np.array([np.nan])
     return (
-        f"{found['speed']:.2f}",
-        f"{len(times) / seconds:.1f}",
+        *speeds,
         *(f"{np.percentile(intervals, q):.0f}" for q in (10, 90)),
         *(f"{np.percentile(latency, q):.0f}" for q in (50, 90)),
         f"{found['busy']:.2f}",
@@ -179,12 +195,19 @@ def load(tab: Page, cockpit: Cockpit) -> float:
 
 def measured(tab: Page, cockpit: Cockpit, seconds: float, presses: int) -> tuple[str, ...]:
     """Speed, images and latency in a window."""
-    before = tab.evaluate("window.seen.images.length")
-    with watched(cockpit) as found:
-        tab.wait_for_timeout(1000.0 * seconds)
-    times = np.array(tab.evaluate("window.seen.images"))[before:]
+    windows = []
+    for is_driving in (False, True):
+        before = tab.evaluate("window.seen.images.length")
+        with watched(cockpit) as found:
+            for key in "da":
+                if is_driving:
+                    tab.keyboard.down(key)
+                tab.wait_for_timeout(500.0 * seconds)
+                tab.keyboard.up(key)
+        windows.append((found, np.array(tab.evaluate("window.seen.images"))[before:]))
+    tab.wait_for_function("!window.seen.marked.at(-1)", timeout=30_000)
     latency = [latency_of_a_press(tab, "da"[number % 2]) for number in range(presses)]
-    return row(found, times, np.array(latency), seconds)
+    return row(windows, np.array(latency), seconds)
 
 
 def latency_of_a_press(tab: Page, key: str) -> float:

@@ -14,7 +14,7 @@ from vrcaps.capsule.catalog import read_device
 from vrcaps.cockpit.colorings import coloring_names, make_coloring
 from vrcaps.cockpit.organ_colors import LiveWall
 from vrcaps.cockpit.page_mesh import coarse_mesh
-from vrcaps.cockpit.scene_nodes import Cut
+from vrcaps.cockpit.scene_nodes import Cut, PathNode
 from vrcaps.geometry import triangle_areas
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.winkler_foundation import WinklerFoundation
@@ -85,3 +85,21 @@ def test_a_cut_leaves_out_what_lies_below_the_plane(gut):
         kept = Cut(name, 0.25).keeps(gut.vertices, gut.faces)
         np.testing.assert_array_equal(kept, middle[:, axis] >= plane)
         assert 0 < kept.sum() < len(kept)
+
+
+def test_a_path_has_a_point_only_where_the_capsule_has_gone_on():
+    """What was driven after a time to which it goes back is forgotten."""
+    drawn: list[int] = []
+    scene: Any = SimpleNamespace(
+        add_line_segments=lambda name, lines, **more: drawn.append(len(lines))
+    )
+    path = PathNode(scene, "/path", (255, 255, 255))
+    for time, along in enumerate([9.0, 0.0, 0.4, 0.9, 1.1, 1.2, 1.0, 2.2, 2.2], start=-1):
+        path.add(float(time), np.array([along, 0.0, 0.0]) * MM)
+        path.draw()
+    np.testing.assert_allclose(path.places[:, 0], np.array([0.0, 1.1, 2.2]) * MM)
+    assert drawn == [1, 2]
+    path.add(4.0, np.array([3.0, 0.0, 0.0]) * MM)
+    path.draw()
+    np.testing.assert_allclose(path.places[:, 0], np.array([0.0, 1.1, 3.0]) * MM)
+    assert drawn == [1, 2, 2]

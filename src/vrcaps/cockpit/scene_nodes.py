@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 _FRONT_COLOR, _BODY_COLOR = (70, 150, 255), (240, 240, 245)
 _FROM = (0.2, -1.05, 0.4)
 """Where one looks from at first, in sizes of what is seen."""
+_PATH_STEP = 1e-3
+"""Distance between points of a path that grows [m]."""
 _VISIBLE = 2e-4
 """Motion of the wall [m] below which it is not sent again."""
 _SAME_PLACE, _SAME_TURN = 1e-5, 1e-4
@@ -193,6 +195,39 @@ def add_path(
     """A line through places in the world [m], two or more."""
     segments = np.stack([places[:-1], places[1:]], axis=1).astype(np.float32)
     scene.add_line_segments(name, segments, colors=color, thickness=3.0, thickness_units="screen")
+
+
+class PathNode:
+    """A path that grows: a point is added only where it has gone on, as each is sent anew."""
+
+    def __init__(self, scene: viser.SceneApi, name: str, color: Color) -> None:
+        self._scene, self._name, self._color = scene, name, color
+        self._times: list[float] = []
+        self._places: list[np.ndarray] = []
+        self._num_drawn = 0
+
+    @property
+    def places(self) -> Float[np.ndarray, "n 3"]:
+        """Its points in the world [m]."""
+        return np.array(self._places).reshape(-1, 3)
+
+    def add(self, time: float, place: Float[np.ndarray, " 3"]) -> None:
+        """Adds a place [m] at a time [s], 0 or later; forgets those at later times."""
+        while self._times and self._times[-1] > time:
+            self._times.pop()
+            self._places.pop()
+            self._num_drawn = 0
+        if time < 0.0:
+            return
+        if not self._places or np.linalg.norm(place - self._places[-1]) >= _PATH_STEP:
+            self._times.append(time)
+            self._places.append(place)
+
+    def draw(self) -> None:
+        """Draws it, if it has become another."""
+        if len(self._places) >= 2 and len(self._places) != self._num_drawn:
+            self._num_drawn = len(self._places)
+            add_path(self._scene, self._name, self.places, self._color)
 
 
 def aim(server: viser.ViserServer, low: np.ndarray, high: np.ndarray) -> None:

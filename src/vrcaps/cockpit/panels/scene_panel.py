@@ -20,8 +20,8 @@ from vrcaps.cockpit.scene_nodes import (
     Cut,
     OrganNode,
     PatchNode,
+    PathNode,
     add_capsule,
-    add_path,
     aim,
     move,
 )
@@ -52,7 +52,7 @@ class ScenePanel:
         self._organ, self._touched = OrganNode(self._scene, self._mesh), PatchNode(self._scene)
         self._coloring: Coloring | None = None
         self._drawn: tuple[object, ...] = ()
-        self._moved, self._wall_time, self._patch_time, self._path_length = 0.0, 0.0, 0.0, 0
+        self._moved, self._wall_time, self._patch_time = 0.0, 0.0, 0.0
         self._add_controls()
         points, magnet = self._model.vertices_world, program.controller.requested[:3, 3]
         aim(page.server, points.min(axis=0), np.maximum(points.max(axis=0), magnet))
@@ -60,6 +60,7 @@ class ScenePanel:
         self._capsule = add_capsule(self._scene, "/capsule", device.length, device.radius)
         self._magnet = MagnetNode(self._scene, read_magnet(program.settings.magnet))
         self._patient = PatientNode(self._scene, self._model.organ.vertices)
+        self._path = PathNode(self._scene, "/path", _PATH_COLOR)
         self._arm_frames = self._add_arm()
 
     def update(self, view: View) -> None:
@@ -69,6 +70,7 @@ class ScenePanel:
             return
         self._moved = now
         move(self._capsule, view.state.T_world_capsule)
+        self._path.add(view.state.time, view.state.T_world_capsule[:3, 3])
         self._magnet.show(view.T_world_magnet, has_lines=self._has_lines.value)
         self._patient.show(view.T_world_patient, is_visible=self._has_patient.value)
         actuator = self._program.controller.actuator
@@ -80,7 +82,7 @@ class ScenePanel:
         if now - self._wall_time > _SECONDS_PER_WALL:
             self._wall_time = now
             self._draw_wall(view)
-            self._draw_path()
+            self._path.draw()
         if now - self._patch_time > _SECONDS_PER_PATCH and self._coloring is not None:
             self._patch_time = now
             self._touched.draw(
@@ -111,13 +113,6 @@ class ScenePanel:
             self._legend.content = self._coloring.legend()
         else:
             self._organ.move(points)
-
-    def _draw_path(self) -> None:
-        """Draws the capsule's path so far."""
-        places = self._session.poses[:, :3, 3]
-        if len(places) != self._path_length and len(places) >= 2:
-            self._path_length = len(places)
-            add_path(self._scene, "/path", places, _PATH_COLOR)
 
     def _add_controls(self) -> None:
         """How the scene is drawn."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time as wall_clock
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -12,6 +13,8 @@ if TYPE_CHECKING:
 SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
 """Simulated time per real time."""
 
+_SECONDS_PER_STATUS = 0.25
+"""Real time between changes of the line on top: each makes the browser draw the page anew."""
 _NO_SNAPSHOT = "none yet"
 
 
@@ -22,7 +25,7 @@ class RunPanel:
         self._page, self._session = page, page.session
         gui = page.server.gui
         self._status = gui.add_markdown("Starting …")
-        self._text = ""
+        self._text, self._told = "", 0.0
         with gui.add_folder("Run"):
             self._pause = gui.add_button("Pause", hint="Key P, pad A")
             step = gui.add_button("Next frame", hint="Key N, pad B")
@@ -67,8 +70,10 @@ class RunPanel:
             f"magnet: {magnet} · capsule: {hold} · driver: "
             f"{self._session.operator.policy or driver}"
         )
-        if text != self._text:
+        now = wall_clock.monotonic()
+        if text != self._text and now - self._told >= _SECONDS_PER_STATUS:
             self._status.content = self._text = text
+            self._told = now
         label = "Go on" if view.is_paused else "Pause"
         if self._pause.label != label:
             self._pause.label = label

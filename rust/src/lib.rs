@@ -8,6 +8,7 @@ mod camera_pipeline;
 mod cpu;
 mod lumen;
 mod magnet;
+mod mesh;
 mod metrics;
 mod mucosa;
 mod poses;
@@ -50,6 +51,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(render::batch::render_batch, m)?)?;
     m.add_function(wrap_pyfunction!(render::path::subsurface::walk_tissue, m)?)?;
     m.add_function(wrap_pyfunction!(render::channels::encode_srgb, m)?)?;
+    m.add_function(wrap_pyfunction!(mesh::texels::covered_texels, m)?)?;
     m.add_function(wrap_pyfunction!(metrics::coverage::mark_seen, m)?)?;
     m.add_function(wrap_pyfunction!(wall::distances::wall_distances, m)?)?;
     m.add_class::<metrics::point_coverage::WallPoints>()?;

@@ -386,6 +386,9 @@ def render_batch(
     exposure: float,
     shadows: bool,
 ) -> None: ...
+def covered_texels(
+    corners: NDArray[np.float64], margin: float
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], NDArray[np.float64]]: ...
 def mark_seen(
     walls: Sequence[Wall],
     rays: RayTable,

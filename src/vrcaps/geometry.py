@@ -61,8 +61,10 @@ def edge_graph(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
     """Sparse adjacency matrix of a mesh: the length [m] of every edge, in both directions."""
     from scipy.sparse import coo_array
 
-    edges = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
-    length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
-    edges = np.concatenate([edges, edges[:, ::-1]])
     n = len(vertices)
-    return coo_array((np.tile(length, 2), (edges[:, 0], edges[:, 1])), shape=(n, n))
+    ends = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64), axis=1)
+    key = np.sort(ends[:, 0] * n + ends[:, 1])
+    one, other = np.divmod(key[np.diff(key, prepend=-1) > 0], n)  # np.unique takes ten times longer
+    length = np.linalg.norm(vertices[one] - vertices[other], axis=1)
+    rows, columns = np.concatenate([one, other]), np.concatenate([other, one])
+    return coo_array((np.tile(length, 2), (rows, columns)), shape=(n, n))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vrcaps.errors import InputError
-from vrcaps.lesion import Location, Polyp, add_lesions
+from vrcaps.lesion import Colitis, Location, Polyp, add_lesions
 from vrcaps.lesion.paint import Chart, assemble, pack, smoothed
 from vrcaps.mesh.rasterize import sample
 from vrcaps.organ.surface import Appearance
@@ -80,3 +80,15 @@ def test_painted_texture_differs_only_on_its_chart(tube):
     assert apart.any()
     assert not apart[-height:, :width].any()
     assert np.array_equal(clean.albedo[-height:, :width], tube.appearance.albedo)
+
+
+@pytest.mark.slow
+def test_painting_in_place_leaves_the_given_organ_and_the_clean_twin(tube):
+    middle = Location(arc_length=80 * MM)
+    lesions = [Colitis(mayo=mayo, spread=15 * MM, location=middle) for mayo in (1, 3)]
+    before = tube.appearance.albedo.copy()
+    patient = add_lesions(tube, lesions, np.random.default_rng(0))
+    height, width = before.shape[:2]
+    assert np.array_equal(tube.appearance.albedo, before)
+    assert np.array_equal(patient.clean.appearance.albedo[-height:, :width], before)
+    assert not np.array_equal(patient.organ.appearance.albedo[-height:, :width], before)

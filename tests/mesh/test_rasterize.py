@@ -31,6 +31,67 @@ def test_every_texel_once_and_no_gap():
     assert texels.weights.sum(axis=1) == pytest.approx(1.0)
 
 
+def texels_by_numpy(corners, margin):
+    """The texels of each face in turn: column, row, face, weights, in the kernel's order."""
+    deepest = {}
+    for number, face in enumerate(corners):
+        low = np.floor(face.min(axis=0) - margin).astype(int)
+        high = np.ceil(face.max(axis=0) + margin).astype(int) + 1
+        texels = np.stack(np.meshgrid(*map(np.arange, low, high)), axis=-1).reshape(-1, 2)
+        following, last = np.roll(face, -1, axis=0), np.roll(face, -2, axis=0)
+        areas = cross(following - texels[:, None], last - texels[:, None])
+        doubled = cross(face[1] - face[0], face[2] - face[0])
+        side = np.maximum(np.hypot(*(last - following).T), 1e-12)
+        depth = (areas * np.sign(doubled) / side).min(axis=1)
+        for k in np.flatnonzero((depth > -margin) & (doubled != 0.0)):
+            weights = np.maximum(areas[k] / doubled, 0.0)
+            found = np.float32(min(depth[k], 0.0)), number, weights / weights.sum()
+            place = (texels[k, 1], texels[k, 0])
+            if place not in deepest or found[0] > deepest[place][0]:
+                deepest[place] = found
+    rows, columns = np.array(sorted(deepest)).T
+    _, faces, weights = zip(*(deepest[place] for place in sorted(deepest)), strict=True)
+    return columns, rows, np.array(faces), np.array(weights).astype(np.float32)
+
+
+def cross(a, b):
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+@pytest.mark.parametrize("margin", [0.0, 1.0, 3.0])
+@pytest.mark.parametrize("is_whole", [False, True])
+def test_the_kernel_is_as_its_numpy_twin(margin, is_whole):
+    """Faces of all sizes that overlap, share edges or have no area."""
+    rng = np.random.default_rng(3)
+    corners = rng.uniform(-30.0, 60.0, (60, 1, 2)) + rng.normal(0.0, 1.0, (60, 3, 2)) * rng.choice(
+        [0.2, 2.0, 12.0], (60, 1, 1)
+    )
+    corners[7, 2] = corners[7, 0]
+    corners = np.round(corners) if is_whole else corners
+    texels = covered_texels(corners, margin=margin)
+    found = (texels.column, texels.row, texels.face, texels.weights)
+    for one, other in zip(found, texels_by_numpy(corners, margin), strict=True):
+        assert np.array_equal(one, other)
+
+
+def test_no_faces_cover_nothing():
+    assert len(covered_texels(np.zeros((0, 3, 2)))) == 0
+
+
+@pytest.mark.parametrize(
+    ("corners", "margin", "told"),
+    [
+        (np.zeros((1, 4, 2)), 1.0, r"must be \[m 3 2\]"),
+        (np.full((1, 3, 2), np.nan), 1.0, "at most a million"),
+        (np.full((1, 3, 2), 2e6), 1.0, "at most a million"),
+        (np.zeros((1, 3, 2)), -1.0, "at most a million"),
+    ],
+)
+def test_what_are_no_faces_on_a_texture_is_refused(corners, margin, told):
+    with pytest.raises(ValueError, match=told):
+        covered_texels(corners, margin=margin)
+
+
 def test_sample_is_bilinear_and_wraps():
     rng = np.random.default_rng(0)
     texture = rng.integers(0, 256, (6, 8, 3)).astype(np.uint8)

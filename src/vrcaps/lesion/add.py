@@ -148,7 +148,9 @@ class _Work:
         inside = shown.form.signed_distance(shown.wall) > 0.0
         faces = np.flatnonzero(inside[patch.faces].any(axis=1))
         if len(faces):
-            self.lesioned = paint.paint_in_place(self.lesioned, patch, shown, faces)
+            if self.lesioned is self.clean:
+                self.lesioned = self.clean.copy()
+            paint.paint_in_place(self.lesioned, patch, shown, faces)
 
     def _record(self, lesion: Lesion, instance: int, organ: OrganSurface, vertex: int) -> None:
         self.records[instance] = {

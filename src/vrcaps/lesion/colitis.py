@@ -213,8 +213,10 @@ class ColitisForm:
         color = mix(color, np.array([0.25, 0.046, 0.046]), 0.6 * point)
         height = clean.height * (1.0 - 0.5 * is_like.obscured) + is_like.granularity * granules
         color, sloughy, height = self._ulcerated(color, height, points, mottle)
-        pooled = np.clip(self._blood(points) + 0.3 * mottle - is_like.blood, 0.0, 2.0)
-        color = under_blood(color, _FILM * pooled**1.5 * np.exp(0.25 * granules), 0.3 * pooled)
+        pooled = np.zeros_like(mottle)
+        if np.isfinite(is_like.blood):
+            pooled = np.clip(self._blood(points) + 0.3 * mottle - is_like.blood, 0.0, 2.0)
+            color = under_blood(color, _FILM * pooled**1.5 * np.exp(0.25 * granules), 0.3 * pooled)
         thick = np.clip(self._mucopus(points) + 0.3 * mottle - is_like.mucopus, 0.0, 2.0)
         cover = 1.0 - np.exp(-_MUCOPUS_DEPTH * thick * np.exp(0.3 * granules))
         color = mix(color, clean.plain * np.array(MUCUS_TINT), cover)

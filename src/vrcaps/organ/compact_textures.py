@@ -36,7 +36,8 @@ MOST_NORMALS = 1 << 23
 
 ROUGHNESS_QUALITY, NORMAL_QUALITY = 30, 75  # of lossy WebP
 
-_LOSSLESS = {"lossless": True, "exact": True, "method": 2, "quality": 30}  # below 30 far larger
+_ALBEDO = {"lossless": True, "exact": True, "method": 1, "quality": 30}  # below 30 far larger
+_RELIEF = {**_ALBEDO, "quality": 0}  # 1 % larger than at 30, a third faster
 _ZERO = 32768 + 128  # stored for a height of 0; small heights then share their high byte
 _KEPT_TEXELS = 1 << 20  # from which on coding takes long
 _MOST_SIDE = 16383  # of WebP
@@ -79,7 +80,7 @@ def albedo_webp(albedo: UInt8[np.ndarray, "h w 3"]) -> bytes:
     """Base color in steps, without further loss."""
     table = np.arange(256) + ALBEDO_STEP // 2
     table = (table // ALBEDO_STEP * ALBEDO_STEP).clip(0, 255).astype(np.uint8)
-    return _webp(table[albedo], **_LOSSLESS)
+    return _webp(table[albedo], **_ALBEDO)
 
 
 def roughness_webp(roughness: UInt8[np.ndarray, "h w"]) -> bytes:
@@ -103,7 +104,7 @@ def relief_webp(height: Float[np.ndarray, "h w"]) -> bytes | None:
     numbers = steps.astype(np.uint16)
     image = np.zeros((*numbers.shape, 3), np.uint8)
     image[..., 0], image[..., 1] = numbers >> 8, numbers & 0xFF
-    return _webp(image, **_LOSSLESS)
+    return _webp(image, **_RELIEF)
 
 
 def relief_from_image(image: UInt8[np.ndarray, "h w 3"], step: float) -> np.ndarray:

@@ -1,0 +1,3 @@
+//! Triangles on textures.
+
+pub mod texels;

@@ -112,7 +112,7 @@ def smoothed(appearance: Appearance) -> Textures:
     overall = color.sum(axis=(0, 1, 2, 3)) / max(int(weight.sum()), 1)
     blank = weight.sum(axis=(1, 3))[..., 0] == 0
     blocks[blank] = overall
-    return Textures(appearance, blocks)
+    return Textures(appearance, np.ascontiguousarray(blocks))
 
 
 def paint_in_place(

@@ -82,7 +82,7 @@ def test_card_says_how_the_weights_were_made_and_what_they_score(run, place, tmp
         entry.sha256,
         f"{settings['frames'][0]} frames of `runs/cohort`",
         "7 frames of `runs/cohort`, test",
-        f"| psnr | {validation:.4f} | 31.2500 |",
+        f"| psnr | {validation:.4g} | 31.25 |",
         "| in | `image` | color from 0 to 1",
         "factor 2, size 32",
         "Apache-2.0",

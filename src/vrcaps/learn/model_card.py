@@ -226,4 +226,4 @@ def _data_text(one: Evaluation) -> str:
 
 
 def _number(value: float) -> str:
-    return f"{value:.4f}" if math.isfinite(value) else "—"
+    return f"{value:.4g}" if math.isfinite(value) else "—"

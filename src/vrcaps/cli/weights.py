@@ -102,7 +102,8 @@ class Export:
     """Write trained weights as ONNX, which runs without PyTorch, and compare the two.
 
     Inputs and output are those of the model card; a batch may have any size, an image for
-    super-resolution too. Of sfm the network of distances is written, not the one of motion.
+    super-resolution too (with attention-unet, sides that its levels halve without a rest). Of sfm
+    the network of distances is written, not the one of motion.
 
     For example:
       vrcaps weights export depth --out depth.onnx

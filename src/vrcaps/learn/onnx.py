@@ -25,8 +25,9 @@ _OUTPUT = "output"
 def write_onnx(path: Path, trained: Trained) -> None:
     """Write a trained network as ONNX, whole or not at all.
 
-    A batch may have any size; images for super-resolution, too. Metadata of the file say the task,
-    its settings, and what goes in and out.
+    A batch may have any size; images for super-resolution, too, but those for attention-unet must
+    have sides that its levels halve without a rest. Metadata of the file say the task, its
+    settings, and what goes in and out.
 
     Args:
         path: File to write.

@@ -126,6 +126,19 @@ def test_splits_of_the_data_are_kept_and_its_test_part_is_not_touched():
     assert {one.split for one, _ in held.frames} == {"val"}
 
 
+def test_part_of_what_is_learned_from_is_held_out_where_no_validation_split_is():
+    splits = ["train"] * 10 + ["test"] * 2
+    sequences = [
+        small_sequence(k, f"s{k}", patient=str(k), split=split) for k, split in enumerate(splits)
+    ]
+    train, held = split_samples(DepthLearner(size=32), sequences)
+    names = [{one.name for one, _ in part.frames} for part in (train, held)]
+    assert len(names[0]) == 8
+    assert len(names[1]) == 2
+    assert not names[0] & names[1]
+    assert not {"s10", "s11"} & (names[0] | names[1])
+
+
 def test_shares_of_a_learning_curve_lie_within_one_another():
     samples = samples_of(DepthLearner(size=32), [small_sequence()])
     small, large = (samples.subset(fraction, seed=1).frames for fraction in (0.25, 0.5))

@@ -101,16 +101,16 @@ def samples_of(learner: Learner, sequences: Sequence[FrameSequence]) -> Samples:
 def split_samples(learner: Learner, sequences: Sequence[FrameSequence]) -> tuple[Samples, Samples]:
     """Frames to learn from and frames to validate with.
 
-    Splits of the data are kept: `train` and `val`. Data without splits is parted by patient if it
-    has five or more; otherwise the last fifth of each sequence is held out.
+    Splits of the data are kept: `train` and `val`. Data without `val` is parted by patient if it
+    has five or more; otherwise the last fifth of each sequence is held out. `test` is left alone.
 
     Raises:
         InputError: If either would be empty.
     """
-    if any(one.split for one in sequences):
-        train = [one for one in sequences if one.split in (None, "train")]
-        held = [one for one in sequences if one.split == "val"]
-        return samples_of(learner, train), samples_of(learner, held)
+    held = [one for one in sequences if one.split == "val"]
+    sequences = [one for one in sequences if one.split in (None, "train")]
+    if held:
+        return samples_of(learner, sequences), samples_of(learner, held)
     patients = sorted({one.patient for one in sequences if one.patient})
     if len(patients) * _HELD_OUT >= 1.0:
         last = set(patients[-round(len(patients) * _HELD_OUT) :])

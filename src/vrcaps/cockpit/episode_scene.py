@@ -139,10 +139,10 @@ class RecordedWalls:
             vertices: Of the organ at rest in the world [m]. The file holds some of them twice,
                 where seams of the texture are cut.
         """
-        from scipy.spatial import cKDTree
+        from scipy.spatial import KDTree
 
         self._episode, self._rest = episode, vertices
-        self._places = cKDTree(vertices).query(episode.organ.vertices)[1]
+        self._places = KDTree(vertices).query(episode.organ.vertices)[1]
 
     def at(self, frame: int) -> Float[np.ndarray, "n 3"]:
         """Vertices of the organ at a frame in the world [m].

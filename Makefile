@@ -40,7 +40,7 @@ demo: $(VENV)/.stamp-run
 test: test-python test-rust
 
 test-python: $(VENV)/.stamp-dev
-	$(BIN)/python -m pytest -n 2 --dist worksteal
+	$(BIN)/python -m pytest -n 2 --dist worksteal $(PYTEST)
 
 test-rust: $(VENV)/.stamp-venv
 	cargo test --quiet --manifest-path rust/Cargo.toml

@@ -36,6 +36,13 @@ def drive_scenario(tmp_path_factory: pytest.TempPathFactory) -> Scenario:
     return Scenario(str(file), capsule=device, motion=motion, fps=10.0, channels=("rgb",))
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what needs a browser."""
+    for item in items:
+        if {"browser", "cockpit"} & set(getattr(item, "fixturenames", ())):
+            item.add_marker("browser")
+
+
 def chromium() -> str:
     """Path of the system's Chromium; skips the test where there is none."""
     pytest.importorskip("viser", reason="the extra cockpit is not installed")

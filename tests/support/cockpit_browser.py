@@ -11,13 +11,17 @@ if TYPE_CHECKING:
     from playwright.sync_api import Page
 
 
+PATIENCE = 120.0
+"""Longest wait for a page [s], which takes a second on a machine that does nothing else."""
+
+
 def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
 
 
-def wait_until(tab: Page, done: Callable[[], bool], seconds: float = 30.0) -> None:
+def wait_until(tab: Page, done: Callable[[], bool], seconds: float = PATIENCE) -> None:
     """Returns as soon as something is so; fails if it is not in time."""
     end = time.monotonic() + seconds
     while not done():

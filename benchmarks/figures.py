@@ -24,7 +24,7 @@ from pathlib import Path
 
 import readme
 from validation import PAGE, ROOT, SPEED_PAGE, page_of
-from vrcaps.cli.benchmarks.page import read_sections, tree, write_page
+from vrcaps.cli.benchmarks.page import read_sections, sources, write_page
 
 BUILD = ROOT / "build" / "figures"
 BLENDER = os.environ.get("BLENDER_PYTHON", "")
@@ -112,7 +112,7 @@ def main() -> None:
         sys.exit(f"No figures named {', '.join(unknown)}. `--list` shows what there is.")
     chosen = [f for f in FIGURES if any(word in f.name for word in given.only)]
     if not given.only:
-        chosen = [f for f in FIGURES if sources(f) != tree()]
+        chosen = [f for f in FIGURES if not is_of_today(f)]
     BUILD.mkdir(parents=True, exist_ok=True)
     failed = [f.name for f in chosen if f.is_timed and not measure(f)]
     others = [f for f in chosen if not f.is_timed]
@@ -122,7 +122,7 @@ def main() -> None:
             failed += [] if good and enter(figure) else [figure.name]
     forget()
     readme.write()
-    old = [f"{f.name} ({age(f)})" for f in FIGURES if sources(f) != tree()]
+    old = [f"{f.name} ({age(f)})" for f in FIGURES if not is_of_today(f)]
     for title, names in (("Failed", failed), ("Of other sources", old)):
         print(*([f"{title}: {', '.join(names)}"] if names else []))
     sys.exit(bool(failed))
@@ -165,9 +165,9 @@ def _foot(figure: Figure) -> Sequence[str]:
     return found.groups() if found else ("", "")
 
 
-def sources(figure: Figure) -> str:
-    """The sources that a section was made from; empty where there is none."""
-    return _foot(figure)[0]
+def is_of_today(figure: Figure) -> bool:
+    """Whether a section was measured with all that its command imports as it is now."""
+    return _foot(figure)[0] == sources(figure.name)
 
 
 def age(figure: Figure) -> str:
@@ -175,7 +175,8 @@ def age(figure: Figure) -> str:
     made, seconds = _foot(figure)
     if not made:
         return "not measured"
-    return f"{'up to date' if made == tree() else f'of sources {made}'}, took {seconds} s"
+    state = "up to date" if is_of_today(figure) else f"of sources {made}"
+    return f"{state}, took {seconds} s"
 
 
 if __name__ == "__main__":

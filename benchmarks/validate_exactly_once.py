@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from validation import ROOT, parser, table, write_section
-from vrcaps.cli.benchmarks.page import tree
+from vrcaps.cli.benchmarks.sources import digest
 from vrcaps.files import file_sha256, files_in
 
 STORE = ROOT / "build" / "exactly_once.json"
@@ -61,7 +61,7 @@ def main() -> None:
     made.add_argument("--kills", type=int, default=100, help="kills of workers")
     made.add_argument("--heads", type=int, default=5, help="kills of heads")
     given = made.parse_args()
-    key = f"{tree()} {given.size} {given.kills} {given.heads}"
+    key = f"{digest(Path(__file__))} {given.size} {given.kills} {given.heads}"
     known = json.loads(STORE.read_text()) if STORE.exists() else {}
     rows = known.get(key, {})
     with tempfile.TemporaryDirectory(prefix="vrcaps-once-") as name:

@@ -5,18 +5,20 @@ from pathlib import Path
 
 import figures
 import readme
-from vrcaps.cli.benchmarks.page import read_sections, table, tree, write_section
+from vrcaps.cli.benchmarks.page import read_sections, sources, table, write_section
 
 
 def test_a_section_replaces_its_own_and_states_command_sources_and_time(tmp_path: Path) -> None:
     page = tmp_path / "docs" / "page.md"
-    for name, text in (("b", "old"), ("a", "first"), ("b", "new")):
-        write_section(page, name, text, command=f"python {name}.py --size 3", title="# Page\n")
+    bench, script = "vrcaps bench render", "benchmarks/speed_fem.py"
+    for name, text in ((bench, "old"), (script, "first"), (bench, "new")):
+        write_section(page, name, text, command=f"{name} --size 3", title="# Page\n")
     sections = read_sections(page)
-    assert list(sections) == ["", "a", "b"]
+    assert list(sections) == ["", script, bench]
     assert sections[""].strip() == "# Page"
-    foot = rf"new\n\nWritten by `python b.py --size 3` from sources `{tree()}` in \d+ s\."
-    assert re.fullmatch(foot, sections["b"])
+    foot = rf"new\n\nWritten by `{bench} --size 3` from sources `{sources(bench)}` in \d+ s\."
+    assert re.fullmatch(foot, sections[bench])
+    assert sources(bench) != sources(script)
 
 
 def test_figures_of_the_front_page_are_cells_of_the_tables() -> None:

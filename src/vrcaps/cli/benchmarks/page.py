@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-import hashlib
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
-import vrcaps
+from vrcaps.cli.benchmarks.sources import ROOT, digest
 from vrcaps.files import write_bytes
 
 _MARK = "<!-- written by "
 _STARTED = time.monotonic()
 
 
-def tree() -> str:
-    """Ten digits that name the sources of the package and of its core."""
-    package = Path(vrcaps.__file__).parent
-    digest = hashlib.sha256()
-    for folder in (package, package.parents[1] / "rust" / "src"):
-        files = (p for p in folder.rglob("*") if p.suffix in {".py", ".rs", ".toml"})
-        for path in sorted(files):
-            digest.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
-    return digest.hexdigest()[:10]
+def sources(name: str) -> str:
+    """Ten digits that name the sources of what measures a section, a name as in `write_section`."""
+    _, is_bench, bench = name.partition("vrcaps bench ")
+    return digest(Path(__file__).with_name(f"{bench}.py") if is_bench else ROOT / name)
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -55,7 +49,7 @@ def write_section(page: Path, name: str, text: str, *, command: str, title: str)
     sections = read_sections(page)
     before = sections.pop("") or title
     seconds = time.monotonic() - _STARTED
-    foot = f"Written by `{command}` from sources `{tree()}` in {seconds:.0f} s."
+    foot = f"Written by `{command}` from sources `{sources(name)}` in {seconds:.0f} s."
     sections[name] = f"{text.strip()}\n\n{foot}"
     write_page(page, {"": before, **sections})
 

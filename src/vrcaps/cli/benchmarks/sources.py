@@ -1,0 +1,129 @@
+"""The sources that a measured table depends on: what its command may import, and the core.
+
+A table is out of date when one of them has changed, and stays valid when others have. Imports are
+followed in the source text, so those within functions count, and so do modules that are named in
+a string, to be imported by their name or run in a process of their own.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import sys
+from collections.abc import Iterator
+from functools import cache
+from itertools import accumulate
+from pathlib import Path
+
+PACKAGE = Path(__file__).resolve().parents[2]
+ROOT = PACKAGE.parents[1]
+
+_COMMANDS = PACKAGE / "cli" / "__init__.py"
+"""Loads the commands of the command line when they are run; those that import it run none."""
+
+
+def digest(command: Path) -> str:
+    """Ten digits that name the sources of a command.
+
+    The text of all modules that it may import from the package and from other folders of the
+    checkout, the Rust sources of the core, and the package's TOML files.
+
+    Args:
+        command: Python file that measures.
+    """
+    found = hashlib.sha256()
+    for path in sorted(reached(command) | _core_and_tables()):
+        name = path.relative_to(ROOT).as_posix() if path.is_relative_to(ROOT) else path.name
+        found.update(name.encode() + path.read_bytes())
+    return found.hexdigest()[:10]
+
+
+def reached(command: Path) -> set[Path]:
+    """A Python file, and all files of the checkout that it may import."""
+    found, todo = set[Path](), [command.resolve()]
+    while todo:
+        path = todo.pop()
+        if path not in found:
+            found.add(path)
+            todo.extend(_imported(path, _folders(path)) if path != _COMMANDS else ())
+    return found
+
+
+def _folders(path: Path) -> tuple[Path, ...]:
+    """Where what a file imports is looked for: the package sees itself, a script all folders."""
+    if path.is_relative_to(PACKAGE):
+        return (PACKAGE.parent,)
+    entries = (Path(entry).resolve() for entry in sys.path if entry)
+    ours = (entry for entry in entries if entry.is_relative_to(ROOT))
+    scripts = (entry for entry in ours if "site-packages" not in entry.parts)
+    return (PACKAGE.parent, path.parent, *scripts)
+
+
+@cache
+def _core_and_tables() -> frozenset[Path]:
+    return frozenset([*PACKAGE.rglob("*.toml"), *(ROOT / "rust" / "src").rglob("*.rs")])
+
+
+@cache
+def _imported(path: Path, folders: tuple[Path, ...]) -> tuple[Path, ...]:
+    """Files of the modules that a file may import."""
+    names = {name for node in _walk(ast.parse(path.read_bytes())) for name in _names(node, path)}
+    parents = {part for name in names for part in accumulate(name.split("."), "{}.{}".format)}
+    files = (_file(name, folder) for name in parents for folder in folders)
+    return tuple(file for file in files if file)
+
+
+def _walk(node: ast.AST) -> Iterator[ast.AST]:
+    """A node and all within it, but for what only a type checker reads."""
+    yield node
+    for child in ast.iter_child_nodes(node):
+        if not (isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test)):
+            yield from _walk(child)
+
+
+def _names(node: ast.AST, path: Path) -> Iterator[str]:
+    """Dotted names in one node that may be modules."""
+    if isinstance(node, ast.Import):
+        for alias in node.names:
+            yield alias.name
+            yield from _behind(alias.name)
+    elif isinstance(node, ast.ImportFrom):
+        base = _base(node, path)
+        for alias in node.names:
+            yield f"{base}.{alias.name}"
+            yield from _behind(base, alias.name)
+    elif isinstance(node, ast.Constant) and str(node.value).startswith("vrcaps."):
+        yield from _named(str(node.value))
+
+
+def _named(text: str) -> Iterator[str]:
+    """Modules that a string names: `vrcaps.policy.random:Policy`, or all that begin so."""
+    name = text.partition(":")[0]
+    yield name
+    if name.endswith("."):  # of f"vrcaps.anatomy.{organ}"
+        folder = PACKAGE.parent.joinpath(*name.split("."))
+        yield from (f"{name}{path.stem}" for path in folder.glob("*.py"))
+
+
+def _base(node: ast.ImportFrom, path: Path) -> str:
+    """The package or module that names are imported from."""
+    folder = path.parents[node.level - 1] if node.level else path
+    inside = folder.relative_to(PACKAGE.parent).parts if node.level else ()
+    return ".".join([*inside, *([node.module] if node.module else [])])
+
+
+def _behind(package: str, name: str | None = None) -> Iterator[str]:
+    """Modules behind a name, or all names, that a package loads when they are first used."""
+    stub = PACKAGE.parent.joinpath(*package.split("."), "__init__.pyi")
+    if package.startswith("vrcaps") and stub.exists():
+        for node in ast.parse(stub.read_bytes()).body:
+            if isinstance(node, ast.ImportFrom):
+                for alias in node.names:
+                    if name in (None, alias.name):
+                        yield f"{_base(node, stub)}.{alias.name}"
+
+
+def _file(name: str, folder: Path) -> Path | None:
+    base = folder.joinpath(*name.split("."))
+    places = (base / "__init__.py", base.with_suffix(".py"))
+    return next((path.resolve() for path in places if path.is_file()), None)

@@ -1,6 +1,10 @@
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from vrcaps.capsule.catalog import read_device
@@ -56,6 +60,49 @@ def test_same_table_same_bytes(tmp_path, model, trajectory):
     for name in ("a", "b"):
         write_table(tmp_path / name, make_table(model, trajectory))
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_tables_are_those_of_pyarrow(tmp_path, model, trajectory):
+    table = make_table(model, trajectory)
+    write_table(tmp_path / "ours", table)
+    columns = {**table.columns, "text": np.array(["Ä", "", "colon"] * 10, object)}
+    write_table(tmp_path / "text", FrameTable(columns))
+    for name, written in (("ours", table.columns), ("text", columns)):
+        pq.write_table(pa.table(dict(written)), tmp_path / "theirs", compression="zstd")
+        assert (tmp_path / name).read_bytes() == (tmp_path / "theirs").read_bytes()
+
+
+def test_tables_of_others_are_read(tmp_path):
+    columns = {
+        "whole": pa.array(range(7), pa.int16()),
+        "gaps": pa.array([1.5, None, 2.0, None, 0.0, -1.0, 4.0]),
+        "flags": pa.array([True, False, True, True, False, False, True]),
+        "texts": pa.array(list("abcdefg")),
+    }
+    pq.write_table(pa.table(columns), tmp_path / "table", row_group_size=3)
+    back = read_table(tmp_path / "table").columns
+    assert {name: values.dtype.kind for name, values in back.items()} == {
+        "whole": "i", "gaps": "f", "flags": "b", "texts": "O"
+    }  # fmt: skip
+    for name, array in columns.items():
+        np.testing.assert_array_equal(back[name], array.to_numpy(zero_copy_only=False))
+    assert all(len(v) == 0 for v in read_empty(tmp_path, columns).values())
+
+
+def read_empty(folder, columns):
+    pq.write_table(pa.table(columns).slice(0, 0), folder / "empty")
+    return read_table(folder / "empty").columns
+
+
+def test_reading_and_writing_a_table_does_not_import_pandas(tmp_path, model, trajectory):
+    write_table(tmp_path / "table", make_table(model, trajectory))
+    program = (
+        "import sys; from pathlib import Path; from vrcaps.recording.table import *; "
+        f"folder = Path({str(tmp_path)!r}); "
+        "write_table(folder / 'again', read_table(folder / 'table')); "
+        "sys.exit('pandas' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
 
 
 def test_locate_finds_the_arc_length_of_points_beside_the_centerline(model):

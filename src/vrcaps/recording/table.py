@@ -28,7 +28,9 @@ from vrcaps.world.model import Model
 from vrcaps.world.moving_wall import MovingWall
 
 if TYPE_CHECKING:
+    import pyarrow as pa
     from jaxtyping import Float
+    from numpy.typing import NDArray
 
 POSE_COLUMNS = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
 _LINEAR = tuple(f"capsule_v{axis}_m_per_s" for axis in "xyz")
@@ -213,9 +215,27 @@ def write_table(path: Path, table: FrameTable) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    arrays = [_arrow_array(column) for column in table.columns.values()]
     buffer = pa.BufferOutputStream()
-    pq.write_table(pa.table(dict(table.columns)), buffer, compression="zstd")
+    pq.write_table(
+        pa.Table.from_arrays(arrays, names=list(table.columns)), buffer, compression="zstd"
+    )
     write_bytes(path, buffer.getvalue().to_pybytes())
+
+
+def _arrow_array(column: NDArray) -> pa.Array:
+    """A column as an Arrow array, without `pyarrow.array`: that imports pandas, for a second."""
+    import pyarrow as pa
+
+    if column.dtype.kind == "O":
+        texts = [text.encode() for text in column]
+        ends = np.cumsum([0, *map(len, texts)], dtype=np.int32)
+        buffers = [None, pa.py_buffer(ends), pa.py_buffer(b"".join(texts))]
+        return pa.Array.from_buffers(pa.string(), len(column), buffers)
+    is_bool = column.dtype.kind == "b"
+    values = np.packbits(column, bitorder="little") if is_bool else np.ascontiguousarray(column)
+    kind = pa.from_numpy_dtype(column.dtype)
+    return pa.Array.from_buffers(kind, len(column), [None, pa.py_buffer(values)])
 
 
 def read_table(path: Path) -> FrameTable:
@@ -246,11 +266,27 @@ def decode_table(data: bytes, name: str) -> FrameTable:
     try:
         with pq.ParquetFile(pa.BufferReader(data)) as file:
             table = file.read(use_threads=False)  # a small file: threads would cost more
-        columns = {n: table[n].to_numpy(zero_copy_only=False) for n in table.column_names}
+        columns = {name: _numpy_array(table[name]) for name in table.column_names}
     except (OSError, ValueError, pa.ArrowException) as error:
         lines = str(error).splitlines() or [type(error).__name__]
         raise InputError(f"{name} cannot be read ({lines[0]}).") from error
     return FrameTable(columns)
+
+
+def _numpy_array(column: pa.ChunkedArray) -> NDArray:
+    """Values of a column; `pyarrow`'s own conversion imports pandas, so only where it must be."""
+    import pyarrow as pa
+
+    kind = column.type
+    is_plain = pa.types.is_integer(kind) or pa.types.is_floating(kind)
+    if column.null_count or not (is_plain or pa.types.is_string(kind) or pa.types.is_boolean(kind)):
+        return column.to_numpy(zero_copy_only=False)
+    if not is_plain:
+        return np.array(column.to_pylist(), bool if pa.types.is_boolean(kind) else object)
+    array = column.combine_chunks()
+    dtype = np.dtype(kind.to_pandas_dtype())
+    values = np.frombuffer(array.buffers()[1], dtype, offset=array.offset * dtype.itemsize)
+    return values[: len(array)].copy()
 
 
 def require_table(table: FrameTable, cameras: tuple[str, ...], frames: int) -> None:

@@ -64,7 +64,9 @@ def test_page_holds_claims_tables_and_reasons(tmp_path: Path) -> None:
 def test_page_keeps_what_another_benchmark_wrote(tmp_path: Path) -> None:
     out = tmp_path / "benchmarks.md"
     show_report(REPORT, out, Console(quiet=True))
-    show_report(replace(REPORT, title="Other", command="other command"), out, Console(quiet=True))
+    show_report(
+        replace(REPORT, title="Other", command="vrcaps bench record"), out, Console(quiet=True)
+    )
     page = out.read_text("utf-8")
     assert page.index("## Other") < page.index("## Speed of rendering")
 

@@ -15,8 +15,8 @@ _STARTED = time.monotonic()
 
 def sources(name: str) -> str:
     """Ten digits that name the sources of what measures a section, a name as in `write_section`."""
-    _, is_bench, bench = name.partition("vrcaps bench ")
-    return digest(Path(__file__).with_name(f"{bench}.py") if is_bench else ROOT / name)
+    first, *words = name.split()
+    return digest(Path(__file__).with_name(f"{words[1]}.py") if words else ROOT / first)
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -17,12 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from validation import parser, table, write_section
-from vrcaps.anatomy.colon import ColonParameters, generate_colon
-from vrcaps.anatomy.stomach import StomachParameters, generate_stomach
+from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError
 from vrcaps.magnet.sources import Cylinder
-from vrcaps.organ.surface import OrganSurface
 from vrcaps.transforms import rotation_from_vector
 from vrcaps.units import MM
 from vrcaps.world.control import Control
@@ -78,7 +76,7 @@ def main() -> None:
     for kind, count in (("stomach", args.stomachs), ("colon", args.colons)):
         pairs: dict[str, list[tuple[Run, Run]]] = {command: [] for command in COMMANDS}
         for seed in range(count):
-            model = Model(organ(kind, seed), read_device("magnetic"))
+            model = Model(generate_organ(kind, seed=seed), read_device("magnetic"))
             for command in COMMANDS:
                 for place in PLACES:
                     try:
@@ -101,14 +99,6 @@ one's. {failed} runs in which the capsule came to the magnet are left out.
 {table(HEAD, rows)}
 """
     write_section(args.out, "validate_quasi_static.py", text)
-
-
-def organ(kind: str, seed: int) -> OrganSurface:
-    """A patient's."""
-    rng = np.random.default_rng([seed, 1])
-    if kind == "stomach":
-        return generate_stomach(StomachParameters.draw(rng), seed=seed)
-    return generate_colon(ColonParameters.draw(rng), seed=seed)
 
 
 def pair(model: Model, height: float, place: float, command: str) -> tuple[Run, Run]:

@@ -6,11 +6,12 @@ import threading
 import time as wall_clock
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from vrcaps.camera_pipeline.capsule_cameras import CapsuleCameras
 from vrcaps.camera_pipeline.effects import Effects
+from vrcaps.cockpit.live_shadows import LiveShadows
 from vrcaps.errors import VrcapsError
 from vrcaps.motion.step import Step
 from vrcaps.recording.pictures import limits_of, picture
@@ -78,10 +79,12 @@ class LiveImage:
 class CameraImages:
     """Renders a session's views in a thread of its own, always the latest.
 
-    The simulation goes first: while it is late there are fewer images.
+    The simulation goes first: while it is late there are fewer images. While they come slowly, they
+    have no shadows; those of a simulation that stands do.
 
     Attributes:
         look: How; may be set at any time.
+        shadows: Which images have shadows, of those whose look has them.
         rate: Images per second, as measured.
         exposure: Of the last image, relative to the camera's own.
     """
@@ -97,11 +100,11 @@ class CameraImages:
         scenario = session.scenario
         name = session.model.device.cameras[0].name
         self.look = Look(name, "rgb", scenario.render, scenario.effects)
-        self.rate, self.exposure = 0.0, 1.0
+        self.rate, self.exposure, self.shadows = 0.0, 1.0, LiveShadows()
         self._states: deque[State] = deque(maxlen=64)
         self._times: deque[float] = deque(maxlen=20)
         self._wall = MovingWall(session.model)
-        self._renderer: Renderer | None = None
+        self._renderer: tuple[RenderSettings, Renderer] | None = None
         self._cameras: tuple[Look, CapsuleCameras] | None = None
         self._is_closed, self._rest = False, 0.0
         self._thread = threading.Thread(target=self._run, name="vrcaps-camera", daemon=True)
@@ -117,27 +120,36 @@ class CameraImages:
             self._thread.join()
 
     def _run(self) -> None:
-        shown: tuple[int, Look] | None = None
+        shown: tuple[int, Look, bool] | None = None
         working = self.look
         while not self._is_closed:
             view, look = self._session.view, self.look
-            if view is None or (view.number, look) == shown:
+            is_quick = view is not None and not view.is_paused and self.shadows.are_left_out
+            if view is None or (view.number, look, is_quick) == shown:
                 wall_clock.sleep(_PATIENCE)
                 continue
             begin = wall_clock.perf_counter()
             try:
-                self._on_image(self.image(view, look))
+                self._on_image(self.image(view, look, is_quick=is_quick))
                 working = look
             except VrcapsError as error:
                 self._session.on_message(f"{error} The look stays as it was.")
                 self.look = working
-            shown = (view.number, look)
+            shown = (view.number, look, is_quick)
             self._measure()
             self._rest_while_late()
-            wall_clock.sleep(max(0.0, begin + _SHORTEST - wall_clock.perf_counter()))
+            now = wall_clock.perf_counter()
+            if look.render.shadows and not view.is_paused:
+                self.shadows.note(now - begin, now)
+            wall_clock.sleep(max(0.0, begin + _SHORTEST - now))
 
-    def image(self, view: View, look: Look) -> LiveImage:
+    def image(self, view: View, look: Look, *, is_quick: bool = False) -> LiveImage:
         """A view, seen by the camera.
+
+        Args:
+            view: The simulation then.
+            look: How.
+            is_quick: Whether shadows are left out.
 
         Raises:
             InputError: If the look is not possible.
@@ -145,6 +157,9 @@ class CameraImages:
         camera = self._session.model.device.camera(look.camera)
         step = Step(view.number, view.state, previous=self._earlier(view.state))
         pipeline = self._cameras_for(look).pipelines[camera.name]
+        shadows = look.render.shadows and not is_quick
+        # The renderer reads this for each image; a new one would trace its form factors anew.
+        pipeline.renderer.settings = replace(look.render, shadows=shadows)
         values = getattr(pipeline.capture(step), look.channel)
         self.exposure = pipeline.state.exposure
         limits = limits_of(look.channel, [values])
@@ -161,13 +176,13 @@ class CameraImages:
 
     def _cameras_for(self, look: Look) -> CapsuleCameras:
         """Pipelines of the cameras; made anew where light, effects or channel have changed."""
-        if self._renderer is None or self._renderer.settings != look.render:
-            self._renderer = Renderer(self._session.model, look.render, self._wall)
+        if self._renderer is None or self._renderer[0] != look.render:
+            self._renderer = look.render, Renderer(self._session.model, look.render, self._wall)
             self._cameras = None
         if self._cameras is None or self._cameras[0] != look:
             scenario = self._session.scenario
             cameras = CapsuleCameras(
-                self._renderer,
+                self._renderer[1],
                 look.effects,
                 fps=self._session.rollout.fps,
                 seed=scenario.seed,

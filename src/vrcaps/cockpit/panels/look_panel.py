@@ -36,10 +36,22 @@ class LookPanel:
             self._imaging = gui.add_dropdown(
                 "Imaging", _IMAGING, initial_value=scenario.render.imaging
             )
+            shadows = gui.add_checkbox(
+                "Shadows always",
+                initial_value=False,
+                hint="Else they are left out of live images that come slower than 20 a second. "
+                "Recordings, and images while the simulation stands, have them as chosen.",
+            )
             with gui.add_folder("Effects", expand_by_default=False):
                 self._severities = {name: self._slider(name) for name in LIVE_EFFECTS}
         for handle in (self._light, self._imaging, *self._severities.values()):
             handle.on_update(page.handler(self._change))
+
+        @shadows.on_update
+        @page.handler
+        def _(event: object) -> None:
+            del event
+            page.images.shadows.is_allowed = not shadows.value
 
     def update(self, view: View) -> None:
         """Shows nothing: the live image does."""

@@ -63,10 +63,11 @@ class RunPanel:
         standing = "**paused**" if view.is_paused else f"{view.achieved_speed:.2f} × real time"
         magnet = view.limit or "free"
         hold = view.lost or "holds"
+        shadows = " without shadows" if self._page.images.shadows.are_left_out else ""
         driver = "none" if self._page.driver is None else f"browser {self._page.driver}"
         text = (
             f"**{max(view.state.time, 0.0):.1f} s** · {standing} · "
-            f"{self._page.images.rate:.0f} images/s\n\n"
+            f"{self._page.images.rate:.0f} images/s{shadows}\n\n"
             f"magnet: {magnet} · capsule: {hold} · driver: "
             f"{self._session.operator.policy or driver}"
         )

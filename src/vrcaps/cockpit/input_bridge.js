@@ -3,6 +3,7 @@ if (!window.vrcapsBridge) {
   const MARK = "vrcaps:", ASK = "vrcaps-ask:";
   const DEAD_ZONE = 0.12;
   const REPEAT_MS = 250; // while an axis is held: the simulation stops the magnet if nothing comes
+  const LOOK_MS = 33; // from one look at the gamepad, which tells nothing by itself, to the next
   const LISTEN_MS = 10000; // for which a control waits to be assigned
   const KEYS = {
     KeyD: [0, 1], KeyA: [0, -1], KeyW: [1, 1], KeyS: [1, -1], KeyR: [2, 1], KeyF: [2, -1],
@@ -33,11 +34,13 @@ if (!window.vrcapsBridge) {
     bridge.slow = event.shiftKey;
     if (!KEYS[event.code] || isTyping(event) || event.ctrlKey || event.metaKey || event.altKey) return;
     bridge.held.add(event.code);
+    look();
     event.stopImmediatePropagation(); // or the view would move, too
   }, true);
   window.addEventListener("keyup", (event) => {
     bridge.slow = event.shiftKey;
     bridge.held.delete(event.code);
+    look();
   }, true);
   const letGo = () => bridge.held.clear();
   window.addEventListener("blur", letGo);
@@ -133,7 +136,7 @@ if (!window.vrcapsBridge) {
     field.dispatchEvent(new Event("input", { bubbles: true }));
   };
 
-  setInterval(() => {
+  const look = () => {
     const field = fieldOf(MARK), ask = fieldOf(ASK);
     if (!field || !ask) return;
     hide(field);
@@ -153,5 +156,6 @@ if (!window.vrcapsBridge) {
     if (!isNews && !bridge.actions.length && !(isHeld && now - bridge.sent > REPEAT_MS)) return;
     write(field, MARK + JSON.stringify({ ...said, actions: bridge.actions, at: Math.round(now) }));
     Object.assign(bridge, { last: text, sent: now, actions: [], shown });
-  }, 33);
+  };
+  setInterval(look, LOOK_MS);
 }

@@ -18,8 +18,6 @@ import numpy as np
 import trimesh
 
 import vrcaps
-from oracle_embree import EmbreeCaster
-from tubes import straight_tube
 from validation import DATA, options, table, write_section
 from vrcaps.camera.camera import Camera, in_image, project_points
 from vrcaps.camera.lens import LensEquidistant
@@ -30,6 +28,10 @@ from vrcaps.metrics.coverage import CoverageCriteria, vertices_in_frustum
 from vrcaps.metrics.view_coverage import ViewCoverage
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.transforms import invert, transform_points
+
+# isort: split
+from oracle_embree import EmbreeCaster  # of the tests: `validation` makes it importable
+from tubes import straight_tube
 
 POINTS = 32
 """On each triangle."""

@@ -17,13 +17,14 @@ from vrcaps._core import testing
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.derive import focal_length_px
 from vrcaps.camera_pipeline.effect.auto_exposure import AutoExposure
+from vrcaps.camera_pipeline.effect.base import CameraSetup
 from vrcaps.camera_pipeline.effect.bloom import Bloom
 from vrcaps.camera_pipeline.effect.chromatic_aberration import LateralChromaticAberration
 from vrcaps.camera_pipeline.effect.depth_of_field import DepthOfField
 from vrcaps.camera_pipeline.effect.vignetting import Vignetting
 from vrcaps.camera_pipeline.effects import SEVERITIES
 from vrcaps.capsule.catalog import read_device
-from vrcaps.render.flow import STEP
+from vrcaps.render.flow import SUBSAMPLE
 from vrcaps.units import MM
 
 HEAD = ("quantity", "as set", "formula", "measured", "error")
@@ -121,7 +122,7 @@ def motion(camera: Camera) -> list[Row]:
     image = np.zeros((height, width, 3), np.float32)
     image[160, 160] = 1.0
     lit = np.ones((height, width), bool)
-    cells = (height // STEP, width // STEP, 2)
+    cells = (height // SUBSAMPLE, width // SUBSAMPLE, 2)
     rows = []
     for speed, shutter in ((60.0, 0.1), (60.0, 0.3), (120.0, 0.3)):
         field = np.broadcast_to(np.float32([speed, 0.0]), cells).copy()

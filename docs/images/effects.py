@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw
 
 from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.camera_pipeline.effect.base import MAX_SEVERITY
-from vrcaps.camera_pipeline.effects import SEVERITIES, Effects
+from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES, Effects
 from vrcaps.camera_pipeline.effects_tables import with_tables
 from vrcaps.camera_pipeline.pipeline import CameraPipeline, PipelineState
 from vrcaps.capsule.catalog import read_device

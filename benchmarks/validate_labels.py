@@ -10,6 +10,7 @@ the same surface point where not occluded.
 
 from __future__ import annotations
 
+import copy
 import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +19,8 @@ import numpy as np
 
 from validation import DATA, options, table, write_section
 from vrcaps.camera.camera import Camera, camera_rays, pixel_grid, project_points, unproject_pixels
+from vrcaps.file_ref import path_of
+from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.organ.surface import face_label
 from vrcaps.recording.episode import Episode, read_episode
@@ -58,6 +61,20 @@ class Written:
         )
         self.vertices = np.asarray(mesh.vertices, float)
         self.caster = EmbreeCaster(self.vertices, self.faces)
+
+    def moved(self, vertices: np.ndarray) -> Written:
+        """The wall with its vertices [m] at other places.
+
+        Vertices that a seam of the texture splits are one again for the smooth normals.
+        """
+        from oracle_embree import EmbreeCaster
+
+        wall = copy.copy(self)
+        wall.vertices = vertices.astype(float)
+        _, first, merged = np.unique(self.vertices, axis=0, return_index=True, return_inverse=True)
+        wall.normals = vertex_normals(wall.vertices[first], merged[self.faces])[merged]
+        wall.caster = EmbreeCaster(wall.vertices, self.faces)
+        return wall
 
 
 _PER_VERTEX = ("_LABEL", "_INSTANCE", "_ARC_LENGTH")
@@ -111,13 +128,16 @@ def _percent(share: float) -> str:
 
 
 def compare(episode: Episode, written: Written, tally: Tally) -> None:
-    """All frames of all cameras of an episode."""
-    for camera in episode.cameras:
-        poses = episode.Ts_world_camera(camera.name)
-        for index in range(len(episode) - 1):
-            pair = (poses[index], poses[index + 1])
-            compare_frame(episode, written, camera, index, pair[0], tally)
-            compare_flow(episode, written, camera, index, pair, tally)
+    """All frames of all cameras of an episode; flow where the wall makes way for no capsule."""
+    rests = episode.table.columns["wall_at_rest"]
+    for index in range(len(episode) - 1):
+        rest = bool(rests[index])
+        wall = written if rest else written.moved(np.load(episode.wall_path(index)))
+        for camera in episode.cameras:
+            poses = episode.Ts_world_camera(camera.name)[index : index + 2]
+            compare_frame(episode, wall, camera, index, poses[0], tally)
+            if rest and rests[index + 1]:
+                compare_flow(episode, written, camera, index, (poses[0], poses[1]), tally)
 
 
 def compare_frame(
@@ -193,7 +213,13 @@ def measure(organ: OrganFile | OrganGenerated, capsule: str, frames: int) -> Tal
     for motion in MOTIONS:
         tally.flow_px.clear()  # only the slow motion's counts
         scenario = Scenario(
-            organ=organ, capsule=capsule, motion=motion, frames=frames, fps=10.0, channels=CHANNELS
+            organ=organ,
+            capsule=capsule,
+            motion=motion,
+            frames=frames,
+            fps=10.0,
+            channels=CHANNELS,
+            wall=True,
         )
         with tempfile.TemporaryDirectory() as folder:
             episode = read_episode(record(scenario, Path(folder) / "episode"))
@@ -206,7 +232,7 @@ def main() -> None:
     given = options(__doc__ or "", size=12)
     rows = []
     for name, organ in ORGANS.items():
-        if isinstance(organ, OrganFile) and not Path(organ.path).exists():
+        if isinstance(organ, OrganFile) and not path_of(organ.path).exists():
             continue
         for capsule in CAPSULES:
             rows.append((name, capsule, *measure(organ, capsule, given.size).row()))

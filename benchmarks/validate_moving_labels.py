@@ -12,7 +12,6 @@ Embree's rays towards the points.
 
 from __future__ import annotations
 
-import copy
 import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,7 +21,6 @@ import numpy as np
 from validate_labels import CHANNELS, HEAD, Tally, Written, _percent, compare_frame
 from validation import options, table, write_section
 from vrcaps.camera.camera import Camera, camera_rays, pixel_grid, project_points
-from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.recorder import record
@@ -82,27 +80,12 @@ class MovingTally(Tally):
 MOVING_HEAD = ("wall moves up to [mm a frame]", *HEAD, "backward within 0.05 px", "occlusion alike")
 
 
-def wall_at(rest: Written, vertices: np.ndarray) -> Written:
-    """The wall that was written, at other places of its vertices [m].
-
-    Vertices that a seam of the texture splits are one again for the smooth normals.
-    """
-    from oracle_embree import EmbreeCaster
-
-    wall = copy.copy(rest)
-    wall.vertices = vertices.astype(float)
-    _, first, merged = np.unique(rest.vertices, axis=0, return_index=True, return_inverse=True)
-    wall.normals = vertex_normals(wall.vertices[first], merged[rest.faces])[merged]
-    wall.caster = EmbreeCaster(wall.vertices, rest.faces)
-    return wall
-
-
 def compare(episode: Episode, tally: MovingTally) -> None:
     """All frames but the first and the last of all cameras of an episode."""
     rest = Written(episode.path / "organ.glb")
-    before, now = (wall_at(rest, np.load(episode.wall_path(index))) for index in (0, 1))
+    before, now = (rest.moved(np.load(episode.wall_path(index))) for index in (0, 1))
     for index in range(1, len(episode) - 1):
-        after = wall_at(rest, np.load(episode.wall_path(index + 1)))
+        after = rest.moved(np.load(episode.wall_path(index + 1)))
         tally.moved.append(np.linalg.norm(after.vertices - now.vertices, axis=1).max())
         for camera in episode.cameras:
             poses = episode.Ts_world_camera(camera.name)[index - 1 : index + 2]

@@ -20,11 +20,11 @@ from dataclasses import replace
 
 import numpy as np
 
-import vrcaps
 from validation import parser, table, write_section
 from vrcaps.camera_pipeline.capsule_cameras import CapsuleCameras
 from vrcaps.camera_pipeline.effects import SEVERITIES, parse_effects
 from vrcaps.cli.benchmarks.timing import Spread, Subject, Times, interleave, ratio
+from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.recording.recorder import record
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
@@ -94,8 +94,8 @@ def _light(settings: RenderSettings) -> str:
 
 
 def _scenario(effects: str, light: RenderSettings, frames: int) -> Scenario:
-    motion = vrcaps.FlyThrough(start=0.4, speed=0.02)
-    scenario = vrcaps.Scenario(motion=motion, frames=frames, fps=30.0, render=light)
+    motion = FlyThrough(start=0.4, speed=0.02)
+    scenario = Scenario(motion=motion, frames=frames, fps=30.0, render=light)
     return replace(scenario, effects=parse_effects(effects)) if effects else scenario
 
 

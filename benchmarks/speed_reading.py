@@ -86,10 +86,10 @@ def local_loaders(folder: Path) -> Iterator[tuple[str, Any]]:
     """What gives batches of the local data set, by name."""
     from torch.utils.data import DataLoader
 
-    import vrcaps
     from vrcaps.data import FrameStream, FrameWindows
+    from vrcaps.data import open as open_dataset
 
-    sequences = vrcaps.data.open(folder).sequences("train")
+    sequences = open_dataset(folder).sequences("train")
     frames = FrameWindows(sequences, CHANNELS)
     more = {"batch_size": BATCH, "num_workers": WORKERS, "persistent_workers": True}
     yield "no worker", DataLoader(frames, batch_size=BATCH, shuffle=True)
@@ -148,12 +148,12 @@ def first_batch(url: str) -> tuple[float, float]:
     """Seconds until the first batch of a data set, and frames a second of 40 batches after it."""
     from torch.utils.data import DataLoader
 
-    import vrcaps
     from vrcaps.data import FrameWindows, stored_files
+    from vrcaps.data import open as open_dataset
 
     stored_files._connection.cache_clear()  # as a process that begins
     begin = time.perf_counter()
-    sequences = vrcaps.data.open(url).sequences("train")
+    sequences = open_dataset(url).sequences("train")
     windows = FrameWindows(sequences, CHANNELS, threads=8)
     batches = iter(DataLoader(windows, BATCH, shuffle=True, num_workers=WORKERS))
     next(batches)

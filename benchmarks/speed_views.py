@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-import vrcaps
 from validation import options, table, write_section
 from vrcaps import _core
+from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.camera.derive import scaled_camera
 from vrcaps.capsule.catalog import read_device
 from vrcaps.metrics.view_coverage import ViewCoverage
@@ -117,7 +117,7 @@ def main() -> None:
     given = options(__doc__ or "", size=5)
     images, views = [], []
     for kind in ("stomach", "colon"):
-        model = Model(vrcaps.generate_organ(kind, seed=21), read_device("magnetic"))
+        model = Model(generate_organ(kind, seed=21), read_device("magnetic"))
         for size, shadows in ((64, True), (64, False), (32, False)):
             images += image_rows(model, size, shadows, given.size)
         views += view_rows(model, given.size)

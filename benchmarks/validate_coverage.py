@@ -17,17 +17,20 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-import vrcaps
 from validation import DATA, options, table, write_section
+from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.camera.camera import Camera, in_image, project_points
 from vrcaps.camera.lens import LensEquidistant
+from vrcaps.capsule.catalog import read_device
 from vrcaps.geometry import triangle_areas
 from vrcaps.mesh.mesh import wall_of
 from vrcaps.metrics.coverable import coverable
 from vrcaps.metrics.coverage import CoverageCriteria, vertices_in_frustum
 from vrcaps.metrics.view_coverage import ViewCoverage
+from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.transforms import invert, transform_points
+from vrcaps.world.model import Model
 
 # isort: split
 from oracle_embree import EmbreeCaster  # of the tests: `validation` makes it importable
@@ -48,9 +51,9 @@ HALF_FIELD = math.radians(60.0)
 
 def organs() -> list[OrganSurface]:
     """Two generated organs, and one from CT where it is there."""
-    made = [vrcaps.generate_organ("colon", seed=21), vrcaps.generate_organ("stomach", seed=21)]
+    made = [generate_organ("colon", seed=21), generate_organ("stomach", seed=21)]
     path = DATA / "stomach_A_mm.ply"
-    return made + ([vrcaps.read_organ(path, unit="mm")] if path.exists() else [])
+    return made + ([read_organ(path, unit="mm")] if path.exists() else [])
 
 
 def points_on(corners: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -62,7 +65,7 @@ def points_on(corners: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return np.einsum("mkc,mcx->mkx", weights, corners)
 
 
-def brute_force(model: vrcaps.Model, camera: Camera, poses: np.ndarray) -> np.ndarray:
+def brute_force(model: Model, camera: Camera, poses: np.ndarray) -> np.ndarray:
     """Triangles of which some point is seen from some pose."""
     organ = model.organ
     vertices = transform_points(model.T_world_patient, organ.vertices)
@@ -84,8 +87,8 @@ def brute_force(model: vrcaps.Model, camera: Camera, poses: np.ndarray) -> np.nd
 
 def measure(organ: OrganSurface, count: int) -> tuple[str, ...]:
     """A row of the table."""
-    device = vrcaps.read_device("mirocam")
-    model, camera = vrcaps.Model(organ, device), device.cameras[0]
+    device = read_device("mirocam")
+    model, camera = Model(organ, device), device.cameras[0]
     along = np.linspace(0.03, 0.97, count) * organ.centerline.length
     poses = model.centerline_poses(along) @ camera.T_capsule_camera
     views = ViewCoverage(camera)

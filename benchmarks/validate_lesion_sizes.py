@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-import vrcaps
 from validate_lesions import cuts
 from validation import options, table, write_section
+from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.errors import InputError
 from vrcaps.lesion import LesionPair, add_lesions, parse_lesion
 from vrcaps.lesion.base import Lesion, SizedLesion
@@ -62,7 +62,7 @@ def largest(organ: OrganSurface, lesion: Lesion) -> tuple[Lesion, LesionPair]:
 def row(case: tuple[str, str]) -> tuple[str, ...]:
     """Row of one case."""
     name, text = case
-    organ = replace(vrcaps.generate_organ(name, seed=0), appearance=None)
+    organ = replace(generate_organ(name, seed=0), appearance=None)
     lesion, patient = largest(organ, parse_lesion(text))
     own = (patient.organ.instance == 1)[patient.organ.faces].any(axis=1)
     size = f"{lesion.size / MM:g} mm" if isinstance(lesion, SizedLesion) else "–"

@@ -22,13 +22,16 @@ from pathlib import Path
 
 import numpy as np
 
-import vrcaps
 from validation import ROOT, options, table, write_section
+from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.camera.camera import camera_rays
+from vrcaps.capsule.catalog import read_device
 from vrcaps.lesion import LesionPair, add_lesions, parse_lesion
 from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.centerline import interpolate
 from vrcaps.organ.surface import OrganSurface
+from vrcaps.render.renderer import Renderer
+from vrcaps.render.settings import RenderSettings
 from vrcaps.transforms import look_along, transform_from
 from vrcaps.units import MM
 from vrcaps.world.model import Model, State
@@ -129,13 +132,10 @@ def measure(organ: OrganSurface, text: str, step: int) -> tuple[str, ...]:
         patient = add_lesions(organ, [parse_lesion(text)], np.random.default_rng(0))
     footprint = Footprint(organ, patient.clean, witness)
     caster = EmbreeCaster(patient.organ.vertices, patient.organ.faces)
-    device = vrcaps.read_device("mirocam")
+    device = read_device("mirocam")
     models = [Model(side, device, np.eye(4)) for side in (patient.organ, patient.clean)]
     plain, shaded = (
-        [
-            vrcaps.Renderer(model, vrcaps.RenderSettings(light="direct", shadows=on))
-            for model in models
-        ]
+        [Renderer(model, RenderSettings(light="direct", shadows=on)) for model in models]
         for on in (False, True)
     )
     camera, measured = device.cameras[0], Measured()
@@ -174,7 +174,7 @@ def cuts(patient: LesionPair) -> int:
 def row(case: tuple[str, str], step: int) -> tuple[str, ...]:
     """Row of one case."""
     name, text = case
-    organ = vrcaps.generate_organ(name, seed=0)
+    organ = generate_organ(name, seed=0)
     return (name, text.replace(":", ", "), *measure(organ, text, step))
 
 

@@ -83,26 +83,33 @@ class LocalStore:
     def write(self, name: str, data: bytes) -> None:
         """Write a file whole or not at all."""
         path = self.folder / name
-        with _told(self.url):
+        with _told(self.url), self._staged(data) as staged:
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_bytes(path, data)
+            os.replace(staged, path)
             sync_folder(path.parent)
 
     def create(self, name: str, data: bytes) -> bool:
         """Write a file under another name and give it its own if that is free, in one step."""
         path = self.folder / name
-        other = path.with_name(f".{path.name}.{uuid.uuid4().hex}{TEMPORARY}")
-        with _told(self.url):
+        with _told(self.url), self._staged(data) as staged:
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_bytes(other, data)
             try:
-                os.link(other, path)
+                os.link(staged, path)
             except FileExistsError:
                 return False
-            finally:
-                other.unlink()
             sync_folder(path.parent)
         return True
+
+    @contextmanager
+    def _staged(self, data: bytes) -> Iterator[Path]:
+        """A whole file in the hidden folder; one that a killed process leaves there is no data."""
+        path = self.staging(f"{uuid.uuid4().hex}{TEMPORARY}")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            write_bytes(path, data)
+            yield path
+        finally:
+            path.unlink(missing_ok=True)
 
     def remove(self, name: str) -> None:
         """Remove a file, if it is there."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import vrcaps
+from vrcaps._core import __version__
 from vrcaps.errors import InputError, require
 from vrcaps.files import read_arrays, write_arrays
 from vrcaps.world.snapshot import Snapshot, snapshot_arrays, snapshot_from_arrays
@@ -93,7 +93,7 @@ def take_snapshot(
         )
         for k in numbers
     )
-    return EnvSnapshot(fingerprint(episode.settings), vrcaps.__version__, worlds)
+    return EnvSnapshot(fingerprint(episode.settings), __version__, worlds)
 
 
 def restore_snapshot(
@@ -119,7 +119,7 @@ def restore_snapshot(
             "The snapshot is of an environment with other settings. Give one of an environment "
             "with the same settings."
         )
-    version = vrcaps.__version__
+    version = __version__
     require(snapshot.version == version, "The snapshot's version", snapshot.version, version)
     given = len(snapshot.worlds)
     require(given == len(numbers), "The snapshot's number of worlds", given, f"{len(numbers)}")

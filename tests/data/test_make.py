@@ -10,7 +10,6 @@ import vrcaps
 from failing import fail
 from vrcaps import made_with
 from vrcaps.cli import main
-from vrcaps.data import store as store_module
 from vrcaps.data.check_dataset import check_dataset
 from vrcaps.data.estimate import Estimate
 from vrcaps.data.ledger import enter_failure, entries, failures
@@ -136,15 +135,14 @@ def test_a_full_disk_stops_the_run_and_loses_nothing(
     before, names = files(made), sorted(entries(LocalStore(made)))[:2]
     for name in names:
         (made / "ledger" / f"{name}.json").unlink()
-    write = store_module.write_bytes
-    left = [names[0]]
+    replace, left = os.replace, [names[0]]
 
-    def full(path: Path, data: bytes) -> None:
+    def full(source: Path, path: Path) -> None:
         if path.parent.name == "ledger" and not (left and left.pop() in path.name):
             raise OSError(code, os.strerror(code), str(path))
-        write(path, data)
+        replace(source, path)
 
-    monkeypatch.setattr(store_module, "write_bytes", full)
+    monkeypatch.setattr(os, "replace", full)
     with pytest.raises(StorageError, match=rf"{os.strerror(code)}\. .* again to go on"):
         make_dataset(read_plan(plan_file), made, runner=InProcess())
     monkeypatch.undo()
@@ -153,6 +151,28 @@ def test_a_full_disk_stops_the_run_and_loses_nothing(
     again = make_dataset(read_plan(plan_file), made, runner=InProcess())
     assert (again.made, again.present) == (1, 7)
     assert files(made) == before
+
+
+def test_a_killed_maker_leaves_no_part_file_beside_the_data(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = LocalStore(tmp_path / "set")
+    store.write("ledger/a.json", b"{}")
+
+    def killed(*paths: object) -> None:
+        raise KeyboardInterrupt
+
+    for what, name in ((os.replace, "replace"), (os.link, "link")):
+        with monkeypatch.context() as patched:
+            patched.setattr(Path, "unlink", lambda path, **more: None)
+            patched.setattr(os, name, killed)
+            with pytest.raises(KeyboardInterrupt):
+                (store.write if what is os.replace else store.create)("ledger/b.json", b"{}")
+        assert os.listdir(store.folder / "ledger") == ["a.json"]
+    assert store.write("ledger/b.json", b"{}") is None
+    assert not store.create("ledger/b.json", b"[]")
+    assert store.create("ledger/c.json", b"[]")
+    assert sorted(os.listdir(store.folder / "ledger")) == ["a.json", "b.json", "c.json"]
 
 
 @pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="root may write anywhere")

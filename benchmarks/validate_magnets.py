@@ -10,7 +10,6 @@ the forward.
 from __future__ import annotations
 
 import os
-import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -19,15 +18,9 @@ from pathlib import Path
 import magpylib
 import numpy as np
 import pinocchio
-
-from validation import ROOT, options, table, write_section
-
-sys.path += [str(ROOT / "tests" / "support"), str(ROOT / "tests" / "actuation" / "arm")]
-
 from scipy.spatial.transform import Rotation
-from test_kinematics import errors, path_of
 
-from scenes import random_directions, random_poses, relative
+from validation import options, table, write_section
 from vrcaps.actuation.arm.arm import read_arm
 from vrcaps.actuation.arm.kinematics import forward, nearest
 from vrcaps.magnet.field import field, wrench
@@ -43,6 +36,10 @@ from vrcaps.magnet.sources import (
     magnet_pose,
 )
 from vrcaps.transforms import transform_from, transform_points
+
+# isort: split
+from flange_paths import loop_of, pose_errors  # of the tests: `validation` makes it importable
+from scenes import random_directions, random_poses, relative
 
 HEAD = ("what", "how many", "measured", "claimed")
 PUBLISHED = ((0.10, 6.52, 217), (0.15, 1.29, 64), (0.20, 0.41, 27))
@@ -195,7 +192,7 @@ def arm(count: int) -> Iterator[Row]:
     closed = 1e6 * (time.process_time() - begin) / count
     there = ~np.isnan(found[..., 0])
     pose_of, branch = np.nonzero(there)
-    place, turn = errors(panda, found[pose_of, branch], poses[pose_of])
+    place, turn = pose_errors(panda, found[pose_of, branch], poses[pose_of])
     number = f"{len(pose_of):,} branches"
     yield ("every branch of the inverse lands, place", number, *verdict(place, 1e-9, " m"))
     yield ("every branch of the inverse lands, orientation", number, *verdict(turn, 1e-9, " rad"))
@@ -219,7 +216,7 @@ def arm(count: int) -> Iterator[Row]:
 
 def path(panda) -> Iterator[Row]:
     """Rows of a closed path that the arm follows."""
-    poses = path_of(panda, 1000)
+    poses = loop_of(panda, 1000)
     begin = time.process_time()
     angles = panda.core.follow(poses, np.array(panda.home))
     spent = 1e6 * (time.process_time() - begin) / 1000

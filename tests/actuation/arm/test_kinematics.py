@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from flange_paths import loop_of, pose_errors
 from scenes import random_poses
 from vrcaps.actuation.arm.arm import Arm
 from vrcaps.actuation.arm.kinematics import forward, frames, inverse, jacobian, nearest
@@ -18,25 +19,6 @@ from vrcaps.errors import InputError
 
 def random_angles(arm: Arm, rng: np.random.Generator, count: int) -> np.ndarray:
     return rng.uniform(arm.lower, arm.upper, (count, arm.num_joints))
-
-
-def errors(arm: Arm, angles: np.ndarray, targets: np.ndarray) -> tuple[float, float]:
-    """Largest miss in place [m] and in orientation [rad]."""
-    got = forward(arm, angles)
-    turn = np.linalg.norm(got[:, :3, :3] - targets[:, :3, :3], axis=(1, 2)) / np.sqrt(2)
-    return np.linalg.norm(got[:, :3, 3] - targets[:, :3, 3], axis=1).max(), turn.max()
-
-
-def path_of(arm: Arm, count: int) -> np.ndarray:
-    """A closed loop that moves and tilts the flange, from the arm's home."""
-    s = 2 * np.pi * np.linspace(0, 1, count)
-    poses = np.tile(forward(arm, np.array(arm.home)), (count, 1, 1))
-    poses[:, :3, 3] += np.stack([0.1 * np.cos(s) - 0.1, 0.2 * np.sin(s), 0.1 * np.sin(2 * s)], -1)
-    tilt = 0.4 * np.sin(s)
-    turn = np.tile(np.eye(4), (count, 1, 1))
-    turn[:, 0, 0] = turn[:, 2, 2] = np.cos(tilt)
-    turn[:, 0, 2], turn[:, 2, 0] = np.sin(tilt), -np.sin(tilt)
-    return poses @ turn
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +81,7 @@ def test_every_branch_lands_within_limits_and_none_is_missed(panda):
     counts = set()
     for q, target in zip(angles, targets, strict=True):
         found = inverse(panda, target, q[6])
-        place, turn = errors(panda, found, np.broadcast_to(target, (len(found), 4, 4)))
+        place, turn = pose_errors(panda, found, np.broadcast_to(target, (len(found), 4, 4)))
         assert place < 1e-9
         assert turn < 1e-9
         assert (found >= panda.lower).all()
@@ -124,7 +106,7 @@ def test_nearest_lands_and_nearly_always_exists(panda):
     found = nearest(panda, targets, np.array(panda.home))
     solved = ~np.isnan(found).any(axis=1)
     assert solved.mean() >= 0.999
-    place, turn = errors(panda, found[solved], targets[solved])
+    place, turn = pose_errors(panda, found[solved], targets[solved])
     assert place < 1e-9
     assert turn < 1e-9
 
@@ -151,9 +133,9 @@ def test_an_arm_that_is_there_stays(panda):
 
 def test_a_path_is_followed_without_a_jump(panda):
     """A closed path of 1,000 poses: steps as even as the path's, and no step of a step."""
-    poses = path_of(panda, 1000)
+    poses = loop_of(panda, 1000)
     angles = panda.core.follow(poses, np.array(panda.home))
-    place, turn = errors(panda, angles, poses)
+    place, turn = pose_errors(panda, angles, poses)
     assert max(place, turn) < 1e-9
     steps = np.abs(np.diff(angles, axis=0))
     assert steps.max() < 0.012
@@ -199,7 +181,7 @@ def test_any_other_arm_is_solved_step_by_step(six_joints):
     found = nearest(six_joints, targets, angles + rng.normal(scale=0.2, size=angles.shape), rng=rng)
     solved = ~np.isnan(found).any(axis=1)
     assert solved.mean() > 0.9
-    place, turn = errors(six_joints, found[solved], targets[solved])
+    place, turn = pose_errors(six_joints, found[solved], targets[solved])
     assert max(place, turn) < 1e-9
     assert (np.abs(found[solved]) <= 6.2).all()
     far = np.eye(4)

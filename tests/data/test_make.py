@@ -2,6 +2,7 @@
 
 import errno
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,11 +15,13 @@ from vrcaps.data.check_dataset import check_dataset
 from vrcaps.data.estimate import Estimate
 from vrcaps.data.ledger import enter_failure, entries, failures
 from vrcaps.data.make import make_dataset
-from vrcaps.data.make_unit import Job, Maker
+from vrcaps.data.make_unit import Job, Maker, make_unit
 from vrcaps.data.plan import read_plan
 from vrcaps.data.runners.in_process import InProcess
 from vrcaps.data.store import LocalStore
+from vrcaps.data.units import Units
 from vrcaps.errors import InputError, StorageError
+from vrcaps.recording.lock import FolderInUseError, file_lock
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -150,6 +153,39 @@ def test_a_full_disk_stops_the_run_and_loses_nothing(
     assert len(entries(LocalStore(made))) == 7
     again = make_dataset(read_plan(plan_file), made, runner=InProcess())
     assert (again.made, again.present) == (1, 7)
+    assert files(made) == before
+
+
+def test_a_unit_is_one_makers_until_it_is_entered(
+    plan_file: Path, made: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else another one would go on in the folder that is just moved to its name."""
+    before, name = files(made), min(entries(LocalStore(made)))
+    (made / "ledger" / f"{name}.json").unlink()
+    debris = LocalStore(made).staging(name) / "front" / "rgb"  # of such another one
+    debris.mkdir(parents=True)
+    held = []
+
+    def locked(what: str) -> Callable[..., None]:
+        run = getattr(LocalStore, what)
+
+        def call(store: LocalStore, *given: object) -> None:
+            with (
+                pytest.raises(FolderInUseError, match="is recording into"),
+                file_lock(store.staging(f"{name}.lock")),
+            ):
+                pass
+            held.append(what)
+            run(store, *given)
+
+        return call
+
+    for what in ("put", "write"):
+        monkeypatch.setattr(LocalStore, what, locked(what))
+    units = Units(read_plan(plan_file))
+    number = next(k for k in range(len(units)) if units[k].name == name)
+    make_unit(units, LocalStore(made), number)
+    assert held == ["put", "write"]
     assert files(made) == before
 
 

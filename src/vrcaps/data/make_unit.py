@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import shlex
+import shutil
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from vrcaps.data.ledger import EPISODES, enter, entry_of, is_whole
 from vrcaps.data.organs import organ_entry, store_organ
 from vrcaps.data.plan import Plan
 from vrcaps.data.store import Store, open_store
-from vrcaps.data.units import Units
+from vrcaps.data.units import Unit, Units
 from vrcaps.errors import InputError, StorageError, VrcapsError
 from vrcaps.made_with import made_here
 from vrcaps.organ.cache import passing_organs
@@ -111,19 +112,30 @@ def make_unit(units: Units, store: Store, number: int) -> None:
         VrcapsError: If it cannot be made.
         OSError: If it cannot be written.
     """
-    from vrcaps.recording.lock import FolderInUseError
-    from vrcaps.recording.recorder import record
+    from vrcaps.recording.lock import FolderInUseError, file_lock
 
     unit = units[number]
-    folder = store.staging(unit.name)
+    lock = store.staging(f"{unit.name}.lock")
     while not is_whole(store, unit.name):
         try:
-            # One that was broken off goes on where it stopped.
-            with passing_organs():
-                record(unit.scenario, folder, store_organ=partial(store_organ, store))
+            # To the end: one who comes between recording and entry would write what is moved away.
+            with file_lock(lock):
+                if not is_whole(store, unit.name):
+                    _make_alone(unit, store)
         except FolderInUseError:
             time.sleep(_WAIT)
-            continue
-        entry = entry_of(unit, folder) | {"organ": organ_entry(store, folder)}
-        store.put(folder, f"{EPISODES}/{unit.name}")
-        enter(store, unit, entry)
+
+
+def _make_alone(unit: Unit, store: Store) -> None:
+    """Record a unit that nobody else is making, and commit it."""
+    from vrcaps.recording.layout import EPISODE_JSON
+    from vrcaps.recording.recorder import record
+
+    folder = store.staging(unit.name)
+    if folder.exists() and not (folder / EPISODE_JSON).exists():
+        shutil.rmtree(folder)  # what has no head cannot be gone on with
+    with passing_organs():  # one that was broken off goes on where it stopped
+        record(unit.scenario, folder, store_organ=partial(store_organ, store))
+    entry = entry_of(unit, folder) | {"organ": organ_entry(store, folder)}
+    store.put(folder, f"{EPISODES}/{unit.name}")
+    enter(store, unit, entry)

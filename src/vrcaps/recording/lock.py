@@ -38,17 +38,31 @@ def recording_lock(out: Path) -> Iterator[None]:
     """
     made = [path for path in (out, *out.parents) if not path.exists()]
     try:
-        out.mkdir(parents=True, exist_ok=True)
-        file = _acquire(out / LOCK)
-    except OSError as error:
-        raise StorageError(f"Cannot write the episode {out}: {error}.") from error
-    try:
-        yield
+        with file_lock(out / LOCK):
+            yield
     finally:
-        _release(file, out / LOCK)
         with contextlib.suppress(OSError):  # something is in it
             for path in made:
                 path.rmdir()
+
+
+@contextmanager
+def file_lock(path: Path) -> Iterator[None]:
+    """Holds a file that is made for it and removed afterwards, and its folder if there is none.
+
+    Raises:
+        FolderInUseError: If another process or thread holds it.
+        StorageError: If it cannot be made.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = _acquire(path)
+    except OSError as error:
+        raise StorageError(f"Cannot write into {path.parent}: {error}.") from error
+    try:
+        yield
+    finally:
+        _release(file, path)
 
 
 def _acquire(path: Path) -> int:

@@ -42,6 +42,14 @@ def test_shadows_go_while_images_are_slow_and_come_back() -> None:
     assert machine.changes == 2
 
 
+def test_a_slow_start_does_not_cost_the_shadows_for_good() -> None:
+    shadows = LiveShadows()
+    machine = Machine(shadows)
+    machine.run(0.2, 1.0)
+    machine.run(0.012, 20.0)
+    assert not shadows.are_left_out
+
+
 @pytest.mark.parametrize("seconds", [0.021, 0.0225, 0.024, 0.026, 0.05, 0.2])
 def test_images_do_not_flicker(seconds: float) -> None:
     machine = Machine(LiveShadows())

@@ -8,6 +8,9 @@ _PLENTY = 24.0
 """Images per second that must be expected with shadows before they come back."""
 _MEMORY = 12.0
 """Images over which times are averaged."""
+_MOST_TIMES_LONGER = 3.0
+"""Time of an image with shadows over that of one without, at most: that by direct light. More is
+measured while the machine also begins a drive or opens a browser."""
 _LEAST_TIME = 2.0
 """Shortest time [s] from one change to the next, so that images do not flicker."""
 
@@ -44,7 +47,8 @@ class LiveShadows:
                 self._with_shadows, self._times_longer = mean, 0.0
                 self._change(now, are_left_out=True)
         else:
-            self._times_longer = self._times_longer or self._with_shadows / mean
+            measured = min(self._with_shadows / mean, _MOST_TIMES_LONGER)
+            self._times_longer = self._times_longer or measured
             if mean * self._times_longer < 1.0 / _PLENTY:
                 self._change(now, are_left_out=False)
 

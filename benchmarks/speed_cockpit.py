@@ -230,8 +230,8 @@ def mark_images(cockpit: Cockpit) -> None:
     images, operator = cockpit.page.images, cockpit.session.operator
     make = images.image
 
-    def marked(view: View, look: Look, *, is_quick: bool = False) -> LiveImage:
-        picture = make(view, look, is_quick=is_quick).picture.copy()
+    def marked(view: View, look: Look, *, has_shadows: bool = True) -> LiveImage:
+        picture = make(view, look, has_shadows=has_shadows).picture.copy()
         # The page does not send an image again that has not changed.
         picture[-MARK_PX:, :MARK_PX] = 255 * (view.number % 2)
         past = [c for c in operator.commands()[1][-40:] if c.time < view.state.time]

@@ -69,7 +69,7 @@ def test_shadows_stay_where_they_may_not_be_left_out() -> None:
     assert machine.changes == 2
 
 
-def test_a_quick_image_is_that_of_a_renderer_without_shadows(drive_scenario, tmp_path) -> None:
+def test_an_image_without_shadows_is_that_of_a_renderer_without(drive_scenario, tmp_path) -> None:
     session = Session(drive_scenario, tmp_path / "drive")
     session.start()
     try:
@@ -77,9 +77,9 @@ def test_a_quick_image_is_that_of_a_renderer_without_shadows(drive_scenario, tmp
             time.sleep(0.01)
         images, view = CameraImages(session, lambda image: None), session.view
         look = images.look
-        for is_quick in (False, True, False):
-            found = images.image(view, look, is_quick=is_quick).picture
-            settings = replace(look.render, shadows=not is_quick)
+        for has_shadows in (True, False, True):
+            found = images.image(view, look, has_shadows=has_shadows).picture
+            settings = replace(look.render, shadows=has_shadows)
             renderer = Renderer(session.model, settings)
             expected = renderer.render(view.state, look.camera, channels=("rgb",)).rgb
             np.testing.assert_array_equal(found, expected)

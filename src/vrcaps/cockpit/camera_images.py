@@ -124,18 +124,18 @@ class CameraImages:
         working = self.look
         while not self._is_closed:
             view, look = self._session.view, self.look
-            is_quick = view is not None and not view.is_paused and self.shadows.are_left_out
-            if view is None or (view.number, look, is_quick) == shown:
+            has_shadows = view is None or view.is_paused or not self.shadows.are_left_out
+            if view is None or (view.number, look, has_shadows) == shown:
                 wall_clock.sleep(_PATIENCE)
                 continue
             begin = wall_clock.perf_counter()
             try:
-                self._on_image(self.image(view, look, is_quick=is_quick))
+                self._on_image(self.image(view, look, has_shadows=has_shadows))
                 working = look
             except VrcapsError as error:
                 self._session.on_message(f"{error} The look stays as it was.")
                 self.look = working
-            shown = (view.number, look, is_quick)
+            shown = (view.number, look, has_shadows)
             self._measure()
             self._rest_while_late()
             now = wall_clock.perf_counter()
@@ -143,13 +143,13 @@ class CameraImages:
                 self.shadows.note(now - begin, now)
             wall_clock.sleep(max(0.0, begin + _SHORTEST - now))
 
-    def image(self, view: View, look: Look, *, is_quick: bool = False) -> LiveImage:
+    def image(self, view: View, look: Look, *, has_shadows: bool = True) -> LiveImage:
         """A view, seen by the camera.
 
         Args:
             view: The simulation then.
             look: How.
-            is_quick: Whether shadows are left out.
+            has_shadows: Whether it has those that its look says.
 
         Raises:
             InputError: If the look is not possible.
@@ -157,7 +157,7 @@ class CameraImages:
         camera = self._session.model.device.camera(look.camera)
         step = Step(view.number, view.state, previous=self._earlier(view.state))
         pipeline = self._cameras_for(look).pipelines[camera.name]
-        shadows = look.render.shadows and not is_quick
+        shadows = look.render.shadows and has_shadows
         # The renderer reads this for each image; a new one would trace its form factors anew.
         pipeline.renderer.settings = replace(look.render, shadows=shadows)
         values = getattr(pipeline.capture(step), look.channel)

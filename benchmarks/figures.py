@@ -79,7 +79,12 @@ FIGURES = (
         is_timed=True,
     ),
     *_scripts("speed_views speed_env speed_dataset speed_reading", is_timed=True),
-    *_scripts("speed_cockpit drive_cockpit", is_timed=True),
+    *_scripts("speed_cockpit", is_timed=True),
+    Figure(
+        "benchmarks/drive_cockpit.py",
+        ("--patients", "0", "1", "2", "--arms", "none", "panda"),
+        is_timed=True,
+    ),
     *_scripts("organ_files frame_codecs memory_dataset", is_timed=True),
     *([Figure("benchmarks/speed_cycles.py", ("--blender-python", BLENDER), True)] * bool(BLENDER)),
     *_scripts("validate_radiosity validate_scattering validate_denoise", is_timed=True),

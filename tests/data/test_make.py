@@ -172,7 +172,7 @@ def test_a_unit_is_one_makers_until_it_is_entered(
         def call(store: LocalStore, *given: object) -> None:
             with (
                 pytest.raises(FolderInUseError, match="is recording into"),
-                file_lock(store.staging(f"{name}.lock")),
+                file_lock(store.staging(f"{name}.lock"), name),
             ):
                 pass
             held.append(what)

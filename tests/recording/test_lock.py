@@ -69,7 +69,7 @@ def test_a_folder_that_stays_empty_is_not_left_behind(tmp_path: Path) -> None:
 
 def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(InputError, match=r"Cannot write into .*file"):
+    with pytest.raises(InputError, match=r"Cannot write the episode .*file"):
         recording_lock(tmp_path / "file" / "a").__enter__()
 
 

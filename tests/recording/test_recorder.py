@@ -138,7 +138,7 @@ def test_other_write_errors(scenario, tmp_path, monkeypatch):
         raise OSError(errno.EACCES, "Permission denied", items[0][0])
 
     monkeypatch.setattr(_core, "write_pngs", refuse)
-    with pytest.raises(InputError, match=r"Cannot write .*Permission denied"):
+    with pytest.raises(InputError, match=r"Cannot write the episode .*Permission denied"):
         record(scenario, tmp_path / "episode")
 
 

@@ -119,7 +119,7 @@ def make_unit(units: Units, store: Store, number: int) -> None:
     while not is_whole(store, unit.name):
         try:
             # To the end: one who comes between recording and entry would write what is moved away.
-            with file_lock(lock):
+            with file_lock(lock, f"the recording {unit.name}"):
                 if not is_whole(store, unit.name):
                     _make_alone(unit, store)
         except FolderInUseError:

@@ -38,7 +38,7 @@ def recording_lock(out: Path) -> Iterator[None]:
     """
     made = [path for path in (out, *out.parents) if not path.exists()]
     try:
-        with file_lock(out / LOCK):
+        with file_lock(out / LOCK, f"the episode {out}"):
             yield
     finally:
         with contextlib.suppress(OSError):  # something is in it
@@ -47,8 +47,12 @@ def recording_lock(out: Path) -> Iterator[None]:
 
 
 @contextmanager
-def file_lock(path: Path) -> Iterator[None]:
-    """Holds a file that is made for it and removed afterwards, and its folder if there is none.
+def file_lock(path: Path, what: str) -> Iterator[None]:
+    """Holds a file that is made for it, with its folder if there is none, and removed afterwards.
+
+    Args:
+        path: The file.
+        what: Is written under the lock, for messages.
 
     Raises:
         FolderInUseError: If another process or thread holds it.
@@ -58,7 +62,7 @@ def file_lock(path: Path) -> Iterator[None]:
         path.parent.mkdir(parents=True, exist_ok=True)
         file = _acquire(path)
     except OSError as error:
-        raise StorageError(f"Cannot write into {path.parent}: {error}.") from error
+        raise StorageError(f"Cannot write {what}: {error}.") from error
     try:
         yield
     finally:

@@ -68,3 +68,13 @@ def test_rewards_of_one_term_at_two_levels_both_count() -> None:
     assert total > 0.0  # what the start shows
     assert total == pytest.approx(sum(reward.value(simulation) for reward in both))
     assert terms["area-gain"] == pytest.approx(total)
+
+
+def test_log_gain_of_an_episode_is_the_log_of_what_is_left():
+    env = small_env(rewards=(Reward("log-gain", level="resolved"),))
+    simulation = env.episode.simulation
+    began = 1.0 - simulation.seen("resolved")[0]
+    earned = sum(env.step(np.full(6, 0.5))[1] for _ in range(5))
+    ended = 1.0 - simulation.seen("resolved")[0]
+    assert ended < began
+    assert earned == pytest.approx(np.log((began + 0.005) / (ended + 0.005)))

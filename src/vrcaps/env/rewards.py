@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
     from vrcaps.env.simulation import Simulation
 
+_LEAST_UNSEEN = 0.005
+"""Unseen fraction below which `log-gain` no longer pays more for less."""
+
 
 @dataclass(frozen=True)
 class Reward:
@@ -64,6 +67,15 @@ def _area_gain(simulation: Simulation, reward: Reward) -> Float[np.ndarray, " n"
     return simulation.gain[:, POINT_LEVELS.index(reward.level)]
 
 
+def _log_gain(simulation: Simulation, reward: Reward) -> Float[np.ndarray, " n"]:
+    """Fall of ln(u + 0.005), u the unseen fraction: to halve it always pays about the same.
+
+    So the last hundredths are worth looking for, where `area-gain` hardly pays for them.
+    """
+    unseen = 1.0 - simulation.seen(reward.level)
+    return np.log1p(_area_gain(simulation, reward) / (unseen + _LEAST_UNSEEN))
+
+
 def _paper_gain(simulation: Simulation, reward: Reward) -> Float[np.ndarray, " n"]:
     """α (C_t − C_{t−1}) with α = 0.1 and C in percent (Incetan et al. 2021, eq. of the reward)."""
     return 0.1 * 100.0 * _area_gain(simulation, reward)
@@ -106,6 +118,7 @@ def _success(simulation: Simulation, reward: Reward) -> Float[np.ndarray, " n"]:
 
 TERMS: dict[str, Callable[[Simulation, Reward], Float[np.ndarray, " n"]]] = {
     "area-gain": _area_gain,
+    "log-gain": _log_gain,
     "paper": _paper_gain,
     "paper-thresholded": _paper_thresholded,
     "time": _time,

@@ -9,12 +9,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import reference_twin
-from tubes import straight_gut
+from tubes import bent_tube, straight_gut
 from vrcaps._core import advance_reference
 from vrcaps.actuation.capsule_target import CapsuleTarget, centerline_target, wall_target
 from vrcaps.actuation.magnet_actuator import FreeActuator
 from vrcaps.actuation.magnet_controller import ControllerGains, MagnetController
 from vrcaps.actuation.magnet_pose_solver import Workspace
+from vrcaps.actuation.steering_program import GENTLE_GAINS
 from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError
 from vrcaps.magnet.field import wrench
@@ -43,9 +44,8 @@ def begin(
     k = int(np.argmin(np.abs(line.arc_length - at)))
     pose = model.T_world_patient @ transform_from(line.frames[k], line.points[k])
     actuator = options.pop("actuator", FreeActuator())
-    controller = MagnetController(
-        model, read_magnet("cylinder-101.6"), actuator, pose, target, **options
-    )
+    magnet = read_magnet(options.pop("magnet", "cylinder-101.6"))
+    controller = MagnetController(model, magnet, actuator, pose, target, **options)
     world = World(model, Tissue(), State(0.0, pose), sources=controller.sources, substep=2e-4)
     return controller, world, target
 
@@ -110,6 +110,22 @@ def test_holds_against_a_push(gut_model):
         assert world.T_world_capsule[0, 2] > np.cos(np.radians(3.0))
     assert worst < 2e-3
     assert world.coupling.force_world[0] == pytest.approx(-0.1, abs=0.02)
+
+
+@pytest.mark.slow
+def test_a_capsule_that_swings_comes_to_rest():
+    """Pulled up across a wide bent tube it slides to and fro; a magnet that follows late feeds that."""
+    model = Model(bent_tube(), read_device("magnetic"), np.eye(4))
+    gains = replace(GENTLE_GAINS, upper_wall_force=0.15)
+    controller, world, target = begin(model, 0.16, gains=gains, magnet="cylinder-76.2")
+    along = np.asarray(target.tangent)
+    run(controller, world, target, 1.0, lambda t: 0.2 * np.cos(20.0 * t) * along)
+    swing = []
+    for _ in range(200):
+        run(controller, world, target, DT)
+        swing.append(along @ (world.T_world_capsule[:3, 3] - target.position))
+    assert np.abs(swing[:20]).max() > 5e-3
+    assert np.abs(swing[-50:]).max() < 1.5e-3
 
 
 @pytest.mark.parametrize("aside", [0.0, 0.02])

@@ -143,6 +143,26 @@ def test_prediction_propagates_errors_as_its_mean_does(model):
     np.testing.assert_allclose(ahead.covariance, step @ step.T, atol=2e-5)
 
 
+def test_a_clipped_reading_is_told_by_the_covariance(model):
+    """A capsule that is turned over faster than the gyroscope reads is lost by as much as stated."""
+    unit, dt, rate = Imu(gyroscope_range=10.0, accelerometer_range=30.0), 0.01, 17.0
+    belief = PoseBelief(still(model), *np.zeros((4, 3)), 1e-12 * np.eye(18))
+    rotation = belief.T_world_capsule[:3, :3]
+    gravity = rotation.T @ [0.0, 0.0, GRAVITY]
+    read = np.array([-unit.gyroscope_range, 0.5, 0.0])
+    found = predict(belief, unit, gravity + [0.0, 50.0, 0.0], read, dt)
+    found_within = predict(belief, unit, gravity, np.array([-9.0, 0.5, 0.0]), dt)
+    true = rotate_by_vector(rotation @ [-rate, 0.5, 0.0] * dt, rotation)
+    off = np.linalg.norm(rotation_vector(true, found.T_world_capsule[:3, :3]))
+    sigma = np.sqrt(np.diag(found.covariance))
+    assert off == pytest.approx(0.07, rel=1e-2)
+    assert np.linalg.norm(sigma[6:9]) == pytest.approx(0.1, rel=1e-2)
+    axis = rotation[:, 0] * dt * unit.gyroscope_range
+    np.testing.assert_allclose(found.covariance[6:9, 6:9], np.outer(axis, axis), atol=1e-4)
+    assert np.linalg.norm(sigma[3:6]) == pytest.approx(0.3, rel=2e-2)
+    assert np.sqrt(np.diag(found_within.covariance))[6:9].max() < 1e-3
+
+
 def test_one_magnet_is_located(model):
     twice = replace(model.device, magnets=model.device.magnets * 2)
     with pytest.raises(InputError, match=r"by one magnet in the capsule; .* has 2\. Give"):

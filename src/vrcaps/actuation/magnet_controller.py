@@ -36,9 +36,9 @@ _TORQUE_WEIGHT = 4000.0
 """Weight of a torque error [1/(N·m)]: 0.25 mN·m weigh as much as 5 mN in a controlled direction."""
 _MISALIGNED = 60.0 * DEG
 """Angle between moment and field beyond which the capsule is lost."""
-_SLIDING_SPEED = 4.0 * CM
-"""Speed [m/s] beyond which a capsule is left to the field: the magnet is slower than the slide and
-would only disturb it."""
+_FOLLOWED_SPEED, _SLIDING_SPEED = 2.0 * CM, 4.0 * CM
+"""Speeds [m/s] up to which the feedback acts in full on a capsule, and beyond which the field alone
+holds it: the magnet would come late to every swing, and so feed it."""
 _SLIDING_DECAY = 0.3
 """Time constant with which the memory of a slide decays [s]."""
 _FOLLOWS = 0.5
@@ -343,7 +343,8 @@ class MagnetController:
         """Fraction of the feedback that acts on a capsule that slides, or has just done so."""
         decayed = self._sliding_speed * (1.0 - dt / _SLIDING_DECAY)
         self._sliding_speed = max(speed, decayed)
-        return min(1.0, _SLIDING_SPEED / max(self._sliding_speed, 1e-9)) ** 2
+        left = (_SLIDING_SPEED - self._sliding_speed) / (_SLIDING_SPEED - _FOLLOWED_SPEED)
+        return min(1.0, max(0.0, left))
 
     def _update_stall_time(self, lag: float, dt: float) -> None:
         """Counts the time for which the capsule has not followed; partly following counts back."""

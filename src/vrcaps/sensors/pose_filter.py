@@ -125,8 +125,25 @@ def predict(
         _BACKGROUND_WALK,
     )
     noise = np.diag(dt * np.repeat(walks, 3) ** 2)
+    noise[_V, _V] += _clipping(force, unit.accelerometer_range, middle, dt)
+    noise[_R, _R] += _clipping(turn, unit.gyroscope_range, middle, dt)
     covariance = step @ belief.covariance @ step.T + noise
     return replace(belief, T_world_capsule=pose, velocity_world=velocity, covariance=covariance)
+
+
+def _clipping(
+    reading: Float[np.ndarray, " 3"],
+    largest: float,
+    R_world_capsule: Float[np.ndarray, "3 3"],
+    dt: float,
+) -> Float[np.ndarray, "3 3"]:
+    """Covariance of what a clipped reading leaves out, summed over `dt`.
+
+    A capsule that the field turns over, or that hits a wall, exceeds the range; by how much is not
+    known, and taken to be as much again.
+    """
+    lost = np.where(np.abs(reading) >= largest, largest * dt, 0.0)
+    return (R_world_capsule * lost**2) @ R_world_capsule.T
 
 
 def correct(

@@ -114,7 +114,7 @@ def test_holds_against_a_push(gut_model):
 
 @pytest.mark.slow
 def test_a_capsule_that_swings_comes_to_rest():
-    """Pulled up across a wide bent tube it slides to and fro; a magnet that follows late feeds that."""
+    """Pulled up in a wide tube it slides to and fro; a magnet that follows late would feed that."""
     model = Model(bent_tube(), read_device("magnetic"), np.eye(4))
     gains = replace(GENTLE_GAINS, upper_wall_force=0.15)
     controller, world, target = begin(model, 0.16, gains=gains, magnet="cylinder-76.2")

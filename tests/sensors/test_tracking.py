@@ -144,13 +144,13 @@ def test_prediction_propagates_errors_as_its_mean_does(model):
 
 
 def test_a_clipped_reading_is_told_by_the_covariance(model):
-    """A capsule that is turned over faster than the gyroscope reads is lost by as much as stated."""
+    """A capsule turned over faster than the gyroscope reads is off by what the filter states."""
     unit, dt, rate = Imu(gyroscope_range=10.0, accelerometer_range=30.0), 0.01, 17.0
     belief = PoseBelief(still(model), *np.zeros((4, 3)), 1e-12 * np.eye(18))
     rotation = belief.T_world_capsule[:3, :3]
     gravity = rotation.T @ [0.0, 0.0, GRAVITY]
     read = np.array([-unit.gyroscope_range, 0.5, 0.0])
-    found = predict(belief, unit, gravity + [0.0, 50.0, 0.0], read, dt)
+    found = predict(belief, unit, gravity + np.array([0.0, 50.0, 0.0]), read, dt)
     found_within = predict(belief, unit, gravity, np.array([-9.0, 0.5, 0.0]), dt)
     true = rotate_by_vector(rotation @ [-rate, 0.5, 0.0] * dt, rotation)
     off = np.linalg.norm(rotation_vector(true, found.T_world_capsule[:3, :3]))

@@ -94,7 +94,7 @@ FIGURES = (
     *_scripts("validate_textures validate_quasi_static", is_timed=True),
     Figure("benchmarks/small_bowel_transit.py", ("--size", "40")),
     *_scripts("validate_contact validate_coverage validate_ct validate_fem validate_labels"),
-    *_scripts("validate_lesion_sizes validate_resume validate_exactly_once"),
+    *_scripts("validate_lesion_sizes validate_resume validate_exactly_once validate_learning"),
     *_scripts("validate_lesions validate_light validate_moving_labels validate_path"),
     *_scripts("validate_placing validate_sensor validate_located_steering"),
     *([Figure("benchmarks/validate_lerobot.py", ("--python", LEROBOT))] * bool(LEROBOT)),

@@ -37,8 +37,7 @@ _TORQUE_WEIGHT = 4000.0
 _MISALIGNED = 60.0 * DEG
 """Angle between moment and field beyond which the capsule is lost."""
 _FOLLOWED_SPEED, _SLIDING_SPEED = 2.0 * CM, 4.0 * CM
-"""Speeds [m/s] up to which the feedback acts in full on a capsule, and beyond which the field alone
-holds it: the magnet would come late to every swing, and so feed it."""
+"""Speeds [m/s] of full feedback, and of none: a magnet that follows a swing late would feed it."""
 _SLIDING_DECAY = 0.3
 """Time constant with which the memory of a slide decays [s]."""
 _FOLLOWS = 0.5

@@ -47,6 +47,17 @@ def test_a_change_in_a_file_that_is_imported_changes_the_digest(tmp_path: Path) 
     assert digest(script) != before
 
 
+def test_what_is_said_about_the_code_does_not_count(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text('"""One."""\nSIZE = "3"\n"""Of it."""\n', encoding="utf-8")
+    before = digest(script)
+    text = '"""Two."""\n\nSIZE = "3"  # three\n\n\ndef empty():\n    """None."""\n'
+    script.write_text(text.partition("\n\n\n")[0], encoding="utf-8")
+    assert digest(script) == before
+    script.write_text(text, encoding="utf-8")
+    assert digest(script) != before
+
+
 def test_every_figure_has_sources() -> None:
     for figure in figures.FIGURES:
         assert page.sources(figure.name)

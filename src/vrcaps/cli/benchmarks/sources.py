@@ -1,6 +1,7 @@
 """The sources that a measured table depends on: what its command may import, and the core.
 
-A table is out of date when one of them has changed, and stays valid when others have. Imports are
+A table is out of date when one of them has changed, and stays valid when others have, or when only
+what a comment or docstring says has. Imports are
 followed in the source text, so those within functions count, and so do modules that are named in
 a string, to be imported by their name or run in a process of their own.
 """
@@ -25,8 +26,8 @@ _COMMANDS = PACKAGE / "cli" / "__init__.py"
 def digest(command: Path) -> str:
     """Ten digits that name the sources of a command.
 
-    The text of all modules that it may import from the package and from other folders of the
-    checkout, the Rust sources of the core, and the package's TOML files.
+    The code of all modules that it may import from the package and from other folders of the
+    checkout, that of the core, and the package's TOML files.
 
     Args:
         command: Python file that measures.
@@ -34,7 +35,7 @@ def digest(command: Path) -> str:
     found = hashlib.sha256()
     for path in sorted(reached(command) | _core_and_tables()):
         name = path.relative_to(ROOT).as_posix() if path.is_relative_to(ROOT) else path.name
-        found.update(name.encode() + path.read_bytes())
+        found.update(name.encode() + _code(path.suffix, path.read_bytes()))
     return found.hexdigest()[:10]
 
 
@@ -47,6 +48,28 @@ def reached(command: Path) -> set[Path]:
             found.add(path)
             todo.extend(_imported(path, _folders(path)) if path != _COMMANDS else ())
     return found
+
+
+@cache
+def _code(suffix: str, text: bytes) -> bytes:
+    """The text of a file; of Python and Rust without what is said about the code."""
+    if suffix == ".rs":
+        lines = (line for line in text.splitlines() if not line.lstrip().startswith(b"//"))
+        return b"\n".join(lines)
+    if suffix != ".py":
+        return text
+    tree = ast.parse(text)
+    for node in ast.walk(tree):
+        if isinstance(body := getattr(node, "body", None), list):
+            node.body = [part for part in body if not _is_docstring(part)]  # type: ignore[attr-defined]
+    return ast.unparse(tree).encode()
+
+
+def _is_docstring(node: ast.AST) -> bool:
+    match node:
+        case ast.Expr(value=ast.Constant(value=str())):
+            return True
+    return False
 
 
 def _folders(path: Path) -> tuple[Path, ...]:

@@ -140,11 +140,13 @@ def test_command_of_a_card_gives_its_settings(settings):
 def test_command_predicts_with_published_weights(run, place, tmp_path, capsys):
     publish(run, place, notes="For tests.")
     image = small_sequence().image("rgb", 1)
-    (tmp_path / "photos").mkdir()
-    write_images([(tmp_path / "photos" / "one.png", image)])
-    out = tmp_path / "large"
-    cli.main(["predict", TASK, "--images", f"images:{tmp_path / 'photos'}", "--out", str(out)])
-    assert any(path.suffix == ".png" and path.name != "sheet.png" for path in files_in(out))
+    photos, out = tmp_path / "photos", tmp_path / "large"
+    photos.mkdir()
+    write_images([(photos / "one.png", image)])
+    for number, images in enumerate((photos, f"images:{photos}")):
+        large = out / str(number)
+        cli.main(["predict", TASK, "--images", str(images), "--out", str(large)])
+        assert {path.name for path in files_in(large)} == {"one.png", "sheet.png"}
     cli.main(["weights", "list"])
     said = " ".join(capsys.readouterr().out.split())
     assert TASK in said and "1 in " in said

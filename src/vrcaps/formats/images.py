@@ -35,6 +35,9 @@ if TYPE_CHECKING:
 
     from vrcaps.formats.format import Advance
 
+FILE_NAME = "file_name"
+"""Name of the value that is the name of an image's file without its ending."""
+
 _IMAGES, _MASKS = ("images", "image"), ("masks", "mask")
 _CLASSES = "classes.txt"
 _JPEG = (".jpg", ".jpeg")
@@ -158,7 +161,7 @@ class Images:
     ) -> FrameSequence:
         place = paths[0].parent
         parts = place.relative_to(folder).parts
-        values = {TIME: np.arange(len(paths)) / self.fps}
+        values = {TIME: np.arange(len(paths)) / self.fps, FILE_NAME: np.array(_file_names(paths))}
         if parts and place.name not in (*_IMAGES, *SPLITS):
             values["class"] = np.array([place.name] * len(paths))
             names = names or ("background", place.name)
@@ -191,6 +194,12 @@ def _matching(paths: list[Path], folder: Path, masks: list[Path]) -> list[Path]:
             "Add them, or take the folder away to read without masks."
         )
     return [by_stem[path.stem] for path in paths]
+
+
+def _file_names(paths: list[Path]) -> list[str]:
+    """Names without endings; with them where two would be the same."""
+    stems = [path.stem for path in paths]
+    return stems if len({*stems}) == len(stems) else [path.name for path in paths]
 
 
 def _natural(path: Path) -> list[str | int]:

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
+from vrcaps.data.ledger import PLAN
 from vrcaps.data.sequences import sequences_of
 from vrcaps.errors import InputError
+from vrcaps.formats.images import Images
 from vrcaps.formats.read_format import read_format
 from vrcaps.formats.registry import FORMATS
+from vrcaps.formats.stored_images import IMAGES
 from vrcaps.recording.frame_sequence import FrameSequence
+from vrcaps.recording.layout import EPISODE_JSON
 
 
 def read_source(text: str) -> tuple[FrameSequence, ...]:
     """Sequences of a source.
 
     Args:
-        text: Folder or URL of an episode or a data set; or ``KIND:FOLDER`` for a folder in the
-            layout KIND of `vrcaps export`, such as ``c3vd:/data/c3vd``.
+        text: Folder or URL of an episode or a data set; a folder of images; or ``KIND:FOLDER`` for
+            a folder in the layout KIND of `vrcaps export`, such as ``c3vd:/data/c3vd``.
 
     Raises:
         InputError: If it cannot be read.
@@ -24,7 +29,15 @@ def read_source(text: str) -> tuple[FrameSequence, ...]:
     kind, colon, folder = text.partition(":")
     if colon and kind in FORMATS:
         return read_format(kind, folder)
-    return sequences_of(text)
+    return read_format(Images.kind, text) if _holds_images(Path(text)) else sequences_of(text)
+
+
+def _holds_images(folder: Path) -> bool:
+    """Whether a folder is neither an episode nor a data set, and has images or folders of them."""
+    if not folder.is_dir() or any((folder / name).exists() for name in (EPISODE_JSON, PLAN)):
+        return False
+    paths = (path for depth in ("*", "*/*") for path in folder.glob(depth))
+    return any(path.suffix.lower() in IMAGES for path in paths)
 
 
 def read_sources(texts: Sequence[str]) -> tuple[FrameSequence, ...]:

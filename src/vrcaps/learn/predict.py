@@ -12,6 +12,7 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.files import require_new_folder, write_bytes, write_csv
+from vrcaps.formats.images import FILE_NAME
 from vrcaps.formats.sources import read_source
 from vrcaps.formats.tum import trajectory_text
 from vrcaps.learn.fit import Fit
@@ -54,7 +55,7 @@ def predict(
     *,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, str]:
-    """Write the estimate of each image: maps of its size, or a row of a table.
+    """Write the estimate of each image: maps of its size under its name, or a row of a table.
 
     `sheet.png` shows some of them. A learner of motion writes `trajectory.txt` for each sequence,
     in the form of TUM, over its images that can be read.
@@ -79,7 +80,7 @@ def predict(
     skipped: dict[str, str] = {}
     read: list[tuple[FrameSequence, int]] = []
     for number, (sequence, index) in enumerate(frames):
-        name = f"{sequence.name}/{index:06d}"
+        name = f"{sequence.name}/{_file_name(sequence, index)}"
         try:
             image = sequence.image("rgb", index)
         except (InputError, OSError) as error:
@@ -105,6 +106,12 @@ def predict(
         write_csv(out / f"{trained.learner.kind}.csv", rows)
     write_images([(out / "sheet.png", below_one_another(pictures))])
     return skipped
+
+
+def _file_name(sequence: FrameSequence, index: int) -> str:
+    """Name of an image's file without its ending, where it has one of its own; else its number."""
+    names = sequence.values.get(FILE_NAME)
+    return f"{index:06d}" if names is None else str(names[index])
 
 
 def _write_trajectories(

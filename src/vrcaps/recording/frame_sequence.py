@@ -40,7 +40,7 @@ class FrameSequence:
         channels: Image channels that a frame has, in the order of `Frame`.
         values: An array with a row per frame for each number that is known. `time` [s] is always
             there; `T_world_camera` [m] where poses are known; an episode has `T_world_capsule` and
-            `capsule_arc_length` [m] too.
+            `capsule_arc_length` [m] too; a folder of images has `file_name`, without the ending.
         load: Reads an image, from channel and number of the frame, in SI units.
         camera: Lens and size of the images; None where the source has no calibration.
         label_names: Class names of `label` by number; 0 is `background`.

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from validation import ROOT, parser, table, write_section
-from vrcaps import rng
 from vrcaps.cli.evaluate import Evaluate
-from vrcaps.policy.evaluation import EPISODES, PAPER_TIME, read_rows
+from vrcaps.metrics.bootstrap import bootstrap
+from vrcaps.policy.evaluation import EPISODES, PAPER_COVERAGE, PAPER_TIME, read_rows
 
 POLICIES = ("coverage-ppo", "next-best-view", "look-around", "centerline")
 FIGURES = (
@@ -25,7 +25,7 @@ FIGURES = (
     ("resolved", f"resolved_at_{PAPER_TIME:g}_s", "%"),
     ("mean visible over 60 s", "visible_area_under_curve", "%"),
     ("to 95 % visible", "visible_time_to_95_s", "s"),
-    ("to 96.04 % frustum", "frustum_time_to_96.04_s", "s"),
+    ("to 96.04 % frustum", f"frustum_time_to_{PAPER_COVERAGE:g}_s", "s"),
     ("largest force", "force_max_n", "mN"),
 )
 COMPARED = (
@@ -33,7 +33,6 @@ COMPARED = (
     ("resolved at 47.62 s", f"resolved_at_{PAPER_TIME:g}_s"),
     ("mean visible over 60 s", "visible_area_under_curve"),
 )
-DRAWS = 2000
 
 Rows = list[dict[str, Any]]
 
@@ -94,10 +93,8 @@ def difference_row(other: str, judged: dict[str, Rows]) -> tuple[str, ...]:
     cells = []
     for _, figure in COMPARED:
         more = np.array([ours[key][figure] - theirs[key][figure] for key in shared])
-        means = np.array([more[organs == organ].mean() for organ in np.unique(organs)])
-        draw = rng.stream(0, "benchmarks/learning").integers(len(means), size=(DRAWS, len(means)))
-        low, high = np.quantile(means[draw].mean(axis=1), (0.025, 0.975))
-        cells.append(f"{means.mean():+.2f} [{low:+.2f}, {high:+.2f}]")
+        found = bootstrap(lambda items, more=more: more[items].mean(), len(more), groups=organs)
+        cells.append(f"{found.value:+.2f} [{found.low:+.2f}, {found.high:+.2f}]")
     return (other, *cells)
 
 

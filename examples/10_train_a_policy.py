@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from vrcaps.env import CapsuleVectorEnv, EnvSettings
 from vrcaps.env.rewards import Reward
-from vrcaps.policy.policy import Policy, read_policy
+from vrcaps.policy.policy import read_policy
 from vrcaps.policy.presets import ci, default
+from vrcaps.policy.score import Score
 from vrcaps.policy.training import BEST, Progress, TrainingSettings, train
 from vrcaps.scenario.scenario import OrganGenerated
 
@@ -32,8 +32,10 @@ def main(out: Path, preset: TrainingSettings, actions: int) -> None:
     )
     learner = replace(preset.learner, num_actions=actions)
     train(TrainingSettings(env, learner), out, report=tell)
+    score = Score(env, num_episodes=4, seed=1)
     for name in (str(out / BEST), "centerline"):
-        print(f"{name}: {100.0 * resolved(read_policy(name), env):.1f} % resolved")
+        seen = 100.0 * score(read_policy(name))["coverage_resolved"]
+        print(f"{name}: {seen:.1f} % resolved")
 
 
 def tell(progress: Progress) -> None:
@@ -41,18 +43,6 @@ def tell(progress: Progress) -> None:
     if progress.rows:
         seen = 100.0 * progress.rows[-1].get("coverage_resolved", np.nan)
         print(f"round {progress.num_rounds} of {progress.total}: {seen:.1f} % resolved")
-
-
-def resolved(policy: Policy, settings: EnvSettings, worlds: int = 4) -> float:
-    """Median fraction of the wall that a policy resolves in an episode."""
-    env = CapsuleVectorEnv(settings, worlds, autoreset_mode="Disabled")
-    observations, infos = env.reset(seed=1000)
-    policy.reset(np.arange(worlds), range(worlds))
-    over = np.zeros(worlds, bool)
-    while not over.any():
-        observations, _, terminated, truncated, infos = env.step(policy.act(observations, env))
-        over = terminated | truncated
-    return float(np.median(infos["coverage_resolved"]))
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
 """The sources that a measured table depends on: what its command may import, and the core.
 
 A table is out of date when one of them has changed, and stays valid when others have, or when only
-what a comment or docstring says has. Imports are
-followed in the source text, so those within functions count, and so do modules that are named in
-a string, to be imported by their name or run in a process of their own.
+what a comment or docstring says has. Imports are followed in the source text, so those within
+functions count, and so do modules that are named in a string, to be imported by their name or run
+in a process of their own.
 """
 
 from __future__ import annotations

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Literal
 from tyro.conf import Positional
 
 from vrcaps.cli.console import console, progress_bar
-from vrcaps.errors import InputError
-from vrcaps.files import require_new_folder
+from vrcaps.errors import InputError, require
+from vrcaps.files import require_new_folder, write_bytes
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -26,18 +26,23 @@ class Reconstruct:
     """Make a surface of what a run saw, and compare it with the true wall.
 
     --method fusion fuses depth and poses of the whole run. Both are those of the recording, or
-    estimates: --depth takes the folder that `vrcaps predict depth` wrote, --poses a trajectory in
-    TUM's form. --method stitching follows algorithm 1 of the VR-Caps paper: highlights are
-    inpainted, the images stitched into one without any poses, its depth made a surface, and that
-    registered to the true wall. Depth then also comes from --weights or --shading.
+    estimates: depth from --weights, or --depth, the folder that `vrcaps predict depth` wrote; poses
+    from --odometry, which matches features of the images, or --poses, a trajectory in TUM's form.
+    With --weights and --odometry the images are all that is used.
+
+    --method stitching follows algorithm 1 of the VR-Caps paper: highlights are inpainted, the
+    images stitched into one without any poses, its depth made a surface, and that registered to the
+    true wall. Depth then also comes from --shading.
 
     The folder holds mesh.ply, the wall in the colors of the images; and for an episode errors.csv,
-    errors.ply and errors.png, its distances from the true wall at rest. Stitching adds
-    highlights.png, matches.png and matches.csv, mosaic.png, depth.png and registration.csv.
+    errors.ply and errors.png, its distances from the true wall at rest. Odometry adds poses.txt,
+    in TUM's form, in the frame of the first camera. Stitching adds highlights.png, matches.png and
+    matches.csv, mosaic.png, depth.png and registration.csv.
 
     For example:
       vrcaps reconstruct runs/colon --out runs/colon-mesh
-      vrcaps reconstruct runs/colon --depth runs/colon-depth --out runs/colon-estimated
+      vrcaps reconstruct runs/colon --weights depth --odometry --out runs/colon-estimated
+      vrcaps reconstruct runs/colon --depth runs/colon-depth --out runs/colon-depth-mesh
       vrcaps reconstruct runs/colon --poses slam.txt --align sim3 --out runs/colon-slam
       vrcaps reconstruct runs/colon --method stitching --out runs/colon-stitched
       vrcaps reconstruct runs/colon --method stitching --weights depth --out runs/colon-as-paper
@@ -59,8 +64,8 @@ class Reconstruct:
     """Folder of estimated depth that `vrcaps predict depth` wrote."""
 
     weights: str = ""
-    """Estimate depth of the stitched image: a file of weights of `vrcaps train depth` or `sfm`, or
-    the name of published ones, such as depth."""
+    """Estimate depth by a network: a file of weights of `vrcaps train depth` or `sfm`, or the name
+    of published ones, such as depth."""
 
     shading: bool = False
     """Take depth of the stitched image from its shading, as if its albedo were one."""
@@ -68,8 +73,13 @@ class Reconstruct:
     poses: Path | None = None
     """File of estimated poses, rows `timestamp tx ty tz qx qy qz qw`, camera to world."""
 
-    align: Literal["none", "se3", "sim3"] = "none"
-    """What is fitted to the true poses first, for estimates in a frame or scale of their own."""
+    odometry: bool = False
+    """Estimate poses from the images and their depth."""
+
+    align: Literal["none", "se3", "sim3"] | None = None
+    """What is fitted to the true poses first, for estimates in a frame or scale of their own; by
+    default nothing for --poses, and se3 for --odometry where true poses are known. With --odometry,
+    sim3 scales depth, too."""
 
     voxel_mm: float = 1.0
     """Side of a voxel of fusion [mm]."""
@@ -102,8 +112,8 @@ class Reconstruct:
         if not chosen:
             raise InputError(f"{self.source} has no camera {self.camera!r}.")
         sequence = chosen[0]
-        mesh, color = (self._fused if self.method == "fusion" else self._stitched)(sequence)
         self.out.mkdir(parents=True, exist_ok=True)
+        mesh, color = (self._fused if self.method == "fusion" else self._stitched)(sequence)
         write_ply(self.out / "mesh.ply", mesh, color)
         console.print(f"Written: {self.out / 'mesh.ply'}, {len(mesh.faces)} triangles.")
         if sequence.episode is None:
@@ -122,31 +132,63 @@ class Reconstruct:
         Raises:
             InputError: If they do not.
         """
-        of_image = [self.weights != "", self.shading]
-        if self.method == "fusion" and any(of_image):
-            raise InputError("--weights and --shading go with --method stitching.")
-        if self.method == "stitching" and self.poses is not None:
-            raise InputError("--poses goes with --method fusion; stitching needs none.")
-        if sum([*of_image, self.depth is not None]) > 1:
+        if self.method == "fusion" and self.shading:
+            raise InputError("--shading goes with --method stitching.")
+        if self.method == "stitching" and (self.odometry or self.poses is not None):
+            flag = "--odometry" if self.odometry else "--poses"
+            raise InputError(f"{flag} goes with --method fusion; stitching needs none.")
+        if self.odometry and self.poses is not None:
+            raise InputError("Poses come from one of --poses and --odometry.")
+        if sum([self.weights != "", self.shading, self.depth is not None]) > 1:
             raise InputError("Depth comes from one of --depth, --weights and --shading.")
+        require(self.every >= 1, "every", self.every, "1 or more")
 
     def _fused(self, sequence: FrameSequence) -> tuple[Mesh, np.ndarray]:
-        from vrcaps.tools.reconstruction.estimates import read_depth, read_poses
+        from vrcaps.learn.published import find_weights
+        from vrcaps.learn.weights import read_weights
+        from vrcaps.tools.reconstruction.estimates import (
+            read_depth,
+            read_poses,
+            with_network_depth,
+            with_poses,
+        )
         from vrcaps.tools.reconstruction.fuse import FuseSettings, fuse
 
-        settings = FuseSettings(
-            self.voxel_mm * MM, self.max_distance_mm * MM, self.every, self.min_views
-        )
+        settings = FuseSettings(self.voxel_mm * MM, self.max_distance_mm * MM, self.min_views)
+        used = sequence
+        if self.depth is not None:
+            used = read_depth(self.depth, used)
+        if self.weights:
+            used = with_network_depth(used, read_weights(find_weights(self.weights)))
+        if self.poses is not None:
+            used = with_poses(used, read_poses(self.poses, sequence, self.align or "none"))
+        used = used.subset(range(0, len(used), self.every))
+        if self.odometry:
+            used = self._tracked(used)
         with progress_bar("fusing") as progress:
-            return fuse(
-                sequence,
-                settings,
-                depth_of=None if self.depth is None else read_depth(self.depth, sequence),
-                Ts_world_camera=(
-                    None if self.poses is None else read_poses(self.poses, sequence, self.align)
-                ),
-                progress=progress,
-            )
+            return fuse(used, settings, progress=progress)
+
+    def _tracked(self, sequence: FrameSequence) -> FrameSequence:
+        """The frames whose poses odometry finds, with these."""
+        from vrcaps.formats.tum import trajectory_text
+        from vrcaps.metrics.trajectory import absolute_trajectory_error
+        from vrcaps.recording.frame_sequence import CAMERA_POSE
+        from vrcaps.tools.reconstruction.estimates import aligned, with_poses
+        from vrcaps.tools.reconstruction.odometry import OdometrySettings, estimated_poses
+
+        with progress_bar("estimating poses") as progress:
+            found = estimated_poses(sequence, OdometrySettings(), progress=progress)
+        kept = sequence.subset(found.frames)
+        estimate = with_poses(kept, found.Ts_first_camera)
+        write_bytes(self.out / "poses.txt", trajectory_text(estimate).encode())
+        console.print(f"Poses of {len(kept)} of {len(sequence)} frames are known.")
+        if CAMERA_POSE not in sequence.values and self.align is None:
+            return estimate
+        align, truth = self.align or "se3", kept.Ts_world_camera
+        error = absolute_trajectory_error(found.Ts_first_camera, truth, align=align)
+        rmse = float((error**2).mean()) ** 0.5
+        console.print(f"Absolute trajectory error {rmse / MM:.2f} mm ({align}).")
+        return aligned(estimate, truth, align)
 
     def _stitched(self, sequence: FrameSequence) -> tuple[Mesh, np.ndarray]:
         from vrcaps.tools.reconstruction.estimates import read_depth
@@ -155,13 +197,13 @@ class Reconstruct:
         from vrcaps.tools.reconstruction.stitch_surface import DepthSource, wall_surface
 
         settings = StitchSettings(math.radians(self.field_of_view_deg), self.every)
-        depth = None if self.depth is None else read_depth(self.depth, sequence)
+        if self.depth is not None:
+            sequence = read_depth(self.depth, sequence)
         with progress_bar("finding features") as progress:
-            found = stitch(sequence, settings, depth_of=depth, progress=progress)
+            found = stitch(sequence, settings, progress=progress)
         used = len(found.mosaic.images)
         console.print(f"{used} of {len(found.frames)} frames are stitched.")
         found, surface = wall_surface(found, DepthSource(self.weights, self.shading))
-        self.out.mkdir(parents=True, exist_ok=True)
         write_stitched(self.out, found)
         write_registration(self.out, surface)
         return surface.mesh, surface.color

@@ -196,6 +196,12 @@ def _matching(paths: list[Path], folder: Path, masks: list[Path]) -> list[Path]:
     return [by_stem[path.stem] for path in paths]
 
 
+def file_name(sequence: FrameSequence, index: int) -> str:
+    """Name of an image's file without its ending, where it has one of its own; else its number."""
+    names = sequence.values.get(FILE_NAME)
+    return f"{index:06d}" if names is None else str(names[index])
+
+
 def _file_names(paths: list[Path]) -> list[str]:
     """Names without endings; with them where two would be the same."""
     stems = [path.stem for path in paths]

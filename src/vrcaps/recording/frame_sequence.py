@@ -13,7 +13,7 @@ from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.render.channels import CHANNELS, Frame
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, Int
     from numpy.typing import NDArray
 
     from vrcaps.recording.episode import Episode
@@ -109,6 +109,15 @@ class FrameSequence:
     def frame(self, index: int) -> Frame:
         """All channels of one frame."""
         return Frame(**{channel: self.image(channel, index) for channel in self.channels})
+
+    def subset(self, frames: Sequence[int] | Int[np.ndarray, " n"]) -> FrameSequence:
+        """Some of the frames, by their numbers, which then count from 0."""
+        kept = np.asarray(frames, int)
+        return replace(
+            self,
+            values={name: rows[kept] for name, rows in self.values.items()},
+            load=lambda channel, index: self.load(channel, int(kept[index])),
+        )
 
     def with_channels(self, channels: Iterable[str]) -> FrameSequence:
         """The same frames with these channels only.

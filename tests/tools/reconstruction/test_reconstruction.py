@@ -1,5 +1,6 @@
 """Reconstruction: a sphere and a tube from their depth."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -10,8 +11,10 @@ from vrcaps.camera.lens import LensEquidistant
 from vrcaps.errors import InputError
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.recording.frame_sequence import FrameSequence
+from vrcaps.recording.image_files import write_images
+from vrcaps.render.channels import CHANNELS
 from vrcaps.tools.reconstruction.compare import compare, write_comparison
-from vrcaps.tools.reconstruction.estimates import read_depth, read_poses
+from vrcaps.tools.reconstruction.estimates import read_depth, read_poses, with_depth, with_poses
 from vrcaps.tools.reconstruction.fuse import FuseSettings, fuse
 from vrcaps.tools.reconstruction.volume import Volume
 from vrcaps.transforms import look_along, transform_from
@@ -111,13 +114,26 @@ def test_estimated_poses_are_matched_by_time_and_aligned(tmp_path):
         read_poses(path, sequence, "none")
 
 
+def test_estimated_depth_is_found_by_the_names_of_images(tmp_path):
+    sequence = _sequence()
+    names = np.array([f"frame-{k}" for k in "abcdef"])
+    named = replace(sequence, values={**sequence.values, "file_name": names})
+    depth = np.full((SIDE, SIDE), 0.0123, np.float32)
+    stored = CHANNELS["depth"].encoding.encode(depth)
+    (tmp_path / "sphere" / "front").mkdir(parents=True)
+    write_images([(tmp_path / "sphere" / "front" / "frame-c.png", stored)])
+    np.testing.assert_allclose(read_depth(tmp_path, named).image("depth", 2), depth, atol=1e-5)
+    with pytest.raises(InputError, match=r"Cannot read .*000002\.png"):
+        read_depth(tmp_path, sequence).image("depth", 2)
+
+
 def test_bad_input_is_one_clear_line(tmp_path):
     sequence = _sequence()
     with pytest.raises(InputError, match="holds no depth of sphere/front"):
         read_depth(tmp_path, sequence)
     with pytest.raises(InputError, match="There are 2 poses for 6 frames"):
-        fuse(sequence, SETTINGS, Ts_world_camera=_poses()[:2])
+        with_poses(sequence, _poses()[:2])
     with pytest.raises(InputError, match="There is no depth to fuse"):
-        fuse(sequence, SETTINGS, depth_of=lambda index: np.full((SIDE, SIDE), np.nan))
+        fuse(with_depth(sequence, lambda index: np.full((SIDE, SIDE), np.nan)), SETTINGS)
     with pytest.raises(InputError, match="voxel is 0"):
         FuseSettings(voxel=0.0)

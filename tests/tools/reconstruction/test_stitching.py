@@ -14,9 +14,10 @@ from vrcaps.errors import InputError
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.metrics.trajectory import Similarity
 from vrcaps.recording.frame_sequence import FrameSequence
-from vrcaps.tools.reconstruction.bundle import adjusted, chained, connected, mapped
+from vrcaps.tools.reconstruction.bundle import adjusted, chained_homographies, mapped
 from vrcaps.tools.reconstruction.icp import apply, register
 from vrcaps.tools.reconstruction.mosaic import Mosaic, blended, usable
+from vrcaps.tools.reconstruction.pair_graph import connected
 from vrcaps.tools.reconstruction.shading import depth_from_shading
 from vrcaps.transforms import rotation_from_vector, transform_from
 
@@ -156,7 +157,7 @@ def _exact_pairs() -> list[Pair]:
 
 def test_bundle_adjustment_recovers_exact_homographies():
     pairs, exact = _exact_pairs(), _homographies()
-    reference, found = chained(4, [0, 1, 2, 3], pairs)
+    reference, found = chained_homographies(4, [0, 1, 2, 3], pairs)
     assert reference != 3  # at the end of the chain
     to_first = exact[reference]
     for k in found:
@@ -343,7 +344,7 @@ def test_bad_input_is_one_clear_line(tmp_path):
 @pytest.mark.parametrize(
     ("flags", "said"),
     [
-        (["--shading"], "go with --method stitching"),
+        (["--shading"], "--shading goes with --method stitching"),
         (["--method", "stitching", "--poses", "p.txt"], "--poses goes with --method fusion"),
         (
             ["--method", "stitching", "--shading", "--depth", "d"],

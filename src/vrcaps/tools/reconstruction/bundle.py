@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.tools.reconstruction.matching import Pair
+from vrcaps.tools.reconstruction.pair_graph import chained
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -23,51 +24,18 @@ _ROUGH_PX = 1.0
 _EVALUATIONS = 30
 
 
-def connected(count: int, pairs: Sequence[Pair]) -> list[int]:
-    """Numbers of the images of the largest connected component, sorted; empty without pairs.
-
-    Args:
-        count: Number of images.
-        pairs: Which of them show the same place.
-    """
-    from scipy.sparse.csgraph import connected_components
-
-    if not pairs:
-        return []
-    _, number = connected_components(_weights(count, pairs), directed=False)
-    largest = np.bincount(number).argmax()
-    return np.flatnonzero(number == largest).tolist()
-
-
-def chained(
+def chained_homographies(
     count: int, images: Sequence[int], pairs: Sequence[Pair]
 ) -> tuple[int, dict[int, Float[np.ndarray, "3 3"]]]:
     """The reference image and the homography of each image to it, by the pairs of most inliers.
-
-    The reference is the image from which the others are the fewest pairs away.
 
     Args:
         count: Number of images.
         images: Those of one component.
         pairs: Which images show the same place.
     """
-    from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree, shortest_path
-
-    weights = _weights(count, pairs)
-    weights.data = 1.0 / weights.data  # the tree of least weight has the most inliers
-    tree = minimum_spanning_tree(weights)
-    steps = shortest_path(tree, directed=False, unweighted=True, indices=list(images))
-    reference = images[int(steps[:, list(images)].mean(axis=1).argmin())]
-    known = {}
-    for pair in pairs:
-        known[pair.first, pair.second] = pair.homography
-        known[pair.second, pair.first] = np.linalg.inv(pair.homography)
-    found = {reference: np.eye(3)}
-    order, before = breadth_first_order(tree, reference, directed=False)
-    for image in order[1:].tolist():
-        parent = int(before[image])
-        found[image] = _normalized(found[parent] @ known[image, parent])
-    return reference, {image: found[image] for image in sorted(found)}
+    reference, found = chained(count, images, pairs, lambda pair: pair.homography)
+    return reference, {image: _normalized(matrix) for image, matrix in found.items()}
 
 
 def adjusted(
@@ -170,11 +138,3 @@ def mapped(
 
 def _normalized(homography: np.ndarray) -> np.ndarray:
     return homography / homography[2, 2]
-
-
-def _weights(count: int, pairs: Sequence[Pair]) -> Any:
-    """Sparse matrix of the numbers of inliers."""
-    from scipy.sparse import csr_array
-
-    at = ([p.first for p in pairs], [p.second for p in pairs])
-    return csr_array(([float(len(p.points_first)) for p in pairs], at), shape=(count, count))

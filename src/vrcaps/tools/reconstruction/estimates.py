@@ -1,50 +1,180 @@
-"""Estimated depth and poses of a sequence, read from files."""
+"""Sequences with depth and poses that were estimated, in place of true ones."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.camera.camera import Camera, pixel_grid
 from vrcaps.errors import InputError
 from vrcaps.formats.folders import read_rows
+from vrcaps.formats.images import file_name
 from vrcaps.formats.tum import poses_of
-from vrcaps.metrics.trajectory import TrajectoryAlignment, aligned_poses
-from vrcaps.recording.frame_sequence import FrameSequence
+from vrcaps.metrics.trajectory import TrajectoryAlignment, aligned_poses, fit_similarity
+from vrcaps.recording.frame_sequence import CAMERA_POSE, FrameSequence
 from vrcaps.recording.image_files import read_image
 from vrcaps.render.channels import CHANNELS
+from vrcaps.units import MM
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, UInt8
+
+    from vrcaps.learn.weights import Trained
 
 _SLACK = 0.5
 """Largest difference of a pose's time from a frame's, in frames."""
+_REACH = 20.0 * MM
+"""Distance of points that stand for what a camera sees."""
 
 
-def read_depth(folder: Path, sequence: FrameSequence) -> Callable[[int], np.ndarray]:
-    """Reader of the depth [m] that was estimated of a sequence's frames.
+def with_depth(
+    sequence: FrameSequence, depth_of: Callable[[int], Float[np.ndarray, "h w"]]
+) -> FrameSequence:
+    """The sequence with other depth.
+
+    Args:
+        sequence: Images.
+        depth_of: Depth z of a frame [m].
+    """
+
+    def load(channel: str, index: int) -> np.ndarray:
+        return depth_of(index) if channel == "depth" else sequence.load(channel, index)
+
+    names = {*sequence.channels, "depth"}
+    channels = tuple(name for name in CHANNELS if name in names)
+    return replace(sequence, channels=channels, load=load)
+
+
+def with_poses(
+    sequence: FrameSequence, Ts_world_camera: Float[np.ndarray, "n 4 4"]
+) -> FrameSequence:
+    """The sequence with other poses of its camera.
+
+    Raises:
+        InputError: If there are not as many poses as frames.
+    """
+    if len(Ts_world_camera) != len(sequence):
+        raise InputError(f"There are {len(Ts_world_camera)} poses for {len(sequence)} frames.")
+    return replace(sequence, values={**sequence.values, CAMERA_POSE: Ts_world_camera})
+
+
+def aligned(
+    sequence: FrameSequence, truth: Float[np.ndarray, "n 4 4"], align: TrajectoryAlignment
+) -> FrameSequence:
+    """A sequence moved to where its true poses are, depth in the scale of the poses.
+
+    A capsule travels almost straight, and then its positions alone hardly tell how it is turned
+    about its path. So the motion is fitted to positions and to points before each camera.
+
+    Args:
+        sequence: With estimated poses, and depth of one scale with them.
+        truth: True ``T_world_camera`` of its frames.
+        align: What is fitted; `sim3` multiplies depth, too.
+
+    Raises:
+        InputError: If a scale is fitted to positions on one line.
+    """
+    if align == "none":
+        return sequence
+    poses, scale = sequence.Ts_world_camera.copy(), 1.0
+    if align == "sim3":
+        scale = fit_similarity(poses[:, :3, 3], truth[:, :3, 3], scale=True).scale
+        poses[:, :3, 3] *= scale
+    motion = fit_similarity(_before(poses), _before(truth), scale=False)
+    moved = with_poses(sequence, motion.poses(poses))
+    return with_depth(moved, lambda index: scale * sequence.image("depth", index))
+
+
+def _before(poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "m 3"]:
+    """Places of cameras, and points along their axes [m]."""
+    places = poses[:, None, :3, 3]
+    along = places + _REACH * np.swapaxes(poses[:, :3, :3], 1, 2)
+    return np.concatenate([places, along], axis=1).reshape(-1, 3)
+
+
+def read_depth(folder: Path, sequence: FrameSequence) -> FrameSequence:
+    """The sequence with the depth [m] that was estimated of its frames.
 
     Args:
         folder: What `vrcaps predict depth` wrote.
         sequence: Of which images.
 
     Raises:
-        InputError: If it holds none of this sequence; the reader, if a file is damaged.
+        InputError: If it holds none of this sequence; when an image is read, if a file is damaged.
     """
     place = folder / sequence.name
     if not place.is_dir():
         raise InputError(f"{folder} holds no depth of {sequence.name}: there is no {place}.")
 
-    def read(index: int) -> np.ndarray:
-        path = place / f"{index:06d}.png"
+    def depth_of(index: int) -> np.ndarray:
+        path = place / f"{file_name(sequence, index)}.png"
         try:
             return CHANNELS["depth"].encoding.decode(read_image(path))
         except (OSError, ValueError) as error:
             raise InputError(f"Cannot read {path}: {error}.") from error
 
-    return read
+    return with_depth(sequence, depth_of)
+
+
+def with_network_depth(sequence: FrameSequence, trained: Trained) -> FrameSequence:
+    """The sequence with the depth that a network estimates, whenever it is read.
+
+    Args:
+        sequence: Images and camera.
+        trained: Weights of the task `depth` or, up to scale, `sfm`.
+
+    Raises:
+        InputError: If the weights are of another task, or there is no camera.
+    """
+    camera = sequence.camera
+    if camera is None:
+        raise InputError(f"Depth needs a calibrated camera, which {sequence.name} has not.")
+    require_depth(trained)
+    return with_depth(
+        sequence, lambda index: network_depth(trained, sequence.image("rgb", index), camera)
+    )
+
+
+def network_depth(
+    trained: Trained, rgb: UInt8[np.ndarray, "h w 3"], camera: Camera
+) -> Float[np.ndarray, "h w"]:
+    """Depth z of an image [m] by a network; up to scale by one of the task `sfm`.
+
+    Args:
+        trained: Weights of the task `depth` or `sfm`.
+        rgb: The image.
+        camera: What took it.
+
+    Raises:
+        InputError: If the weights are of another task.
+    """
+    from vrcaps.learn.fit import Fit
+    from vrcaps.learn.samples import batch_of
+
+    require_depth(trained)
+    height, width = rgb.shape[:2]
+    fit = Fit(height, width, trained.learner.size)
+    sample = trained.learner.inputs(rgb, fit, camera)
+    image = trained.learner.files(trained(batch_of([sample]))[0], fit)[".png"]
+    depth = CHANNELS["depth"].encoding.decode(image)
+    if trained.learner.kind == "sfm":  # distances along rays
+        depth = depth * camera.lens.unproject(pixel_grid(width, height))[..., 2]
+    return depth
+
+
+def require_depth(trained: Trained) -> None:
+    """Check that weights are of a task that estimates depth.
+
+    Raises:
+        InputError: If they are not.
+    """
+    kind = trained.learner.kind
+    if kind not in ("depth", "sfm"):
+        raise InputError(f"The weights are of the task {kind!r}. Allowed: 'depth' or 'sfm'.")
 
 
 def read_poses(

@@ -17,9 +17,9 @@ from vrcaps.tools.reconstruction.volume import Volume
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, UInt8
+    from jaxtyping import UInt8
 
-_LEAST_COSINE = 0.05
+LEAST_COSINE = 0.05
 """Of a ray to the axis: nearer to a right angle, depth along the axis says nothing of distance."""
 
 
@@ -30,13 +30,11 @@ class FuseSettings:
     Attributes:
         voxel: Side of a voxel [m].
         max_distance: Distance beyond which depth is left out [m].
-        every: Every how many frames is used.
         min_views: Views in which a voxel must have been seen.
     """
 
     voxel: Annotated[float, Range(above=0.0)] = 1.0 * MM
     max_distance: Annotated[float, Range(above=0.0)] = 80.0 * MM
-    every: Annotated[int, Range(1)] = 1
     min_views: Annotated[int, Range(1)] = 2
 
     def __post_init__(self) -> None:
@@ -47,17 +45,13 @@ def fuse(
     sequence: FrameSequence,
     settings: FuseSettings,
     *,
-    depth_of: Callable[[int], Float[np.ndarray, "h w"]] | None = None,
-    Ts_world_camera: Float[np.ndarray, "n 4 4"] | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[Mesh, UInt8[np.ndarray, "n 3"]]:
     """The wall that a camera saw, in the world frame, and the color of its vertices.
 
     Args:
-        sequence: Images and camera; depth and poses too, if they are not given.
+        sequence: Images, camera, depth and poses.
         settings: How views are fused.
-        depth_of: Depth z of a frame [m], such as an estimate; None takes the sequence's.
-        Ts_world_camera: Poses, such as estimates; None takes the sequence's.
         progress: Called with the number of frames done and of all.
 
     Raises:
@@ -66,17 +60,13 @@ def fuse(
     camera = sequence.camera
     if camera is None:
         raise InputError(f"Fusing depth needs a calibrated camera, which {sequence.name} has not.")
-    poses = sequence.Ts_world_camera if Ts_world_camera is None else Ts_world_camera
-    if len(poses) != len(sequence):
-        raise InputError(f"There are {len(poses)} poses for {len(sequence)} frames.")
-    read = depth_of or (lambda index: sequence.image("depth", index))
+    poses = sequence.Ts_world_camera
     cosine = unproject_pixels(camera, pixel_grid(camera.width, camera.height))[..., 2]
-    cosine = np.where(cosine > _LEAST_COSINE, cosine, np.nan)
+    cosine = np.where(cosine > LEAST_COSINE, cosine, np.nan)
     volume = Volume(settings.voxel)
-    chosen = range(0, len(sequence), settings.every)
-    for done, index in enumerate(chosen):
-        distance = read(index) / cosine
+    for index in range(len(sequence)):
+        distance = sequence.image("depth", index) / cosine
         distance = np.where(distance <= settings.max_distance, distance, np.nan)
         volume.add(camera, poses[index], distance, sequence.image("rgb", index))
-        progress(done + 1, len(chosen))
+        progress(index + 1, len(sequence))
     return volume.surface(settings.min_views)

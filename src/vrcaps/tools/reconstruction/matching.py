@@ -25,7 +25,7 @@ _SAMPLED = 200
 _CANDIDATES = 6
 """Images that each image is compared with in full (Brown 2007, section 3: m = 6)."""
 _LEAST_INLIERS, _INLIER_PART = 8.0, 0.3
-"""A pair is right if its inliers outnumber 8 + 0.3 of its matches (Brown 2007, eq. 13)."""
+"""A pair is right if its inliers outnumber 8 + 0.3 of its matches."""
 _TRIALS, _CONFIDENCE = 4000, 0.999
 
 
@@ -61,6 +61,11 @@ class Pair:
     points_first: Float[np.ndarray, "m 2"]
     points_second: Float[np.ndarray, "m 2"]
     num_matches: int
+
+    @property
+    def num_inliers(self) -> int:
+        """Number of matches that fit."""
+        return len(self.points_first)
 
 
 def sift_features(
@@ -126,10 +131,15 @@ def homography_pair(
     homography, mask = cv2.findHomography(
         first, second, cv2.RANSAC, tolerance, maxIters=_TRIALS, confidence=_CONFIDENCE
     )
-    if homography is None or mask.sum() <= _LEAST_INLIERS + _INLIER_PART * len(found):
+    if homography is None or not is_trusted(int(mask.sum()), len(found)):
         return None
     fits = mask.ravel() > 0
     return Pair(*numbers, homography, first[fits], second[fits], len(found))
+
+
+def is_trusted(num_inliers: int, num_matches: int) -> bool:
+    """Whether a pair of images is right, by how many of its matches fit (Brown 2007, eq. 13)."""
+    return num_inliers > _LEAST_INLIERS + _INLIER_PART * num_matches
 
 
 def image_pairs(features: Sequence[Features], tolerance: float) -> list[Pair]:
@@ -142,14 +152,24 @@ def image_pairs(features: Sequence[Features], tolerance: float) -> list[Pair]:
     Raises:
         MissingExtraError: If OpenCV is not installed.
     """
-    count = len(features)
-    score = np.zeros((count, count), int)
-    for i, j in combinations(range(count), 2):
-        few = (features[k].descriptors[:_SAMPLED] for k in (i, j))
-        score[i, j] = score[j, i] = len(matches(*few))
-    best = np.argsort(-score, axis=1, kind="stable")[:, :_CANDIDATES]
-    chosen = {(min(i, j), max(i, j)) for i in range(count) for j in best[i].tolist() if score[i, j]}
     found = (
-        homography_pair((i, j), features[i], features[j], tolerance) for i, j in sorted(chosen)
+        homography_pair((i, j), features[i], features[j], tolerance)
+        for i, j in likely_pairs([one.descriptors for one in features])
     )
     return [pair for pair in found if pair is not None]
+
+
+def likely_pairs(descriptors: Sequence[Float32[np.ndarray, "n d"]]) -> list[tuple[int, int]]:
+    """Pairs of images worth comparing in full, sorted: each image with the six most like it.
+
+    Args:
+        descriptors: Of each image, the strongest first.
+    """
+    count = len(descriptors)
+    score = np.zeros((count, count), int)
+    for i, j in combinations(range(count), 2):
+        score[i, j] = score[j, i] = len(matches(*(descriptors[k][:_SAMPLED] for k in (i, j))))
+    best = np.argsort(-score, axis=1, kind="stable")[:, :_CANDIDATES]
+    return sorted(
+        {(min(i, j), max(i, j)) for i in range(count) for j in best[i].tolist() if score[i, j]}
+    )

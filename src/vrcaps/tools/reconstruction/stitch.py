@@ -15,7 +15,7 @@ move with the light. Images of fisheye lenses are rectified first, for which hom
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import pi, radians
 from typing import TYPE_CHECKING, Annotated
 
@@ -26,13 +26,14 @@ from vrcaps.errors import InputError
 from vrcaps.formats.rectify import rectified, widest_field
 from vrcaps.limits import Range, check_fields
 from vrcaps.recording.frame_sequence import FrameSequence
-from vrcaps.tools.reconstruction.bundle import adjusted, chained, connected
+from vrcaps.tools.reconstruction.bundle import adjusted, chained_homographies
 from vrcaps.tools.reconstruction.highlights import without_highlights
 from vrcaps.tools.reconstruction.matching import Pair, image_pairs, sift_features
 from vrcaps.tools.reconstruction.mosaic import Mosaic, blended, usable
+from vrcaps.tools.reconstruction.pair_graph import connected
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
+    from jaxtyping import Bool, Int
 
 
 _RIM_PX = 4
@@ -80,15 +81,13 @@ def stitch(
     sequence: FrameSequence,
     settings: StitchSettings,
     *,
-    depth_of: Callable[[int], Float[np.ndarray, "h w"]] | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Stitched:
     """One wide image of a sequence's frames, with their depth if it is known.
 
     Args:
-        sequence: Images and camera.
+        sequence: Images and camera; depth, if the wide image is to have some.
         settings: How they are stitched.
-        depth_of: Depth z of a frame [m], such as an estimate; None takes the sequence's, if any.
         progress: Called with the number of frames whose features are known and of all.
 
     Raises:
@@ -96,7 +95,7 @@ def stitch(
         MissingExtraError: If OpenCV is not installed.
     """
     chosen = np.arange(0, len(sequence), settings.every)
-    frames = _rectified(sequence, chosen, settings.field_of_view, depth_of)
+    frames = _rectified(sequence, chosen, settings.field_of_view)
     camera = _camera_of(frames)
     is_seen = _seen(_camera_of(sequence), camera)
     images, features = [], []
@@ -114,7 +113,7 @@ def stitch(
             "fusion."
         )
     size = (camera.width, camera.height)
-    reference, homographies = chained(len(images), component, pairs)
+    reference, homographies = chained_homographies(len(images), component, pairs)
     homographies = usable(adjusted(homographies, pairs, reference, size), camera)
     depth = (lambda k: frames.image("depth", k)) if "depth" in frames.channels else None
     mosaic = blended(homographies, camera, images.__getitem__, depth, reference, is_seen)
@@ -122,26 +121,13 @@ def stitch(
 
 
 def _rectified(
-    sequence: FrameSequence,
-    chosen: Int[np.ndarray, " n"],
-    field_of_view: float,
-    depth_of: Callable[[int], np.ndarray] | None,
+    sequence: FrameSequence, chosen: Int[np.ndarray, " n"], field_of_view: float
 ) -> FrameSequence:
-    """Chosen frames as a pinhole sees them, with the given depth."""
+    """Images and depth of chosen frames as a pinhole sees them."""
     if sequence.camera is None:
         raise InputError(f"Stitching needs a calibrated camera, which {sequence.name} has not.")
-    load = sequence.load
-    channels = tuple(name for name in ("rgb", "depth") if name in sequence.channels)
-    if depth_of is not None:
-        channels = ("rgb", "depth")
-
-    def image(channel: str, index: int) -> np.ndarray:
-        if channel == "depth" and depth_of is not None:
-            return depth_of(int(chosen[index]))
-        return load(channel, int(chosen[index]))
-
-    values = {name: rows[chosen] for name, rows in sequence.values.items()}
-    used = replace(sequence, channels=channels, values=values, load=image)
+    channels = [name for name in ("rgb", "depth") if name in sequence.channels]
+    used = sequence.with_channels(channels).subset(chosen)
     return rectified(used, min(field_of_view, widest_field(sequence.camera)))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from vrcaps.camera.camera import Camera, pixel_grid
 from vrcaps.errors import InputError
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.recording.frame_sequence import CAMERA_POSE
+from vrcaps.tools.reconstruction.estimates import network_depth
 from vrcaps.tools.reconstruction.icp import Registration, registered
 from vrcaps.tools.reconstruction.mosaic import Mosaic
 from vrcaps.tools.reconstruction.shading import depth_from_shading
@@ -19,6 +20,8 @@ from vrcaps.transforms import transform_points
 
 if TYPE_CHECKING:
     from jaxtyping import Float, UInt8
+
+    from vrcaps.learn.weights import Trained
 
 _JUMP = 1.15
 """Ratio of neighboring depths beyond which they are of two surfaces."""
@@ -124,7 +127,7 @@ def surface_of(
     return Mesh(points.reshape(-1, 3)[used], faces.reshape(-1, 3)), rgb.reshape(-1, 3)[used]
 
 
-def estimated_depth(trained: Any, mosaic: Mosaic) -> tuple[Float[np.ndarray, "h w"], bool]:
+def estimated_depth(trained: Trained, mosaic: Mosaic) -> tuple[Float[np.ndarray, "h w"], bool]:
     """Depth z of a stitched image by a network, and whether it is in meters.
 
     Args:
@@ -134,18 +137,5 @@ def estimated_depth(trained: Any, mosaic: Mosaic) -> tuple[Float[np.ndarray, "h 
     Raises:
         InputError: If the weights are of another task.
     """
-    from vrcaps.learn.fit import Fit
-    from vrcaps.learn.samples import batch_of
-    from vrcaps.render.channels import CHANNELS
-
-    kind = trained.learner.kind
-    if kind not in ("depth", "sfm"):
-        raise InputError(f"The weights are of the task {kind!r}. Allowed: 'depth' or 'sfm'.")
-    height, width = mosaic.depth.shape
-    fit = Fit(height, width, trained.learner.size)
-    sample = trained.learner.inputs(mosaic.rgb, fit, mosaic.camera)
-    image = trained.learner.files(trained(batch_of([sample]))[0], fit)[".png"]
-    depth = CHANNELS["depth"].encoding.decode(image)
-    if kind == "sfm":  # distances along rays
-        depth = depth * mosaic.camera.lens.unproject(pixel_grid(width, height))[..., 2]
-    return np.where(mosaic.rgb.any(axis=2), depth, np.nan), kind == "depth"
+    depth = network_depth(trained, mosaic.rgb, mosaic.camera)
+    return np.where(mosaic.rgb.any(axis=2), depth, np.nan), trained.learner.kind == "depth"

@@ -1,0 +1,166 @@
+"""Motion of a camera through a whole run, from images and their depth alone.
+
+Features are matched between each frame, its next ones and those most like it; two frames with
+enough matches give the motion between them (`relative_pose`). The pairs of most matches chain all
+frames, and then all pairs are made to agree (`pose_adjustment`). Depth in meters makes poses in
+meters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+
+from vrcaps.camera.camera import Camera, pixel_grid, unproject_pixels
+from vrcaps.errors import InputError
+from vrcaps.limits import Range, check_fields
+from vrcaps.recording.frame_sequence import FrameSequence
+from vrcaps.tools.reconstruction.fuse import LEAST_COSINE
+from vrcaps.tools.reconstruction.highlights import without_highlights
+from vrcaps.tools.reconstruction.matching import likely_pairs, sift_features
+from vrcaps.tools.reconstruction.pair_graph import chained, connected
+from vrcaps.tools.reconstruction.pose_adjustment import Deviations, adjusted_poses
+from vrcaps.tools.reconstruction.relative_pose import PosePair, View, pose_pair
+from vrcaps.transforms import invert
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+_RIM_PX = 6
+"""Width of the rim of a lens's field that is left out: its edge stays in place and would match."""
+
+
+@dataclass(frozen=True)
+class OdometrySettings:
+    """How motion is estimated.
+
+    Attributes:
+        num_features: Most SIFT features of an image.
+        reach: To how many next frames each is matched, beside those most like it.
+        tolerance: Distance from where a motion puts it within which a match fits [px].
+        angle_deviation: Of a feature's place in the image [px].
+        distance_deviation: Of the logarithm of estimated distances.
+    """
+
+    num_features: Annotated[int, Range(20)] = 1000
+    reach: Annotated[int, Range(1)] = 3
+    tolerance: Annotated[float, Range(above=0.0)] = 3.0
+    angle_deviation: Annotated[float, Range(above=0.0)] = 1.0
+    distance_deviation: Annotated[float, Range(above=0.0)] = 0.1
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+@dataclass(frozen=True)
+class Odometry:
+    """Estimated poses.
+
+    Attributes:
+        frames: Numbers of the frames whose poses are known, rising.
+        Ts_first_camera: Their poses in the frame of the first of them [m].
+        num_pairs: Number of pairs of frames that were matched.
+    """
+
+    frames: Int[np.ndarray, " n"]
+    Ts_first_camera: Float[np.ndarray, "n 4 4"]
+    num_pairs: int
+
+
+def estimated_poses(
+    sequence: FrameSequence,
+    settings: OdometrySettings,
+    *,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Odometry:
+    """Poses of a sequence's camera, of the largest part of it whose frames show common places.
+
+    Args:
+        sequence: Images, depth and camera.
+        settings: How motion is estimated.
+        progress: Called with the number of frames and pairs done and of all.
+
+    Raises:
+        InputError: If the camera or depth is missing, or no two frames show a common place.
+        MissingExtraError: If OpenCV is not installed.
+    """
+    camera = sequence.camera
+    if camera is None:
+        raise InputError(f"Odometry needs a calibrated camera, which {sequence.name} has not.")
+    is_seen, pitch = _field(camera)
+    count = len(sequence)
+    views = []
+    for index in range(count):
+        rgb = without_highlights(sequence.image("rgb", index))
+        views.append(
+            _view(rgb, sequence.image("depth", index), camera, is_seen, settings.num_features)
+        )
+        progress(index + 1, 2 * count)
+    pairs = _pairs(views, settings, settings.tolerance * pitch, progress)
+    frames = connected(count, pairs)
+    if not frames:
+        most = max((len(view.rays) for view in views), default=0)
+        raise InputError(
+            f"No two of {count} frames of {sequence.name} show a common place: too few features "
+            f"match (at most {most} a frame). Give frames that overlap more."
+        )
+    pairs = [pair for pair in pairs if pair.first in frames]
+    _, chain = chained(count, frames, pairs, lambda pair: pair.T_second_first)
+    poses = np.stack([chain[frame] for frame in frames])
+    deviations = Deviations(settings.angle_deviation * pitch, settings.distance_deviation)
+    poses = adjusted_poses(poses, *_renumbered(frames, views, pairs), deviations)
+    return Odometry(np.array(frames), invert(poses[0]) @ poses, len(pairs))
+
+
+def _field(camera: Camera) -> tuple[Bool[np.ndarray, "h w"], float]:
+    """Pixels well within the field, and the angle of a pixel [rad], the median over them."""
+    from scipy.ndimage import binary_erosion
+
+    rays = unproject_pixels(camera, pixel_grid(camera.width, camera.height))
+    is_seen = binary_erosion(rays[..., 2] > LEAST_COSINE, iterations=_RIM_PX)
+    steps = np.linalg.norm(np.diff(rays, axis=1), axis=2)
+    return is_seen, float(np.nanmedian(steps[is_seen[:, 1:]]))
+
+
+def _view(
+    rgb: np.ndarray, depth: np.ndarray, camera: Camera, is_seen: np.ndarray, count: int
+) -> View:
+    """Features of an image where depth is known, and their places."""
+    features = sift_features(rgb, count, is_seen)
+    column, row = np.rint(features.points).astype(int).T
+    rays = unproject_pixels(camera, features.points)
+    points = rays * (depth[row, column] / rays[:, 2])[:, None]
+    known = np.isfinite(points).all(axis=1) & (depth[row, column] > 0.0)
+    return View(features.descriptors[known], rays[known], points[known])
+
+
+def _pairs(
+    views: Sequence[View],
+    settings: OdometrySettings,
+    tolerance: float,
+    progress: Callable[[int, int], None],
+) -> list[PosePair]:
+    """Pairs of frames with the motion between them."""
+    count = len(views)
+    near = {(i, j) for i in range(count) for j in range(i + 1, min(i + 1 + settings.reach, count))}
+    chosen = sorted(near | {*likely_pairs([view.descriptors for view in views])})
+    found = []
+    for done, (i, j) in enumerate(chosen, 1):
+        pair = pose_pair((i, j), views[i], views[j], tolerance)
+        found += [] if pair is None else [pair]
+        progress(count + done * count // len(chosen), 2 * count)
+    return found
+
+
+def _renumbered(
+    frames: Sequence[int], views: Sequence[View], pairs: Sequence[PosePair]
+) -> tuple[list[View], list[PosePair]]:
+    """Views and pairs of some frames, numbered among these."""
+    place = {frame: k for k, frame in enumerate(frames)}
+    renumbered = [
+        PosePair(place[p.first], place[p.second], p.T_second_first, p.matches) for p in pairs
+    ]
+    return [views[frame] for frame in frames], renumbered

@@ -1,0 +1,170 @@
+"""Poses by which the matches of many images meet best.
+
+Each image's features have places of their own, from its depth; a match says that two places are
+one. For a place p of camera i that camera j sees along the unit ray r, at distance d by its own
+depth, with q = T_j_i p, the errors are::
+
+    (q / |q| − r) / σ_angle        ln(|q| / d) / σ_distance
+
+both ways, under Cauchy's robust norm ln(1 + e²), minimized by Gauss–Newton with damping (Triggs et
+al., Bundle Adjustment: A Modern Synthesis, 2000, sections 3.2, 4.3 and 6). The places stay as
+they are, so an image has six unknowns: ω and v of T ← T exp(ω, v).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.tools.reconstruction.relative_pose import PosePair, View
+from vrcaps.transforms import invert, rotation_from_vector, transform_from, transform_points
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+_ITERATIONS = 20
+_DAMPING = 1e-6
+"""Relative to the diagonal of the normal equations."""
+_SMALL = 1e-9
+"""Relative fall of the error below which the search ends."""
+
+
+@dataclass(frozen=True)
+class Deviations:
+    """How far measurements are off.
+
+    Attributes:
+        angle: Of a ray [rad].
+        distance: Of the logarithm of a distance.
+    """
+
+    angle: float
+    distance: float
+
+
+@dataclass(frozen=True)
+class _Sights:
+    """Places of one camera, seen by another: a row each."""
+
+    source: Int[np.ndarray, " m"]
+    target: Int[np.ndarray, " m"]
+    points: Float[np.ndarray, "m 3"]
+    rays: Float[np.ndarray, "m 3"]
+    distances: Float[np.ndarray, " m"]
+
+
+def adjusted_poses(
+    poses: Float[np.ndarray, "n 4 4"],
+    views: Sequence[View],
+    pairs: Sequence[PosePair],
+    deviations: Deviations,
+) -> Float[np.ndarray, "n 4 4"]:
+    """Poses ``T_world_camera``, the first as it was.
+
+    Args:
+        poses: Near the solution.
+        views: Of each image.
+        pairs: Matches, of images by their numbers in `poses`.
+        deviations: How far measurements are off.
+    """
+    if not pairs:
+        return poses
+    sights = _sights(views, pairs)
+    damping = _DAMPING
+    error, system, slope = _normal_equations(poses, sights, deviations)
+    for _ in range(_ITERATIONS):
+        moved = _moved(poses, _solved(system, slope, damping))
+        following = _normal_equations(moved, sights, deviations)
+        if following[0] > error:
+            damping *= 10.0
+            continue
+        is_done = error - following[0] < _SMALL * error
+        poses, (error, system, slope) = moved, following
+        damping = max(damping / 10.0, _DAMPING)
+        if is_done:
+            break
+    return poses
+
+
+def _sights(views: Sequence[View], pairs: Sequence[PosePair]) -> _Sights:
+    """All matches, each both ways."""
+    rows = []
+    for pair in pairs:
+        ends = ((pair.first, pair.matches[:, 0]), (pair.second, pair.matches[:, 1]))
+        for (source, i), (target, j) in (ends, ends[::-1]):
+            seen = views[target]
+            count = np.full(len(i), 1)
+            distances = np.linalg.norm(seen.points[j], axis=1)
+            points = views[source].points[i]
+            rows.append((source * count, target * count, points, seen.rays[j], distances))
+    return _Sights(*(np.concatenate(column) for column in zip(*rows, strict=True)))
+
+
+def _normal_equations(
+    poses: np.ndarray, sights: _Sights, deviations: Deviations
+) -> tuple[float, tuple, np.ndarray]:
+    """Robust error; blocks of the matrix with their places; and the right side [n 6]."""
+    T = invert(poses)[sights.target] @ poses[sights.source]
+    q = transform_points(T, sights.points[:, None])[:, 0]
+    length = np.linalg.norm(q, axis=1)
+    direction = q / length[:, None]
+    angle = (direction - sights.rays) / deviations.angle
+    distance = np.log(length / sights.distances) / deviations.distance
+    squares = np.stack([(angle**2).sum(axis=1), distance**2], axis=1)
+    weights = 1.0 / (1.0 + squares)
+    across = np.eye(3) - direction[:, :, None] * direction[:, None]
+    by_q = np.concatenate(
+        [
+            across * (np.sqrt(weights[:, 0]) / length / deviations.angle)[:, None, None],
+            (direction * (np.sqrt(weights[:, 1]) / length / deviations.distance)[:, None])[:, None],
+        ],
+        axis=1,
+    )
+    residual = np.concatenate([angle, distance[:, None]], axis=1)
+    residual *= np.sqrt(weights[:, [0, 0, 0, 1]])
+    R = T[:, :3, :3]
+    by_source = by_q @ np.concatenate([-R @ _cross(sights.points), R], axis=2)
+    by_target = by_q @ np.concatenate([_cross(q), np.broadcast_to(-np.eye(3), R.shape)], axis=2)
+    sides = ((sights.source, by_source), (sights.target, by_target))
+    slope = np.zeros((len(poses), 6))
+    for at, jacobian in sides:
+        np.add.at(slope, at, np.einsum("mki,mk->mi", jacobian, residual))
+    blocks = [
+        (a, b, np.einsum("mki,mkj->mij", left, right)) for a, left in sides for b, right in sides
+    ]
+    return float(np.log1p(squares).sum()), tuple(blocks), slope
+
+
+def _solved(blocks: tuple, slope: np.ndarray, damping: float) -> np.ndarray:
+    """Step of each pose [n 6]; none of the first."""
+    from scipy.sparse import coo_array, diags_array
+    from scipy.sparse.linalg import spsolve
+
+    size = slope.size
+    six = np.arange(6)
+    rows, columns, values = [], [], []
+    for a, b, block in blocks:
+        rows.append(np.broadcast_to((6 * a[:, None] + six)[:, :, None], block.shape).ravel())
+        columns.append(np.broadcast_to((6 * b[:, None] + six)[:, None], block.shape).ravel())
+        values.append(block.ravel())
+    at = (np.concatenate(rows), np.concatenate(columns))
+    matrix = coo_array((np.concatenate(values), at), shape=(size, size)).tocsr()
+    matrix = matrix[6:, 6:]
+    diagonal = matrix.diagonal()
+    damped = matrix + diags_array(damping * diagonal + 1e-12 * diagonal.max())
+    step = np.asarray(spsolve(damped.tocsc(), -slope.ravel()[6:]))
+    return np.concatenate([np.zeros(6), step]).reshape(-1, 6)
+
+
+def _moved(poses: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    return poses @ transform_from(rotation_from_vector(steps[:, :3]), steps[:, 3:])
+
+
+def _cross(vectors: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 3 3"]:
+    """Matrices of the cross product v × ·."""
+    x, y, z = vectors.T
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)

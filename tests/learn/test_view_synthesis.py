@@ -1,15 +1,19 @@
 """Frames predicted from neighbors: against OpenCV, and on a scene in closed form."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 
+from ellipsoid_sequence import ellipsoid_sequence  # noqa: E402
 from small_frames import small_sequence  # noqa: E402
 from vrcaps.camera.camera import Camera, pixel_grid  # noqa: E402
 from vrcaps.camera.lens import LensEquidistant, LensKannalaBrandt, LensPinhole  # noqa: E402
 from vrcaps.errors import InputError  # noqa: E402
+from vrcaps.learn.depth import MIDDLE  # noqa: E402
 from vrcaps.learn.fit import Fit  # noqa: E402
 from vrcaps.learn.samples import Samples, batch_of  # noqa: E402
 from vrcaps.learn.sfm import SfmLearner, estimated_trajectory  # noqa: E402
@@ -136,10 +140,49 @@ def test_learner_trains_and_writes_a_trajectory(tmp_path):
     frames = batch_of([{"image": Fit(48, 48, 32).image(sequence.image("rgb", k))} for k in (5, 4)])
     with torch.inference_mode():
         motion = trained.network.motion(frames["image"][:1], frames["image"][1:])
-    np.testing.assert_allclose(step, matrix_of(motion)[0], atol=1e-5)
+    expected = matrix_of(motion)[0].numpy()
+    expected[:3, 3] *= MIDDLE  # distances are in units of 30 mm, and so are motions
+    np.testing.assert_allclose(step, expected, atol=1e-5)
     bare = sequence.with_channels(("depth",))
     with pytest.raises(InputError, match="Learning from video needs images"):
         learner.items(bare)
+
+
+def test_true_distances_and_motion_cost_nothing_under_supervision():
+    sequence = ellipsoid_sequence(EQUIDISTANT, SIDE, SIDE)
+    learner = SfmLearner(size=32, supervision=1.0)
+    batch = batch_of([learner.sample(sequence, k) for k in learner.items(sequence)])
+    Ts = torch.stack([batch[f"T_{name}_own"] for name in ("before", "after")])
+
+    class Known(torch.nn.Module):
+        """Distances and motions that are right, but for a factor and a turn."""
+
+        def __init__(self, factor, turn):
+            super().__init__()
+            self.factor, self.turn, self.calls = factor, turn, 0
+
+        def forward(self, image, ray):
+            along = ray[:, 2].where(ray[:, 2] > 0.05, torch.nan)
+            distance = (batch["depth"] / along).nan_to_num(0.03)
+            return torch.log(self.factor * distance / MIDDLE)[:, None]
+
+        def motion(self, image, other):
+            T = Ts[self.calls % 2].double()
+            self.calls += 1
+            turn = Rotation.from_matrix(T[:, :3, :3].numpy()).as_rotvec() + self.turn
+            return torch.cat([torch.from_numpy(turn), T[:, :3, 3] / MIDDLE], dim=1)
+
+    def labels(factor=1.0, turn=0.0):
+        return float(learner.loss(Known(factor, turn), batch)["labels"])
+
+    assert labels() < 1e-3
+    assert labels(factor=1.1) == pytest.approx(np.log(1.1), rel=1e-3)
+    # A turn by θ about an axis moves a matrix by √8 sin(θ/2); θ is √3 · 0.02 here, both ways.
+    assert labels(turn=0.02) == pytest.approx(2.0 * np.sqrt(2.0) * np.sqrt(3.0), rel=0.02)
+    blind = replace(sequence, channels=("rgb",))
+    with pytest.raises(InputError, match="Supervision needs depth, which ball/front has not"):
+        learner.items(blind)
+    assert "T_before_own" not in SfmLearner(size=32).sample(sequence, 1)
 
 
 def test_gradients_are_those_of_finite_differences():

@@ -20,7 +20,16 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.learn.fit import Fit, require_size
-from vrcaps.learn.learner import Batch, Figure, Sample, flip, outputs_of, recolored, zoomed
+from vrcaps.learn.learner import (
+    Batch,
+    Figure,
+    Sample,
+    flip,
+    outputs_of,
+    recolored,
+    transposed,
+    zoomed,
+)
 from vrcaps.learn.networks import ENCODER, dense_network, require_torch
 from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.depth import depth_errors, mean_depth_errors
@@ -33,7 +42,7 @@ if TYPE_CHECKING:
 
     from vrcaps.camera.camera import Camera
 
-_MIDDLE = 0.03
+MIDDLE = 0.03
 """Depth [m] that an output of 0 stands for."""
 _DARK = 0.004
 """Added to linear brightness in the cue: one step of 8 bits."""
@@ -99,12 +108,21 @@ class DepthLearner:
         return image_and_rays(image, fit, camera)
 
     def augmented(self, sample: Sample, rng: np.random.Generator) -> Sample:
-        """A part of the frame, mirrored, and with another exposure and white balance."""
+        """A part of the frame, mirrored and turned; half of them in other colors.
+
+        Brightness tells how far the wall is. The loss is mainly absolute, so its least is at the
+        median: where half of the images keep their colors, the estimate keeps their scale.
+        """
         sample = zoomed(sample, rng, self.zoom)
         for axis, component in ((1, 0), (0, 1)):
             if rng.random() < 0.5:
                 sample = flip(sample, axis)
                 sample["ray"][..., component] *= -1.0
+        if rng.random() < 0.5:
+            sample = transposed(sample)
+            sample["ray"] = sample["ray"][..., [1, 0, 2]]
+        if rng.random() < 0.5:
+            return sample
         image = recolored(
             sample["image"], rng, exposure=self.brightness, tint=self.tint, gamma=1.15
         )
@@ -123,7 +141,7 @@ class DepthLearner:
         torch = require_torch()
         truth = batch["depth"]
         valid = torch.isfinite(truth) & (truth > 0.0)
-        target = torch.log(torch.where(valid, truth, _MIDDLE) / _MIDDLE)
+        target = torch.log(torch.where(valid, truth, MIDDLE) / MIDDLE)
         error = torch.where(valid, output[:, 0] - target, 0.0)
         count = valid.sum(dim=(1, 2)).clamp(min=1)
         mean = error.sum(dim=(1, 2)) / count
@@ -173,7 +191,7 @@ def image_and_rays(image: UInt8[np.ndarray, "h w 3"], fit: Fit, camera: Camera |
 
 def depth_of(output: Float[np.ndarray, "1 s s"]) -> Float[np.ndarray, "s s"]:
     """Depth [m] of a network's output."""
-    return _MIDDLE * np.exp(output[0])
+    return MIDDLE * np.exp(output[0])
 
 
 def depth_picture(depth: Float[np.ndarray, "s s"], sample: Sample) -> UInt8[np.ndarray, "s k 3"]:

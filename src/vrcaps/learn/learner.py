@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
@@ -146,8 +146,17 @@ class Adversarial(Protocol):
 
 def flip(sample: Sample, axis: int) -> Sample:
     """All maps of a sample mirrored along columns (axis 1) or rows (axis 0)."""
+    return _with_maps(sample, lambda array: np.flip(array, axis))
+
+
+def transposed(sample: Sample) -> Sample:
+    """All maps of a sample with rows and columns exchanged."""
+    return _with_maps(sample, lambda array: np.swapaxes(array, 0, 1))
+
+
+def _with_maps(sample: Sample, change: Callable[[NDArray], NDArray]) -> Sample:
     return {
-        name: np.flip(array, axis).copy() if getattr(array, "ndim", 0) >= 2 else array
+        name: np.array(change(array), order="C") if getattr(array, "ndim", 0) >= 2 else array
         for name, array in sample.items()
     }
 

@@ -112,8 +112,10 @@ def motion_network(encoder: str, *, is_pretrained: bool) -> Any:
         (name, one) for name, one in network.named_modules() if isinstance(one, torch.nn.Conv2d)
     )
     wide = copy(stem)
-    # Each image by the weights of one, halved, so that features keep their size.
-    wide.weight = torch.nn.Parameter(0.5 * torch.cat([stem.weight, stem.weight], dim=1).detach())
+    # Each filter sees one of the images: sums of both would not tell which is first.
+    weight, is_even = stem.weight.detach(), torch.arange(len(stem.weight)) % 2 == 0
+    halves = [weight * one[:, None, None, None] for one in (is_even, ~is_even)]
+    wide.weight = torch.nn.Parameter(torch.cat(halves, dim=1))
     wide.in_channels = 6
     parent, _, last = name.rpartition(".")
     setattr(network.get_submodule(parent), last, wide)

@@ -12,7 +12,7 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.files import require_new_folder, write_bytes, write_csv
-from vrcaps.formats.images import FILE_NAME
+from vrcaps.formats.images import file_name
 from vrcaps.formats.sources import read_source
 from vrcaps.formats.tum import trajectory_text
 from vrcaps.learn.fit import Fit
@@ -80,7 +80,7 @@ def predict(
     skipped: dict[str, str] = {}
     read: list[tuple[FrameSequence, int]] = []
     for number, (sequence, index) in enumerate(frames):
-        name = f"{sequence.name}/{_file_name(sequence, index)}"
+        name = f"{sequence.name}/{file_name(sequence, index)}"
         try:
             image = sequence.image("rgb", index)
         except (InputError, OSError) as error:
@@ -106,12 +106,6 @@ def predict(
         write_csv(out / f"{trained.learner.kind}.csv", rows)
     write_images([(out / "sheet.png", below_one_another(pictures))])
     return skipped
-
-
-def _file_name(sequence: FrameSequence, index: int) -> str:
-    """Name of an image's file without its ending, where it has one of its own; else its number."""
-    names = sequence.values.get(FILE_NAME)
-    return f"{index:06d}" if names is None else str(names[index])
 
 
 def _write_trajectories(

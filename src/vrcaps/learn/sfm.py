@@ -13,6 +13,10 @@ Distances are along rays and the lens is any of ours, so fisheye frames need no 
 LEDs move with the camera, so a wall's brightness changes as it nears: the prediction is brought to
 the mean and the spread of the frame's colors before they are compared (Ozyoruk et al., Medical
 Image Analysis 71, 2021).
+
+Without a start this takes very long to leave its trivial solution, one distance everywhere and no
+motion. Simulated video has labels, and `supervision` uses them: what was learned so goes on with
+video that has none.
 """
 
 from __future__ import annotations
@@ -25,7 +29,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 
 from vrcaps.errors import InputError
-from vrcaps.learn.depth import depth_of, depth_picture, image_and_rays
+from vrcaps.learn.depth import MIDDLE, DepthLearner, depth_of, depth_picture, image_and_rays
 from vrcaps.learn.fit import Fit, require_size
 from vrcaps.learn.learner import Batch, Figure, Sample, with_gain
 from vrcaps.learn.networks import ENCODER, dense_network, motion_network, require_torch
@@ -42,6 +46,7 @@ from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.depth import depth_errors, mean_depth_errors
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.render.channels import CHANNELS
+from vrcaps.transforms import invert
 
 if TYPE_CHECKING:
     from jaxtyping import UInt8
@@ -51,6 +56,8 @@ if TYPE_CHECKING:
     from vrcaps.learn.weights import Trained
 
 _NEIGHBORS = ("before", "after")
+_LEAST_COSINE = 0.05
+"""Of a ray to the axis: nearer to a right angle, depth along the axis says nothing of distance."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +72,7 @@ class SfmLearner:
         smoothness_weight: Weight of the loss of smoothness.
         geometry_weight: Weight of the loss of inconsistent distances.
         matches_brightness: Whether predictions are brought to the frame's brightness.
+        supervision: Weight of the loss of true distances and motions; 0 needs no labels.
     """
 
     size: Annotated[int, Range(32)] = 192
@@ -74,6 +82,7 @@ class SfmLearner:
     smoothness_weight: Annotated[float, Range(0.0)] = 0.1
     geometry_weight: Annotated[float, Range(0.0)] = 0.5
     matches_brightness: bool = True
+    supervision: Annotated[float, Range(0.0)] = 0.0
 
     kind: ClassVar[str] = "sfm"
     input_names: ClassVar[tuple[str, ...]] = ("image", "ray")
@@ -88,7 +97,8 @@ class SfmLearner:
         """Frames that have both neighbors.
 
         Raises:
-            InputError: If there are no images, no camera, or too few frames.
+            InputError: If there are no images, no camera, too few frames, or no labels for
+                supervision.
         """
         if "rgb" not in sequence.channels or sequence.camera is None:
             what = "images" if sequence.camera else "a calibrated camera"
@@ -97,6 +107,10 @@ class SfmLearner:
             raise InputError(
                 f"{sequence.name} has {len(sequence)} frames. Allowed: {2 * self.step + 1} or more."
             )
+        if self.supervision > 0.0:
+            if "depth" not in sequence.channels:
+                raise InputError(f"Supervision needs depth, which {sequence.name} has not.")
+            _ = sequence.Ts_world_camera
         return range(self.step, len(sequence) - self.step)
 
     def sample(self, sequence: FrameSequence, index: int) -> Sample:
@@ -106,6 +120,9 @@ class SfmLearner:
         sample = self.inputs(image, fit, sequence.camera)
         for name, offset in zip(_NEIGHBORS, (-self.step, self.step), strict=True):
             sample[name] = fit.image(sequence.image("rgb", index + offset))
+            if self.supervision > 0.0:
+                own, other = sequence.Ts_world_camera[[index, index + offset]]
+                sample[f"T_{name}_own"] = (invert(other) @ own).astype(np.float32)
         if "depth" in sequence.channels:
             sample["depth"] = fit.nearest(sequence.image("depth", index), np.nan)
         return {**sample, "view": (fit, sequence.camera)}
@@ -131,7 +148,7 @@ class SfmLearner:
 
     def loss(self, network: Any, batch: Batch) -> dict[str, Any]:
         """Terms over both neighbors."""
-        terms = {"photometric": 0.0, "geometry": 0.0}
+        terms = {"photometric": 0.0, "geometry": 0.0, "labels": 0.0}
         image, ray = batch["image"], batch["ray"]
         own = network(image, ray).float()
         for name in _NEIGHBORS:
@@ -146,10 +163,15 @@ class SfmLearner:
             count = found.is_valid.sum().clamp(min=1)
             terms["photometric"] += (error * found.is_valid).sum() / count
             terms["geometry"] += (unlike * found.is_valid).sum() / count
+            if self.supervision > 0.0:
+                terms["labels"] += _motion_error(T_other_own, batch[f"T_{name}_own"])
+        if self.supervision > 0.0:
+            terms["labels"] += DepthLearner().output_loss(own, _distances(batch))["loss"]
         weighted = {
             "photometric": 0.5 * self.photometric_weight * terms["photometric"],
             "geometry": 0.5 * self.geometry_weight * terms["geometry"],
             "smoothness": self.smoothness_weight * smoothness(own, image),
+            "labels": self.supervision * terms["labels"],
         }
         return {**weighted, "loss": sum(weighted.values())}
 
@@ -202,13 +224,25 @@ def estimated_trajectory(
     tensors = (batch_of([{"image": square}])["image"] for square in squares)
     with torch.inference_mode():
         for before, here in pairwise(one.to(trained.device) for one in tensors):
-            T_before_here = matrix_of(trained.network.motion(here, before).float())[0]
-            poses.append(poses[-1] @ T_before_here.double().cpu().numpy())
-    return replace(
-        sequence,
-        values={TIME: sequence.times[kept], CAMERA_POSE: np.stack(poses)},
-        load=lambda channel, index: sequence.load(channel, int(kept[index])),
-    )
+            motion = matrix_of(trained.network.motion(here, before).float())[0]
+            T_before_here = motion.double().cpu().numpy()
+            T_before_here[:3, 3] *= MIDDLE  # the scale of its distances
+            poses.append(poses[-1] @ T_before_here)
+    values = {TIME: sequence.times[kept], CAMERA_POSE: np.stack(poses)}
+    return replace(sequence.subset(kept), values=values)
+
+
+def _motion_error(motion: Any, T_other_own: Any) -> Any:
+    """How far motions [b 4 4] are off, in steps of 2 mm and 0.02 rad, about a pixel each."""
+    turned = (motion[:, :3, :3] - T_other_own[:, :3, :3]).flatten(1).norm(dim=1)
+    shifted = (MIDDLE * motion[:, :3, 3] - T_other_own[:, :3, 3]).norm(dim=1)
+    return (turned / 0.02 + shifted / 0.002).mean()
+
+
+def _distances(batch: Batch) -> Batch:
+    """The truth of distances along rays, as `DepthLearner` takes that of depth."""
+    along = batch["ray"][:, 2]
+    return {"depth": batch["depth"] / along.where(along > _LEAST_COSINE, np.nan)}
 
 
 def _depth_of(output: NDArray, sample: Sample) -> NDArray:

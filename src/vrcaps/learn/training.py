@@ -242,7 +242,7 @@ class _Run:
 
     def evaluate(self, writer: Any) -> None:
         """Evaluate, keep the best weights, write the checkpoint."""
-        trained = Trained(self.learner, self.network.eval(), {}, self.device)
+        trained = Trained(self.learner, self.network.eval(), {}, self.device, threads=None)
         found = validate(trained, self.validation, self.settings.evaluation_frames)
         value, progress = found.scores[self.learner.figure.name], self.progress
         row = {

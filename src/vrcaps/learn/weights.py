@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from vrcaps.files import atomic_write
 from vrcaps.learn.networks import require_torch
 from vrcaps.learn.registry import LEARNERS, AnyLearner
 from vrcaps.serialization import from_plain, to_plain
+from vrcaps.torch_threads import exact_torch
 
 _FORMAT, _KEY = "vrcaps-weights/1", "vrcaps"
 
@@ -28,24 +30,31 @@ class Trained:
         network: On the device, in evaluation mode.
         about: What the file says of itself: steps, scores, data.
         device: Where it computes.
+        threads: PyTorch's on a CPU; more than one is slower on a machine with other work. None
+            leaves them as they are.
     """
 
     learner: AnyLearner
     network: Any
     about: dict[str, Any]
     device: str = "cpu"
+    threads: int | None = 1
 
     def __call__(self, inputs: dict[str, Any]) -> np.ndarray:
         """Outputs [b …] of a batch of inputs."""
-        torch = require_torch()
-        with torch.inference_mode():
+        with self._threads(), require_torch().inference_mode():
             given = (inputs[name].to(self.device) for name in self.learner.input_names)
             return self.network(*given).float().cpu().numpy()
 
     def loss(self, batch: dict[str, Any]) -> float:
         """The learner's loss on a batch."""
-        with require_torch().inference_mode():
+        with self._threads(), require_torch().inference_mode():
             return float(self.learner.loss(self.network, batch)["loss"])
+
+    def _threads(self) -> AbstractContextManager[None]:
+        if self.threads is None or self.device != "cpu":
+            return nullcontext()
+        return exact_torch(self.threads)
 
 
 def write_weights(path: Path, learner: AnyLearner, network: Any, about: dict[str, Any]) -> None:

@@ -98,7 +98,7 @@ FIGURES = (
     *_scripts("validate_lesion_sizes validate_resume validate_exactly_once"),
     Figure("benchmarks/validate_learning.py", ("--size", "20")),
     *_scripts("validate_lesions validate_light validate_moving_labels validate_path"),
-    *_scripts("validate_placing validate_sensor validate_located_steering"),
+    *_scripts("validate_placing validate_sensor validate_located_steering validate_reconstruction"),
     *([Figure("benchmarks/validate_lerobot.py", ("--python", LEROBOT))] * bool(LEROBOT)),
 )
 KEPT = ("benchmarks/speed_cycles.py", "benchmarks/validate_lerobot.py")

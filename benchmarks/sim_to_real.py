@@ -27,6 +27,7 @@ from pathlib import Path
 
 from transfer_ablations import VARIANTS, ablation_cells, made_variants
 from transfer_cells import Cell, Row, RowFile, ordered_cells
+from transfer_general import GENERAL
 from transfer_page import report
 from transfer_real import LAYOUTS, found_layouts
 from transfer_run import (
@@ -158,7 +159,8 @@ def made_rows(setup: Setup, cells: Sequence[Cell], workers: int) -> Iterator[Row
     # Weights to begin with come first, so that no two processes learn the same.
     firsts = {(c.task, c.arm, c.variant, c.seed * (c.task == DEPTH)): c for c in cells}
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        wanted = [cell for cell in firsts.values() if cell.arm not in WITHOUT_LEARNING]
+        given = (*WITHOUT_LEARNING, GENERAL)
+        wanted = [cell for cell in firsts.values() if cell.arm not in given]
         list(pool.map(first_weights, [setup] * len(wanted), wanted))
         for done in as_completed([pool.submit(run_cell, setup, cell) for cell in cells]):
             yield done.result()

@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from transfer_general import GENERAL
 from vrcaps.errors import InputError
 
 ROWS = "rows.jsonl"
@@ -70,7 +71,7 @@ def ordered_cells(
             for seed in range(seeds)
             for task, names in arms.items()
             for arm in names
-            if fraction > 0.0 or arm not in ("scratch", "imagenet")
+            if arm not in ((GENERAL,) if fraction > 0.0 else ("scratch", "imagenet"))
         ]
 
     return [cell for fraction in (first, 0.0, *others) for cell in block(fraction)]

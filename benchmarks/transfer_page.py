@@ -10,6 +10,7 @@ import numpy as np
 
 from transfer_ablations import COMPLETE, VARIANTS
 from transfer_cells import Row
+from transfer_general import GENERAL
 from transfer_statistics import Judged, difference_interval, figure_interval
 from transfer_tasks import DEPTH, PRESETS, TASKS, Task
 from vrcaps.cli.benchmarks.page import table, write_section
@@ -26,11 +27,17 @@ ARM_TITLES = {
     "unitycam": "UnityCam",
     "imagenet+unitycam": "ImageNet + UnityCam",
     "published": "ours, published weights",
+    GENERAL: "Real-ESRGAN",
     "constant": "one depth everywhere",
     "mean": "mean of our depth maps",
     "light": "brightness alone",
 }
-PAIRS = (("imagenet+ours", "imagenet"), ("ours", "scratch"), ("ours", "unitycam"))
+PAIRS = (
+    ("imagenet+ours", "imagenet"),
+    ("ours", "scratch"),
+    ("ours", "unitycam"),
+    ("ours", GENERAL),
+)
 """Arms that are compared: the first less the second."""
 _COLORS = {"scratch": "0.6", "imagenet": "C0", "ours": "C1", "imagenet+ours": "C3"}
 _COLORS |= {"unitycam": "C4"}

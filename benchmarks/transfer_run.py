@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
+import numpy as np
+
 from transfer_cells import Cell, Row, digest_of
 from transfer_depth import (
     by_light,
@@ -20,6 +22,7 @@ from transfer_depth import (
     read_c3vd,
     read_sinus,
 )
+from transfer_general import GENERAL, enlarged, is_installed, made_by
 from transfer_ours import Urls, data_digest, evenly, our_classes, our_masks, our_sequences
 from transfer_pictures import Pictures
 from transfer_real import middle
@@ -39,10 +42,11 @@ from vrcaps.learn.training import (
     TrainSettings,
     train,
 )
-from vrcaps.learn.validation import validate
+from vrcaps.learn.validation import Found, validate
 from vrcaps.learn.weights import read_weights
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.serialization import to_plain
+from vrcaps.tools.reconstruction.estimates import with_depth
 from vrcaps.torch_threads import exact_torch
 
 DEPTH_TASK = Task(DEPTH, DEPTH, "c3vd", (), "Depth without any real frame", "AbsRel")
@@ -124,6 +128,8 @@ def made_of(setup: Setup, cell: Cell) -> dict[str, str]:
         first = file_sha256(given)[:12]
     elif cell.arm.endswith("ours") or cell.arm == "mean":
         first = data_digest(setup.ours_of(cell))
+    elif cell.arm == GENERAL:
+        first = made_by()
     elif cell.arm.endswith("unitycam"):
         first = folder_digest(setup.real["unitycam"])
     names = {"preset": setup.preset, "device": setup.device}
@@ -171,8 +177,12 @@ def _transfer(setup: Setup, cell: Cell) -> tuple[dict[str, list[float]], list[in
     task, pictures = task_of(cell), setup.pictures(task_of(cell))
     learned, held = pictures.split(cell.seed % (pictures.folds.max() + 1))
     learner = task.learner(setup.effort(task))
-    start = first_weights(setup, cell)
     judged = Samples(learner, _frames(held))
+    if cell.arm == GENERAL:
+        samples = [judged.next(k) for k in range(len(judged))]
+        found = Found({}, [enlarged(sample["image"]) for sample in samples], samples)
+        return task.values(found), held.groups.tolist()
+    start = first_weights(setup, cell)
     if cell.fraction == 0.0:
         trained = read_weights(start, task=task.kind, device=setup.device)
         return task.values(validate(trained, judged)), held.groups.tolist()
@@ -257,6 +267,8 @@ def given_weights(setup: Setup, cell: Cell) -> Path | None:
 
 def is_possible(setup: Setup, task: Task, arm: str) -> bool:
     """Whether there are images or weights for an arm."""
+    if arm == GENERAL:
+        return is_installed()
     if arm.endswith("unitycam"):
         return "unitycam" in setup.real
     is_given = given_weights(setup, Cell(task.name, arm, 0.0, 0)) is not None
@@ -305,11 +317,21 @@ def _first_samples(setup: Setup, cell: Cell, settings: TrainSettings) -> tuple[S
 
 
 def unitycam(folder: Path) -> list[FrameSequence]:
-    """Frames of VR-Caps, as published with EndoSLAM: one step of depth is taken as a millimeter.
+    """Frames of VR-Caps, as published with EndoSLAM, with depth up to scale.
 
-    Their unit is disputed; for depth up to scale it is the same.
+    Their depth images are bright where the wall is near, in steps that grow with distance, as the
+    reversed depth buffer of Unity is, which falls with 1 / z. So depth is the inverse of what is
+    stored; a value of eight steps, the median, is taken as 30 mm.
     """
-    return [_with_camera(one) for one in read_format("endoslam", folder, depth_step_mm=1.0)]
+    return [_with_camera(_inverted(one)) for one in read_format("endoslam", folder)]
+
+
+def _inverted(sequence: FrameSequence) -> FrameSequence:
+    def depth_of(index: int) -> np.ndarray:
+        stored = sequence.image("depth", index)
+        return np.where(stored > 0.0, 0.03 * 0.08 / np.maximum(stored, 1e-6), np.nan)
+
+    return with_depth(sequence, depth_of)
 
 
 def _with_camera(sequence: FrameSequence) -> FrameSequence:

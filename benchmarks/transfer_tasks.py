@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from transfer_general import GENERAL
 from transfer_pictures import Pictures
 from transfer_real import (
     bleeding_class,
@@ -104,7 +105,7 @@ class Task:
     def arms(self) -> tuple[str, ...]:
         """What training on real images begins with."""
         if self.kind == "super-resolution":
-            return ("scratch", "ours", "unitycam")
+            return ("scratch", "ours", "unitycam", GENERAL)
         return ("scratch", "imagenet", "ours", "imagenet+ours")
 
     def learner(self, effort: Effort) -> Any:

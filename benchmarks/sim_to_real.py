@@ -19,59 +19,37 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
 from pathlib import Path
 
-from transfer_ablations import VARIANTS, ablation_cells, made_variants
-from transfer_cells import Cell, Row, RowFile, ordered_cells
-from transfer_general import GENERAL
+from transfer_cells import Cell, RowFile, ordered_cells
+from transfer_options import check_tasks, experiment_parser
 from transfer_page import report
-from transfer_real import LAYOUTS, found_layouts
+from transfer_real import found_layouts
 from transfer_run import (
     DEPTH,
     DEPTH_ARMS,
     DEPTH_TASK,
     ONE_NETWORK,
-    WITHOUT_LEARNING,
     Setup,
-    first_weights,
+    complete,
     is_possible,
     lacks,
-    made_of,
-    run_cell,
 )
-from transfer_tasks import FRACTIONS, PRESETS, TASKS, Task
+from transfer_tasks import FRACTIONS, TASKS, Task
 from validation import ROOT
-from vrcaps.errors import InputError, UnknownNameError, VrcapsError, require
+from vrcaps.errors import InputError, VrcapsError, require
 
 PAGE = ROOT / "docs" / "sim-to-real.md"
 
 
 def parsed() -> argparse.Namespace:
     """Options of the command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = experiment_parser(__doc__ or "", PAGE)
     add = parser.add_argument
-    add("--run", type=Path, required=True, help="folder of the experiment: rows and weights")
-    add("--real", type=Path, help="folder with folders of real data")
-    names = ", ".join(LAYOUTS)
-    add("--layout", action="append", default=[], help=f"NAME=FOLDER, NAME one of {names}")
     add("--ours", action="append", default=[], help="folder or URL of a data set; repeat for more")
     words = "folder of weights learned on ours: TASK-scratch.safetensors, TASK-imagenet.safetensors"
     add("--weights", type=Path, help=f"{words}; depth.safetensors is judged as it is")
-    add("--preset", choices=tuple(PRESETS), default="quick", help="how long networks learn")
-    add("--tasks", nargs="*", default=[*TASKS, DEPTH], help="default: all that there is data for")
     add("--fractions", nargs="*", type=float, default=FRACTIONS, help="of the real images")
-    add("--seeds", type=int, default=5, help="networks of each kind")
-    add("--workers", type=int, default=1, help="processes, each of one thread")
-    add("--device", default="cpu", help="cpu, cuda or mps")
-    add("--ablate", action="store_true", help="also learn on images that lack one thing each")
-    add("--report", action="store_true", help="only write the page")
-    add("--out", type=Path, default=PAGE, help="Markdown page to write into")
     return parser.parse_args()
 
 
@@ -100,27 +78,13 @@ def run(given: argparse.Namespace, rows: RowFile) -> None:
         given.weights,
         given.preset,
         given.device,
-        {name: str(given.run / "variants" / folder) for name, folder in VARIANTS.items()},
     )
-    cells = main_cells(given, setup)
-    if given.ablate:
-        made_variants(given.run, given.workers)
-        cells += ablation_cells([name for name in TASKS if name in given.tasks], given.seeds)
-    missing = [cell for cell in cells if not rows.has(cell, made_of(setup, cell))]
-    print(f"{len(cells)} networks, {len(cells) - len(missing)} of them known.", flush=True)
-    began = time.monotonic()
-    for done, row in enumerate(made_rows(setup, missing, given.workers), 1):
-        rows.add(row)
-        left = (time.monotonic() - began) / done * (len(missing) - done) / 60.0
-        note = f"{row.cell}: {row.seconds:.0f} s, {left:.0f} min left"
-        print(f"{done}/{len(missing)} {note}", flush=True)
+    complete(setup, main_cells(given, setup), rows, given.workers)
 
 
 def main_cells(given: argparse.Namespace, setup: Setup) -> list[Cell]:
     """Cells of the tasks that there is data for."""
-    for name in given.tasks:
-        if name not in (*TASKS, DEPTH):
-            raise UnknownNameError("task", name, (*TASKS, DEPTH))
+    check_tasks(given.tasks)
     for fraction in given.fractions:
         require(0.0 < fraction <= 1.0, "A fraction", fraction, "above 0, at most 1")
     tasks = [t for t in TASKS.values() if t.name in given.tasks and t.layout in setup.real]
@@ -149,21 +113,6 @@ def possible_arms(setup: Setup, task: Task) -> list[str]:
     if reason:
         print(f"{task.name} goes without ours: {reason}")
     return [arm for arm in arms if not (reason and arm.endswith("ours"))]
-
-
-def made_rows(setup: Setup, cells: Sequence[Cell], workers: int) -> Iterator[Row]:
-    """Rows of cells as they come: made in this process, or in several."""
-    if workers < 2:
-        yield from (run_cell(setup, cell) for cell in cells)
-        return
-    # Weights to begin with come first, so that no two processes learn the same.
-    firsts = {(c.task, c.arm, c.variant, c.seed * (c.task == DEPTH)): c for c in cells}
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        given = (*WITHOUT_LEARNING, GENERAL)
-        wanted = [cell for cell in firsts.values() if cell.arm not in given]
-        list(pool.map(first_weights, [setup] * len(wanted), wanted))
-        for done in as_completed([pool.submit(run_cell, setup, cell) for cell in cells]):
-            yield done.result()
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from transfer_cells import Cell
+from transfer_tasks import DEPTH
 from vrcaps.color import srgb_from_linear
 from vrcaps.data.make import make_dataset
 from vrcaps.data.plan import read_plan
@@ -33,17 +34,17 @@ VARIANTS: Mapping[str, str] = {
     "shapes of polyps": "flat",
 }
 """Folder of our images by what they lack."""
-_FRACTION = 0.1
+FRACTION = 0.1
+"""Of the real images that networks learn from after ours."""
 _SIDE = 64
 
 
 def ablation_cells(tasks: Sequence[str], seeds: int) -> list[Cell]:
-    """Networks that saw each variant of ours, then a tenth of the real images."""
+    """Networks that saw a variant of ours, then a tenth of the real images; for depth none."""
     return [
-        Cell(task, "ours", _FRACTION, seed, variant)
+        Cell(task, "ours", 0.0 if task == DEPTH else FRACTION, seed, variant)
         for seed in range(seeds)
         for task in tasks
-        if task != "super-resolution"
         for variant in VARIANTS
     ]
 

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from transfer_ablations import COMPLETE, VARIANTS
 from transfer_cells import Row
 from transfer_general import GENERAL
 from transfer_statistics import Judged, difference_interval, figure_interval
@@ -31,6 +30,12 @@ ARM_TITLES = {
     "constant": "one depth everywhere",
     "mean": "mean of our depth maps",
     "light": "brightness alone",
+}
+DEPTH_TITLES = {
+    "c3vd_abs_rel": "C3VD AbsRel",
+    "c3vd_rank": "C3VD rank correlation",
+    "sinus_abs_rel": "sinus AbsRel",
+    "sinus_rank": "sinus rank correlation",
 }
 PAIRS = (
     ("imagenet+ours", "imagenet"),
@@ -55,7 +60,6 @@ def report(rows: Sequence[Row], page: Path) -> None:
     if draw_curves(found, figure):
         parts.append(f"![Learning curves]({FIGURE})")
     parts += depth_part(found)
-    parts += ablation_part(found)
     parts += verdict_part(found)
     text = "\n\n".join(parts)
     write_section(page, SCRIPT, text, command=COMMAND, title="# From simulation to reality\n")
@@ -162,10 +166,11 @@ def _cell(task: Task, rows: BySeed | None) -> str:
         return ""
     scale, digits = (1.0, 2) if task.unit == "dB" else (100.0, 1)
     mark = f" ({len(rows)})" if len(rows) < 5 else ""
-    return _shown(interval_of(task, rows), scale, digits) + mark
+    return shown_interval(interval_of(task, rows), scale, digits) + mark
 
 
-def _shown(interval: Interval, scale: float, digits: int, sign: str = "") -> str:
+def shown_interval(interval: Interval, scale: float, digits: int, sign: str = "") -> str:
+    """A value with its interval, in the unit and with the digits of a table."""
     value, low, high = (
         f"{scale * number:{sign}.{digits}f}"
         for number in (interval.value, interval.low, interval.high)
@@ -183,7 +188,7 @@ def difference_part(task: Task, found: Found, fractions: Sequence[float]) -> lis
             interval = difference_of(task, rows[0] or {}, rows[1] or {})
             if interval is not None:
                 words = f"{ARM_TITLES[first]} − {ARM_TITLES[second]}"
-                shown = _shown(interval, scale, digits, "+")
+                shown = shown_interval(interval, scale, digits, "+")
                 body.append([f"{100.0 * fraction:g} %", words, shown, verdict(interval)])
     head = ["real images", "difference", task.unit, "so"]
     return [table(head, body)] if body else []
@@ -204,7 +209,7 @@ def quality_part(task: Task, found: Found, arms: Sequence[str]) -> list[str]:
             rows = found.get((task.name, arm, fraction, ""))
             if rows:
                 gains = [_over_bicubic(task, rows, name) for name in ("psnr", "ssim")]
-                shown = _shown(gains[0], 1.0, 2, "+"), _shown(gains[1], 1.0, 4, "+")
+                shown = shown_interval(gains[0], 1.0, 2, "+"), shown_interval(gains[1], 1.0, 4, "+")
                 body.append([f"{100.0 * fraction:g} %", ARM_TITLES[arm], *shown])
     return [table(["real images", "over bicubic", "PSNR [dB]", "SSIM"], body)]
 
@@ -222,10 +227,6 @@ def depth_part(found: Found) -> list[str]:
     if not arms:
         return []
     names = sorted({name for rows in arms.values() for row in rows.values() for name in row.values})
-    titles = {
-        "c3vd_abs_rel": "C3VD AbsRel", "c3vd_rank": "C3VD rank correlation",
-        "sinus_abs_rel": "sinus AbsRel", "sinus_rank": "sinus rank correlation",
-    }  # fmt: skip
     body = [
         [ARM_TITLES[arm], *(_depth_cell(arms[arm], name) for name in names), str(len(arms[arm]))]
         for arm in ARM_TITLES
@@ -236,38 +237,19 @@ def depth_part(found: Found) -> list[str]:
         "Relative error after scaling by medians (smaller is better) and Spearman's correlation. "
         "Intervals are over networks only: there is one phantom frame of C3VD, and one patient of "
         "the sinus data.",
-        table(["learned from", *(titles[name] for name in names), "networks"], body),
+        table(["learned from", *(DEPTH_TITLES[name] for name in names), "networks"], body),
     ]
 
 
 def _depth_cell(rows: BySeed, name: str) -> str:
     means = [float(np.mean(row.values[name])) for row in rows.values()]
-    if len(means) == 1:
-        return f"{means[0]:.3f}"
-    seeds = [Judged(np.array([[value, 1.0]]), np.zeros(1, int)) for value in means]
-    return str(figure_interval(lambda sums: sums[:, 0] / sums[:, 1], seeds))
+    return f"{means[0]:.3f}" if len(means) == 1 else str(interval_of_networks(means))
 
 
-def ablation_part(found: Found) -> list[str]:
-    """What is lost where our images lack something; nothing without rows."""
-    names = [task for task in TASKS if (task, "ours", 0.1, COMPLETE) in found]
-    body = []
-    for variant in (name for name in VARIANTS if name != COMPLETE):
-        cells = []
-        for name in names:
-            rows = [found.get((name, "ours", 0.1, one), {}) for one in (variant, COMPLETE)]
-            interval = difference_of(TASKS[name], rows[0], rows[1])
-            cells.append("" if interval is None else _shown(interval, 100.0, 1, "+"))
-        if any(cells):
-            body.append([variant, *cells])
-    if not body:
-        return []
-    return [
-        "### What of the simulator matters",
-        "Networks that begin with ours alone and learn from a tenth of the real images: change "
-        "[points] where our images are made without one thing. All are of one small plan.",
-        table(["without", *(TASKS[name].title for name in names)], body),
-    ]
+def interval_of_networks(figures: Sequence[float]) -> Interval:
+    """Mean of a figure of each network, with its interval over networks."""
+    seeds = [Judged(np.array([[value, 1.0]]), np.zeros(1, int)) for value in figures]
+    return figure_interval(lambda sums: sums[:, 0] / sums[:, 1], seeds)
 
 
 def verdict_part(found: Found) -> list[str]:
@@ -280,7 +262,7 @@ def verdict_part(found: Found) -> list[str]:
                 interval = difference_of(task, rows[0], rows[1])
                 if interval is not None and interval.low <= 0.0:
                     scale, digits = (1.0, 2) if task.unit == "dB" else (100.0, 1)
-                    shown = _shown(interval, scale, digits, "+")
+                    shown = shown_interval(interval, scale, digits, "+")
                     lines.append(
                         f"- {task.title}, {100.0 * fraction:g} % of the real images: "
                         f"{ARM_TITLES[first]} − {ARM_TITLES[second]} is {shown} {task.unit}: "

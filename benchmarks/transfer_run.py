@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cache
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 
-from transfer_cells import Cell, Row, digest_of
+from transfer_cells import Cell, Row, RowFile, digest_of
 from transfer_depth import (
     by_light,
     by_mean,
@@ -229,7 +231,7 @@ def first_weights(setup: Setup, cell: Cell) -> str:
     effort = setup.effort(task)
     is_ours = cell.arm.endswith("ours")
     digest = data_digest(setup.ours_of(cell)) if is_ours else "frames"
-    seed = cell.seed if task.kind == DEPTH else 0
+    seed = _first_seed(cell)
     settings = replace(
         _settings(setup, cell, effort.first_steps),
         start=_first_start(cell),
@@ -246,6 +248,11 @@ def first_weights(setup: Setup, cell: Cell) -> str:
         train(settings, samples, validation, out, machine=_machine(setup), is_forced=True)
         (out / CHECKPOINT).unlink(missing_ok=True)
     return str(out / WEIGHTS)
+
+
+def _first_seed(cell: Cell) -> int:
+    """Seed of what is learned before: one for all of a task, but for depth and ablations."""
+    return cell.seed if cell.task == DEPTH or cell.variant else 0
 
 
 def _first_start(cell: Cell) -> str:
@@ -354,3 +361,30 @@ def _frames(pictures: Pictures) -> list[tuple[FrameSequence, int]]:
 
 def _machine(setup: Setup) -> Machine:
     return Machine(setup.device)
+
+
+def complete(setup: Setup, cells: Sequence[Cell], rows: RowFile, workers: int) -> None:
+    """Run the cells that have no row yet, and say how it goes."""
+    missing = [cell for cell in cells if not rows.has(cell, made_of(setup, cell))]
+    print(f"{len(cells)} networks, {len(cells) - len(missing)} of them known.", flush=True)
+    began = time.monotonic()
+    for done, row in enumerate(made_rows(setup, missing, workers), 1):
+        rows.add(row)
+        left = (time.monotonic() - began) / done * (len(missing) - done) / 60.0
+        note = f"{row.cell}: {row.seconds:.0f} s, {left:.0f} min left"
+        print(f"{done}/{len(missing)} {note}", flush=True)
+
+
+def made_rows(setup: Setup, cells: Sequence[Cell], workers: int) -> Iterator[Row]:
+    """Rows of cells as they come: made in this process, or in several."""
+    if workers < 2:
+        yield from (run_cell(setup, cell) for cell in cells)
+        return
+    # Weights to begin with come first, so that no two processes learn the same.
+    firsts = {(c.task, c.arm, c.variant, _first_seed(c)): c for c in cells}
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        given = (*WITHOUT_LEARNING, GENERAL)
+        wanted = [cell for cell in firsts.values() if cell.arm not in given]
+        list(pool.map(first_weights, [setup] * len(wanted), wanted))
+        for done in as_completed([pool.submit(run_cell, setup, cell) for cell in cells]):
+            yield done.result()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import ablate_simulator
 import sim_to_real
 import transfer_ours
 from small_frames import image_of, small_sequence
@@ -383,3 +384,30 @@ def test_a_run_goes_on_and_writes_its_page(tmp_path, monkeypatch, capsys):
     assert [{**json.loads(x), "seconds": 0} for x in again] == [
         {**json.loads(x), "seconds": 0} for x in lines
     ]
+
+
+def test_ablations_show_changes_on_the_same_images():
+    rows = []
+    for variant, dice in ((COMPLETE, 0.6), ("texture", 0.5)):
+        for seed in range(3):
+            cell = Cell("polyp-masks", "ours", 0.1, seed, variant)
+            made_of = {"basis": "a", "first": variant, "preset": "quick"}
+            values = {"dice": [dice + 0.01 * seed] * 8}
+            rows.append(Row(cell, made_of, values, [*range(8)], 1.0))
+            depth = Cell("depth", "ours", 0.0, seed, variant)
+            values = {"c3vd_abs_rel": [0.8 - dice + 0.01 * seed]}
+            rows.append(Row(depth, made_of, values, [], 1.0))
+    text = ablate_simulator.page_text(rows)
+    assert "| nothing | 61.0 [60.0, 62.0] |" in text
+    assert "| texture | **-10.0 [-10.0, -10.0]** |" in text
+    assert "| texture | **+0.100 [+0.100, +0.100]** |" in text
+    assert "| contents |  |" in text
+
+
+def test_ablations_are_of_tasks_with_real_images():
+    cells = ablate_simulator.cells_of([*TASKS, "depth"], ["kvasir_seg", "sinus"], 2)
+    assert {cell.task for cell in cells} == {"polyp-masks", "depth"}
+    assert len(cells) == 2 * 2 * len(VARIANTS)
+    assert {cell.fraction for cell in cells if cell.task == "depth"} == {0.0}
+    with pytest.raises(InputError, match="There is no data for these tasks"):
+        ablate_simulator.cells_of(["super-resolution"], ["bkai"], 1)

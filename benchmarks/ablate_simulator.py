@@ -99,10 +99,10 @@ def page_text(rows: Sequence[Row]) -> str:
     parts = [
         "## What of the simulator matters, measured",
         about(rows),
-        f"All our images show the same {PATIENTS} patients. Each network learned first from images "
-        "that lack one thing, from random weights of its own; then from a tenth of the real "
-        "images. The first row is the figure of networks whose images lack nothing, the others "
-        "are changes on the same real images.",
+        f"All our images show the same patients, {PATIENTS} at most. Each network learned first "
+        "from images that lack one thing, from random weights of its own; then from a tenth of "
+        "the real images. The first row is the figure of networks whose images lack nothing, the "
+        "others are changes on the same real images.",
         table(["without", *map(title_of, names)], table_rows(found, names, FRACTION)),
     ]
     figures = [name for name in DEPTH_TITLES if _has_depth(found, name)]

@@ -17,6 +17,7 @@ from vrcaps.data.make import make_dataset
 from vrcaps.data.plan import read_plan
 from vrcaps.data.runners.in_process import InProcess
 from vrcaps.data.runners.pool import Pool
+from vrcaps.data.units import Units
 from vrcaps.errors import InputError
 from vrcaps.mucosa.mucosa import MUCOSAE
 from vrcaps.mucosa.texture import HEAD, MucosaTexture, write_texture
@@ -52,22 +53,32 @@ def ablation_cells(tasks: Sequence[str], seeds: int) -> list[Cell]:
 def made_variants(run: Path, workers: int, plan: Path = PLAN, patients: int = PATIENTS) -> None:
     """Make the data sets that are not there yet, below `variants` of the experiment's folder.
 
+    A patient that cannot be made, whose lumen is too narrow for a polyp, is in none of them.
+
     Raises:
-        InputError: If a recording cannot be made.
+        InputError: If no recording can be made, or one only where nothing is missing.
     """
     base = read_plan(plan)
+    numbers: Sequence[int] = range(patients)
     for name, folder in VARIANTS.items():
         changed = replace(
             base,
             settings=replace(base.settings, patients=patients, name=folder),
             scenario=without(name, base.scenario, run / "variants"),
         )
-        made = make_dataset(
-            changed, run / "variants" / folder, runner=Pool(workers) if workers > 1 else InProcess()
-        )
+        place = run / "variants" / folder
+        runner = Pool(workers) if workers > 1 else InProcess()
+        made = make_dataset(changed, place, numbers=numbers, runner=runner)
         print(f"Images without {name}: {made.made} recordings made.", flush=True)
-        if made.failed:
+        for unit, reason in made.failed.items():
+            print(f"{folder}: {unit} is left out: {reason}", flush=True)
+        if name == COMPLETE:
+            names = Units(changed).name
+            numbers = [k for k in numbers if names(k) not in made.failed]
+        elif made.failed:
             raise InputError(f"{folder}: {next(iter(made.failed.values()))}")
+        if not numbers:
+            raise InputError(f"{plan}: no patient can be made.")
 
 
 def without(name: str, scenario: Mapping[str, Any], folder: Path) -> dict[str, Any]:

@@ -128,7 +128,7 @@ def _instances() -> dict[str, object]:
         "Particles": _core.Particles(wall, spheres, laws, tangents, 0.1),
         "FemLayer": layer._core,
         "WallPoints": _core.WallPoints(
-            np.zeros(2, np.uint32), np.zeros((2, 2), "f4"), np.ones((2, 2)), np.zeros(2, np.uint32)
+            np.zeros((2, 3), "u4"), np.zeros((2, 2), "f4"), np.ones((2, 2)), np.zeros(2, "u4")
         ),
         "DirectionTable": _core.DirectionTable(np.ones((4, 4), np.float32)),
     }

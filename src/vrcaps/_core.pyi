@@ -409,7 +409,7 @@ def wall_distances(
 class WallPoints:
     def __init__(
         self,
-        face: NDArray[np.uint32],
+        corners: NDArray[np.uint32],
         weights: NDArray[np.float32],
         fractions: NDArray[np.float64],
         cell: NDArray[np.uint32],

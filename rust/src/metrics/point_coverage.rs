@@ -21,49 +21,52 @@ const FRUSTUM: u8 = 1;
 const VISIBLE: u8 = 2;
 /// Visible close and steeply enough to show detail.
 const RESOLVED: u8 = 4;
+const ALL: u8 = FRUSTUM | VISIBLE | RESOLVED;
 /// Levels that a point is marked at.
 const LEVELS: [u8; 3] = [FRUSTUM, VISIBLE, RESOLVED];
 
 /// Points that move with the triangles of a wall.
 #[pyclass(module = "vrcaps._core", frozen)]
 pub struct WallPoints {
-    face: Vec<u32>,
-    /// Barycentric weights of a triangle's first two corners.
+    /// Vertices of the triangle that each lies on.
+    corners: Vec<[u32; 3]>,
+    /// Barycentric weights of the first two.
     weights: Vec<[f32; 2]>,
     /// What each point counts at the level `frustum`, and at the others.
     fractions: Vec<[f64; 2]>,
     /// Cell of the map that each point lies in.
     cell: Vec<u32>,
-    /// Largest face and cell.
+    /// Largest vertex and cell.
     last: (u32, u32),
 }
 
 #[pymethods]
 impl WallPoints {
-    /// Points on faces [k] with barycentric weights [k 2], fractions of the whole that each stands
+    /// Points on triangles of corners [k 3] with barycentric weights [k 2], fractions of the whole that each stands
     /// for at `frustum` and at the other levels [k 2], and cells of a map [k].
     #[new]
     fn new(
-        face: PyReadonlyArray1<'_, u32>,
+        corners: PyReadonlyArray2<'_, u32>,
         weights: PyReadonlyArray2<'_, f32>,
         fractions: PyReadonlyArray2<'_, f64>,
         cell: PyReadonlyArray1<'_, u32>,
     ) -> PyResult<Self> {
-        let count = face.as_array().len();
+        let count = corners.as_array().nrows();
         let pairs = (count, 2);
-        if weights.as_array().dim() != pairs
+        if corners.as_array().ncols() != 3
+            || weights.as_array().dim() != pairs
             || fractions.as_array().dim() != pairs
             || cell.as_array().len() != count
         {
             return Err(PyValueError::new_err(
-                "Points of a wall need a face, two weights, two fractions and a cell each.",
+                "Points of a wall need three corners, two weights, two fractions and a cell each.",
             ));
         }
-        let (face, cell) = (face.as_slice()?.to_vec(), cell.as_slice()?.to_vec());
+        let (corners, cell) = (corners.as_slice()?, cell.as_slice()?.to_vec());
         let largest = |numbers: &[u32]| numbers.iter().copied().max().unwrap_or(0);
         Ok(WallPoints {
-            last: (largest(&face), largest(&cell)),
-            face,
+            last: (largest(corners), largest(&cell)),
+            corners: corners.as_chunks().0.to_vec(),
             weights: weights.as_slice()?.as_chunks().0.to_vec(),
             fractions: fractions.as_slice()?.as_chunks().0.to_vec(),
             cell,
@@ -129,11 +132,9 @@ impl Look<'_> {
     /// `visible`, to the map's `cells`.
     fn mark(&self, flags: &mut [u8], cells: &mut [f64], gain: &mut [f64]) {
         let mut pile = Pile::default();
-        for (k, flag) in flags.iter_mut().enumerate() {
-            if *flag == FRUSTUM | VISIBLE | RESOLVED {
-                continue;
-            }
-            let fresh = self.levels(&mut pile, k, *flag) & !*flag;
+        for (k, way, density) in self.in_image(flags) {
+            let flag = &mut flags[k];
+            let fresh = self.levels(&mut pile, k, (way, density), *flag) & !*flag;
             if fresh == 0 {
                 continue;
             }
@@ -150,20 +151,36 @@ impl Look<'_> {
         }
     }
 
+    /// Points in the image that are not seen at all levels yet, the way to each and the density of
+    /// pixels there. Pass by pass, so that the memory of one point is fetched while another waits.
+    fn in_image(&self, flags: &[u8]) -> Vec<(usize, Vec3, f32)> {
+        let open = flags.iter().enumerate().filter(|(_, flag)| **flag != ALL);
+        let ways: Vec<_> = open.map(|(k, _)| (k, self.way(k))).collect();
+        let seen = ways.into_iter().map(|(k, way)| {
+            (k, way, self.table.density(self.to_camera.map(|row| dot(row, way))))
+        });
+        seen.filter(|(.., density)| *density > 0.0).collect()
+    }
+
+    /// From the camera to a point.
+    #[inline(always)]
+    fn way(&self, k: usize) -> Vec3 {
+        let [a, b, c] = self.corners(k);
+        let [u, v] = self.points.weights[k];
+        sub(add(c, add(scale(sub(a, c), u), scale(sub(b, c), v))), self.origin)
+    }
+
+    #[inline(always)]
+    fn corners(&self, k: usize) -> [Vec3; 3] {
+        self.points.corners[k].map(|v| self.wall.vertices[v as usize])
+    }
+
     /// Levels at which a point is seen that has been seen at others.
     #[inline(always)]
-    fn levels(&self, pile: &mut Pile, k: usize, seen: u8) -> u8 {
-        let [a, b, c] =
-            self.wall.faces[self.points.face[k] as usize].map(|v| self.wall.vertices[v as usize]);
-        let [u, v] = self.points.weights[k];
-        let point = add(c, add(scale(sub(a, c), u), scale(sub(b, c), v)));
-        let offset = sub(point, self.origin);
-        let local = self.to_camera.map(|row| dot(row, offset));
-        let density = self.table.density(local);
-        if density <= 0.0 {
-            return 0;
-        }
-        let near = local[2] > 0.0 && local[2] <= self.criteria.max_depth;
+    fn levels(&self, pile: &mut Pile, k: usize, (offset, density): (Vec3, f32), seen: u8) -> u8 {
+        let depth = dot(self.to_camera[2], offset);
+        let [a, b, c] = self.corners(k);
+        let near = depth > 0.0 && depth <= self.criteria.max_depth;
         let mut found = if near { FRUSTUM } else { 0 };
         let square = dot(offset, offset);
         let distance = square.sqrt();
@@ -216,9 +233,9 @@ pub fn mark_points<'py>(
     let fits = (rows, columns) == (4, 4)
         && [walls.len(), points.len(), flags.len(), cells.as_array().nrows()] == [count; 4]
         && walls.iter().zip(&points).all(|(wall, points)| {
-            (points.last.0 as usize) < wall.faces.len() && (points.last.1 as usize) < num_cells
+            (points.last.0 as usize) < wall.vertices.len() && (points.last.1 as usize) < num_cells
         })
-        && points.iter().zip(&flags).all(|(p, f)| p.face.len() == f.as_array().len());
+        && points.iter().zip(&flags).all(|(p, f)| p.corners.len() == f.as_array().len());
     if !fits {
         return Err(PyValueError::new_err(
             "Coverage by points needs a wall, points of it, a pose [4 4], a flag for each point and \

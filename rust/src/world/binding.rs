@@ -323,7 +323,7 @@ impl World {
             .filter(|(_, y)| **y != VertexMotion::default());
         let is_spring_wall = self.stepper.spring_wall.is_some();
         self.stepper.soft.awake = awake.filter(|_| is_spring_wall).map(|(v, _)| v).collect();
-        (self.stepper.soft.travel, self.stepper.soft.wall_travel) = (f64::INFINITY, f64::INFINITY);
+        self.stepper.soft.forget_near();
         Ok(())
     }
 

@@ -2,10 +2,10 @@
 
 use super::body::Axis;
 use crate::wall::Wall;
-use crate::wall::bvh::{Bvh, Child, WIDTH};
+use crate::wall::bvh::{Bvh, Child, Triangle, WIDTH};
 use glam::DVec3;
 
-/// Triangles that may touch before the next search, and the vertices around.
+/// Triangles that may touch before the next search.
 #[derive(Default)]
 pub struct NearbyWall {
     /// Numbers of the faces, rising.
@@ -14,97 +14,126 @@ pub struct NearbyWall {
     pub corners: Vec<[u32; 3]>,
     /// Vertices of these faces, by rising number.
     pub vertices: Vec<u32>,
-    /// All vertices within the wider reach, by rising number.
-    pub around: Vec<u32>,
-    looked_at: LookedAt,
+    seen: Seen,
 }
 
-/// Distances of vertices from the axis in one search, so that each is found once.
+/// Which vertices one search has come across, and a number for each.
 #[derive(Default)]
-struct LookedAt {
-    number: u32,
-    /// In which search, and how far [m].
-    distances: Vec<(u32, f64)>,
+struct Seen {
+    search: u32,
+    /// In which search, and the number.
+    vertices: Vec<(u32, u32)>,
+}
+
+/// A box about points.
+#[derive(Clone, Copy)]
+pub struct Bounds {
+    low: DVec3,
+    high: DVec3,
 }
 
 impl NearbyWall {
-    /// Faces within `reach` of the axis, vertices within the `wider` reach [m].
-    pub fn find(&mut self, wall: &Wall, axis: &Axis, reach: f64, wider: f64) {
-        self.faces.clear();
-        self.around.clear();
-        let mut looked_at = std::mem::take(&mut self.looked_at);
-        looked_at.begin(wall.vertices.len());
-        for face in faces_in_box(&wall.bvh, axis, reach.max(wider)) {
-            let corners = wall.faces[face as usize];
-            let mut nearest = f64::INFINITY;
-            for v in corners {
-                let (distance, is_new) = looked_at.distance(wall, v, axis);
-                nearest = nearest.min(distance);
-                if is_new && distance <= wider {
-                    self.around.push(v);
+    /// Finds faces within `reach` of the axis [m].
+    pub fn find(&mut self, wall: &Wall, axis: &Axis, reach: f64) {
+        let NearbyWall { faces, corners, vertices, seen } = self;
+        faces.clear();
+        let bounds = Bounds::about([axis.start, axis.start + axis.span]);
+        each_in_box(&wall.bvh, &bounds, reach, |triangle| {
+            if is_within(triangle, axis, reach) {
+                faces.push(triangle.face);
+            }
+        });
+        faces.sort_unstable();
+        seen.begin(wall.vertices.len());
+        vertices.clear();
+        let all = faces.iter().flat_map(|&f| wall.faces[f as usize]);
+        vertices.extend(all.filter(|&v| seen.is_new(v)));
+        vertices.sort_unstable();
+        for (place, &v) in vertices.iter().enumerate() {
+            seen.vertices[v as usize].1 = place as u32;
+        }
+        corners.clear();
+        let place = |v: u32| seen.vertices[v as usize].1;
+        corners.extend(faces.iter().map(|&f| wall.faces[f as usize].map(place)));
+    }
+
+    /// Adds the vertices within `reach` of a box [m] to others, in no order.
+    pub fn add_vertices(&mut self, wall: &Wall, bounds: &Bounds, reach: f64, to: &mut Vec<u32>) {
+        let (seen, square) = (&mut self.seen, reach * reach);
+        seen.begin(wall.vertices.len());
+        each_in_box(&wall.bvh, bounds, reach, |triangle| {
+            for (v, corner) in wall.faces[triangle.face as usize].into_iter().zip(triangle.corners)
+            {
+                if seen.is_new(v) && bounds.square_distance(wide(corner)) <= square {
+                    to.push(v);
                 }
             }
-            // No point of a triangle is farther from its nearest corner than its longest edge.
-            if nearest <= reach || nearest - longest_edge(wall, corners) <= reach {
-                self.faces.push(face);
-            }
-        }
-        self.looked_at = looked_at;
-        self.faces.sort_unstable();
-        self.around.sort_unstable();
-        let corners = self.faces.iter().flat_map(|&f| wall.faces[f as usize]);
-        self.vertices.clear();
-        self.vertices.extend(corners);
-        self.vertices.sort_unstable();
-        self.vertices.dedup();
-        let place = |v: u32| self.vertices.binary_search(&v).expect("a corner of the face") as u32;
-        self.corners.clear();
-        self.corners.extend(self.faces.iter().map(|&f| wall.faces[f as usize].map(place)));
+        });
     }
 }
 
-impl LookedAt {
+impl Seen {
     fn begin(&mut self, num_vertices: usize) {
-        self.number = self.number.wrapping_add(1);
-        if self.distances.len() != num_vertices || self.number == 0 {
-            self.distances = vec![(0, 0.0); num_vertices];
-            self.number = 1;
+        self.search = self.search.wrapping_add(1);
+        if self.vertices.len() != num_vertices || self.search == 0 {
+            self.vertices = vec![(0, 0); num_vertices];
+            self.search = 1;
         }
     }
 
-    /// Distance of a vertex from the axis [m], and whether it is asked for the first time.
+    /// Whether this search comes across a vertex for the first time.
     #[inline(always)]
-    fn distance(&mut self, wall: &Wall, v: u32, axis: &Axis) -> (f64, bool) {
-        let known = &mut self.distances[v as usize];
-        let is_new = known.0 != self.number;
-        if is_new {
-            let p = point(wall, v);
-            *known = (self.number, (p - axis.nearest(p)).length());
-        }
-        (known.1, is_new)
+    fn is_new(&mut self, v: u32) -> bool {
+        std::mem::replace(&mut self.vertices[v as usize].0, self.search) != self.search
     }
 }
 
-fn longest_edge(wall: &Wall, corners: [u32; 3]) -> f64 {
-    let [a, b, c] = corners.map(|v| point(wall, v));
-    (b - a).length().max((c - b).length()).max((a - c).length())
+impl Bounds {
+    /// The box of some points; of none it is far from everything.
+    pub fn about(points: impl IntoIterator<Item = DVec3>) -> Self {
+        let nothing = Bounds { low: DVec3::INFINITY, high: DVec3::NEG_INFINITY };
+        points.into_iter().fold(nothing, |bounds, point| Bounds {
+            low: bounds.low.min(point),
+            high: bounds.high.max(point),
+        })
+    }
+
+    /// Square of the distance of a point from the box [m²], 0 inside.
+    #[inline(always)]
+    pub fn square_distance(&self, point: DVec3) -> f64 {
+        (point - point.clamp(self.low, self.high)).length_squared()
+    }
+}
+
+/// Whether some point of a triangle is within `reach` of the axis, or nearly.
+#[inline(always)]
+fn is_within(triangle: &Triangle, axis: &Axis, reach: f64) -> bool {
+    let corners = triangle.corners.map(wide);
+    let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
+    let square = |corner: DVec3| (corner - middle).length_squared();
+    let radius = square(corners[0]).max(square(corners[1])).max(square(corners[2])).sqrt();
+    (middle - axis.nearest(middle)).length_squared() <= (reach + radius) * (reach + radius)
+}
+
+/// A point in double precision.
+#[inline(always)]
+fn wide([x, y, z]: [f32; 3]) -> DVec3 {
+    DVec3::new(f64::from(x), f64::from(y), f64::from(z))
 }
 
 /// A vertex of the wall in double precision, about the wall's center.
 pub fn point(wall: &Wall, vertex: u32) -> DVec3 {
-    let [x, y, z] = wall.vertices[vertex as usize];
-    DVec3::new(f64::from(x), f64::from(y), f64::from(z))
+    wide(wall.vertices[vertex as usize])
 }
 
-/// Faces whose leaf lies in the box around the axis, grown by `reach` [m].
-fn faces_in_box(bvh: &Bvh, axis: &Axis, reach: f64) -> Vec<u32> {
-    let end = axis.start + axis.span;
-    let low = (axis.start.min(end) - reach).to_array().map(|x| x as f32);
-    let high = (axis.start.max(end) + reach).to_array().map(|x| x as f32);
-    let (mut found, mut stack) = (Vec::new(), vec![0u32]);
+/// Visits the triangles whose leaf meets a box grown by `reach` [m].
+fn each_in_box(bvh: &Bvh, bounds: &Bounds, reach: f64, mut visit: impl FnMut(&Triangle)) {
+    let low = (bounds.low - reach).to_array().map(|x| x as f32);
+    let high = (bounds.high + reach).to_array().map(|x| x as f32);
+    let mut stack = vec![0u32];
     while let Some(code) = stack.pop() {
         match Child::of(code) {
-            Child::Leaf(range) => found.extend(bvh.triangles[range].iter().map(|t| t.face)),
+            Child::Leaf(range) => bvh.triangles[range].iter().for_each(&mut visit),
             Child::Node(number) => {
                 let node = &bvh.nodes[number];
                 let mut meets = [true; WIDTH];
@@ -118,5 +147,4 @@ fn faces_in_box(bvh: &Bvh, axis: &Axis, reach: f64) -> Vec<u32> {
             }
         }
     }
-    found
 }

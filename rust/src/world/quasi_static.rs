@@ -109,12 +109,9 @@ impl Stepper {
         let taken = if is_last { h } else { share * h };
         self.soft.load_facets(part.num_pressed, &part.change.to_array());
         self.reckon(&part, &twist, taken, totals);
-        self.yield_wall(h, share);
+        self.yield_wall(wall, h, share);
         self.motion = go(&after, share * h, taken);
-        let drive = self.soft.active_speed * taken;
-        self.soft.since += taken;
-        self.soft.wall_travel += drive;
-        self.soft.travel += drive + way;
+        self.soft.pass(taken, way);
         Ok(taken)
     }
 
@@ -196,11 +193,11 @@ impl Stepper {
     }
 
     /// Lets a spring wall give way by a share of a part of `h` [s].
-    fn yield_wall(&mut self, h: f64, share: f64) {
+    fn yield_wall(&mut self, wall: &Wall, h: f64, share: f64) {
         if let Some(spring_wall) = &self.spring_wall {
             let (soft, motion) = (&mut self.soft, &self.motion);
             contact_forces(&self.body, motion, &soft.patch.facet_loads, &mut soft.contact_forces);
-            soft.relax(spring_wall, h, share);
+            soft.relax(wall, spring_wall, h, share);
         }
     }
 }

@@ -12,6 +12,7 @@ use super::soft_wall::{MARGIN, SoftWall};
 use super::substep::Sums;
 use crate::simd::f64x8::{LANES, Lane, at, max, put, sum};
 use crate::tissue::spring_wall::{SpringWall, attenuate};
+use crate::wall::Wall;
 use glam::DVec3;
 
 /// How the loads of eight pieces of the wall answer a change of the capsule's twist.
@@ -175,7 +176,8 @@ impl SoftWall {
     }
 
     /// Lets the springs give way by a share of a part of `h` [s] to `contact_forces`.
-    pub fn relax(&mut self, spring_wall: &SpringWall, h: f64, share: f64) {
+    pub fn relax(&mut self, wall: &Wall, spring_wall: &SpringWall, h: f64, share: f64) {
+        self.awaken(wall, spring_wall);
         self.move_awake(spring_wall, share, |vertex, force| {
             let moved = spring_wall.give(h) * (force - spring_wall.spring * vertex.displacement);
             vertex.displacement += share * moved;

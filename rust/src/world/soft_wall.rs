@@ -1,7 +1,7 @@
 //! The wall of one world: where it is driven, how far it gives way, what of it is near.
 
 use super::body::{Axis, Body, Motion};
-use super::broad_phase::{NearbyWall, point};
+use super::broad_phase::{Bounds, NearbyWall, point};
 use super::contact::Facet;
 use super::contact_patch::Patch;
 use super::series::Series;
@@ -13,6 +13,9 @@ use rayon::prelude::*;
 
 /// How far capsule and wall may move before what is near is searched anew [m].
 pub const MARGIN: f64 = 1e-3;
+
+/// How far pushes may go before the vertices that they move are searched anew [m].
+const AWAKE_MARGIN: f64 = 4e-3;
 
 /// Rounding in what is known of distances [m].
 const CLOSE: f64 = 1e-9;
@@ -78,6 +81,14 @@ impl Drive {
     }
 }
 
+/// Where pushes find all vertices that they move awake.
+struct Awoken {
+    /// About the pushes for which they were searched.
+    bounds: Bounds,
+    /// How far beyond it pushes may be [m].
+    margin: f64,
+}
+
 /// The wall's part of the state, and what is kept between substeps.
 pub struct SoftWall {
     /// Where the wall would be if nothing touched it [m], about its center.
@@ -92,6 +103,8 @@ pub struct SoftWall {
     pub wall_displacement: Vec<VertexMotion>,
     /// Vertices that may give way or are not back yet, by rising number.
     pub awake: Vec<u32>,
+    /// Where they are; None where they must be searched.
+    awoken: Option<Awoken>,
     /// Whether only those give way.
     is_spring_wall: bool,
     /// Vertices that gave way when the hierarchy was last brought to where the wall is.
@@ -126,6 +139,7 @@ impl SoftWall {
             active_speed: 0.0,
             wall_displacement: vec![VertexMotion::default(); wall.vertices.len()],
             awake: Vec::new(),
+            awoken: None,
             is_spring_wall,
             stirred: Vec::new(),
             was_driven: false,
@@ -207,6 +221,12 @@ impl SoftWall {
     pub fn set_active_wall(&mut self, active_wall: Vec<DVec3>) {
         self.was_driven |= active_wall != self.active_wall;
         self.active_wall = active_wall;
+        self.forget_near();
+    }
+
+    /// Has what is near searched anew.
+    pub fn forget_near(&mut self) {
+        self.awoken = None;
         (self.travel, self.wall_travel) = (f64::INFINITY, f64::INFINITY);
     }
 
@@ -228,7 +248,7 @@ impl SoftWall {
             self.wall_displacement[v as usize] = value;
         }
         self.awake = before.into_iter().map(|(v, _)| v).collect();
-        (self.travel, self.wall_travel) = (f64::INFINITY, f64::INFINITY);
+        self.forget_near();
     }
 
     /// Triangles that may touch the capsule, as they are now; those too far to have come close
@@ -249,6 +269,32 @@ impl SoftWall {
         }
     }
 
+    /// Notes that a time [s] has passed, in which the capsule went a way [m].
+    pub fn pass(&mut self, time: f64, way: f64) {
+        let drive = self.active_speed * time;
+        self.since += time;
+        self.wall_travel += drive;
+        self.travel += drive + way;
+        if let Some(awoken) = &mut self.awoken {
+            awoken.margin -= drive;
+        }
+    }
+
+    /// Wakes the vertices that `contact_forces` may move.
+    pub fn awaken(&mut self, wall: &Wall, spring_wall: &SpringWall) {
+        let are_awake = self.awoken.as_ref().is_some_and(|awoken| awoken.holds(&self.contact_forces));
+        if are_awake || self.contact_forces.is_empty() {
+            return;
+        }
+        let bounds = Bounds::about(self.contact_forces.iter().map(|push| push.center));
+        let reach = spring_wall.reach + AWAKE_MARGIN + self.wall_travel;
+        self.awake.retain(|&v| self.wall_displacement[v as usize] != VertexMotion::default());
+        self.near.add_vertices(wall, &bounds, reach, &mut self.awake);
+        self.awake.sort_unstable();
+        self.awake.dedup();
+        self.awoken = Some(Awoken { bounds, margin: AWAKE_MARGIN });
+    }
+
     /// Finds the forces of `contact_forces` on the vertices that may give way.
     fn push(&mut self, spring_wall: &SpringWall) {
         let mut places = std::mem::take(&mut self.places);
@@ -265,7 +311,8 @@ impl SoftWall {
     }
 
     /// One substep of the spring wall.
-    pub fn give_way(&mut self, spring_wall: &SpringWall, dt: f64) {
+    pub fn give_way(&mut self, wall: &Wall, spring_wall: &SpringWall, dt: f64) {
+        self.awaken(wall, spring_wall);
         self.move_awake(spring_wall, dt, |vertex, force| {
             spring_wall.advance(vertex, force, dt);
             vertex.velocity
@@ -297,21 +344,23 @@ impl SoftWall {
     }
 
     /// Looks for what is near the capsule; refits the wall first where it has moved too far.
-    pub fn search(&mut self, wall: &mut Wall, body: &Body, motion: &Motion, reach: f64) -> Outcome {
+    pub fn search(&mut self, wall: &mut Wall, body: &Body, motion: &Motion) -> Outcome {
         if self.wall_travel > MARGIN {
             self.settle(wall)?;
         }
-        let radius = body.radius + 2.0 * MARGIN;
-        self.near.find(wall, &body.axis(motion), radius, radius + reach);
+        self.near.find(wall, &body.axis(motion), body.radius + 2.0 * MARGIN);
         self.travel = 0.0;
         self.clear.clear();
         self.clear.resize(self.near.corners.len(), 0.0);
-        self.awake.retain(|&v| self.wall_displacement[v as usize] != VertexMotion::default());
-        if reach > 0.0 {
-            self.awake.extend(&self.near.around);
-            self.awake.sort_unstable();
-            self.awake.dedup();
-        }
         Ok(())
+    }
+}
+
+impl Awoken {
+    /// Whether pushes are where all vertices that they move are awake.
+    fn holds(&self, pushes: &[ContactForce]) -> bool {
+        let square = self.margin * self.margin;
+        let is_near = |push: &ContactForce| self.bounds.square_distance(push.center) <= square;
+        self.margin >= 0.0 && pushes.iter().all(is_near)
     }
 }

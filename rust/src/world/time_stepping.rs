@@ -54,7 +54,6 @@ fn look_around(
     wall: &mut Wall,
     elastic: &mut Elastic,
     (body, motion): (&Body, &Motion),
-    reach: f64,
 ) -> Outcome {
     if soft.travel <= MARGIN {
         return Ok(());
@@ -62,7 +61,7 @@ fn look_around(
     if let Some((layer, coupling)) = elastic {
         coupling.carry(layer, soft);
     }
-    soft.search(wall, body, motion, reach)?;
+    soft.search(wall, body, motion)?;
     if let Some((layer, coupling)) = elastic {
         coupling.find(layer, soft)?;
     }
@@ -194,7 +193,6 @@ impl Stepper {
         dt: f64,
         (count, outer): (usize, usize),
     ) -> Outcome {
-        let drive = self.soft.active_speed;
         let mut totals = StepTotals::default();
         for number in 0..count {
             if let Some((layer, coupling)) = elastic {
@@ -205,7 +203,7 @@ impl Stepper {
             let swing = self.magnets.as_ref().map_or(1.0, |magnets| magnets.parts(&self.body, dt));
             let parts = (way / LONGEST_WAY).ceil().max(swing).clamp(1.0, MOST_PARTS);
             for _ in 0..parts as usize {
-                self.substep(wall, elastic, load, dt / parts, drive, &mut totals)?;
+                self.substep(wall, elastic, load, dt / parts, &mut totals)?;
             }
         }
         if let Some((layer, coupling)) = elastic {
@@ -216,14 +214,13 @@ impl Stepper {
         Ok(())
     }
 
-    /// One substep of capsule and wall, whose fastest vertex is driven at a speed [m/s].
+    /// One substep of capsule and wall.
     fn substep(
         &mut self,
         wall: &mut Wall,
         elastic: &mut Elastic,
         load: &Load,
         dt: f64,
-        drive: f64,
         totals: &mut StepTotals,
     ) -> Outcome {
         self.touch(wall, elastic)?;
@@ -244,12 +241,10 @@ impl Stepper {
             let (after, friction, reaction) = (&*motion, self.laws.drag.friction(), &reaction);
             coupling.push(soft, &Stride { body, before: &before, after, reaction, friction, dt });
         }
-        soft.since += dt;
-        soft.wall_travel += drive * dt;
-        soft.travel += dt * (drive + fastest_point(body, &before, motion));
+        soft.pass(dt, dt * fastest_point(body, &before, motion));
         if let Some(spring_wall) = &self.spring_wall {
             contact_forces(body, motion, &soft.patch.facet_loads, &mut soft.contact_forces);
-            soft.give_way(spring_wall, dt);
+            soft.give_way(wall, spring_wall, dt);
         }
         Ok(())
     }
@@ -257,8 +252,7 @@ impl Stepper {
     /// Finds what the capsule presses where it is now.
     pub fn touch(&mut self, wall: &mut Wall, elastic: &mut Elastic) -> Outcome {
         let (body, motion, soft) = (&self.body, &self.motion, &mut self.soft);
-        let reach = self.spring_wall.map_or(0.0, |spring_wall| spring_wall.reach);
-        look_around(soft, wall, elastic, (body, motion), reach)?;
+        look_around(soft, wall, elastic, (body, motion))?;
         soft.update_facets(&body.axis(motion), body.radius);
         press(body, &self.laws, &soft.facets, motion, &mut soft.patch);
         Ok(())

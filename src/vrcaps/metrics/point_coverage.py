@@ -126,7 +126,10 @@ def wall_points(
     weights = np.concatenate([corner_weights, weights, *(weights for _, weights in on_lesions)])
     cell = _cells(organ, face, weights, grid)
     core = _core.WallPoints(
-        face.astype(np.uint32), weights.astype(np.float32), fractions, cell.astype(np.uint32)
+        organ.faces[face].astype(np.uint32),
+        weights.astype(np.float32),
+        fractions,
+        cell.astype(np.uint32),
     )
     return WallPoints(face, weights, fractions, cell, lesions, core)
 

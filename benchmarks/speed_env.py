@@ -31,7 +31,10 @@ STEPS_PER_ACTION = 5
 COUNTS = (1, 4, 16, 64, 256)
 SECONDS = 3.0
 """Of the clock, at least, for each row."""
-CORE = ("step_worlds", "world_states", "worlds_inside", "mark_points", "wall_distances")
+CORE = (
+    *("step_worlds", "world_states", "worlds_inside"),
+    *("settle_worlds", "mark_points", "wall_distances"),
+)
 HEAD = (
     *("dynamics", "actuation", "worlds", "steps a second", "a second of a processor"),
     *("of it dynamics", "visibility", "rest"),
@@ -88,7 +91,7 @@ def native(settings: EnvSettings, count: int) -> tuple[str, ...]:
             setattr(_core, name, function)
     done = actions * count * STEPS_PER_ACTION
     dynamics = spent["step_worlds"] / processor
-    sight = (spent["mark_points"] + spent["wall_distances"]) / processor
+    sight = sum(spent[name] for name in CORE[3:]) / processor
     return (
         *(settings.dynamics, settings.actuation.kind, str(count)),
         *(f"{done / clock:.0f}", f"{done / processor:.0f}"),

@@ -39,6 +39,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(world::batch::step_worlds, m)?)?;
     m.add_function(wrap_pyfunction!(world::batch::world_states, m)?)?;
     m.add_function(wrap_pyfunction!(world::batch::worlds_inside, m)?)?;
+    m.add_function(wrap_pyfunction!(world::batch::settle_worlds, m)?)?;
     m.add_class::<lumen::particles::Particles>()?;
     m.add_function(wrap_pyfunction!(lumen::particles::terminal_speed, m)?)?;
     m.add_function(wrap_pyfunction!(lumen::pushed_aside::around_capsule, m)?)?;

@@ -156,9 +156,9 @@ impl Look<'_> {
     fn in_image(&self, flags: &[u8]) -> Vec<(usize, Vec3, f32)> {
         let open = flags.iter().enumerate().filter(|(_, flag)| **flag != ALL);
         let ways: Vec<_> = open.map(|(k, _)| (k, self.way(k))).collect();
-        let seen = ways.into_iter().map(|(k, way)| {
-            (k, way, self.table.density(self.to_camera.map(|row| dot(row, way))))
-        });
+        let seen = ways
+            .into_iter()
+            .map(|(k, way)| (k, way, self.table.density(self.to_camera.map(|row| dot(row, way)))));
         seen.filter(|(.., density)| *density > 0.0).collect()
     }
 

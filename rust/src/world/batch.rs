@@ -110,16 +110,31 @@ pub fn world_states<'py>(
 /// Whether the axis of each capsule is in its lumen.
 #[pyfunction]
 pub fn worlds_inside(py: Python<'_>, worlds: Vec<Bound<'_, World>>) -> PyResult<Vec<bool>> {
-    let mut held = borrowed(&worlds)?;
+    on_each(py, &worlds, |stepper, wall| stepper.is_inside_now(wall))
+}
+
+/// Brings the hierarchy of each wall to where it is now, as `World.settle` does.
+#[pyfunction]
+pub fn settle_worlds(py: Python<'_>, worlds: Vec<Bound<'_, World>>) -> PyResult<()> {
+    on_each(py, &worlds, |stepper, wall| stepper.soft.settle(wall)).map(|_| ())
+}
+
+/// Does the same with each world and its wall, on all threads.
+fn on_each<R: Send>(
+    py: Python<'_>,
+    worlds: &[Bound<'_, World>],
+    work: impl Fn(&mut Stepper, &mut Wall) -> Result<R, &'static str> + Sync + Send,
+) -> PyResult<Vec<R>> {
+    let mut held = borrowed(worlds)?;
     let walls: Vec<Py<Wall>> = held.iter().map(|world| world.wall.clone_ref(py)).collect();
     let mut walls = held_by(py, &walls)?;
     let pairs = held.iter_mut().zip(&mut walls);
     let mut pairs: Vec<(&mut Stepper, &mut Wall)> =
         pairs.map(|(world, wall)| (&mut world.stepper, &mut **wall)).collect();
-    let look = |(stepper, wall): &mut (&mut Stepper, &mut Wall)| stepper.is_inside_now(wall);
-    let found = py.detach(|| pairs.par_iter_mut().with_max_len(1).map(look).collect());
-    let found: Result<Vec<bool>, &'static str> = found;
-    found.map_err(PyValueError::new_err)
+    let each = |(stepper, wall): &mut (&mut Stepper, &mut Wall)| work(stepper, wall);
+    let done = py.detach(|| pairs.par_iter_mut().with_max_len(1).map(each).collect());
+    let done: Result<Vec<R>, &'static str> = done;
+    done.map_err(PyValueError::new_err)
 }
 
 fn borrowed<'py>(worlds: &[Bound<'py, World>]) -> PyResult<Vec<PyRefMut<'py, World>>> {

@@ -182,15 +182,18 @@ impl SoftWall {
             let seen = |place: DVec3| place.to_array().map(|x| x as f32);
             if self.is_spring_wall {
                 let is_driven = self.was_driven || self.way.is_some();
+                let gives =
+                    |v: &&u32| self.wall_displacement[**v as usize].displacement != DVec3::ZERO;
+                let giving: Vec<u32> = self.awake.iter().filter(gives).copied().collect();
                 let stirred = if is_driven { &[] } else { &self.stirred[..] };
-                let moved = self.awake.iter().chain(stirred);
+                let moved = giving.iter().chain(stirred);
                 let moved: Vec<_> = moved.map(|&v| (v, seen(self.vertex(v).0))).collect();
                 if is_driven {
                     wall.follow(|v| seen(self.driven_vertex(v).0), &moved)?;
                 } else {
                     wall.follow_some(&moved)?;
                 }
-                self.stirred.clone_from(&self.awake);
+                self.stirred = giving;
                 self.was_driven = self.way.is_some();
             } else {
                 wall.follow(|v| seen(self.vertex(v as u32).0), &[])?;
@@ -282,7 +285,8 @@ impl SoftWall {
 
     /// Wakes the vertices that `contact_forces` may move.
     pub fn awaken(&mut self, wall: &Wall, spring_wall: &SpringWall) {
-        let are_awake = self.awoken.as_ref().is_some_and(|awoken| awoken.holds(&self.contact_forces));
+        let are_awake =
+            self.awoken.as_ref().is_some_and(|awoken| awoken.holds(&self.contact_forces));
         if are_awake || self.contact_forces.is_empty() {
             return;
         }

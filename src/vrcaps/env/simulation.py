@@ -22,7 +22,7 @@ from vrcaps.world.control import Control
 from vrcaps.world.model import State, posture_transform
 from vrcaps.world.stepping import step_together
 from vrcaps.world.world import World
-from vrcaps.world.worlds import are_inside, batch_state
+from vrcaps.world.worlds import are_inside, batch_state, walls_of
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -280,10 +280,10 @@ class Simulation:
 
     def _look_alike(self, numbers: np.ndarray) -> None:
         """Mark what the cameras of worlds see whose cameras are the same."""
-        cells = self.cells[numbers]
+        cells, walls = self.cells[numbers], walls_of([self.worlds[k] for k in numbers])
         for camera in self.devices[numbers[0]].cameras:
             self.gain[numbers] += mark_points(
-                [self.worlds[k].wall for k in numbers],
+                walls,
                 [self.patient(k).points for k in numbers],
                 camera,
                 self.T_patient_world @ self.T_world_capsule[numbers] @ camera.T_capsule_camera,

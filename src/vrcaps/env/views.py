@@ -20,6 +20,7 @@ from vrcaps.render.channels import CHANNELS, Frame
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
 from vrcaps.world.model import State
+from vrcaps.world.worlds import walls_of
 
 if TYPE_CHECKING:
     from vrcaps import _core
@@ -145,7 +146,7 @@ class Views:
                 np.array([self._T_patient_capsule(k) @ camera.T_capsule_camera for k in some]),
                 camera,
                 self._wanted[view],
-                walls=[self._simulation.worlds[index].wall for index in some],
+                walls=walls_of([self._simulation.worlds[index] for index in some]),
             )
             for channel, image in images.items():
                 self._images[view, channel][some] = image

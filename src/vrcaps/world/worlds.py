@@ -93,3 +93,9 @@ def batch_state(worlds: Sequence[World]) -> BatchState:
 def are_inside(worlds: Sequence[World]) -> Bool[np.ndarray, " n"]:
     """Whether the axis of each capsule is in its lumen, see `World.is_inside`."""
     return np.array(_core.worlds_inside([world._core for world in worlds]), bool)
+
+
+def walls_of(worlds: Sequence[World]) -> list[_core.Wall]:
+    """The wall of each world now, see `World.wall`; a world's next step moves it."""
+    _core.settle_worlds([world._core for world in worlds])
+    return [world._wall for world in worlds]

@@ -61,6 +61,24 @@ def test_term_by_term(spring_wall: SpringWall) -> None:
     assert np.abs(world.wall_displacement[:, :3]).max() > 1e-6
 
 
+def test_all_within_reach_give_way_along_a_long_way() -> None:
+    """The capsule slides, jumps off and lands elsewhere, each time by more than the wall is searched
+    around a push."""
+    world = pressed()
+    rotation = world.pose[1]
+    places = [(-10.0 * MM, 0.0, 0.95 * RADIUS), (5.0 * MM, 8.0 * MM, 0.95 * RADIUS)]
+    for place in places:
+        world.pose = (place, rotation, (0.6, 0.2, 0.0), (0.0, 0.0, 0.0))
+        for _ in range(300):
+            before = world.wall_displacement
+            world.step(DT, 1, (0.3, 0.1, -1.0, 0.0, 0.0, 0.0), DOWN)
+            force = attenuated(world.active_wall + before[:, :3], world.contact_forces(), SPRING)
+            expected = twin(before, force, SPRING, DT)
+            assert np.abs(world.wall_displacement - expected).max() < 1e-6
+        went = np.subtract(world.pose[0], place)
+        assert np.linalg.norm(went) > 6.0 * MM
+
+
 @pytest.mark.slow
 def test_static_depth() -> None:
     """At rest each vertex stands back by F_v / k."""

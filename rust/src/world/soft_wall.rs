@@ -15,7 +15,7 @@ use rayon::prelude::*;
 pub const MARGIN: f64 = 1e-3;
 
 /// How far pushes may go before the vertices that they move are searched anew [m].
-const AWAKE_MARGIN: f64 = 4e-3;
+const AWAKE_MARGIN: f64 = 2e-3;
 
 /// Rounding in what is known of distances [m].
 const CLOSE: f64 = 1e-9;

@@ -96,10 +96,12 @@ def page_text(rows: Sequence[Row]) -> str:
     """The section: what changes where our images lack something."""
     found = by_arm(rows)
     names = [name for name in TASKS if (name, "ours", FRACTION, COMPLETE) in found]
+    seeds = len({row.cell.seed for row in rows})
     parts = [
         "## What of the simulator matters, measured",
         about(rows),
-        f"All our images show the same patients, {PATIENTS} at most. Each network learned first "
+        f"All our images show the same patients, {PATIENTS} at most. Up to {seeds} networks of "
+        "each kind; an interval over few of them is too narrow. Each network learned first "
         "from images that lack one thing, from random weights of its own; then from a tenth of "
         "the real images. The first row is the figure of networks whose images lack nothing, the "
         "others are changes on the same real images.",

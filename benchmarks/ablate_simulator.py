@@ -24,6 +24,7 @@ from transfer_cells import Cell, Row, RowFile
 from transfer_options import check_tasks, experiment_parser
 from transfer_page import (
     DEPTH_TITLES,
+    PAGE,
     Found,
     about,
     by_arm,
@@ -31,16 +32,15 @@ from transfer_page import (
     interval_of,
     interval_of_networks,
     shown_interval,
+    write_part,
 )
 from transfer_real import found_layouts
 from transfer_run import DEPTH_READERS, Setup, complete
 from transfer_tasks import DEPTH, TASKS
-from validation import ROOT, table
-from vrcaps.cli.benchmarks.page import write_section
+from validation import table
 from vrcaps.errors import InputError, VrcapsError
 from vrcaps.metrics.bootstrap import Interval
 
-PAGE = ROOT / "docs" / "sim-to-real.md"
 SCRIPT = "benchmarks/ablate_simulator.py"
 COMMAND = f"python {SCRIPT} --run runs/ablations --report"
 
@@ -55,8 +55,7 @@ def main() -> None:
     except VrcapsError as error:
         sys.exit(str(error))
     text = page_text(list(rows.rows.values()))
-    write_section(given.out, SCRIPT, text, command=COMMAND, title="# From simulation to reality\n")
-    print(text)
+    write_part(given.out, SCRIPT, text, COMMAND)
 
 
 def run(given: argparse.Namespace, rows: RowFile) -> None:
@@ -96,6 +95,7 @@ def page_text(rows: Sequence[Row]) -> str:
     """The section: what changes where our images lack something."""
     found = by_arm(rows)
     names = [name for name in TASKS if (name, "ours", FRACTION, COMPLETE) in found]
+    titles = [f"{TASKS[name].title}: {TASKS[name].figure}" for name in names]
     seeds = len({row.cell.seed for row in rows})
     parts = [
         "## What of the simulator matters, measured",
@@ -105,7 +105,7 @@ def page_text(rows: Sequence[Row]) -> str:
         "from images that lack one thing, from random weights of its own; then from a tenth of "
         "the real images. The first row is the figure of networks whose images lack nothing, the "
         "others are changes on the same real images.",
-        table(["without", *map(title_of, names)], table_rows(found, names, FRACTION)),
+        table(["without", *titles], table_rows(found, names)),
     ]
     figures = [name for name in DEPTH_TITLES if _has_depth(found, name)]
     if figures:
@@ -118,15 +118,10 @@ def page_text(rows: Sequence[Row]) -> str:
     return "\n\n".join(parts)
 
 
-def title_of(name: str) -> str:
-    """A task with its figure."""
-    return f"{TASKS[name].title}: {TASKS[name].figure}"
-
-
-def table_rows(found: Found, names: Sequence[str], fraction: float) -> list[list[str]]:
+def table_rows(found: Found, names: Sequence[str]) -> list[list[str]]:
     """Figures [%] of networks whose images lack nothing, then changes [points]."""
     of = {
-        (name, variant): found.get((name, "ours", fraction, variant), {})
+        (name, variant): found.get((name, "ours", FRACTION, variant), {})
         for name in names
         for variant in VARIANTS
     }

@@ -23,7 +23,7 @@ from pathlib import Path
 
 from transfer_cells import Cell, RowFile, ordered_cells
 from transfer_options import check_tasks, experiment_parser
-from transfer_page import report
+from transfer_page import PAGE, report
 from transfer_real import found_layouts
 from transfer_run import (
     DEPTH,
@@ -36,10 +36,7 @@ from transfer_run import (
     lacks,
 )
 from transfer_tasks import FRACTIONS, TASKS, Task
-from validation import ROOT
 from vrcaps.errors import InputError, VrcapsError, require
-
-PAGE = ROOT / "docs" / "sim-to-real.md"
 
 
 def parsed() -> argparse.Namespace:

@@ -12,9 +12,11 @@ from transfer_cells import Row
 from transfer_general import GENERAL
 from transfer_statistics import Judged, difference_interval, figure_interval
 from transfer_tasks import DEPTH, PRESETS, TASKS, Task
+from validation import ROOT
 from vrcaps.cli.benchmarks.page import table, write_section
 from vrcaps.metrics.bootstrap import Interval
 
+PAGE = ROOT / "docs" / "sim-to-real.md"
 SCRIPT = "benchmarks/sim_to_real.py"
 COMMAND = f"python {SCRIPT} --run runs/transfer --report"
 FIGURE = "images/sim-to-real.png"
@@ -61,8 +63,12 @@ def report(rows: Sequence[Row], page: Path) -> None:
         parts.append(f"![Learning curves]({FIGURE})")
     parts += depth_part(found)
     parts += verdict_part(found)
-    text = "\n\n".join(parts)
-    write_section(page, SCRIPT, text, command=COMMAND, title="# From simulation to reality\n")
+    write_part(page, SCRIPT, "\n\n".join(parts), COMMAND)
+
+
+def write_part(page: Path, script: str, text: str, command: str) -> None:
+    """Write the section of one script into the page, and print it."""
+    write_section(page, script, text, command=command, title="# From simulation to reality\n")
     print(text)
 
 

@@ -21,6 +21,7 @@ const FRUSTUM: u8 = 1;
 const VISIBLE: u8 = 2;
 /// Visible close and steeply enough to show detail.
 const RESOLVED: u8 = 4;
+/// Nothing is left to be seen.
 const ALL: u8 = FRUSTUM | VISIBLE | RESOLVED;
 /// Levels that a point is marked at.
 const LEVELS: [u8; 3] = [FRUSTUM, VISIBLE, RESOLVED];
@@ -42,8 +43,8 @@ pub struct WallPoints {
 
 #[pymethods]
 impl WallPoints {
-    /// Points on triangles of corners [k 3] with barycentric weights [k 2], fractions of the whole that each stands
-    /// for at `frustum` and at the other levels [k 2], and cells of a map [k].
+    /// Points on triangles of corners [k 3] with barycentric weights [k 2], fractions of the whole
+    /// that each stands for at `frustum` and at the other levels [k 2], and cells of a map [k].
     #[new]
     fn new(
         corners: PyReadonlyArray2<'_, u32>,

@@ -34,11 +34,10 @@ from vrcaps.camera.lens import LensPinhole
 from vrcaps.errors import InputError
 from vrcaps.files import file_sha256, files_in
 from vrcaps.formats.read_format import read_format
+from vrcaps.learn.first_network import IMAGENET, SCRATCH
 from vrcaps.learn.samples import Samples, samples_of
 from vrcaps.learn.training import (
     CHECKPOINT,
-    IMAGENET,
-    SCRATCH,
     WEIGHTS,
     Machine,
     TrainSettings,

@@ -15,10 +15,11 @@ import numpy as np
 
 from validation import ROOT, parser, table, write_section
 from vrcaps.errors import InputError
+from vrcaps.learn.first_network import IMAGENET
 from vrcaps.learn.published import find_weights
 from vrcaps.learn.samples import samples_of
 from vrcaps.learn.sfm import SfmLearner, estimated_trajectory
-from vrcaps.learn.training import IMAGENET, WEIGHTS, Machine, TrainSettings, train
+from vrcaps.learn.training import WEIGHTS, Machine, TrainSettings, train
 from vrcaps.learn.weights import Trained, read_weights
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.metrics.depth import depth_errors, mean_depth_errors

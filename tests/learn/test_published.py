@@ -154,10 +154,10 @@ def test_command_predicts_with_published_weights(run, place, tmp_path, capsys):
 
 def test_training_begins_with_published_weights(run, place):
     publish(run, place, notes="For tests.")
-    from vrcaps.learn.training import _first_network
+    from vrcaps.learn.first_network import first_network
     from vrcaps.learn.weights import read_weights
 
-    first = _first_network(TrainSettings(LEARNER, start=TASK)).state_dict()
+    first = first_network(LEARNER, TASK).state_dict()
     expected = read_weights(run / BEST).network.state_dict()
     assert all(torch.equal(first[name], expected[name]) for name in expected)
 

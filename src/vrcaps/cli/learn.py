@@ -40,7 +40,8 @@ class _Train:
 
     start: str = ""
     """imagenet, scratch, a file of weights to go on from, such as those learned on other data, or
-    the name of published ones; by default what the preset says."""
+    the name of published ones; of those of another task the encoder is taken; by default what the
+    preset says."""
 
     set: UseAppendAction[tuple[str, ...]] = ()
     """Change any setting of training: NAME=VALUE, such as steps=5000, batch=16, rate=1e-4,

@@ -48,7 +48,6 @@ def dense_network(encoder: str, inputs: int, outputs: int, *, is_pretrained: boo
         InputError: If its ImageNet weights cannot be fetched.
         MissingExtraError: If a package is not installed.
     """
-    torch = require_torch()
     _require_encoder(encoder)
     package = "segmentation-models-pytorch"
     smp = import_extra("segmentation_models_pytorch", "learn", package=package)
@@ -63,12 +62,27 @@ def dense_network(encoder: str, inputs: int, outputs: int, *, is_pretrained: boo
         )
     if is_pretrained and not from_hub:
         known, own = imagenet_weights(), network.encoder.model.state_dict()
-        stem = known["conv_stem.weight"]
-        # Weights of the other channels begin at 0, so that color is seen as ImageNet taught it.
-        more = torch.zeros(stem.shape[0], inputs - stem.shape[1], *stem.shape[2:])
-        known["conv_stem.weight"] = torch.cat([stem, more], dim=1)
+        stem = "conv_stem.weight"
+        known[stem] = with_inputs(known[stem], own[stem])
         network.encoder.model.load_state_dict({name: known[name] for name in own})
     return network
+
+
+def with_inputs(weights: Any, own: Any) -> Any:
+    """Weights of a first layer [o i h w] for as many channels as a network's own has.
+
+    The first three channels are color in all networks; those of more channels begin at 0, so that
+    color is seen as it was. Weights that are not of a first layer are returned as they are.
+    """
+    torch = require_torch()
+    if (
+        weights.ndim != 4
+        or weights.shape[1] == own.shape[1]
+        or min(weights.shape[1], own.shape[1]) < 3
+    ):
+        return weights
+    more = torch.zeros(own.shape[0], max(own.shape[1] - 3, 0), *own.shape[2:])
+    return torch.cat([weights[:, :3], more], dim=1)
 
 
 def classifier(encoder: str, outputs: int, *, is_pretrained: bool, dropout: float) -> Any:

@@ -8,9 +8,10 @@ from typing import Any
 
 from vrcaps.errors import UnknownNameError
 from vrcaps.learn.classes import ClassLearner
+from vrcaps.learn.first_network import SCRATCH
 from vrcaps.learn.registry import AnyLearner
 from vrcaps.learn.super_resolution import SuperResolutionLearner
-from vrcaps.learn.training import SCRATCH, TrainSettings
+from vrcaps.learn.training import TrainSettings
 from vrcaps.scenario.settings import changed, parse_change
 from vrcaps.serialization import from_plain, to_plain
 

@@ -17,14 +17,14 @@ from vrcaps.errors import InputError
 from vrcaps.files import atomic_write, write_csv
 from vrcaps.learn.classes import ClassLearner
 from vrcaps.learn.depth import DepthLearner
+from vrcaps.learn.first_network import IMAGENET, first_network
 from vrcaps.learn.learner import Adversarial
 from vrcaps.learn.networks import require_torch
 from vrcaps.learn.optimized import Optimized
-from vrcaps.learn.published import find_weights
 from vrcaps.learn.registry import AnyLearner
 from vrcaps.learn.samples import Samples, batch_of
 from vrcaps.learn.validation import validate, write_pictures
-from vrcaps.learn.weights import Trained, read_weights, write_weights
+from vrcaps.learn.weights import Trained, write_weights
 from vrcaps.limits import Range, check_fields
 from vrcaps.serialization import to_plain
 from vrcaps.torch_threads import exact_torch
@@ -32,7 +32,6 @@ from vrcaps.training_folder import begin_training
 
 CHECKPOINT, PROGRESS = "checkpoint.pt", "progress.csv"
 WEIGHTS, BEST = "weights.safetensors", "best.safetensors"
-SCRATCH, IMAGENET = "scratch", "imagenet"
 _PACKAGES = ("numpy", "pillow", "segmentation-models-pytorch", "timm", "torch")
 """Packages that a training's bytes depend on."""
 _WARM_UP = 0.05
@@ -198,7 +197,9 @@ class _Run:
         self.out, self.device, self.learner = out, device, settings.learner
         torch.manual_seed(settings.seed)
         # Convolutions of images with neighboring channels take two thirds of the time.
-        self.network = _first_network(settings).to(device, memory_format=torch.channels_last)
+        self.network = first_network(settings.learner, settings.start).to(
+            device, memory_format=torch.channels_last
+        )
         self.adversary = _adversary(settings, device)
         self.learning = _optimized(settings, self.network, self.adversary)
         self.progress = Progress(0, settings.steps)
@@ -316,24 +317,6 @@ class _Run:
         except Exception as error:  # what a damaged pickle raises has no common base
             reason = str(error).splitlines()[0]
             raise InputError(f"{path} is damaged ({reason}). Give a new folder.") from error
-
-
-def _first_network(settings: TrainSettings) -> Any:
-    """The network that training begins with.
-
-    Raises:
-        InputError: If the weights to begin with are of another task or other settings.
-    """
-    learner, start = settings.learner, settings.start
-    network = learner.network(is_pretrained=start == IMAGENET)
-    if start in (SCRATCH, IMAGENET):
-        return network
-    known = read_weights(find_weights(start), task=learner.kind).network.state_dict()
-    own = network.state_dict()
-    # Another number of classes has another last layer, which then begins at random.
-    fits = {k: v for k, v in known.items() if k in own and own[k].shape == v.shape}
-    network.load_state_dict(fits, strict=False)
-    return network
 
 
 def _adversary(settings: TrainSettings, device: str) -> Any | None:

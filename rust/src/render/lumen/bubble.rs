@@ -57,22 +57,21 @@ impl Film {
         leds: &[Led],
         behind: &mut Behind<'_>,
     ) {
-        let around = surroundings(sphere, leds);
         let offset = offset_of(sphere, eye);
         let distance = dot(offset, offset).sqrt();
         // Half a pixel, as a share of the radius.
         let blur = 0.5 * eye.pixel_angle * distance / sphere.radius;
         let shell = self.shell(crossings, blur);
-        let dimmed = dimmed(distance, behind.distance);
+        let around = surroundings(sphere, leds, distance, crossings, behind.distance);
         for front in [false, true] {
             let distances = if front { &crossings.near } else { &crossings.far };
             for i in 0..LANES {
                 let seen = (distances[i] > 0.0) & (distances[i] < behind.distance[i]);
                 for k in 0..3 {
                     let through = if seen { shell.through[k][i] } else { 1.0 };
-                    let mirrored = if seen { shell.mirrored[i] * dimmed[i] } else { 0.0 };
+                    let mirrored = if seen { shell.mirrored[i] } else { 0.0 };
                     let old = behind.radiance[k][i];
-                    behind.radiance[k][i] = old * through + around[k] * mirrored;
+                    behind.radiance[k][i] = old * through + around[k][i] * mirrored;
                 }
             }
             for led in leds {
@@ -154,20 +153,6 @@ impl Film {
     }
 }
 
-/// Nearest that a wall is taken to be which a bubble mirrors, where none nearer is behind it [m]:
-/// the space a bubble on the lens has before it.
-const AIRY: f32 = 0.01;
-
-/// Share of the `surroundings` of a bubble at a distance from the eye that it mirrors, by what is
-/// behind it: light of a wall that is farther away than the bubble is dimmer.
-#[inline(always)]
-fn dimmed(distance: f32, behind: &Lane) -> Lane {
-    behind.map(|d| {
-        let wall = max(distance, min(d, AIRY));
-        if wall > 0.0 { (distance / wall) * (distance / wall) } else { 1.0 }
-    })
-}
-
 /// Where a shell mirrors an LED: the direction from its center, and from there to the LED and to
 /// the eye. Found step by step from where it would be for both far away.
 #[inline(always)]
@@ -206,7 +191,12 @@ struct Shell {
 /// Share of an LED's intensity in the direction that its light travels, `-light`.
 #[inline(always)]
 fn led_lobe(led: &Led, light: Vec3) -> f32 {
-    let cosine = clamp(-dot(light, led.direction), 0.0, 1.0);
+    lobe(led, clamp(-dot(light, led.direction), 0.0, 1.0))
+}
+
+/// Share of an LED's intensity at an angle from its axis, by the cosine of it.
+#[inline(always)]
+fn lobe(led: &Led, cosine: f32) -> f32 {
     if led.exponent == 0.0 {
         1.0
     } else if led.exponent == 1.0 {
@@ -216,17 +206,40 @@ fn led_lobe(led: &Led, light: Vec3) -> f32 {
     }
 }
 
-/// Radiance of what surrounds a sphere: a matt wall of its color, as far from the LEDs as it is.
+/// Most room around a bubble before the wall that it mirrors [m]: of one on the lens.
+const MOST_ROOM: f32 = 0.01;
+
+/// Radiance of the wall that a bubble mirrors: matt, of its color, facing the LEDs.
+///
+/// A shell that is met at angle θ turns a ray by π − 2θ, so its middle mirrors what is behind the
+/// eye, which the LEDs do not light, and its outline what is before the eye. The wall is taken to
+/// be a tube that ends in half a sphere, about the bubble, `distance` before the eye; its radius is
+/// the way from the bubble to what is behind it, but no more than `MOST_ROOM`. The LEDs are taken
+/// to be at the eye, and nothing that is lit to be nearer to them than the bubble.
 #[inline(always)]
-pub fn surroundings(sphere: &Sphere, leds: &[Led]) -> Vec3 {
-    let mut sum = [0.0; 3];
-    for led in leds {
-        let offset = sub(led.position, sphere.center);
-        let square = max(dot(offset, offset), sphere.radius * sphere.radius);
-        let power = led_lobe(led, normalize(offset)) / (PI * square);
-        for k in 0..3 {
-            sum[k] += sphere.color[k] * led.intensity[k] * power;
+fn surroundings(
+    sphere: &Sphere,
+    leds: &[Led],
+    distance: f32,
+    crossings: &Crossings,
+    behind: &Lane,
+) -> Lane3 {
+    let mut radiance = [[0.0; LANES]; 3];
+    for i in 0..LANES {
+        let room = clamp(behind[i] - distance, sphere.radius, max(MOST_ROOM, sphere.radius));
+        let forward = 2.0 * min(crossings.miss[i], 1.0) - 1.0;
+        let aside = max(1.0 - forward * forward, 1e-6).sqrt();
+        let reach = if forward < 0.0 { room / aside } else { room };
+        let along = distance + reach * forward;
+        let square = along * along + reach * reach * aside * aside;
+        let cosine = max(along, 0.0) / square.sqrt();
+        let nearness = 1.0 / (PI * max(square, distance * distance));
+        for led in leds {
+            let lit = lobe(led, cosine) * nearness;
+            for k in 0..3 {
+                radiance[k][i] += sphere.color[k] * led.intensity[k] * lit;
+            }
         }
     }
-    sum
+    radiance
 }

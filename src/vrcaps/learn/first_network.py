@@ -1,0 +1,72 @@
+"""The network that training begins with: at random, with ImageNet weights, or with others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from vrcaps.errors import InputError
+from vrcaps.learn.networks import with_inputs
+from vrcaps.learn.published import find_weights
+from vrcaps.learn.registry import AnyLearner
+from vrcaps.learn.weights import Trained, read_weights
+
+SCRATCH, IMAGENET = "scratch", "imagenet"
+_DENSE, _WHOLE = "net.encoder.model.", "net."
+"""What names of an encoder's weights begin with in networks of maps, and in classifiers."""
+
+
+def first_network(learner: AnyLearner, start: str) -> Any:
+    """The network that training begins with.
+
+    Weights of the same task are taken as they are, but for those of another shape, such as the last
+    layer of another number of classes. Of those of another task the encoder is taken.
+
+    Args:
+        learner: The task and its settings.
+        start: `scratch`, `imagenet`, the file of weights, or the name of published ones.
+
+    Raises:
+        InputError: If there are no such weights, or they have no part for this task.
+    """
+    network = learner.network(is_pretrained=start == IMAGENET)
+    if start in (SCRATCH, IMAGENET):
+        return network
+    path = find_weights(start)
+    trained = read_weights(path)
+    own = network.state_dict()
+    is_same_task = trained.learner.kind == learner.kind
+    known = trained.network.state_dict() if is_same_task else _encoder(trained, learner, own, path)
+    network.load_state_dict(
+        {k: v for k, v in known.items() if k in own and own[k].shape == v.shape}, strict=False
+    )
+    return network
+
+
+def _encoder(
+    trained: Trained, learner: AnyLearner, own: dict[str, Any], path: Path
+) -> dict[str, Any]:
+    """Weights of a trained encoder by their names in a network of another task."""
+    encoders = [getattr(one, "encoder", None) for one in (trained.learner, learner)]
+    if None in encoders or encoders[0] != encoders[1]:
+        raise InputError(
+            f"{path} holds weights of the task {trained.learner.kind!r} with "
+            f"{_named(encoders[0])}; {learner.kind!r} has {_named(encoders[1])}. Allowed: weights "
+            "of the same task, or of one with the same encoder."
+        )
+    state = trained.network.state_dict()
+    theirs, ours = _prefix(state), _prefix(own)
+    found = {
+        ours + name.removeprefix(theirs): value
+        for name, value in state.items()
+        if name.startswith(theirs)
+    }
+    return {k: with_inputs(v, own[k]) if k in own else v for k, v in found.items()}
+
+
+def _prefix(state: dict[str, Any]) -> str:
+    return _DENSE if any(name.startswith(_DENSE) for name in state) else _WHOLE
+
+
+def _named(encoder: str | None) -> str:
+    return f"the encoder {encoder!r}" if encoder else "no encoder"

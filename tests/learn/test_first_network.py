@@ -1,0 +1,73 @@
+"""Training that begins with weights of the same task, or with the encoder of another's."""
+
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("timm")
+pytest.importorskip("segmentation_models_pytorch")
+pytest.importorskip("safetensors")
+
+from vrcaps.errors import InputError  # noqa: E402
+from vrcaps.learn.classes import ClassLearner  # noqa: E402
+from vrcaps.learn.depth import DepthLearner  # noqa: E402
+from vrcaps.learn.first_network import first_network  # noqa: E402
+from vrcaps.learn.masks import MaskLearner  # noqa: E402
+from vrcaps.learn.super_resolution import SuperResolutionLearner  # noqa: E402
+from vrcaps.learn.weights import read_weights, write_weights  # noqa: E402
+
+MASKS = MaskLearner(classes=("polyp",), size=32)
+CLASSES = ClassLearner(size=32)
+DEPTH = DepthLearner(size=32)
+
+
+def _written(learner, folder):
+    """File of a network with weights of its own."""
+    path = folder / f"{learner.kind}.safetensors"
+    torch.manual_seed(5)
+    write_weights(path, learner, learner.network(is_pretrained=False), {})
+    return path
+
+
+@pytest.mark.parametrize(
+    ("known", "learner", "theirs", "ours"),
+    [
+        (MASKS, CLASSES, "net.encoder.model.", "net."),
+        (CLASSES, MASKS, "net.", "net.encoder.model."),
+        (DEPTH, CLASSES, "net.encoder.model.", "net."),
+        (MASKS, DEPTH, "net.encoder.model.", "net.encoder.model."),
+    ],
+)
+def test_the_encoder_of_another_task_is_taken(known, learner, theirs, ours, tmp_path):
+    path = _written(known, tmp_path)
+    trained = read_weights(path).network.state_dict()
+    found = first_network(learner, str(path)).state_dict()
+    names = {name.removeprefix(theirs) for name in trained if name.startswith(theirs)}
+    shared = {name for name in names if ours + name in found}
+    assert {"conv_stem.weight", "blocks.6.0.bn3.running_mean"} <= shared
+    for name in shared:
+        expected, own = trained[theirs + name], found[ours + name]
+        channels = min(expected.shape[1], own.shape[1]) if expected.ndim == 4 else None
+        assert torch.equal(
+            *(one if channels is None else one[:, :channels] for one in (expected, own))
+        )
+    if learner is DEPTH:
+        assert not found["net.encoder.model.conv_stem.weight"][:, 3:].any()
+
+
+def test_color_is_seen_as_by_the_network_of_maps(tmp_path):
+    path = _written(MASKS, tmp_path)
+    image = torch.rand((2, 3, 32, 32))
+    dense, whole = read_weights(path).network, first_network(CLASSES, str(path)).eval()
+    with torch.no_grad():
+        expected = dense.net.encoder(2.0 * image - 1.0)[-1]
+        features = whole.net.forward_intermediates(2.0 * image - 1.0, intermediates_only=True)[-1]
+    assert torch.allclose(features, expected, atol=1e-5)
+
+
+def test_a_network_without_that_encoder_is_refused(tmp_path):
+    path = _written(SuperResolutionLearner(), tmp_path)
+    with pytest.raises(InputError, match=r"'super-resolution' with no encoder; 'classes' has the"):
+        first_network(CLASSES, str(path))
+    other = ClassLearner(size=32, encoder="resnet18")
+    with pytest.raises(InputError, match=r"'resnet18'.*Allowed: weights of the same task"):
+        first_network(other, str(_written(MASKS, tmp_path)))

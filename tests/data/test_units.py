@@ -46,6 +46,7 @@ def test_a_patient_has_one_organ_and_recordings_differ() -> None:
     assert len({s.lesions for s in first}) == 1
     assert first[0].motion.speed != first[2].motion.speed
     assert units[4].scenario.organ.seed != first[0].organ.seed
+    assert units[4].scenario.contents.seed != first[0].contents.seed
 
 
 def test_a_clean_twin_moves_as_the_one_with_lesions() -> None:
@@ -54,6 +55,7 @@ def test_a_clean_twin_moves_as_the_one_with_lesions() -> None:
     assert (shown.clean_twin, twin.clean_twin) == (False, True)
     assert shown.motion == twin.motion
     assert shown.seed == twin.seed
+    assert shown.contents == twin.contents
 
 
 def test_lesions_of_the_colon_are_in_colons_only() -> None:

@@ -95,6 +95,9 @@ class Units:
         drawn |= self._draw(patient, True, key) | {**(others or {})}
         plain = _filled(self.plan.scenario, drawn)
         plain.setdefault("seed", self._number("seed", patient, key))
+        contents = plain.setdefault("contents", {})
+        if isinstance(contents, dict):
+            contents.setdefault("seed", self._number("contents.seed", patient, key))
         organ = plain.setdefault("organ", {})
         if isinstance(organ, dict) and organ.get("kind", OrganGenerated.kind) == "generated":
             plain["organ"] = {"seed": self._number("organ.seed", patient), **organ}

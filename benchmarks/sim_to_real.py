@@ -28,14 +28,13 @@ from transfer_real import found_layouts
 from transfer_run import (
     DEPTH,
     DEPTH_ARMS,
-    DEPTH_TASK,
     ONE_NETWORK,
     Setup,
     complete,
     is_possible,
     lacks,
 )
-from transfer_tasks import FRACTIONS, TASKS, Task
+from transfer_tasks import DEPTH_TASK, FRACTIONS, TASKS, Task
 from vrcaps.errors import InputError, VrcapsError, require
 
 

@@ -1,4 +1,4 @@
-"""The page of the experiment: tables with intervals, where ours does not help, learning curves."""
+"""The page of the experiment, a section a task: tables with intervals, where ours does not help."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from transfer_cells import Row
 from transfer_general import GENERAL
 from transfer_statistics import Judged, difference_interval, figure_interval
-from transfer_tasks import DEPTH, PRESETS, TASKS, Task
+from transfer_tasks import DEPTH, PRESETS, TASKS, Task, task_named
 from validation import ROOT
 from vrcaps.cli.benchmarks.page import table, write_section
 from vrcaps.metrics.bootstrap import Interval
@@ -19,7 +19,7 @@ from vrcaps.metrics.bootstrap import Interval
 PAGE = ROOT / "docs" / "sim-to-real.md"
 SCRIPT = "benchmarks/sim_to_real.py"
 COMMAND = f"python {SCRIPT} --run runs/transfer --report"
-FIGURE = "images/sim-to-real.png"
+FIGURE = "images/sim-to-real-{}.png"
 ARM_TITLES = {
     "scratch": "from scratch",
     "imagenet": "ImageNet",
@@ -53,17 +53,18 @@ BySeed = Mapping[int, Row]
 
 
 def report(rows: Sequence[Row], page: Path) -> None:
-    """Write the section of the page, and the figure beside it."""
+    """Write the section of each task that has rows, and its figure; others stay as they are."""
     found = by_arm(rows)
-    parts = ["## Measured", about(rows)]
-    for task in TASKS.values():
-        parts += task_part(task, found)
-    figure = page.parent / FIGURE
-    if draw_curves(found, figure):
-        parts.append(f"![Learning curves]({FIGURE})")
-    parts += depth_part(found)
-    parts += verdict_part(found)
-    write_part(page, SCRIPT, "\n\n".join(parts), COMMAND)
+    for name in (*TASKS, DEPTH):
+        own = [row for row in rows if row.cell.task == name and not row.cell.variant]
+        if not own:
+            continue
+        tables = depth_part(found) if name == DEPTH else task_part(TASKS[name], found)
+        parts = [f"## {task_named(name).title}", about(own), *tables]
+        figure = FIGURE.format(name)
+        if name != DEPTH and draw_curves(TASKS[name], found, page.parent / figure):
+            parts.append(f"![Learning curves]({figure})")
+        write_part(page, f"{SCRIPT} {name}", "\n\n".join(parts), COMMAND)
 
 
 def write_part(page: Path, script: str, text: str, command: str) -> None:
@@ -101,6 +102,8 @@ def about(rows: Sequence[Row]) -> str:
     """How many networks there are, what they took, and how long each learned."""
     hours = sum(row.seconds for row in rows) / 3600.0
     presets = sorted({row.made_of["preset"] for row in rows})
+    tasks = {row.cell.task for row in rows}
+    kinds = {task_named(name).kind for name in tasks}
     words = (
         f"{len(rows)} networks, {hours:.1f} hours, preset {' and '.join(presets)}. In brackets: "
         "95 % intervals over seeds and groups of images."
@@ -109,6 +112,7 @@ def about(rows: Sequence[Row]) -> str:
         [name, *map(str, (e.size, e.steps or "none", e.first_steps, e.batch, f"{e.rate:g}"))]
         for preset in presets
         for name, e in PRESETS[preset].items()
+        if name in kinds
     ]
     head = ["", "images [px]", "steps on real images", "steps before", "batch", "rate"]
     return f"{words}\n\n{table(head, body)}"
@@ -149,10 +153,10 @@ def task_part(task: Task, found: Found) -> list[str]:
         for f in fractions
     ]
     head = ["real images", *(ARM_TITLES[arm] for arm in arms)]
-    parts = [f"### {task.title}", _sample(task, found), table(head, body)]
+    parts = [_sample(task, found), table(head, body)]
     if task.kind == "super-resolution":
         parts += quality_part(task, found, arms)
-    return [*parts, *difference_part(task, found, fractions)]
+    return [*parts, *difference_part(task, found, fractions), *verdict_part(task, found, fractions)]
 
 
 def _sample(task: Task, found: Found) -> str:
@@ -239,7 +243,6 @@ def depth_part(found: Found) -> list[str]:
         if arm in arms
     ]
     return [
-        "### Depth without any real frame",
         "Relative error after scaling by medians (smaller is better) and Spearman's correlation. "
         "Intervals are over networks only: there is one phantom frame of C3VD, and one patient of "
         "the sinus data.",
@@ -258,51 +261,41 @@ def interval_of_networks(figures: Sequence[float]) -> Interval:
     return figure_interval(lambda sums: sums[:, 0] / sums[:, 1], seeds)
 
 
-def verdict_part(found: Found) -> list[str]:
+def verdict_part(task: Task, found: Found, fractions: Sequence[float]) -> list[str]:
     """A list of all comparisons in which ours is not better."""
+    scale, digits = (1.0, 2) if task.unit == "dB" else (100.0, 1)
     lines = []
-    for task in TASKS.values():
-        for fraction in fractions_of(task, found):
-            for first, second in PAIRS:
-                rows = [found.get((task.name, arm, fraction, ""), {}) for arm in (first, second)]
-                interval = difference_of(task, rows[0], rows[1])
-                if interval is not None and interval.low <= 0.0:
-                    scale, digits = (1.0, 2) if task.unit == "dB" else (100.0, 1)
-                    shown = shown_interval(interval, scale, digits, "+")
-                    lines.append(
-                        f"- {task.title}, {100.0 * fraction:g} % of the real images: "
-                        f"{ARM_TITLES[first]} − {ARM_TITLES[second]} is {shown} {task.unit}: "
-                        f"{verdict(interval)}."
-                    )
-    if not lines:
-        return []
-    return ["### Where ours does not help", "By these intervals:", "\n".join(lines)]
+    for fraction in fractions:
+        for first, second in PAIRS:
+            rows = [found.get((task.name, arm, fraction, ""), {}) for arm in (first, second)]
+            interval = difference_of(task, rows[0], rows[1])
+            if interval is not None and interval.low <= 0.0:
+                shown = shown_interval(interval, scale, digits, "+")
+                lines.append(
+                    f"- {100.0 * fraction:g} % of the real images: {ARM_TITLES[first]} − "
+                    f"{ARM_TITLES[second]} is {shown} {task.unit}: {verdict(interval)}."
+                )
+    return ["Where ours does not help, by these intervals:", "\n".join(lines)] if lines else []
 
 
-def draw_curves(found: Found, path: Path) -> bool:
-    """Draw figures of merit over the number of real images; says whether there were two points."""
-    tasks = [t for t in TASKS.values() if len([f for f in fractions_of(t, found) if f]) > 1]
-    if not tasks:
+def draw_curves(task: Task, found: Found, path: Path) -> bool:
+    """Draw a task's figure over the number of real images; says whether there were two points."""
+    ticks = [fraction for fraction in fractions_of(task, found) if fraction > 0.0]
+    if len(ticks) < 2:
         return False
     import matplotlib.pyplot as plt
 
-    columns = min(3, len(tasks))
-    rows = -(-len(tasks) // columns)
-    figure, axes = plt.subplots(rows, columns, figsize=(4.2 * columns, 3.4 * rows), squeeze=False)
-    for axis in axes.ravel()[len(tasks) :]:
-        axis.axis("off")
-    for task, axis in zip(tasks, axes.ravel(), strict=False):
-        for arm in task.arms:
-            _draw_arm(axis, task, arm, found)
-        axis.set_xscale("log")
-        ticks = [f for f in fractions_of(task, found) if f > 0.0]
-        axis.set_xticks(ticks, [f"{100.0 * f:g} %" for f in ticks])
-        axis.minorticks_off()
-        axis.set_title(task.title, fontsize=9)
-        axis.set_ylabel(task.figure)
-        axis.grid(alpha=0.3)
-    axes[0, 0].legend(fontsize=8)
-    figure.supxlabel("real images learned from", fontsize=9)
+    figure, axis = plt.subplots(figsize=(4.8, 3.4))
+    for arm in task.arms:
+        _draw_arm(axis, task, arm, found)
+    axis.set_xscale("log")
+    axis.set_xticks(ticks, [f"{100.0 * f:g} %" for f in ticks])
+    axis.minorticks_off()
+    axis.set_title(task.title, fontsize=9)
+    axis.set_xlabel("real images learned from", fontsize=9)
+    axis.set_ylabel(task.figure)
+    axis.grid(alpha=0.3)
+    axis.legend(fontsize=8)
     figure.tight_layout()
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110, metadata={"Software": None})

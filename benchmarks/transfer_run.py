@@ -28,7 +28,7 @@ from transfer_general import GENERAL, enlarged, is_installed, made_by
 from transfer_ours import Urls, data_digest, evenly, our_classes, our_masks, our_sequences
 from transfer_pictures import Pictures
 from transfer_real import middle
-from transfer_tasks import DEPTH, PRESETS, TASKS, Effort, Task
+from transfer_tasks import DEPTH, DEPTH_TASK, PRESETS, Effort, Task, task_named
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.errors import InputError
@@ -50,7 +50,6 @@ from vrcaps.serialization import to_plain
 from vrcaps.tools.reconstruction.estimates import with_depth
 from vrcaps.torch_threads import exact_torch
 
-DEPTH_TASK = Task(DEPTH, DEPTH, "c3vd", (), "Depth without any real frame", "AbsRel")
 WITHOUT_LEARNING = ("constant", "mean", "light")
 PUBLISHED = "published"
 """Weights of vrcaps as they are: `depth.safetensors` of the folder of weights."""
@@ -107,7 +106,7 @@ class Setup:
 
 def task_of(cell: Cell) -> Task:
     """The task of a cell."""
-    return DEPTH_TASK if cell.task == DEPTH else TASKS[cell.task]
+    return task_named(cell.task)
 
 
 def made_of(setup: Setup, cell: Cell) -> dict[str, str]:

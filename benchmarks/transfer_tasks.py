@@ -213,3 +213,9 @@ TASKS = {
     )
 }  # fmt: skip
 """Tasks by name, in the order in which the cells of one fraction and seed run."""
+DEPTH_TASK = Task(DEPTH, DEPTH, "c3vd", (), "Depth without any real frame", "AbsRel")
+
+
+def task_named(name: str) -> Task:
+    """One of `TASKS`, or that of depth."""
+    return DEPTH_TASK if name == DEPTH else TASKS[name]

@@ -17,13 +17,14 @@ from transfer_ablations import COMPLETE, PLAN, VARIANTS, without
 from transfer_cells import ROWS, Cell, Row, RowFile, ordered_cells
 from transfer_depth import DepthImage, by_light, constant, depth_values, read_sinus, without_border
 from transfer_ours import our_classes, our_masks
-from transfer_page import by_arm, verdict
+from transfer_page import by_arm, report, verdict
 from transfer_pictures import Pictures, alike, balanced_folds, disc_only, merged
 from transfer_real import found_layouts, kvasir_class, read_classes, read_masks
 from transfer_statistics import Judged, difference_interval, figure_interval
 from transfer_tasks import TASKS
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
+from vrcaps.cli.benchmarks.page import read_sections
 from vrcaps.data.plan import read_plan
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.metrics.bootstrap import Interval
@@ -411,3 +412,21 @@ def test_ablations_are_of_tasks_with_real_images():
     assert {cell.fraction for cell in cells if cell.task == "depth"} == {0.0}
     with pytest.raises(InputError, match="There is no data for these tasks"):
         ablate_simulator.cells_of(["super-resolution"], ["bkai"], 1)
+
+
+def test_a_task_without_rows_keeps_its_section(tmp_path):
+    def row(task, arm, seed):
+        made_of = {"basis": "a", "first": "", "preset": "quick"}
+        return Row(Cell(task, arm, 0.1, seed), made_of, {"dice": [0.5] * 8}, [*range(8)], 1.0)
+
+    page = tmp_path / "page.md"
+    report([row("polyp-masks", "ours", seed) for seed in range(5)], page)
+    before = read_sections(page)["benchmarks/sim_to_real.py polyp-masks"]
+    arms = ("ours", "scratch")
+    report([row("bleeding-masks", arm, seed) for arm in arms for seed in range(5)], page)
+    sections = read_sections(page)
+    assert sections["benchmarks/sim_to_real.py polyp-masks"] == before
+    found = sections["benchmarks/sim_to_real.py bleeding-masks"]
+    assert "| 10 % | 50.0 [50.0, 50.0] | 50.0 [50.0, 50.0] |" in found
+    assert "- 10 % of the real images: ours − from scratch is +0.0" in found
+    assert "| classes |" not in found

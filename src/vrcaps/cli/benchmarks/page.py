@@ -16,7 +16,8 @@ _STARTED = time.monotonic()
 def sources(name: str) -> str:
     """Ten digits that name the sources of what measures a section, a name as in `write_section`."""
     first, *words = name.split()
-    return digest(Path(__file__).with_name(f"{words[1]}.py") if words else ROOT / first)
+    is_own = first == "vrcaps"
+    return digest(Path(__file__).with_name(f"{words[1]}.py") if is_own else ROOT / first)
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -41,7 +42,8 @@ def write_section(page: Path, name: str, text: str, *, command: str, title: str)
 
     Args:
         page: Markdown file; made where there is none.
-        name: What measures it: `benchmarks/validate_light.py`, `vrcaps bench render`.
+        name: What measures it: `benchmarks/validate_light.py`, `vrcaps bench render`; words after a
+            script tell its sections apart.
         text: Markdown of the section.
         command: What was run, as one types it.
         title: What a page that is made begins with.

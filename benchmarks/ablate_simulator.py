@@ -35,7 +35,8 @@ from transfer_page import (
     write_part,
 )
 from transfer_real import found_layouts
-from transfer_run import DEPTH_READERS, Setup, complete
+from transfer_run import DEPTH_READERS, complete
+from transfer_setup import Setup
 from transfer_tasks import DEPTH, TASKS
 from validation import table
 from vrcaps.errors import InputError, VrcapsError

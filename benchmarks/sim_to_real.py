@@ -22,19 +22,13 @@ import sys
 from pathlib import Path
 
 from transfer_cells import Cell, RowFile, ordered_cells
+from transfer_first import is_possible, lacks
 from transfer_options import check_tasks, experiment_parser
 from transfer_page import PAGE, report
 from transfer_real import found_layouts
-from transfer_run import (
-    DEPTH,
-    DEPTH_ARMS,
-    ONE_NETWORK,
-    Setup,
-    complete,
-    is_possible,
-    lacks,
-)
-from transfer_tasks import DEPTH_TASK, FRACTIONS, TASKS, Task
+from transfer_run import DEPTH_ARMS, ONE_NETWORK, complete
+from transfer_setup import Setup
+from transfer_tasks import DEPTH, DEPTH_TASK, FRACTIONS, TASKS, Task
 from vrcaps.errors import InputError, VrcapsError, require
 
 

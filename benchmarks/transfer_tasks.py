@@ -108,6 +108,19 @@ class Task:
             return ("scratch", "ours", "unitycam", GENERAL)
         return ("scratch", "imagenet", "ours", "imagenet+ours")
 
+    @property
+    def lesions(self) -> tuple[str, ...]:
+        """Kinds of lesions among its classes."""
+        return tuple(kind for kind in self.kinds if kind != "normal")
+
+    def first_learner(self, effort: Effort) -> Any:
+        """What is learned from our images before the real ones.
+
+        Classes begin with the encoder that learned masks: a mask says where in the image the lesion
+        is, a class only that there is one, and what else goes with it in our images.
+        """
+        return MaskLearner(size=effort.size) if self.kind == "classes" else self.learner(effort)
+
     def learner(self, effort: Effort) -> Any:
         """The learner, for images of a preset's size."""
         if self.kind == "classes":

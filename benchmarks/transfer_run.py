@@ -106,7 +106,7 @@ def made_of(setup: Setup, cell: Cell) -> dict[str, str]:
     """Names of what a cell's result follows from, beside the cell itself.
 
     Results of one task are compared where `basis` is the same: settings, and real images. `first`
-    is what was learned from before.
+    is what was learned before, from what, and how long.
     """
     task = task_of(cell)
     if task.kind == DEPTH:
@@ -114,18 +114,21 @@ def made_of(setup: Setup, cell: Cell) -> dict[str, str]:
     else:
         real = [setup.pictures(task).digest]
     effort = setup.effort(task)
-    learners = dict.fromkeys([task.learner(effort), task.first_learner(effort)])
-    basis = [*(_plain(one) for one in learners), to_plain(effort, Effort), real]
-    given = given_weights(setup, cell)
-    first = ""
+    learning = [effort.size, effort.steps, effort.batch, effort.rate]
+    basis = [_plain(task.learner(effort)), learning, real]
+    given, first = given_weights(setup, cell), ""
     if given is not None:
         first = file_sha256(given)[:12]
-    elif cell.arm.endswith("ours") or cell.arm == "mean":
-        first = data_digest(setup.ours_of(cell))
     elif cell.arm == GENERAL:
         first = made_by()
-    elif cell.arm.endswith("unitycam"):
-        first = folder_digest(setup.real["unitycam"])
+    elif cell.arm == "mean":
+        first = data_digest(setup.ours_of(cell))
+    elif cell.arm.endswith(("ours", "unitycam")):
+        is_ours = cell.arm.endswith("ours")
+        source = (
+            data_digest(setup.ours_of(cell)) if is_ours else folder_digest(setup.real["unitycam"])
+        )
+        first = digest_of([_plain(task.first_learner(effort)), to_plain(effort, Effort), source])
     names = {"preset": setup.preset, "device": setup.device}
     return {"basis": digest_of(basis), "first": first, **names}
 

@@ -23,7 +23,7 @@ from vrcaps.mucosa.mucosa import MUCOSAE
 from vrcaps.mucosa.texture import HEAD, MucosaTexture, write_texture
 from vrcaps.units import MM
 
-PLAN = Path(__file__).with_name("sim_to_real.toml")
+PLAN = Path(__file__).with_name("ablate_simulator.toml")
 PATIENTS = 12
 COMPLETE = "nothing"
 VARIANTS: Mapping[str, str] = {

@@ -48,7 +48,7 @@ COMMAND = f"python {SCRIPT} --run runs/ablations --report"
 
 def main() -> None:
     """Run what is missing, then write the page."""
-    given = experiment_parser(__doc__ or "", PAGE).parse_args()
+    given = experiment_parser(__doc__ or "", PAGE, preset="short").parse_args()
     try:
         rows = RowFile(given.run)
         if not given.report:

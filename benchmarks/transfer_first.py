@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from transfer_cells import Cell
+from transfer_cells import Cell, digest_of
 from transfer_general import GENERAL, is_installed
 from transfer_ours import data_digest, evenly, our_classes, our_masks, our_sequences
 from transfer_pictures import Pictures
 from transfer_real import middle
 from transfer_setup import Setup, settings_of, task_of
-from transfer_tasks import DEPTH, Task
+from transfer_tasks import DEPTH, Effort, Task
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.errors import InputError
@@ -24,6 +24,7 @@ from vrcaps.learn.registry import AnyLearner
 from vrcaps.learn.samples import Samples, samples_of
 from vrcaps.learn.training import CHECKPOINT, WEIGHTS, train
 from vrcaps.recording.frame_sequence import FrameSequence
+from vrcaps.serialization import to_plain
 from vrcaps.tools.reconstruction.estimates import with_depth
 
 PUBLISHED = "published"
@@ -55,37 +56,40 @@ def weights_without_real(setup: Setup, cell: Cell) -> str:
     """Weights that are judged as they are.
 
     They are those that training on real images would begin with; where these are of another task,
-    the task is learned from our images after them.
+    the task is learned from our images after them, in as many steps as from real ones.
 
     Raises:
         InputError: If there is nothing to learn from.
     """
     task, first = task_of(cell), first_weights(setup, cell)
     effort = setup.effort(task)
-    learner = task.learner(effort)
-    if given_weights(setup, cell) is not None or learner == task.first_learner(effort):
+    if given_weights(setup, cell) is not None or task.first_learner(effort).kind == task.kind:
         return first
-    return _learned(setup, cell, learner, first)
+    return _learned(setup, cell, task.learner(effort), first)
+
+
+def first_folder(setup: Setup, cell: Cell, learner: AnyLearner) -> Path:
+    """Folder of what a learner learned before; tasks that learn the same have the same."""
+    effort, is_ours = setup.effort(task_of(cell)), cell.arm.endswith("ours")
+    digest = data_digest(setup.ours_of(cell)) if is_ours else "frames"
+    what = digest_of([to_plain(learner, type(learner)), to_plain(effort, Effort), digest])
+    name = f"{learner.kind}-{cell.arm}-{first_seed(cell)}-{effort.size}px-{what}"
+    return setup.out / "weights" / name.replace("+", "-")
 
 
 def _learned(setup: Setup, cell: Cell, learner: AnyLearner, start: str) -> str:
     """File of weights that a learner learned from images that are not real."""
     task = task_of(cell)
-    effort = setup.effort(task)
-    is_ours = cell.arm.endswith("ours")
-    digest = data_digest(setup.ours_of(cell)) if is_ours else "frames"
-    seed = first_seed(cell)
+    effort, out = setup.effort(task), first_folder(setup, cell, learner)
+    steps = effort.first_steps if start in (SCRATCH, IMAGENET) else effort.steps
     settings = replace(
-        settings_of(setup, cell, learner, effort.first_steps),
+        settings_of(setup, cell, learner, steps),
         start=start,
-        seed=seed,
-        data=(digest,),
-        evaluate_every=-(-effort.first_steps // 4),
+        seed=first_seed(cell),
+        data=(out.name,),
+        evaluate_every=-(-steps // 4),
         evaluation_frames=100,
     )
-    what = task.name if learner.kind == task.kind else f"{task.name}-by-{learner.kind}"
-    name = f"{what}-{cell.arm}-{seed}-{effort.size}px-{effort.first_steps}-{digest}"
-    out = setup.out / "weights" / name.replace("+", "-")
     if not (out / WEIGHTS).is_file():
         samples, validation = _first_samples(setup, cell, learner)
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -156,7 +160,7 @@ def _first_samples(setup: Setup, cell: Cell, learner: AnyLearner) -> tuple[Sampl
     if learner.kind == "classes":
         parts = our_classes(urls, task.kinds, learner.size, has_overlays=task.has_overlays)
     elif learner.kind == "masks":
-        parts = our_masks(urls, task.lesions, learner.size)
+        parts = our_masks(urls, learner.classes, learner.size)
     else:
         many = _MOST_DEPTH if task.kind == DEPTH else _MOST_LARGE
         chosen = [

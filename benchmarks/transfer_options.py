@@ -13,7 +13,9 @@ from vrcaps.errors import UnknownNameError
 KNOWN = (*TASKS, DEPTH)
 
 
-def experiment_parser(description: str, page: Path) -> argparse.ArgumentParser:
+def experiment_parser(
+    description: str, page: Path, *, preset: str = "quick"
+) -> argparse.ArgumentParser:
     """Command-line options: data, effort, and where rows and the page go."""
     parser = argparse.ArgumentParser(
         description=description, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -23,7 +25,7 @@ def experiment_parser(description: str, page: Path) -> argparse.ArgumentParser:
     add("--real", type=Path, help="folder with folders of real data")
     names = ", ".join(LAYOUTS)
     add("--layout", action="append", default=[], help=f"NAME=FOLDER, NAME one of {names}")
-    add("--preset", choices=tuple(PRESETS), default="quick", help="how long networks learn")
+    add("--preset", choices=tuple(PRESETS), default=preset, help="how long networks learn")
     add("--tasks", nargs="*", default=KNOWN, help="default: all that there is data for")
     add("--seeds", type=int, default=5, help="networks of each kind")
     add("--workers", type=int, default=1, help="processes, each of one thread")

@@ -46,9 +46,9 @@ class OurFrame:
     is_validation: bool
 
     def mask(self, kinds: Sequence[str]) -> np.ndarray:
-        """Where lesions of some kinds are [h w]."""
-        numbers = [k + 1 for k, kind in enumerate(self.kinds) if kind in kinds]
-        return np.isin(self.lesions, numbers)
+        """Number of the kind at each pixel, in `kinds` plus 1; 0 where none of them is [h w]."""
+        numbers = [kinds.index(kind) + 1 if kind in kinds else 0 for kind in self.kinds]
+        return np.array([0, *numbers], np.uint8)[self.lesions]
 
 
 @cache
@@ -140,12 +140,17 @@ def our_masks(urls: Urls, kinds: Sequence[str], size: int) -> tuple[Pictures, Pi
 
     def pictures(frames: Sequence[OurFrame]) -> Pictures:
         masks = [frame.mask(kinds) for frame in frames]
-        area = np.array([mask.mean() for mask in masks])
+        area = np.array([np.mean(mask > 0) for mask in masks])
         shown, empty = np.flatnonzero(area >= MIN_FRACTION), np.flatnonzero(area == 0.0)
         most = round(_NEGATIVES / (1.0 - _NEGATIVES) * len(shown))
         negatives = rng.stream(0, "benchmarks/negatives").permutation(empty)[:most]
         chosen = np.sort(np.concatenate([shown, negatives]))
-        return Pictures("ours", [frames[k].image for k in chosen], masks=[masks[k] for k in chosen])
+        return Pictures(
+            "ours",
+            [frames[k].image for k in chosen],
+            masks=[masks[k] for k in chosen],
+            kinds=kinds,
+        )
 
     return _by_split(urls, size, pictures, " or of ".join(kinds))
 

@@ -37,9 +37,11 @@ class Pictures:
         name: Of the set.
         images: Colors, uint8 [h w 3] each.
         classes: Class of each image; empty where there are none.
-        masks: Lesion or not, bool [h w] of each image; empty where there are none.
+        masks: Kind of the lesion at each pixel, its number in `kinds` plus 1, 0 for none, uint8
+            [h w] of each image; empty where there are none.
         groups: Number of each image's group [n]: a patient, a sequence, or near copies.
         folds: Fold by which each image is held out [n]; −1 is never held out.
+        kinds: Kinds of lesions of the masks.
     """
 
     name: str
@@ -48,6 +50,7 @@ class Pictures:
     masks: Sequence[np.ndarray] = ()
     groups: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     folds: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    kinds: Sequence[str] = ()
 
     def __len__(self) -> int:
         return len(self.images)
@@ -61,6 +64,7 @@ class Pictures:
             [self.masks[k] for k in chosen] if self.masks else (),
             self.groups[chosen] if len(self.groups) else self.groups,
             self.folds[chosen] if len(self.folds) else self.folds,
+            self.kinds,
         )
 
     def split(self, fold: int) -> tuple[Pictures, Pictures]:
@@ -81,9 +85,13 @@ class Pictures:
         if self.classes:
             values["class"] = np.array(self.classes)
         if self.masks:
-            stored["instance"] = self.masks
+            stored["label"] = self.masks
         return FrameSequence(
-            self.name, tuple(stored), values, lambda channel, index: stored[channel][index]
+            self.name,
+            tuple(stored),
+            values,
+            lambda channel, index: stored[channel][index],
+            label_names=("background", *self.kinds),
         )
 
     @cached_property

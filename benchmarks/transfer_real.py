@@ -32,7 +32,7 @@ class Frame:
     Attributes:
         image: Colors, uint8 [h w 3].
         kind: Its class; empty if it has none.
-        mask: Lesion or not, bool [h w]; None if it has none.
+        mask: Lesion or not [h w]; None if it has none.
         patient: Whose it is; None if not known.
         number: In the name of its file, if that is all there is: then files are frames in order.
     """
@@ -116,8 +116,8 @@ def read_classes(
     return _pictures(folder, frames, "of a known class")
 
 
-def read_masks(folder: Path, size: int) -> Pictures:
-    """Images with masks of lesions, at the size of a network.
+def read_masks(folder: Path, size: int, kind: str) -> Pictures:
+    """Images with masks of one kind of lesions, at the size of a network.
 
     Raises:
         InputError: If there is no image with a mask.
@@ -127,12 +127,12 @@ def read_masks(folder: Path, size: int) -> Pictures:
             frame,
             image=small_image(frame.image, size),
             kind="",
-            mask=small_map(frame.mask, size),
+            mask=small_map(frame.mask, size).astype(np.uint8),
         )
         for frame in _frames(folder)
         if frame.mask is not None
     ]
-    return _pictures(folder, frames, "with masks")
+    return _pictures(folder, frames, "with masks", (kind,))
 
 
 def read_large(folder: Path, side: int) -> Pictures:
@@ -194,7 +194,9 @@ def _ordered(frames: Sequence[Frame]) -> list[int | None]:
     return [None if f.number is None else 2 * most * kinds.index(f.kind) + f.number for f in frames]
 
 
-def _pictures(folder: Path, frames: Sequence[Frame], wanted: str) -> Pictures:
+def _pictures(
+    folder: Path, frames: Sequence[Frame], wanted: str, lesions: Sequence[str] = ()
+) -> Pictures:
     if not frames:
         raise InputError(f"{folder} holds no images {wanted}.")
     images, kinds = [f.image for f in frames], [f.kind for f in frames]
@@ -204,4 +206,4 @@ def _pictures(folder: Path, frames: Sequence[Frame], wanted: str) -> Pictures:
     if any(f.patient for f in frames):
         groups = merged(groups, [f.patient or f"image {k}" for k, f in enumerate(frames)])
     folds = balanced_folds(groups, classes)
-    return Pictures(folder.name, images, classes, masks, groups, folds)
+    return Pictures(folder.name, images, classes, masks, groups, folds, lesions)

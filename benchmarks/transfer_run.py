@@ -25,7 +25,7 @@ from transfer_depth import (
 )
 from transfer_first import (
     PUBLISHED,
-    first_seed,
+    first_folder,
     first_weights,
     given_weights,
     weights_without_real,
@@ -35,11 +35,12 @@ from transfer_ours import data_digest, our_sequences
 from transfer_setup import Setup, frames_of, settings_of, task_of
 from transfer_tasks import DEPTH, DEPTH_TASK, Effort
 from vrcaps.files import file_sha256, files_in
+from vrcaps.learn.first_network import IMAGENET, SCRATCH, first_network
 from vrcaps.learn.registry import AnyLearner
 from vrcaps.learn.samples import Samples
 from vrcaps.learn.training import WEIGHTS, TrainSettings, train
 from vrcaps.learn.validation import Found, validate
-from vrcaps.learn.weights import read_weights
+from vrcaps.learn.weights import Trained, read_weights
 from vrcaps.serialization import to_plain
 from vrcaps.torch_threads import exact_torch
 
@@ -73,8 +74,8 @@ def _transfer(setup: Setup, cell: Cell) -> tuple[dict[str, list[float]], list[in
         found = Found({}, [enlarged(sample["image"]) for sample in samples], samples)
         return task.values(found), held.groups.tolist()
     if cell.fraction == 0.0:
-        path = weights_without_real(setup, cell)
-        trained = read_weights(path, task=task.kind, device=setup.device)
+        network = first_network(learner, weights_without_real(setup, cell))
+        trained = Trained(learner, network.to(setup.device).eval(), {}, setup.device)
         return task.values(validate(trained, judged)), held.groups.tolist()
     settings = settings_of(setup, cell, learner, setup.effort(task).steps)
     settings = replace(settings, start=first_weights(setup, cell), fraction=cell.fraction)
@@ -157,17 +158,25 @@ def complete(setup: Setup, cells: Sequence[Cell], rows: RowFile, workers: int) -
         print(f"{done}/{len(missing)} {note}", flush=True)
 
 
+def _first_name(setup: Setup, cell: Cell, *, is_bare: bool) -> str:
+    """Folder of what a cell's network learned before real images."""
+    task = task_of(cell)
+    effort = setup.effort(task)
+    learner = task.learner(effort) if is_bare else task.first_learner(effort)
+    return str(first_folder(setup, cell, learner))
+
+
 def made_rows(setup: Setup, cells: Sequence[Cell], workers: int) -> Iterator[Row]:
     """Rows of cells as they come: made in this process, or in several."""
     if workers < 2:
         yield from (run_cell(setup, cell) for cell in cells)
         return
     # Weights to begin with come first, so that no two processes learn the same.
-    learning = [cell for cell in cells if cell.arm not in (*WITHOUT_LEARNING, GENERAL)]
+    learning = [c for c in cells if c.arm not in (SCRATCH, IMAGENET, *WITHOUT_LEARNING, GENERAL)]
     bare = [cell for cell in learning if cell.fraction == 0.0]
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         for weights, users in ((first_weights, learning), (weights_without_real, bare)):
-            wanted = {(c.task, c.arm, c.variant, first_seed(c)): c for c in users}
+            wanted = {_first_name(setup, c, is_bare=users is bare): c for c in users}
             list(pool.map(weights, [setup] * len(wanted), wanted.values()))
         for done in as_completed([pool.submit(run_cell, setup, cell) for cell in cells]):
             yield done.result()

@@ -32,6 +32,8 @@ from vrcaps.metrics.masks import dice
 FRACTIONS = (0.1, 1.0, 0.25, 0.05, 0.5)
 """Of the real training images, the most telling first."""
 DEPTH = "depth"
+OUR_LESIONS = ("polyp", "bleeding", "colitis", "ulcer")
+"""Kinds of lesions that masks are learned of on ours."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,12 @@ class Effort:
 
 PRESETS: Mapping[str, Mapping[str, Effort]] = {
     "quick": {
+        "classes": Effort(size=96, steps=100, first_steps=4000, batch=8),
+        "masks": Effort(size=64, steps=100, first_steps=4000, batch=8),
+        "super-resolution": Effort(size=96, steps=100, first_steps=400, batch=8),
+        "depth": Effort(size=96, steps=0, first_steps=300, batch=8),
+    },
+    "short": {
         "classes": Effort(size=96, steps=100, first_steps=300, batch=8),
         "masks": Effort(size=64, steps=100, first_steps=400, batch=8),
         "super-resolution": Effort(size=96, steps=100, first_steps=400, batch=8),
@@ -73,8 +81,9 @@ PRESETS: Mapping[str, Mapping[str, Effort]] = {
         "depth": Effort(size=32, steps=0, first_steps=2, batch=2),
     },
 }
-"""`quick`: minutes of one processor for a network; `full`: what a GPU is for; `smoke`: seconds,
-shows that all works, no more."""
+"""`quick`: half a minute of one processor for a network, once half an hour for what is learned
+before; `short`: minutes for that, for ablations, where each network learns before; `full`: what a
+GPU is for; `smoke`: seconds, shows that all works, no more."""
 
 
 @dataclass(frozen=True)
@@ -116,17 +125,21 @@ class Task:
     def first_learner(self, effort: Effort) -> Any:
         """What is learned from our images before the real ones.
 
-        Classes begin with the encoder that learned masks: a mask says where in the image the lesion
-        is, a class only that there is one, and what else goes with it in our images.
+        One network that learned masks of all kinds of lesions serves all masks and classes. Classes
+        begin with its encoder: a mask says where in the image the lesion is, a class only that
+        there is one, and what else goes with it in our images. Its colors vary more than those of
+        later learning, since walls of real patients do.
         """
-        return MaskLearner(size=effort.size) if self.kind == "classes" else self.learner(effort)
+        if self.kind not in ("classes", "masks"):
+            return self.learner(effort)
+        return MaskLearner(classes=OUR_LESIONS, size=effort.size, brightness=1.5, tint=1.35)
 
     def learner(self, effort: Effort) -> Any:
         """The learner, for images of a preset's size."""
         if self.kind == "classes":
             return ClassLearner(classes=self.kinds, size=effort.size)
         if self.kind == "masks":
-            return MaskLearner(size=effort.size)
+            return MaskLearner(classes=self.kinds, size=effort.size)
         if self.kind == DEPTH:
             return DepthLearner(size=effort.size)
         return SuperResolutionLearner(
@@ -197,7 +210,7 @@ def _read(task: Task, folder: Path, effort: Effort) -> Pictures:
         class_of = bleeding_class if task.layout == "wce_bleedgen" else kvasir_class
         return read_classes(folder, class_of, effort.size, has_overlays=task.has_overlays)
     if task.kind == "masks":
-        return read_masks(folder, effort.size)
+        return read_masks(folder, effort.size, task.kinds[0])
     return read_large(folder, 4 * effort.size)
 
 

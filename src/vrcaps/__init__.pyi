@@ -24,6 +24,7 @@ from .magnet.sources import magnet_pose as magnet_pose
 from .motion.dynamics import Dynamics as Dynamics
 from .motion.fly_through import FlyThrough as FlyThrough
 from .motion.fly_through import fly_through as fly_through
+from .motion.random_views import RandomViews as RandomViews
 from .motion.replay import Replay as Replay
 from .motion.step import Step as Step
 from .organ.read_organ import read_organ as read_organ

@@ -304,7 +304,7 @@ def write_real(folder, count=16):
 
 def test_real_folders_become_pictures(tmp_path):
     real = write_real(tmp_path)
-    masks = read_masks(real / "kvasir_seg", 32)
+    masks = read_masks(real / "kvasir_seg", 32, "polyp")
     assert len(masks) == 16 and masks.images[0].shape == (32, 32, 3)
     assert masks.masks[0].shape == (32, 32) and masks.masks[0].any()
     assert {*masks.folds} == set(range(5))
@@ -312,7 +312,7 @@ def test_real_folders_become_pictures(tmp_path):
     assert {*classes.classes} == {"polyp", "colitis"} and len(classes) == 11
     assert not classes.images[0][20:, :15].any()
     with pytest.raises(InputError, match="holds no images with masks"):
-        read_masks(real / "hyperkvasir", 32)
+        read_masks(real / "hyperkvasir", 32, "polyp")
 
 
 def our_sequence(split):
@@ -336,6 +336,12 @@ def test_our_images_have_the_classes_and_masks_of_their_lesions(monkeypatch):
     masks, _ = our_masks(("made-up",), ("polyp",), 32)
     assert sum(mask.any() for mask in masks.masks) == 5
     assert masks.masks[0].shape == masks.images[0].shape[:2] == (32, 32)
+    both, _ = our_masks(("made-up",), ("bleeding", "polyp"), 32)
+    assert {*np.unique(both.masks)} == {0, 1, 2}
+    sequence = both.sequence()
+    assert sequence.label_names == ("background", "bleeding", "polyp")
+    shown = [[name in found for name in (1, 2)] for found in map(np.unique, both.masks)]
+    assert np.sum(shown, axis=0).tolist() == [5, 5]
     with pytest.raises(InputError, match="no image of colitis to learn from"):
         our_masks(("made-up",), ("colitis",), 32)
 

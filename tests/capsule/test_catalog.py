@@ -1,5 +1,7 @@
 """Every device of the catalog is a capsule that could be built."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ NAMES = (
     *("dual", "magnetic", "mirocam", "mono"),
     *("panoramic", "pillcam-colon2", "pillcam-sb3", "stereo"),
 )
+COLONOSCOPE = Path(__file__).parents[2] / "examples" / "colonoscope.toml"
 
 
 def test_catalog_names():
@@ -45,8 +48,19 @@ def test_lenses_and_leds_are_inside_the_body(name):
         assert np.all(radius < device.radius)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_exposure_gives_a_matt_wall_at_20_mm_the_value_0_4(name):
+def test_the_example_of_a_colonoscope_sees_as_it_says():
+    device = read_device(COLONOSCOPE)
+    (camera,) = device.cameras
+    assert device.length - 2.0 * device.radius > 0.0
+    rays = camera_rays(camera)
+    valid = np.isfinite(rays[..., 0])
+    assert not valid[0, 0] and valid[0, 160] and valid[144, 0]  # corners are cut, edges are not
+    angle = np.degrees(np.arccos(rays[..., 2][valid].min()))
+    assert 84.0 < angle <= 85.0
+
+
+@pytest.mark.parametrize(("name", "expected"), [*((n, 0.4) for n in NAMES), (COLONOSCOPE, 0.416)])
+def test_exposure_gives_a_matt_wall_at_20_mm_the_value_stated(name, expected):
     """L = (ρ/π) Σ I cosᵐφ cosα / d², on the axis, with albedo ρ = 0.5."""
     for camera in read_device(name).cameras:
         wall = np.array([0.0, 0.0, 20 * MM])
@@ -57,7 +71,7 @@ def test_exposure_gives_a_matt_wall_at_20_mm_the_value_0_4(name):
             lobe = max(offset @ led.direction_camera / distance, 0.0) ** led.lobe_exponent
             irradiance += np.array(led.intensity) * lobe * offset[2] / distance**3
         value = camera.exposure * 0.5 / np.pi * irradiance
-        np.testing.assert_allclose(value, 0.4, rtol=1e-3)
+        np.testing.assert_allclose(value, expected, rtol=1e-3)
 
 
 @pytest.mark.parametrize("name", ("pillcam-colon2", "dual"))

@@ -54,6 +54,32 @@ def test_the_encoder_of_another_task_is_taken(known, learner, theirs, ours, tmp_
         assert not found["net.encoder.model.conv_stem.weight"][:, 3:].any()
 
 
+@pytest.mark.parametrize(
+    ("known", "learner"),
+    [
+        (MaskLearner(("polyp", "bleeding"), 32), MaskLearner(("bleeding", "ulcer"), 32)),
+        (MaskLearner(("polyp", "bleeding"), 32), MaskLearner(("bleeding",), 32)),
+        (
+            ClassLearner(("normal", "polyp", "bleeding"), 32),
+            ClassLearner(("bleeding", "ulcer", "normal"), 32),
+        ),
+    ],
+)
+def test_classes_are_known_by_their_names(known, learner, tmp_path):
+    path = _written(known, tmp_path)
+    trained = read_weights(path).network.state_dict()
+    network = first_network(learner, str(path))
+    found = network.state_dict()
+    weight, bias = [*found][-2:]
+    for number, name in enumerate(learner.classes):
+        is_known = name in known.classes
+        for layer in (weight, bias):
+            theirs = trained[layer][known.classes.index(name)] if is_known else None
+            assert theirs is None or torch.equal(found[layer][number], theirs)
+        assert is_known or not (trained[weight] == found[weight][number]).flatten(1).all(1).any()
+    assert all(torch.equal(found[name], trained[name]) for name in [*found][:-2])
+
+
 def test_color_is_seen_as_by_the_network_of_maps(tmp_path):
     path = _written(MASKS, tmp_path)
     image = torch.rand((2, 3, 32, 32))

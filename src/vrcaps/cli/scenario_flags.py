@@ -33,7 +33,7 @@ _PATHS = {
 }
 """Flags that set one value of the scenario, by the path of that value."""
 
-_MOTIONS = Literal["fly-through", "replay", "dynamics"]
+_MOTIONS = Literal["fly-through", "random-views", "replay", "dynamics"]
 
 
 def _flags(name: str, doc: str, *flags: str, **others: tuple[Any, Any, str]) -> Any:
@@ -103,8 +103,9 @@ MotionFlags = _flags(
     motion=(
         _MOTIONS | None,
         None,
-        "How the capsule moves: along the centerline, along a recorded path (--set motion.path=…), "
-        "or by gravity, contact, muscle and magnets.",
+        "How the capsule moves: along the centerline, from place to place at random to look at "
+        "lesions and wall, along a recorded path (--set motion.path=…), or by gravity, contact, "
+        "muscle and magnets.",
     ),
 )
 ImageFlags = _flags(

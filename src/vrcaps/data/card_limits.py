@@ -21,6 +21,8 @@ _ALWAYS = (
 _MOTIONS = {
     "fly-through": "The capsule flies along a smooth path in the middle of the lumen: there is no "
     "contact, sliding or tumbling, and the wall makes way where it is narrow.",
+    "random-views": "Frames are views of their own, drawn at random, most of them of lesions: "
+    "neighbors are no video, and what is shown how often is not what a capsule passes.",
     "replay": "The capsule follows poses that were given; they are as real as their source.",
     "dynamics": "Contact, drag and motility follow published laws with parameters from the "
     "literature. They differ between people and were fitted to no patient.",

@@ -84,6 +84,7 @@ def task_of(episode: Episode) -> str:
         return f"Steer the capsule through the {organ} with a magnet."
     ways = {
         "fly-through": f"Fly along the centerline of the {organ}.",
+        "random-views": f"Look at the {organ} from many places.",
         "replay": f"Follow the given path through the {organ}.",
     }
     return ways.get(motion, f"Move the capsule through the {organ}.")

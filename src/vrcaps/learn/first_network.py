@@ -19,8 +19,9 @@ _DENSE, _WHOLE = "net.encoder.model.", "net."
 def first_network(learner: AnyLearner, start: str) -> Any:
     """The network that training begins with.
 
-    Weights of the same task are taken as they are, but for those of another shape, such as the last
-    layer of another number of classes. Of those of another task the encoder is taken.
+    Weights of the same task are taken as they are, but for those of another shape; of the last
+    layer the part of each class that both have, by its name. Of those of another task the encoder
+    is taken.
 
     Args:
         learner: The task and its settings.
@@ -36,11 +37,30 @@ def first_network(learner: AnyLearner, start: str) -> Any:
     trained = read_weights(path)
     own = network.state_dict()
     is_same_task = trained.learner.kind == learner.kind
-    known = trained.network.state_dict() if is_same_task else _encoder(trained, learner, own, path)
+    known = (
+        _own_classes(trained, learner, own)
+        if is_same_task
+        else _encoder(trained, learner, own, path)
+    )
     network.load_state_dict(
         {k: v for k, v in known.items() if k in own and own[k].shape == v.shape}, strict=False
     )
     return network
+
+
+def _own_classes(trained: Trained, learner: AnyLearner, own: dict[str, Any]) -> dict[str, Any]:
+    """Weights of a trained network of the same task, its last layer for a learner's classes."""
+    known = trained.network.state_dict()
+    theirs, ours = (getattr(one, "classes", ()) for one in (trained.learner, learner))
+    if theirs == ours:
+        return known
+    shared = [name for name in ours if name in theirs]
+    to, of = ([names.index(one) for one in shared] for names in (ours, theirs))
+    for name in [*own][-2:]:  # weight and bias of the last layer
+        rows = own[name].clone()
+        rows[to] = known[name][of]
+        known[name] = rows
+    return known
 
 
 def _encoder(

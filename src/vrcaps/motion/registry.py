@@ -2,6 +2,7 @@
 
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.fly_through import FlyThrough
+from vrcaps.motion.random_views import RandomViews
 from vrcaps.motion.replay import Replay
 
-AnyMotion = FlyThrough | Replay | Dynamics
+AnyMotion = FlyThrough | RandomViews | Replay | Dynamics

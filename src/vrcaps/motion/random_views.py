@@ -1,0 +1,173 @@
+"""Random views: each frame is a pose of its own, as a set of still images has them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+import numpy as np
+
+import vrcaps.rng
+from vrcaps.errors import InputError, require
+from vrcaps.limits import Range, check_fields
+from vrcaps.motion.trajectory import Trajectory, capsule_poses
+from vrcaps.transforms import look_along, rotation_from_vector, transform_from
+from vrcaps.units import DEG, MM
+from vrcaps.world.clearance import capsule_clearance, vital_clearance
+from vrcaps.world.model import Model
+from vrcaps.world.wall_displacement import WallDisplacement
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+_MOST_DRAWS = 4000
+_HIT_SLACK = 0.5 * MM
+"""How far before its target a line of sight may end: the wall is bent, its triangles are flat."""
+
+
+@dataclass(frozen=True)
+class RandomViews:
+    """Look at the wall from places drawn at random, each frame from a place of its own.
+
+    For still images of many sights: what is near fills the image, and lesions are looked at from
+    all sides, which a fly-through passes at a distance. Nothing moves between frames, so velocities
+    are zero and images have no motion blur.
+
+    Example:
+        >>> motion = vrcaps.RandomViews(lesion_fraction=0.5, farthest=0.03)
+        >>> vrcaps.record(vrcaps.Scenario(motion=motion), "runs/stills")
+
+    Attributes:
+        lesion_fraction: Fraction of the frames that look at a lesion, all lesions alike; the others
+            look at any place of the wall. An organ without lesions has none to look at.
+        nearest: Least distance from the first camera to what it looks at [m].
+        farthest: Largest such distance [m]; distances are even in their logarithm.
+        obliqueness: Largest angle between the line of sight and the wall's normal [rad].
+        tilt: Largest angle between the camera's axis and the line of sight [rad].
+        margin: Least distance of the cameras and the capsule's center from the wall [m].
+        rigid_wall: Whether the wall stays as it is where the shell reaches into it. Otherwise the
+            wall makes way for the shell.
+    """
+
+    lesion_fraction: Annotated[float, Range(0.0, 1.0)] = 0.8
+    nearest: Annotated[float, Range(above=0.0, unit="m")] = 8.0 * MM
+    farthest: Annotated[float, Range(above=0.0, unit="m")] = 50.0 * MM
+    obliqueness: Annotated[float, Range(least=0.0, below=math.pi / 2, unit="rad")] = 75.0 * DEG
+    tilt: Annotated[float, Range(0.0, math.pi / 2, unit="rad")] = 30.0 * DEG
+    margin: Annotated[float, Range(above=0.0, unit="m")] = 2.0 * MM
+    rigid_wall: bool = False
+
+    kind: ClassVar[str] = "random-views"
+    column_names: ClassVar[tuple[str, ...]] = ()
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        allowed = f"nearest ({self.nearest:g} m) or more"
+        require(self.farthest >= self.nearest, "farthest", self.farthest, allowed)
+
+    def begin(
+        self, model: Model, *, frames: int, fps: float, seed: int, shown: Model | None = None
+    ) -> Trajectory:
+        """The views in a model, see `MotionSettings.begin`."""
+        rng = vrcaps.rng.stream(seed, "random-views")
+        still = np.zeros((frames, 3))
+        return Trajectory(
+            np.arange(frames) / fps,
+            random_views(model, self, frames=frames, rng=rng),
+            still,
+            still,
+            wall_displacement=None if self.rigid_wall else WallDisplacement(model, shown or model),
+        )
+
+
+def random_views(
+    model: Model, settings: RandomViews, *, frames: int, rng: np.random.Generator
+) -> Float[np.ndarray, "frames 4 4"]:
+    """``Ts_world_capsule`` of views, each drawn until nothing is in its way.
+
+    Args:
+        model: The lumen and the capsule.
+        settings: What is looked at, and from where.
+        frames: Number of views.
+        rng: Source of all that is random.
+
+    Raises:
+        InputError: If a view finds no place.
+    """
+    poses = np.empty((frames, 4, 4))
+    is_of_lesion = rng.random(frames) < settings.lesion_fraction
+    left = np.arange(frames)
+    for _ in range(_MOST_DRAWS):
+        targets = _targets(model, is_of_lesion[left], rng)
+        drawn, is_seen = _drawn(model, settings, targets, rng)
+        poses[left[is_seen]] = drawn[is_seen]
+        left = left[~is_seen]
+        if not len(left):
+            return poses
+    raise InputError(
+        f"{model.device.name} in {model.organ.name}: {len(left)} of {frames} views find no place, "
+        f"in {_MOST_DRAWS} draws each, with nearest {settings.nearest:g} m and margin "
+        f"{settings.margin:g} m. Allow less of both, inflate the organ, or take a smaller capsule."
+    )
+
+
+def _targets(
+    model: Model, is_of_lesion: np.ndarray, rng: np.random.Generator
+) -> Int[np.ndarray, " n"]:
+    """A vertex of the wall for each view: of a lesion drawn before, or any."""
+    instance = model.organ.instance
+    lesions = np.unique(instance[instance > 0])
+    targets = rng.integers(len(instance), size=len(is_of_lesion))
+    if len(lesions):
+        of_lesion = [np.flatnonzero(instance == number) for number in lesions]
+        for view in np.flatnonzero(is_of_lesion):
+            members = of_lesion[rng.integers(len(lesions))]
+            targets[view] = members[rng.integers(len(members))]
+    return targets
+
+
+def _drawn(
+    model: Model, settings: RandomViews, targets: Int[np.ndarray, " n"], rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "n 4 4"], np.ndarray]:
+    """A pose of the capsule for each target, and whether the target is seen from there."""
+    count = len(targets)
+    normals = model.organ.normals[targets] @ model.T_world_patient[:3, :3].T
+    towards_camera = _cone(normals, settings.obliqueness, rng)
+    limits = np.log([settings.nearest, settings.farthest])
+    distance = np.exp(rng.uniform(*limits, count))
+    centers = model.vertices_world[targets] + distance[:, None] * towards_camera
+    forward = _cone(-towards_camera, settings.tilt, rng)
+    upright = look_along(forward, _across(forward))
+    roll = rotation_from_vector(rng.uniform(-math.pi, math.pi, (count, 1)) * np.eye(3)[2])
+    cameras = transform_from(upright @ roll, centers)
+    poses = capsule_poses(cameras, model.device.cameras[0].T_capsule_camera)
+
+    is_seen = np.asarray(model.wall.signed_distance(centers)) >= settings.margin
+    some = np.flatnonzero(is_seen)
+    hit, _ = model.wall.cast(centers[some], -towards_camera[some])
+    some = some[np.abs(hit - distance[some]) <= _HIT_SLACK]
+    some = some[vital_clearance(model, poses[some]) >= settings.margin]
+    some = some[capsule_clearance(model, poses[some]).min(axis=1) > 0.0]
+    is_seen[:] = False
+    is_seen[some] = True
+    return poses, is_seen
+
+
+def _cone(
+    axes: Float[np.ndarray, "n 3"], angle: float, rng: np.random.Generator
+) -> Float[np.ndarray, "n 3"]:
+    """Directions within an angle [rad] of axes, even over the sphere."""
+    cosine = rng.uniform(math.cos(angle), 1.0, len(axes))[:, None]
+    around = rng.uniform(-math.pi, math.pi, len(axes))[:, None]
+    x = _across(axes)
+    y = np.cross(axes, x)
+    sine = np.sqrt(1.0 - cosine**2)
+    return cosine * axes + sine * (np.cos(around) * x + np.sin(around) * y)
+
+
+def _across(axes: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """A unit vector square to each unit vector."""
+    least = np.eye(3)[np.abs(axes).argmin(axis=1)]
+    across = np.cross(axes, least)
+    return across / np.linalg.norm(across, axis=1, keepdims=True)

@@ -134,8 +134,8 @@ def _drawn(
     count = len(targets)
     normals = model.organ.normals[targets] @ model.T_world_patient[:3, :3].T
     towards_camera = _cone(normals, settings.obliqueness, rng)
-    limits = np.log([settings.nearest, settings.farthest])
-    distance = np.exp(rng.uniform(*limits, count))
+    nearest, farthest = math.log(settings.nearest), math.log(settings.farthest)
+    distance = np.exp(rng.uniform(nearest, farthest, count))
     centers = model.vertices_world[targets] + distance[:, None] * towards_camera
     forward = _cone(-towards_camera, settings.tilt, rng)
     upright = look_along(forward, _across(forward))

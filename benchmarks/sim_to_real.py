@@ -5,7 +5,7 @@ scratch, from ImageNet's weights, from weights that were learned on our images, 
 that went on with ours; judges them by images of folds that they saw nothing of, near copies
 included. Networks for depth are judged on real frames without learning from any.
 
-    vrcaps dataset make benchmarks/sim_to_real.toml --out runs/ours
+    vrcaps dataset make benchmarks/sim_to_real.toml --out runs/ours --units 0:60
     python benchmarks/sim_to_real.py --real /data/endoscopy --ours runs/ours --run runs/transfer
     python benchmarks/sim_to_real.py --run runs/transfer --report   # the page, of what is there
 
@@ -37,8 +37,9 @@ def parsed() -> argparse.Namespace:
     parser = experiment_parser(__doc__ or "", PAGE)
     add = parser.add_argument
     add("--ours", action="append", default=[], help="folder or URL of a data set; repeat for more")
-    words = "folder of weights learned on ours: TASK-scratch.safetensors, TASK-imagenet.safetensors"
-    add("--weights", type=Path, help=f"{words}; depth.safetensors is judged as it is")
+    words = "folder of weights learned on ours before: masks-scratch.safetensors (for classes, too)"
+    words += ", masks-imagenet.safetensors, likewise of other tasks; depth.safetensors is judged"
+    add("--weights", type=Path, help=f"{words} as it is")
     add("--fractions", nargs="*", type=float, default=FRACTIONS, help="of the real images")
     return parser.parse_args()
 

@@ -18,11 +18,13 @@ from transfer_tasks import DEPTH, Effort, Task
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.errors import InputError
+from vrcaps.files import file_sha256
 from vrcaps.formats.read_format import read_format
 from vrcaps.learn.first_network import IMAGENET, SCRATCH
 from vrcaps.learn.registry import AnyLearner
 from vrcaps.learn.samples import Samples, samples_of
 from vrcaps.learn.training import CHECKPOINT, WEIGHTS, train
+from vrcaps.learn.weights import read_weights
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.serialization import to_plain
 from vrcaps.tools.reconstruction.estimates import with_depth
@@ -62,17 +64,17 @@ def weights_without_real(setup: Setup, cell: Cell) -> str:
         InputError: If there is nothing to learn from.
     """
     task, first = task_of(cell), first_weights(setup, cell)
-    effort = setup.effort(task)
-    if given_weights(setup, cell) is not None or task.first_learner(effort).kind == task.kind:
+    if read_weights(first).learner.kind == task.kind:
         return first
-    return _learned(setup, cell, task.learner(effort), first)
+    return _learned(setup, cell, task.learner(setup.effort(task)), first)
 
 
 def first_folder(setup: Setup, cell: Cell, learner: AnyLearner) -> Path:
     """Folder of what a learner learned before; tasks that learn the same have the same."""
-    effort, is_ours = setup.effort(task_of(cell)), cell.arm.endswith("ours")
-    digest = data_digest(setup.ours_of(cell)) if is_ours else "frames"
-    what = digest_of([to_plain(learner, type(learner)), to_plain(effort, Effort), digest])
+    effort, given = setup.effort(task_of(cell)), given_weights(setup, cell)
+    digest = data_digest(setup.ours_of(cell)) if cell.arm.endswith("ours") else "frames"
+    start = "" if given is None else file_sha256(given)
+    what = digest_of([to_plain(learner, type(learner)), to_plain(effort, Effort), digest, start])
     name = f"{learner.kind}-{cell.arm}-{first_seed(cell)}-{effort.size}px-{what}"
     return setup.out / "weights" / name.replace("+", "-")
 
@@ -116,7 +118,9 @@ def given_weights(setup: Setup, cell: Cell) -> Path | None:
     if cell.arm == PUBLISHED:
         names = (f"{task.kind}.safetensors",)
     elif cell.arm.endswith("ours"):
-        names = tuple(f"{one}-{_first_start(cell)}.safetensors" for one in (task.name, task.kind))
+        first_kind = task.first_learner(setup.effort(task)).kind
+        kinds = (task.name, task.kind, first_kind)
+        names = tuple(f"{one}-{_first_start(cell)}.safetensors" for one in kinds)
     return next((path for name in names if (path := setup.weights / name).is_file()), None)
 
 
@@ -137,11 +141,13 @@ def lacks(setup: Setup, task: Task) -> str:
     cell = Cell(task.name, "ours", 0.0, 0)
     if task.kind not in ("classes", "masks"):
         return ""
-    effort = setup.effort(task)
+    effort, given = setup.effort(task), given_weights(setup, cell)
+    learners = [] if given is not None else [task.first_learner(effort)]
+    if given is None or read_weights(given).learner.kind != task.kind:
+        learners.append(task.learner(effort))
     try:
-        if given_weights(setup, cell) is None:
-            for learner in (task.first_learner(effort), task.learner(effort)):
-                _first_samples(setup, cell, learner)
+        for learner in learners:
+            _first_samples(setup, cell, learner)
     except InputError as error:
         return str(error)
     return ""

@@ -1,9 +1,11 @@
 """The experiment on real images: its cells, groups, folds and intervals; a small whole run."""
 
 import json
+import shutil
 import sys
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -16,17 +18,21 @@ from small_frames import image_of, small_sequence
 from transfer_ablations import COMPLETE, PLAN, VARIANTS, without
 from transfer_cells import ROWS, Cell, Row, RowFile, ordered_cells
 from transfer_depth import DepthImage, by_light, constant, depth_values, read_sinus, without_border
+from transfer_first import first_folder, first_weights
 from transfer_ours import our_classes, our_masks
 from transfer_page import by_arm, report, verdict
 from transfer_pictures import Pictures, alike, balanced_folds, disc_only, merged
 from transfer_real import found_layouts, kvasir_class, read_classes, read_masks
+from transfer_setup import Setup
 from transfer_statistics import Judged, difference_interval, figure_interval
-from transfer_tasks import TASKS
+from transfer_tasks import OUR_LESIONS, TASKS
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.cli.benchmarks.page import read_sections
 from vrcaps.data.plan import read_plan
 from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.learn.training import WEIGHTS
+from vrcaps.learn.weights import read_weights
 from vrcaps.metrics.bootstrap import Interval
 from vrcaps.metrics.classification import confusion_matrix, f1_scores
 
@@ -344,6 +350,58 @@ def test_our_images_have_the_classes_and_masks_of_their_lesions(monkeypatch):
     assert np.sum(shown, axis=0).tolist() == [5, 5]
     with pytest.raises(InputError, match="no image of colitis to learn from"):
         our_masks(("made-up",), ("colitis",), 32)
+
+
+def fake_dataset(monkeypatch):
+    """A data set whose patients have a polyp and a bleeding."""
+
+    class Fake(list):
+        plan: ClassVar = {"dataset": {"name": "fake"}}
+
+        def sequences(self, split):
+            return (our_sequence(split),)
+
+    members = Fake([SimpleNamespace(name="p00000-000000")])
+    monkeypatch.setattr(transfer_ours.vrcaps.data, "open", lambda url: members)
+
+
+def test_what_tasks_learn_alike_on_ours_is_learned_once(monkeypatch, tmp_path):
+    fake_dataset(monkeypatch)
+    setup = Setup({}, tmp_path, ("once",))
+
+    def folder(task, arm="ours", seed=0):
+        cell = Cell(task, arm, 0.1, seed)
+        return first_folder(setup, cell, TASKS[task].first_learner(setup.effort(TASKS[task])))
+
+    assert folder("polyp-masks") == folder("bleeding-masks", seed=3)
+    assert folder("polyp-classes") == folder("bleeding-classes") != folder("polyp-masks")
+    assert folder("polyp-masks", "imagenet+ours") != folder("polyp-masks")
+
+
+@pytest.mark.slow
+def test_a_run_with_ours_learns_masks_first(tmp_path, monkeypatch):
+    pytest.importorskip("segmentation_models_pytorch", reason="its package is not installed")
+    fake_dataset(monkeypatch)
+    write_real(tmp_path / "real")
+    page, run = tmp_path / "page.md", tmp_path / "run"
+    command = ["sim_to_real.py", "--real", str(tmp_path / "real"), "--run", str(run)]
+    command += ["--preset", "smoke", "--fractions", "0.5", "--seeds", "1", "--out", str(page)]
+    command += ["--ours", "fake", "--tasks", "polyp-masks"]
+    monkeypatch.setattr(sys, "argv", command)
+    sim_to_real.main()
+    arms = [(row.cell.arm, row.cell.fraction) for row in RowFile(run).rows.values()]
+    named = [(arm, 0.5) for arm in TASKS["polyp-masks"].arms]
+    assert sorted(arms) == sorted([*named, ("ours", 0.0), ("imagenet+ours", 0.0)])
+    (scratch,) = (run / "weights").glob("masks-ours-*")
+    first = read_weights(scratch / WEIGHTS).learner
+    assert first.classes == OUR_LESIONS and first.size == 32
+    given = tmp_path / "given"
+    given.mkdir()
+    shutil.copy(scratch / WEIGHTS, given / "masks-scratch.safetensors")
+    setup = Setup({}, run, ("fake",), given, "smoke")
+    for task in ("polyp-masks", "bleeding-classes"):
+        found = first_weights(setup, Cell(task, "ours", 0.5, 0))
+        assert found == str(given / "masks-scratch.safetensors")
 
 
 def test_our_images_without_instances_are_refused(monkeypatch):

@@ -18,13 +18,13 @@ from transfer_tasks import DEPTH, Effort, Task
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.errors import InputError
-from vrcaps.files import file_sha256
 from vrcaps.formats.read_format import read_format
+from vrcaps.learn.classes import ClassLearner
 from vrcaps.learn.first_network import IMAGENET, SCRATCH
+from vrcaps.learn.masks import MaskLearner
 from vrcaps.learn.registry import AnyLearner
 from vrcaps.learn.samples import Samples, samples_of
 from vrcaps.learn.training import CHECKPOINT, WEIGHTS, train
-from vrcaps.learn.weights import read_weights
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.serialization import to_plain
 from vrcaps.tools.reconstruction.estimates import with_depth
@@ -50,46 +50,30 @@ def first_weights(setup: Setup, cell: Cell) -> str:
     given = given_weights(setup, cell)
     if given is not None:
         return str(given)
-    task = task_of(cell)
-    return _learned(setup, cell, task.first_learner(setup.effort(task)), _first_start(cell))
-
-
-def weights_without_real(setup: Setup, cell: Cell) -> str:
-    """Weights that are judged as they are.
-
-    They are those that training on real images would begin with; where these are of another task,
-    the task is learned from our images after them, in as many steps as from real ones.
-
-    Raises:
-        InputError: If there is nothing to learn from.
-    """
-    task, first = task_of(cell), first_weights(setup, cell)
-    if read_weights(first).learner.kind == task.kind:
-        return first
-    return _learned(setup, cell, task.learner(setup.effort(task)), first)
+    start = _first_start(cell)
+    for learner in task_of(cell).first_learners(setup.effort(task_of(cell))):
+        start = _learned(setup, cell, learner, start)
+    return start
 
 
 def first_folder(setup: Setup, cell: Cell, learner: AnyLearner) -> Path:
     """Folder of what a learner learned before; tasks that learn the same have the same."""
-    effort, given = setup.effort(task_of(cell)), given_weights(setup, cell)
+    effort = setup.effort(task_of(cell))
     digest = data_digest(setup.ours_of(cell)) if cell.arm.endswith("ours") else "frames"
-    start = "" if given is None else file_sha256(given)
-    what = digest_of([to_plain(learner, type(learner)), to_plain(effort, Effort), digest, start])
+    what = digest_of([to_plain(learner, type(learner)), to_plain(effort, Effort), digest])
     name = f"{learner.kind}-{cell.arm}-{first_seed(cell)}-{effort.size}px-{what}"
     return setup.out / "weights" / name.replace("+", "-")
 
 
 def _learned(setup: Setup, cell: Cell, learner: AnyLearner, start: str) -> str:
     """File of weights that a learner learned from images that are not real."""
-    task = task_of(cell)
-    effort, out = setup.effort(task), first_folder(setup, cell, learner)
-    steps = effort.first_steps if start in (SCRATCH, IMAGENET) else effort.steps
+    effort, out = setup.effort(task_of(cell)), first_folder(setup, cell, learner)
     settings = replace(
-        settings_of(setup, cell, learner, steps),
+        settings_of(setup, cell, learner, effort.first_steps),
         start=start,
         seed=first_seed(cell),
         data=(out.name,),
-        evaluate_every=-(-steps // 4),
+        evaluate_every=-(-effort.first_steps // 4),
         evaluation_frames=100,
     )
     if not (out / WEIGHTS).is_file():
@@ -118,9 +102,7 @@ def given_weights(setup: Setup, cell: Cell) -> Path | None:
     if cell.arm == PUBLISHED:
         names = (f"{task.kind}.safetensors",)
     elif cell.arm.endswith("ours"):
-        first_kind = task.first_learner(setup.effort(task)).kind
-        kinds = (task.name, task.kind, first_kind)
-        names = tuple(f"{one}-{_first_start(cell)}.safetensors" for one in kinds)
+        names = tuple(f"{one}-{_first_start(cell)}.safetensors" for one in (task.name, task.kind))
     return next((path for name in names if (path := setup.weights / name).is_file()), None)
 
 
@@ -141,13 +123,10 @@ def lacks(setup: Setup, task: Task) -> str:
     cell = Cell(task.name, "ours", 0.0, 0)
     if task.kind not in ("classes", "masks"):
         return ""
-    effort, given = setup.effort(task), given_weights(setup, cell)
-    learners = [] if given is not None else [task.first_learner(effort)]
-    if given is None or read_weights(given).learner.kind != task.kind:
-        learners.append(task.learner(effort))
     try:
-        for learner in learners:
-            _first_samples(setup, cell, learner)
+        if given_weights(setup, cell) is None:
+            for learner in task.first_learners(setup.effort(task)):
+                _first_samples(setup, cell, learner)
     except InputError as error:
         return str(error)
     return ""
@@ -163,9 +142,9 @@ def _first_samples(setup: Setup, cell: Cell, learner: AnyLearner) -> tuple[Sampl
         samples = samples_of(learner, sequences)
         return samples, samples
     urls = setup.ours_of(cell)
-    if learner.kind == "classes":
-        parts = our_classes(urls, task.kinds, learner.size, has_overlays=task.has_overlays)
-    elif learner.kind == "masks":
+    if isinstance(learner, ClassLearner):
+        parts = our_classes(urls, learner.classes, learner.size)
+    elif isinstance(learner, MaskLearner):
         parts = our_masks(urls, learner.classes, learner.size)
     else:
         many = _MOST_DEPTH if task.kind == DEPTH else _MOST_LARGE

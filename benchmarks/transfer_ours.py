@@ -104,16 +104,13 @@ def _frames(sequence: FrameSequence, size: int) -> Iterator[OurFrame]:
         )
 
 
-def our_classes(
-    urls: Urls, classes: Sequence[str], size: int, *, has_overlays: bool
-) -> tuple[Pictures, Pictures]:
+def our_classes(urls: Urls, classes: Sequence[str], size: int) -> tuple[Pictures, Pictures]:
     """Images with classes for training and for validation, in discs as the real ones.
 
     Args:
         urls: Of the data sets.
         classes: Kinds of lesions, or `normal` for images without any; others are left out.
         size: Longest side [px].
-        has_overlays: Whether the places where recorders print are black.
 
     Raises:
         InputError: If there is no image of a class.
@@ -125,7 +122,7 @@ def our_classes(
         most = _MOST_OF_RAREST * min(len(found) for found in members)
         chance = rng.stream(0, "benchmarks/classes")
         chosen = np.sort(np.concatenate([chance.permutation(found)[:most] for found in members]))
-        images = [disc_only(frames[k].image, has_overlays=has_overlays) for k in chosen]
+        images = [disc_only(frames[k].image) for k in chosen]
         return Pictures("ours", images, [str(shown[k]) for k in chosen])
 
     return _by_split(urls, size, pictures, " or of ".join(classes))

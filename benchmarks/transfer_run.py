@@ -28,7 +28,6 @@ from transfer_first import (
     first_folder,
     first_weights,
     given_weights,
-    weights_without_real,
 )
 from transfer_general import GENERAL, enlarged, made_by
 from transfer_ours import data_digest, our_sequences
@@ -74,7 +73,7 @@ def _transfer(setup: Setup, cell: Cell) -> tuple[dict[str, list[float]], list[in
         found = Found({}, [enlarged(sample["image"]) for sample in samples], samples)
         return task.values(found), held.groups.tolist()
     if cell.fraction == 0.0:
-        network = first_network(learner, weights_without_real(setup, cell))
+        network = first_network(learner, first_weights(setup, cell))
         trained = Trained(learner, network.to(setup.device).eval(), {}, setup.device)
         return task.values(validate(trained, judged)), held.groups.tolist()
     settings = settings_of(setup, cell, learner, setup.effort(task).steps)
@@ -129,7 +128,8 @@ def made_of(setup: Setup, cell: Cell) -> dict[str, str]:
         source = (
             data_digest(setup.ours_of(cell)) if is_ours else folder_digest(setup.real["unitycam"])
         )
-        first = digest_of([_plain(task.first_learner(effort)), to_plain(effort, Effort), source])
+        learners = [_plain(one) for one in task.first_learners(effort)]
+        first = digest_of([learners, to_plain(effort, Effort), source])
     names = {"preset": setup.preset, "device": setup.device}
     return {"basis": digest_of(basis), "first": first, **names}
 
@@ -158,12 +158,12 @@ def complete(setup: Setup, cells: Sequence[Cell], rows: RowFile, workers: int) -
         print(f"{done}/{len(missing)} {note}", flush=True)
 
 
-def _first_name(setup: Setup, cell: Cell, *, is_bare: bool) -> str:
-    """Folder of what a cell's network learned before real images."""
+def _first_name(setup: Setup, cell: Cell) -> str:
+    """What a cell's network learns before real images, by where it is kept."""
+    if (given := given_weights(setup, cell)) is not None:
+        return str(given)
     task = task_of(cell)
-    effort = setup.effort(task)
-    learner = task.learner(effort) if is_bare else task.first_learner(effort)
-    return str(first_folder(setup, cell, learner))
+    return str(first_folder(setup, cell, task.first_learners(setup.effort(task))[-1]))
 
 
 def made_rows(setup: Setup, cells: Sequence[Cell], workers: int) -> Iterator[Row]:
@@ -173,10 +173,8 @@ def made_rows(setup: Setup, cells: Sequence[Cell], workers: int) -> Iterator[Row
         return
     # Weights to begin with come first, so that no two processes learn the same.
     learning = [c for c in cells if c.arm not in (SCRATCH, IMAGENET, *WITHOUT_LEARNING, GENERAL)]
-    bare = [cell for cell in learning if cell.fraction == 0.0]
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        for weights, users in ((first_weights, learning), (weights_without_real, bare)):
-            wanted = {_first_name(setup, c, is_bare=users is bare): c for c in users}
-            list(pool.map(weights, [setup] * len(wanted), wanted.values()))
+        wanted = {_first_name(setup, cell): cell for cell in learning}
+        list(pool.map(first_weights, [setup] * len(wanted), wanted.values()))
         for done in as_completed([pool.submit(run_cell, setup, cell) for cell in cells]):
             yield done.result()

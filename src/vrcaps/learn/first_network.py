@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from vrcaps.errors import InputError
-from vrcaps.learn.networks import with_inputs
+from vrcaps.learn.networks import ENCODER, with_inputs
 from vrcaps.learn.published import find_weights
 from vrcaps.learn.registry import AnyLearner
 from vrcaps.learn.weights import Trained, read_weights
@@ -21,7 +21,8 @@ def first_network(learner: AnyLearner, start: str) -> Any:
 
     Weights of the same task are taken as they are, but for those of another shape; of the last
     layer the part of each class that both have, by its name. Of those of another task the encoder
-    is taken.
+    is taken; what else ImageNet weights know of a classifier begins with them if these weights did,
+    and if they need no hub.
 
     Args:
         learner: The task and its settings.
@@ -30,13 +31,14 @@ def first_network(learner: AnyLearner, start: str) -> Any:
     Raises:
         InputError: If there are no such weights, or they have no part for this task.
     """
-    network = learner.network(is_pretrained=start == IMAGENET)
     if start in (SCRATCH, IMAGENET):
-        return network
+        return learner.network(is_pretrained=start == IMAGENET)
     path = find_weights(start)
     trained = read_weights(path)
-    own = network.state_dict()
     is_same_task = trained.learner.kind == learner.kind
+    is_known = getattr(learner, "encoder", None) == ENCODER and _origin(trained) == IMAGENET
+    network = learner.network(is_pretrained=is_known and not is_same_task)
+    own = network.state_dict()
     known = (
         _own_classes(trained, learner, own)
         if is_same_task
@@ -46,6 +48,23 @@ def first_network(learner: AnyLearner, start: str) -> Any:
         {k: v for k, v in known.items() if k in own and own[k].shape == v.shape}, strict=False
     )
     return network
+
+
+def origin(start: str) -> str:
+    """`scratch` or `imagenet`: what a start began with, through all that it went on from.
+
+    Empty where weights do not say so.
+
+    Raises:
+        InputError: If there are no such weights.
+    """
+    if start in (SCRATCH, IMAGENET):
+        return start
+    return _origin(read_weights(find_weights(start)))
+
+
+def _origin(trained: Trained) -> str:
+    return str(trained.about.get("origin", ""))
 
 
 def _own_classes(trained: Trained, learner: AnyLearner, own: dict[str, Any]) -> dict[str, Any]:

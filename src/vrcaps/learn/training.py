@@ -17,7 +17,7 @@ from vrcaps.errors import InputError
 from vrcaps.files import atomic_write, write_csv
 from vrcaps.learn.classes import ClassLearner
 from vrcaps.learn.depth import DepthLearner
-from vrcaps.learn.first_network import IMAGENET, first_network
+from vrcaps.learn.first_network import IMAGENET, first_network, origin
 from vrcaps.learn.learner import Adversarial
 from vrcaps.learn.networks import require_torch
 from vrcaps.learn.optimized import Optimized
@@ -200,6 +200,7 @@ class _Run:
         self.network = first_network(settings.learner, settings.start).to(
             device, memory_format=torch.channels_last
         )
+        self._origin = origin(settings.start)
         self.adversary = _adversary(settings, device)
         self.learning = _optimized(settings, self.network, self.adversary)
         self.progress = Progress(0, settings.steps)
@@ -255,7 +256,7 @@ class _Run:
         }
         best = progress.best
         about = {"steps": progress.step, "scores": dict(found.scores)}
-        about |= {"data": list(self.settings.data)}
+        about |= {"data": list(self.settings.data), "origin": self._origin}
         if best is None or self.learner.figure.is_better(value, best):
             best = value
             write_weights(self.out / BEST, self.learner, self.network, about)

@@ -27,7 +27,7 @@ def _written(learner, folder, **about):
     network = learner.network(is_pretrained=False)
     with torch.no_grad():
         for value in network.parameters():
-            value += 0.01 * torch.randn_like(value)
+            value.add_(torch.randn_like(value), alpha=0.01)
     write_weights(path, learner, network, about)
     return path
 

@@ -61,7 +61,7 @@ class Effort:
 
 PRESETS: Mapping[str, Mapping[str, Effort]] = {
     "quick": {
-        "classes": Effort(size=96, steps=100, first_steps=3000, batch=8),
+        "classes": Effort(size=96, steps=100, first_steps=2500, batch=8),
         "masks": Effort(size=64, steps=100, first_steps=4000, batch=8),
         "super-resolution": Effort(size=96, steps=100, first_steps=400, batch=8),
         "depth": Effort(size=96, steps=0, first_steps=300, batch=8),

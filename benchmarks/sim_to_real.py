@@ -37,9 +37,8 @@ def parsed() -> argparse.Namespace:
     parser = experiment_parser(__doc__ or "", PAGE)
     add = parser.add_argument
     add("--ours", action="append", default=[], help="folder or URL of a data set; repeat for more")
-    words = "folder of weights learned on ours before: masks-scratch.safetensors (for classes, too)"
-    words += ", masks-imagenet.safetensors, likewise of other tasks; depth.safetensors is judged"
-    add("--weights", type=Path, help=f"{words} as it is")
+    words = "folder of weights learned on ours: TASK-scratch.safetensors, TASK-imagenet.safetensors"
+    add("--weights", type=Path, help=f"{words}; depth.safetensors is judged as it is")
     add("--fractions", nargs="*", type=float, default=FRACTIONS, help="of the real images")
     return parser.parse_args()
 

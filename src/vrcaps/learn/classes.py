@@ -208,9 +208,8 @@ def _network_class() -> Any:
             self.net = classifier(encoder, classes, is_pretrained=is_pretrained, dropout=dropout)
             # timm draws weights of the last layer by the number of classes: of a few classes they
             # are so large that hundreds of steps are spent on making them small.
-            last = self.net.get_classifier()
-            torch.nn.init.zeros_(last.weight)
-            torch.nn.init.zeros_(last.bias)
+            for value in self.net.get_classifier().parameters():
+                torch.nn.init.zeros_(value)
 
         def forward(self, image: Any) -> Any:
             return self.net(2.0 * image - 1.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
@@ -97,9 +98,11 @@ def random_views(
     """
     poses = np.empty((frames, 4, 4))
     is_of_lesion = rng.random(frames) < settings.lesion_fraction
+    instance = model.organ.instance
+    lesions = [np.flatnonzero(instance == number) for number in np.unique(instance[instance > 0])]
     left = np.arange(frames)
     for _ in range(_MOST_DRAWS):
-        targets = _targets(model, is_of_lesion[left], rng)
+        targets = _targets(lesions, len(instance), is_of_lesion[left], rng)
         drawn, is_seen = _drawn(model, settings, targets, rng)
         poses[left[is_seen]] = drawn[is_seen]
         left = left[~is_seen]
@@ -113,16 +116,23 @@ def random_views(
 
 
 def _targets(
-    model: Model, is_of_lesion: np.ndarray, rng: np.random.Generator
+    lesions: Sequence[Int[np.ndarray, " k"]],
+    num_vertices: int,
+    is_of_lesion: np.ndarray,
+    rng: np.random.Generator,
 ) -> Int[np.ndarray, " n"]:
-    """A vertex of the wall for each view: of a lesion drawn before, or any."""
-    instance = model.organ.instance
-    lesions = np.unique(instance[instance > 0])
-    targets = rng.integers(len(instance), size=len(is_of_lesion))
-    if len(lesions):
-        of_lesion = [np.flatnonzero(instance == number) for number in lesions]
+    """A vertex of the wall for each view: one of a lesion drawn before, or any.
+
+    Args:
+        lesions: Vertices of each lesion.
+        num_vertices: Of the wall.
+        is_of_lesion: Whether a view is to look at a lesion [n].
+        rng: Draws them.
+    """
+    targets = rng.integers(num_vertices, size=len(is_of_lesion))
+    if lesions:
         for view in np.flatnonzero(is_of_lesion):
-            members = of_lesion[rng.integers(len(lesions))]
+            members = lesions[int(rng.integers(len(lesions)))]
             targets[view] = members[rng.integers(len(members))]
     return targets
 

@@ -14,6 +14,7 @@ from transfer_pictures import Pictures, disc_only
 from transfer_real import small_image, small_map
 from vrcaps import rng
 from vrcaps.errors import InputError
+from vrcaps.learn.masks import LESION
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.recording.shown_lesion import lesion_instances, shown_lesion
 
@@ -46,8 +47,12 @@ class OurFrame:
     is_validation: bool
 
     def mask(self, kinds: Sequence[str]) -> np.ndarray:
-        """Number of the kind at each pixel, in `kinds` plus 1; 0 where none of them is [h w]."""
-        numbers = [kinds.index(kind) + 1 if kind in kinds else 0 for kind in self.kinds]
+        """Number of the kind at each pixel, in `kinds` plus 1; 0 where none of them is [h w].
+
+        The kind `lesion` is any that is not named itself.
+        """
+        any_lesion = kinds.index(LESION) + 1 if LESION in kinds else 0
+        numbers = [kinds.index(kind) + 1 if kind in kinds else any_lesion for kind in self.kinds]
         return np.array([0, *numbers], np.uint8)[self.lesions]
 
 

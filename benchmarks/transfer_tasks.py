@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from transfer_real import (
 from vrcaps.learn.classes import ClassLearner, class_probabilities
 from vrcaps.learn.depth import DepthLearner
 from vrcaps.learn.learner import Sample
-from vrcaps.learn.masks import MaskLearner
+from vrcaps.learn.masks import LESION, MaskLearner
 from vrcaps.learn.registry import AnyLearner
 from vrcaps.learn.super_resolution import SuperResolutionLearner, image_of
 from vrcaps.learn.validation import Found
@@ -129,18 +129,18 @@ class Task:
     def first_learners(self, effort: Effort) -> tuple[AnyLearner, ...]:
         """What is learned from our images before the real ones, one after another.
 
-        One network that learned masks of all kinds of lesions serves all tasks of masks, and one
-        that went on to their classes those of classes: a mask says where in the image the lesion
-        is, a class only that there is one, and what else goes with it in our images. Colors vary
-        more than in later learning, since walls of real patients do.
+        One network learned masks of all kinds of lesions. It went on to masks of any lesion, with
+        which all tasks of masks begin, and to classes of images, for those of classes: a mask says
+        where in the image the lesion is, a class only that there is one, and what else goes with
+        it in our images. Colors vary more than in later learning, since walls of real patients do.
         """
         if self.kind not in ("classes", "masks"):
             return (self.learner(effort),)
         size, brightness, tint = effort.size, 1.5, 1.35
-        masks = MaskLearner(OUR_LESIONS, size, brightness=brightness, tint=tint)
+        kinds = MaskLearner(OUR_LESIONS, size, brightness=brightness, tint=tint)
         if self.kind == "masks":
-            return (masks,)
-        return masks, ClassLearner(OUR_CLASSES, size, brightness=brightness, tint=tint)
+            return kinds, replace(kinds, classes=(LESION,))
+        return kinds, ClassLearner(OUR_CLASSES, size, brightness=brightness, tint=tint)
 
     def learner(self, effort: Effort) -> AnyLearner:
         """The learner, for images of a preset's size."""

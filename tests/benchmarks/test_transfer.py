@@ -31,6 +31,7 @@ from vrcaps.camera.lens import LensPinhole
 from vrcaps.cli.benchmarks.page import read_sections
 from vrcaps.data.plan import read_plan
 from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.learn.masks import LESION
 from vrcaps.learn.training import WEIGHTS
 from vrcaps.learn.weights import read_weights
 from vrcaps.metrics.bootstrap import Interval
@@ -348,6 +349,9 @@ def test_our_images_have_the_classes_and_masks_of_their_lesions(monkeypatch):
     assert sequence.label_names == ("background", "bleeding", "polyp")
     shown = [[name in found for name in (1, 2)] for found in map(np.unique, both.masks)]
     assert np.sum(shown, axis=0).tolist() == [5, 5]
+    any_lesion, _ = our_masks(("made-up",), ("lesion",), 32)
+    for one, each in zip(any_lesion.masks, both.masks, strict=True):
+        assert np.array_equal(one, each > 0)
     with pytest.raises(InputError, match="no image of colitis to learn from"):
         our_masks(("made-up",), ("colitis",), 32)
 
@@ -393,12 +397,12 @@ def test_a_run_with_ours_learns_masks_first(tmp_path, monkeypatch):
     arms = [(row.cell.arm, row.cell.fraction) for row in RowFile(run).rows.values()]
     named = [(arm, 0.5) for arm in TASKS["polyp-masks"].arms]
     assert sorted(arms) == sorted([*named, ("ours", 0.0), ("imagenet+ours", 0.0)])
-    (scratch,) = (run / "weights").glob("masks-ours-*")
-    first = read_weights(scratch / WEIGHTS).learner
-    assert first.classes == OUR_LESIONS and first.size == 32
+    first = [*(run / "weights").glob("masks-ours-*")]
+    learners = [read_weights(one / WEIGHTS).learner for one in first]
+    assert {(one.classes, one.size) for one in learners} == {(OUR_LESIONS, 32), ((LESION,), 32)}
     given = tmp_path / "given"
     given.mkdir()
-    shutil.copy(scratch / WEIGHTS, given / "masks-scratch.safetensors")
+    shutil.copy(first[0] / WEIGHTS, given / "masks-scratch.safetensors")
     setup = Setup({}, run, ("fake",), given, "smoke")
     found = first_weights(setup, Cell("bleeding-masks", "ours", 0.5, 0))
     assert found == str(given / "masks-scratch.safetensors")

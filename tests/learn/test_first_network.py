@@ -99,6 +99,14 @@ def test_classes_are_known_by_their_names(known, learner, tmp_path):
     assert all(torch.equal(found[name], trained[name]) for name in [*found][:-2])
 
 
+def test_masks_of_one_kind_begin_with_those_of_any_lesion(tmp_path):
+    path = _written(MaskLearner(("bleeding", "lesion"), 32), tmp_path)
+    trained = read_weights(path).network.state_dict()
+    found = first_network(MaskLearner(("polyp", "bleeding"), 32), str(path)).state_dict()
+    for layer in [*found][-2:]:
+        assert torch.equal(found[layer], trained[layer][[1, 0]])
+
+
 def test_color_is_seen_as_by_the_network_of_maps(tmp_path):
     path = _written(MASKS, tmp_path)
     image = torch.rand((2, 3, 32, 32))

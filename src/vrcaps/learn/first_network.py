@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from vrcaps.errors import InputError
+from vrcaps.learn.masks import LESION
 from vrcaps.learn.networks import ENCODER, with_inputs
 from vrcaps.learn.published import find_weights
 from vrcaps.learn.registry import AnyLearner
@@ -20,7 +21,8 @@ def first_network(learner: AnyLearner, start: str) -> Any:
     """The network that training begins with.
 
     Weights of the same task are taken as they are, but for those of another shape; of the last
-    layer the part of each class that both have, by its name. Of those of another task the encoder
+    layer the part of each class that both have, by its name. Masks of a class that is not known
+    begin with those of any lesion, if that is. Of weights of another task the encoder
     is taken; what else ImageNet weights know of a classifier begins with them if these weights did,
     and if they need no hub.
 
@@ -73,8 +75,10 @@ def _own_classes(trained: Trained, learner: AnyLearner, own: dict[str, Any]) -> 
     theirs, ours = (getattr(one, "classes", ()) for one in (trained.learner, learner))
     if theirs == ours:
         return known
-    shared = [name for name in ours if name in theirs]
-    to, of = ([names.index(one) for one in shared] for names in (ours, theirs))
+    source = {name: name if name in theirs else LESION for name in ours}
+    shared = [name for name in ours if source[name] in theirs]
+    to = [ours.index(name) for name in shared]
+    of = [theirs.index(source[name]) for name in shared]
     for name in [*own][-2:]:  # weight and bias of the last layer
         rows = own[name].clone()
         rows[to] = known[name][of]

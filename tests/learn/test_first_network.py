@@ -107,6 +107,13 @@ def test_masks_of_one_kind_begin_with_those_of_any_lesion(tmp_path):
         assert torch.equal(found[layer], trained[layer][[1, 0]])
 
 
+def test_a_class_of_images_does_not_begin_with_one_that_is_called_lesion(tmp_path):
+    path = _written(ClassLearner(("normal", "lesion"), 32), tmp_path)
+    found = first_network(ClassLearner(("polyp", "normal"), 32), str(path)).state_dict()
+    assert not found[[*found][-2]][0].any()
+    assert found[[*found][-2]][1].any()
+
+
 def test_color_is_seen_as_by_the_network_of_maps(tmp_path):
     path = _written(MASKS, tmp_path)
     image = torch.rand((2, 3, 32, 32))

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from vrcaps.errors import InputError
-from vrcaps.learn.masks import LESION
+from vrcaps.learn.masks import LESION, MaskLearner
 from vrcaps.learn.networks import ENCODER, with_inputs
 from vrcaps.learn.published import find_weights
 from vrcaps.learn.registry import AnyLearner
@@ -21,10 +21,10 @@ def first_network(learner: AnyLearner, start: str) -> Any:
     """The network that training begins with.
 
     Weights of the same task are taken as they are, but for those of another shape; of the last
-    layer the part of each class that both have, by its name. Masks of a class that is not known
-    begin with those of any lesion, if that is. Of weights of another task the encoder
-    is taken; what else ImageNet weights know of a classifier begins with them if these weights did,
-    and if they need no hub.
+    layer the part of each class that both have, by its name. Masks of a class that the weights do
+    not know begin with those of any lesion, if the weights know these. Of weights of another task
+    the encoder is taken; what else ImageNet weights know of a classifier begins with them if these
+    weights did, and if they need no hub.
 
     Args:
         learner: The task and its settings.
@@ -75,10 +75,10 @@ def _own_classes(trained: Trained, learner: AnyLearner, own: dict[str, Any]) -> 
     theirs, ours = (getattr(one, "classes", ()) for one in (trained.learner, learner))
     if theirs == ours:
         return known
-    source = {name: name if name in theirs else LESION for name in ours}
-    shared = [name for name in ours if source[name] in theirs]
-    to = [ours.index(name) for name in shared]
-    of = [theirs.index(source[name]) for name in shared]
+    other = LESION if isinstance(learner, MaskLearner) else ""
+    sources = [name if name in theirs else other for name in ours]
+    to = [k for k, name in enumerate(sources) if name in theirs]
+    of = [theirs.index(sources[k]) for k in to]
     for name in [*own][-2:]:  # weight and bias of the last layer
         rows = own[name].clone()
         rows[to] = known[name][of]

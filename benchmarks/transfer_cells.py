@@ -14,6 +14,9 @@ from transfer_general import GENERAL
 from vrcaps.errors import InputError
 
 ROWS = "rows.jsonl"
+LONG = "imagenet-long"
+"""Arm that learns `LONG_FACTOR` times as long from all real images: what there is to gain."""
+LONG_FACTOR = 10
 
 
 @dataclass(frozen=True)
@@ -71,10 +74,19 @@ def ordered_cells(
             for seed in range(seeds)
             for task, names in arms.items()
             for arm in names
-            if arm not in ((GENERAL,) if fraction > 0.0 else ("scratch", "imagenet"))
+            if _is_asked(arm, fraction)
         ]
 
     return [cell for fraction in (first, 0.0, *others) for cell in block(fraction)]
+
+
+def _is_asked(arm: str, fraction: float) -> bool:
+    """Whether an arm is run at a fraction of the real images."""
+    if arm == LONG:
+        return fraction == 1.0
+    if arm == GENERAL:
+        return fraction == 0.0
+    return fraction > 0.0 or arm not in ("scratch", "imagenet")
 
 
 @dataclass(frozen=True)

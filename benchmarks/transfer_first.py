@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from transfer_cells import Cell, digest_of
+from transfer_cells import LONG, Cell, digest_of
 from transfer_general import GENERAL, is_installed
 from transfer_ours import data_digest, evenly, our_classes, our_masks, our_sequences
 from transfer_pictures import Pictures
@@ -47,6 +47,8 @@ def first_weights(setup: Setup, cell: Cell) -> str:
     """
     if cell.arm in (SCRATCH, IMAGENET):
         return cell.arm
+    if cell.arm == LONG:
+        return IMAGENET
     given = given_weights(setup, cell)
     if given is not None:
         return str(given)

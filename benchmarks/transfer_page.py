@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from transfer_cells import Row
+from transfer_cells import LONG, LONG_FACTOR, Row
 from transfer_general import GENERAL
 from transfer_statistics import Judged, difference_interval, figure_interval
 from transfer_tasks import DEPTH, PRESETS, TASKS, Task, task_named
@@ -25,6 +25,7 @@ ARM_TITLES = {
     "imagenet": "ImageNet",
     "ours": "ours",
     "imagenet+ours": "ImageNet + ours",
+    LONG: f"ImageNet, {LONG_FACTOR} × the steps",
     "unitycam": "UnityCam",
     "imagenet+unitycam": "ImageNet + UnityCam",
     "published": "ours, published weights",
@@ -47,7 +48,7 @@ PAIRS = (
 )
 """Arms that are compared: the first less the second."""
 _COLORS = {"scratch": "0.6", "imagenet": "C0", "ours": "C1", "imagenet+ours": "C3"}
-_COLORS |= {"unitycam": "C4"}
+_COLORS |= {"unitycam": "C4", LONG: "C2"}
 
 BySeed = Mapping[int, Row]
 

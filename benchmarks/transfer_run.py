@@ -13,7 +13,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from transfer_cells import Cell, Row, RowFile, digest_of
+from transfer_cells import LONG, LONG_FACTOR, Cell, Row, RowFile, digest_of
 from transfer_depth import (
     by_light,
     by_mean,
@@ -76,7 +76,8 @@ def _transfer(setup: Setup, cell: Cell) -> tuple[dict[str, list[float]], list[in
         network = first_network(learner, first_weights(setup, cell))
         trained = Trained(learner, network.to(setup.device).eval(), {}, setup.device)
         return task.values(validate(trained, judged)), held.groups.tolist()
-    settings = settings_of(setup, cell, learner, setup.effort(task).steps)
+    steps = setup.effort(task).steps * (LONG_FACTOR if cell.arm == LONG else 1)
+    settings = settings_of(setup, cell, learner, steps)
     settings = replace(settings, start=first_weights(setup, cell), fraction=cell.fraction)
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "cell"
@@ -172,7 +173,8 @@ def made_rows(setup: Setup, cells: Sequence[Cell], workers: int) -> Iterator[Row
         yield from (run_cell(setup, cell) for cell in cells)
         return
     # Weights to begin with come first, so that no two processes learn the same.
-    learning = [c for c in cells if c.arm not in (SCRATCH, IMAGENET, *WITHOUT_LEARNING, GENERAL)]
+    alone = (SCRATCH, IMAGENET, LONG, *WITHOUT_LEARNING, GENERAL)
+    learning = [cell for cell in cells if cell.arm not in alone]
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         wanted = {_first_name(setup, cell): cell for cell in learning}
         list(pool.map(first_weights, [setup] * len(wanted), wanted.values()))

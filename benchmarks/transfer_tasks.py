@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from transfer_cells import LONG
 from transfer_general import GENERAL
 from transfer_pictures import Pictures
 from transfer_real import (
@@ -119,7 +120,8 @@ class Task:
         """What training on real images begins with."""
         if self.kind == "super-resolution":
             return ("scratch", "ours", "unitycam", GENERAL)
-        return ("scratch", "imagenet", "ours", "imagenet+ours")
+        arms = ("scratch", "imagenet", "ours", "imagenet+ours")
+        return (*arms, LONG) if self.kind == "classes" else arms
 
     @property
     def lesions(self) -> tuple[str, ...]:

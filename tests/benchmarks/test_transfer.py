@@ -1,9 +1,11 @@
 """The experiment on real images: its cells, groups, folds and intervals; a small whole run."""
 
 import json
+import re
 import shutil
 import sys
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import ClassVar
 
@@ -16,11 +18,11 @@ import sim_to_real
 import transfer_ours
 from small_frames import image_of, small_sequence
 from transfer_ablations import COMPLETE, PLAN, VARIANTS, without
-from transfer_cells import ROWS, Cell, Row, RowFile, ordered_cells
+from transfer_cells import LONG, ROWS, Cell, Row, RowFile, ordered_cells
 from transfer_depth import DepthImage, by_light, constant, depth_values, read_sinus, without_border
 from transfer_first import first_folder, first_weights
 from transfer_ours import our_classes, our_masks
-from transfer_page import by_arm, report, verdict
+from transfer_page import ARM_TITLES, PAGE, PAIRS, by_arm, report, verdict
 from transfer_pictures import Pictures, alike, balanced_folds, disc_only, merged
 from transfer_real import found_layouts, kvasir_class, read_classes, read_masks
 from transfer_setup import Setup
@@ -31,6 +33,7 @@ from vrcaps.camera.lens import LensPinhole
 from vrcaps.cli.benchmarks.page import read_sections
 from vrcaps.data.plan import read_plan
 from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.learn.first_network import IMAGENET
 from vrcaps.learn.masks import LESION
 from vrcaps.learn.training import WEIGHTS
 from vrcaps.learn.weights import read_weights
@@ -39,6 +42,14 @@ from vrcaps.metrics.classification import confusion_matrix, f1_scores
 
 ARMS = {"masks": ("scratch", "imagenet", "ours"), "classes": ("scratch", "ours")}
 MADE_OF = {"basis": "a", "first": "b"}
+SUMMARY = {
+    "masks of polyps": "polyp-masks",
+    "masks of bleeding": "bleeding-masks",
+    "polyp or colitis": "polyp-classes",
+    "bleeding or not": "bleeding-classes",
+    "super-resolution": "super-resolution",
+}
+"""Names of tasks in the summary of the page."""
 
 
 def scene(seed, side=96):
@@ -64,6 +75,28 @@ def test_the_most_telling_cells_come_first():
     assert {cell.arm for cell in cells if cell.fraction == 0.0} == {"ours"}
     # One that was stopped has as many seeds of each arm.
     assert {cell.seed for cell in cells[:5]} == {0}
+
+
+def test_the_longest_training_is_of_all_real_images():
+    cells = ordered_cells({"classes": ("imagenet", LONG)}, (0.1, 1.0), seeds=2)
+    assert [cell.seed for cell in cells if cell == Cell("classes", LONG, 1.0, cell.seed)] == [0, 1]
+    assert sum(cell.arm == LONG for cell in cells) == 2
+    assert LONG in TASKS["polyp-classes"].arms
+    assert first_weights(Setup({}, Path()), Cell("polyp-classes", LONG, 1.0, 0)) == IMAGENET
+
+
+def test_the_summary_of_the_page_is_what_its_sections_say():
+    sections = read_sections(PAGE)
+    rows = re.findall(r"^\| (.+?), (?:Dice|F1|dB) \|(.*?)\|(.*?)\|$", sections[""], re.M)
+    assert {name for name, *_ in rows} == {*SUMMARY}
+    for name, *shown in rows:
+        section = sections[f"benchmarks/sim_to_real.py {SUMMARY[name]}"]
+        for pair, text in zip(PAIRS, shown, strict=False):
+            words = re.escape(" − ".join(ARM_TITLES[arm] for arm in pair))
+            found = re.search(rf"^\| 10 % \| {words} \| (.*?) \| (.*?) \|$", section, re.M)
+            figure = "" if found is None else found[1]
+            is_told = found is not None and "not told" not in found[2]
+            assert text.strip() == (f"**{figure}**" if is_told else figure)
 
 
 def test_rows_survive_a_kill_in_the_middle_of_a_line(tmp_path):

@@ -60,6 +60,8 @@ class DepthLearner:
         gradient_weight: Weight of the loss of gradients.
         brightness: Largest random change of exposure, as a factor: 1.3 is ± 30 %.
         tint: Largest random change of each color, as a factor.
+        gamma: Largest random exponent. 1 for this and both above keeps colors, which serves one
+            camera whose exposure and light are known.
         zoom: Least side of the random part of a frame that is learned from; 1 is all of it.
     """
 
@@ -69,6 +71,7 @@ class DepthLearner:
     gradient_weight: Annotated[float, Range(0.0)] = 0.5
     brightness: Annotated[float, Range(1.0)] = 1.2
     tint: Annotated[float, Range(1.0)] = 1.2
+    gamma: Annotated[float, Range(1.0)] = 1.15
     zoom: Annotated[float, Range(above=0.0, most=1.0)] = 0.6
 
     kind: ClassVar[str] = "depth"
@@ -124,7 +127,7 @@ class DepthLearner:
         if rng.random() < 0.5:
             return sample
         image = recolored(
-            sample["image"], rng, exposure=self.brightness, tint=self.tint, gamma=1.15
+            sample["image"], rng, exposure=self.brightness, tint=self.tint, gamma=self.gamma
         )
         return sample | {"image": image}
 

@@ -136,6 +136,14 @@ def motion_network(encoder: str, *, is_pretrained: bool) -> Any:
     return network
 
 
+def freeze_batch_norm(network: Any) -> None:
+    """Let batch normalization use the statistics it has, until the network's mode is set anew."""
+    base = require_torch().nn.modules.batchnorm._BatchNorm
+    for module in network.modules():
+        if isinstance(module, base):
+            module.eval()
+
+
 @cache
 def feature_network(encoder: str, device: str) -> Any:
     """A network from color images [b 3 h w], 0 to 1, to feature maps [b c h' w'] of four scales.

@@ -19,7 +19,7 @@ from vrcaps.learn.classes import ClassLearner
 from vrcaps.learn.depth import DepthLearner
 from vrcaps.learn.first_network import IMAGENET, first_network, origin
 from vrcaps.learn.learner import Adversarial
-from vrcaps.learn.networks import require_torch
+from vrcaps.learn.networks import freeze_batch_norm, require_torch
 from vrcaps.learn.optimized import Optimized
 from vrcaps.learn.registry import AnyLearner
 from vrcaps.learn.samples import Samples, batch_of
@@ -56,6 +56,9 @@ class TrainSettings:
         fraction: Share of the training frames that is used, for learning curves.
         evaluate_every: Steps between evaluations and checkpoints.
         evaluation_frames: Most frames of an evaluation, evenly spread.
+        freeze_batch_norm: Whether batch normalization keeps the statistics that it began with. The
+            brightness of a batch of few frames is partly normalized away, and absolute depth with
+            it; so this is for weights that go on, not for first ones.
         seed: Of all that is random.
     """
 
@@ -70,6 +73,7 @@ class TrainSettings:
     fraction: Annotated[float, Range(above=0.0, most=1.0)] = 1.0
     evaluate_every: Annotated[int, Range(1)] = 500
     evaluation_frames: Annotated[int, Range(1)] = 400
+    freeze_batch_norm: bool = False
     seed: Annotated[int, Range(0)] = 0
 
     def __post_init__(self) -> None:
@@ -214,6 +218,8 @@ class _Run:
         number = self.progress.step
         torch.manual_seed(int(rng.stream(self.settings.seed, "learn/step", number).integers(2**31)))
         self.network.train()
+        if self.settings.freeze_batch_norm:
+            freeze_batch_norm(self.network)
         batch = batch_of(self._samples_of(number), self.device)
         with torch.autocast(self.device.split(":")[0], torch.bfloat16, self.device != "cpu"):
             losses = self._losses_of(batch)

@@ -55,6 +55,9 @@ def test_rays_turn_with_their_pixels():
         unchanged += changed["image"].sum() == sample["image"].sum()
     assert len(found) == 8
     assert 15 < unchanged < 45  # half of the images keep their colors
+    same = replace(learner, brightness=1.0, tint=1.0, gamma=1.0)
+    sums = {same.augmented(sample, np.random.default_rng(k))["image"].sum() for k in range(10)}
+    assert sums == {sample["image"].sum()}
 
 
 def test_labels_of_a_part_are_those_of_its_pixels():

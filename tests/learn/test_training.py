@@ -141,6 +141,27 @@ def test_depth_is_learned(tmp_path):
 
 
 @pytest.mark.slow
+def test_frozen_batch_normalization_keeps_its_statistics_and_learns(tmp_path):
+    names = ("running_mean", "running_var", "num_batches_tracked")
+
+    def trained(name, start, **changes):
+        _train(DEPTH, tmp_path / name, start=start, steps=2, **changes)
+        state = read_weights(tmp_path / name / BEST).network.state_dict()
+        kept = {k: v for k, v in state.items() if k.endswith(names)}
+        return kept, {k: v for k, v in state.items() if k not in kept}
+
+    first = trained("first", "scratch")
+    start = str(tmp_path / "first" / BEST)
+    for name, is_frozen in (("frozen", True), ("free", False)):
+        after = trained(name, start, freeze_batch_norm=is_frozen)
+        is_same = [
+            all(map(torch.equal, one.values(), other.values()))
+            for one, other in zip(after, first, strict=True)
+        ]
+        assert is_same == [is_frozen, False]
+
+
+@pytest.mark.slow
 def test_super_resolution_is_learned(tmp_path):
     learner = SuperResolutionLearner(2, size=32, blocks=2, features=16)
     row = _train(learner, tmp_path, steps=60, evaluate_every=60, rate=3e-3).rows[-1]

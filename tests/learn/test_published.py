@@ -117,6 +117,7 @@ def test_card_holds_the_plan_of_its_data(run, place, tmp_path):
         TrainSettings(MaskLearner(("polyp", "ulcer")), ("a",), start="masks", steps=7, rate=1e-4),
         TrainSettings(ClassLearner(("normal", "bleeding")), ("a",), start="scratch", seed=3),
         TrainSettings(SfmLearner(step=2), ("a",), fraction=0.1, weight_decay=0.0),
+        TrainSettings(DepthLearner(gamma=1.0), ("a",), start="depth", freeze_batch_norm=True),
         TrainSettings(replace(LEARNER, validation_size=64), ("a",), batch=3),
     ],
     ids=lambda settings: settings.learner.kind,

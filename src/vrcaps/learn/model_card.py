@@ -124,7 +124,8 @@ def train_command(settings: TrainSettings, out: str) -> str:
     for name, value in to_plain(settings, TrainSettings).items():
         if name in ("learner", "data", "validation") or value == getattr(usual, name):
             continue
-        words += ["--start", value] if name == "start" else ["--set", f"{name}={value}"]
+        shown = str(value).lower() if isinstance(value, bool) else value
+        words += ["--start", value] if name == "start" else ["--set", f"{name}={shown}"]
     return shlex.join([*words, "--out", out])
 
 

@@ -117,7 +117,7 @@ def test_it_keeps_clear_of_the_other_organs(bowel: OrganSurface, around: Neighbo
 
 def test_a_seed_is_a_patient(around: NeighboringOrgans):
     parameters = dataclasses.replace(
-        draw_patient_anatomy(SEED).small_bowel, length=2.0, edge=4 * MM, jejunum_fold_height=1 * MM
+        draw_patient_anatomy(SEED).small_bowel, length=1.5, edge=4 * MM, jejunum_fold_height=1 * MM
     )
     one, again = (generate_small_bowel(parameters, around, seed=2) for _ in range(2))
     for field in ("vertices", "faces", "uv", "label", "arc_length", "theta"):

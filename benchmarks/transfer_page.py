@@ -286,7 +286,7 @@ def draw_curves(task: Task, found: Found, path: Path) -> bool:
         return False
     import matplotlib.pyplot as plt
 
-    figure, axis = plt.subplots(figsize=(4.8, 3.4))
+    figure, axis = plt.subplots(figsize=(4.8, 3.8), layout="constrained")
     for arm in task.arms:
         _draw_arm(axis, task, arm, found)
     axis.set_xscale("log")
@@ -296,8 +296,7 @@ def draw_curves(task: Task, found: Found, path: Path) -> bool:
     axis.set_xlabel("real images learned from", fontsize=9)
     axis.set_ylabel(task.figure)
     axis.grid(alpha=0.3)
-    axis.legend(fontsize=8)
-    figure.tight_layout()
+    figure.legend(loc="outside lower center", ncols=3, fontsize=8)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110, metadata={"Software": None})
     plt.close(figure)

@@ -29,6 +29,8 @@ from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.serialization import to_plain
 from vrcaps.tools.reconstruction.estimates import with_depth
 
+STARTS = {SCRATCH: SCRATCH, IMAGENET: IMAGENET, LONG: IMAGENET}
+"""What arms begin with that learn from no other images before."""
 PUBLISHED = "published"
 """Weights of vrcaps as they are: `depth.safetensors` of the folder of weights."""
 _MOST_LARGE, _MOST_DEPTH = 400, 2000
@@ -45,10 +47,8 @@ def first_weights(setup: Setup, cell: Cell) -> str:
     Raises:
         InputError: If there is nothing to learn from.
     """
-    if cell.arm in (SCRATCH, IMAGENET):
-        return cell.arm
-    if cell.arm == LONG:
-        return IMAGENET
+    if cell.arm in STARTS:
+        return STARTS[cell.arm]
     given = given_weights(setup, cell)
     if given is not None:
         return str(given)

@@ -25,6 +25,7 @@ from transfer_depth import (
 )
 from transfer_first import (
     PUBLISHED,
+    STARTS,
     first_folder,
     first_weights,
     given_weights,
@@ -34,7 +35,7 @@ from transfer_ours import data_digest, our_sequences
 from transfer_setup import Setup, frames_of, settings_of, task_of
 from transfer_tasks import DEPTH, DEPTH_TASK, Effort
 from vrcaps.files import file_sha256, files_in
-from vrcaps.learn.first_network import IMAGENET, SCRATCH, first_network
+from vrcaps.learn.first_network import first_network
 from vrcaps.learn.registry import AnyLearner
 from vrcaps.learn.samples import Samples
 from vrcaps.learn.training import WEIGHTS, TrainSettings, train
@@ -173,7 +174,7 @@ def made_rows(setup: Setup, cells: Sequence[Cell], workers: int) -> Iterator[Row
         yield from (run_cell(setup, cell) for cell in cells)
         return
     # Weights to begin with come first, so that no two processes learn the same.
-    alone = (SCRATCH, IMAGENET, LONG, *WITHOUT_LEARNING, GENERAL)
+    alone = (*STARTS, *WITHOUT_LEARNING, GENERAL)
     learning = [cell for cell in cells if cell.arm not in alone]
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         wanted = {_first_name(setup, cell): cell for cell in learning}

@@ -94,6 +94,7 @@ def test_unknown_study_is_named() -> None:
 SCRIPTS = sorted((Path(__file__).parents[3] / "benchmarks").glob("speed_*.py"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
 def test_scripts_show_their_help(
     script: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

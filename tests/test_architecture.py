@@ -133,6 +133,17 @@ def test_heavy_packages_are_imported_inside_functions() -> None:
     assert not wrong
 
 
+def test_parts_of_scipy_are_loaded_when_they_are_first_used() -> None:
+    """`import scipy` loads none of them; each takes up to a second at the start of every command."""
+    wrong = [
+        f"{module} imports {dotted} at module level; write `import scipy` and `{dotted}` in full"
+        for path in FILES
+        for module, dotted in imported(path, nodes_at_import(tree(path)))
+        if dotted.startswith("scipy.") and "tools.ct" not in module
+    ]
+    assert not wrong
+
+
 def test_files_and_functions_stay_small() -> None:
     long = [
         f"{module_name(path)} has {count} lines"

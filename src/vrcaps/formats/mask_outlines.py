@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from vrcaps.errors import InputError
 
@@ -30,9 +30,9 @@ def outlines(mask: Bool[np.ndarray, "h w"]) -> list[Int[np.ndarray, "k 2"]]:
     two at the hole, since polygons of COCO have none.
     """
     parts = np.zeros(mask.shape, np.int32)
-    ndimage.label(mask, output=parts)  # pixels that share an edge
+    scipy.ndimage.label(mask, output=parts)  # pixels that share an edge
     polygons = []
-    for number, place in enumerate(ndimage.find_objects(parts), 1):
+    for number, place in enumerate(scipy.ndimage.find_objects(parts), 1):
         part = parts[place] == number
         corner = np.array([place[1].start, place[0].start])
         loops = _loops(part)

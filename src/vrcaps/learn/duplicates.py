@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.fft import dctn
+import scipy
 
 from vrcaps.errors import InputError
 from vrcaps.learn.samples import Samples
@@ -38,7 +38,7 @@ def image_hash(image: UInt8[np.ndarray, "h w 3"]) -> Int8[np.ndarray, "k k"]:
 
     size = (_SIDE, _SIDE)
     gray = Image.fromarray(image).convert("L").resize(size, Image.Resampling.BOX)
-    waves = np.asarray(dctn(np.asarray(gray, float), norm="ortho"))
+    waves = np.asarray(scipy.fft.dctn(np.asarray(gray, float), norm="ortho"))
     low = waves[:_FREQUENCIES, :_FREQUENCIES]
     signs = np.where(low > 0.0, 1, -1).astype(np.int8)
     signs[0, 0] = 0

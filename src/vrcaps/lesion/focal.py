@@ -6,9 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import BSpline
-from scipy.spatial import ConvexHull
-from scipy.spatial.distance import pdist
+import scipy
 
 from vrcaps.geometry import smoothstep
 from vrcaps.lesion.base import AppearanceSample, LesionSite, WallSamples, mix
@@ -163,7 +161,9 @@ class ProfileForm(FocalForm):
         rest = self.site.center + xy @ self.site.axes[:, :2].T
         points = self.displaced(WallSamples(xy, rest, normal, normal)) - self.site.center
         head = (points @ self.site.axes[:, :2])[radial.ravel() <= self._radial[self._neck]]
-        return float(pdist(head[ConvexHull(head).vertices]).max())
+        return float(
+            scipy.spatial.distance.pdist(head[scipy.spatial.ConvexHull(head).vertices]).max()
+        )
 
     def displaced(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
         """Positions [m] on the turned profile, with lobes."""
@@ -213,6 +213,6 @@ def turned_profile(
 ) -> tuple[Float[np.ndarray, " 400"], Float[np.ndarray, " 400"], Float[np.ndarray, " 400"]]:
     """Distance from the axis, height, and length along the profile [m], from the top to the rim."""
     knots = np.concatenate([[0.0] * 3, np.linspace(0.0, 1.0, len(control) - 2), [1.0] * 3])
-    r, z = BSpline(knots, control[::-1], 3)(np.linspace(0.0, 1.0, 400)).T
+    r, z = scipy.interpolate.BSpline(knots, control[::-1], 3)(np.linspace(0.0, 1.0, 400)).T
     length = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(r), np.diff(z)))])
     return r, z, length

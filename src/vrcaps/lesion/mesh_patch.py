@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse.csgraph import dijkstra
+import scipy
 
 from vrcaps.geometry import edge_graph
 from vrcaps.mesh.mesh import vertex_normals
@@ -66,7 +66,7 @@ def within(wall: Patch, sources: Int[np.ndarray, " k"], reach: float) -> Float[n
         reach: Largest distance [m].
     """
     graph = edge_graph(wall.moved, wall.faces).tocsr()
-    return dijkstra(graph, indices=sources, min_only=True, limit=reach)
+    return scipy.sparse.csgraph.dijkstra(graph, indices=sources, min_only=True, limit=reach)
 
 
 @dataclass(frozen=True)

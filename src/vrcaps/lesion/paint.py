@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
+import scipy
 
 from vrcaps.color import LINEAR, srgb_from_linear
 from vrcaps.errors import InputError
@@ -191,7 +191,9 @@ def paint_chart(
 
 def _nearest(covered: Bool[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
     """Row and column of the covered texel nearest to each."""
-    found = distance_transform_edt(~covered, return_distances=False, return_indices=True)
+    found = scipy.ndimage.distance_transform_edt(
+        ~covered, return_distances=False, return_indices=True
+    )
     rows, columns = np.asarray(found)
     return rows, columns
 

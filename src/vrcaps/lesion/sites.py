@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
+import scipy
 
 from vrcaps._core import Wall
 from vrcaps.errors import InputError
@@ -179,7 +178,7 @@ def _along_path(
     """Wall along a flow's path and in the hollow at its end."""
     wall, organ = context.wall, context.organ
     reach = 8.0 * flow.width + 2.0 * flow.source
-    along = np.asarray(KDTree(organ.vertices).query(path)[1])
+    along = np.asarray(scipy.spatial.KDTree(organ.vertices).query(path)[1])
     beside = within(wall, np.unique(along), reach + _MARGIN)
     beyond = np.full(len(beside), np.inf)
     if flow.pool > 0.0:
@@ -191,7 +190,7 @@ def _along_path(
     patch = _evenly_refined(patch, 3.0 * flow.width, min(0.8 * MM, 0.6 * flow.width))
     dense = np.linspace(0.0, len(path) - 1.0, 8 * len(path))
     line = np.stack([np.interp(dense, np.arange(len(path)), p) for p in path.T], axis=1)
-    away, nearest = KDTree(line).query(patch.moved)
+    away, nearest = scipy.spatial.KDTree(line).query(patch.moved)
     beside, beyond = patch.fields[:, NUM_FIELDS:].T
     away = np.where(beside < 0.95 * reach, away, np.maximum(away, reach))
     xy = np.stack([nearest / 8.0 * _STEP, away, beyond], axis=1)
@@ -213,7 +212,7 @@ def _hollow(context: PlacementContext, bottom: int, deep: float) -> Int[np.ndarr
     near = np.linalg.norm(vertices - vertices[bottom], axis=1) < _POOL_REACH
     wet = np.flatnonzero(under & near)
     graph = edge_graph(context.wall.moved, context.wall.faces).tocsr()[wet][:, wet]
-    _, part = connected_components(graph, directed=False)
+    _, part = scipy.sparse.csgraph.connected_components(graph, directed=False)
     return wet[part == part[np.searchsorted(wet, bottom)]]
 
 

@@ -9,9 +9,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.fft import irfftn
-from scipy.ndimage import map_coordinates
-from scipy.spatial.transform import Rotation
+import scipy
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -64,13 +62,15 @@ def _field(wavelength: float, spectrum: Callable, rng: np.random.Generator) -> F
         + (np.fft.rfftfreq(_SIDE) * _PER_WAVE)[None, None, :] ** 2
     )
     phase = rng.normal(size=k.shape) + 1j * rng.normal(size=k.shape)
-    volume = np.asarray(irfftn(phase * np.sqrt(spectrum(k)), s=(_SIDE,) * 3))
+    volume = np.asarray(scipy.fft.irfftn(phase * np.sqrt(spectrum(k)), s=(_SIDE,) * 3))
     volume = ((volume - volume.mean()) / volume.std()).astype(np.float32)
-    rotation = Rotation.from_quat(rng.normal(size=4)).as_matrix() * (_PER_WAVE / wavelength)
+    rotation = scipy.spatial.transform.Rotation.from_quat(rng.normal(size=4)).as_matrix() * (
+        _PER_WAVE / wavelength
+    )
     offset = rng.uniform(0.0, _SIDE, 3)
 
     def field(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
         voxels = (np.asarray(points, float) @ rotation.T + offset).T
-        return map_coordinates(volume, voxels, order=1, mode="grid-wrap")
+        return scipy.ndimage.map_coordinates(volume, voxels, order=1, mode="grid-wrap")
 
     return field

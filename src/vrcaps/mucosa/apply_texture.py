@@ -14,7 +14,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import KDTree
+import scipy
 
 import vrcaps.rng
 from vrcaps.geometry import triangle_areas
@@ -208,7 +208,7 @@ class _PatchLayout:
         centers = _centers(organ, rng)
         space = np.hstack([organ.vertices, organ.normals * (_NORMAL_WEIGHT / 2.0**0.5)])
         count = min(_NEAREST + 1, len(centers))
-        distance, nearest = KDTree(space[centers]).query(space, count)
+        distance, nearest = scipy.spatial.KDTree(space[centers]).query(space, count)
         distance, nearest = distance.reshape(len(space), -1), nearest.reshape(len(space), -1)
         if count > 1:
             closeness = 1.0 - distance / np.maximum(distance[:, -1:], 1e-12)
@@ -248,7 +248,7 @@ class _PatchLayout:
 def _centers(organ: OrganSurface, rng: np.random.Generator) -> Int[np.ndarray, " c"]:
     """Vertices about `_SPACING` apart, by position and normal: random sequential addition."""
     space = np.hstack([organ.vertices, organ.normals * (_NORMAL_WEIGHT / 2.0**0.5)])
-    tree = KDTree(space)
+    tree = scipy.spatial.KDTree(space)
     is_free = np.ones(len(space), bool)
     centers = []
     for vertex in rng.permutation(len(space)):

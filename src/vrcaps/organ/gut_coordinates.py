@@ -5,10 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array, diags_array
-from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import spsolve
-from scipy.spatial import KDTree
+import scipy
 
 from vrcaps.geometry import edge_graph
 from vrcaps.mesh.mesh import vertex_normals
@@ -59,20 +56,20 @@ def gut_coordinates(
 def _seeds(
     vertices: Float[np.ndarray, "n 3"],
     faces: Int[np.ndarray, "m 3"],
-    graph: coo_array,
+    graph: scipy.sparse.coo_array,
     centerline: Centerline,
 ) -> Int[np.ndarray, " n"]:
     """Nearest sample of the curve where it is surely the vertex's own, −1 elsewhere.
 
     Where a connected piece of wall has no such vertex, all of it takes its nearest sample.
     """
-    distance, nearest = KDTree(centerline.points).query(vertices)
+    distance, nearest = scipy.spatial.KDTree(centerline.points).query(vertices)
     towards = centerline.points[nearest] - vertices
     facing = (towards * vertex_normals(vertices, faces)).sum(axis=1) > _SEED_FACING * distance
     sure = facing & (distance < _SEED_DISTANCE * centerline.radius[nearest])
     patch = _patches(centerline.arc_length[nearest], graph, sure, centerline.length)
     size = np.bincount(patch, weights=sure)
-    _, piece = connected_components(graph, directed=False)
+    _, piece = scipy.sparse.csgraph.connected_components(graph, directed=False)
     largest = np.zeros(piece.max() + 1)
     np.maximum.at(largest, piece, size[patch])
     sure &= size[patch] >= np.minimum(largest[piece], max(3.0, 0.002 * len(vertices)))
@@ -82,7 +79,7 @@ def _seeds(
 
 def _patches(
     arc_length: Float[np.ndarray, " n"],
-    graph: coo_array,
+    graph: scipy.sparse.coo_array,
     member: Bool[np.ndarray, " n"],
     length: float,
 ) -> Int[np.ndarray, " n"]:
@@ -90,13 +87,15 @@ def _patches(
     row, column = graph.coords
     agree = np.abs(arc_length[row] - arc_length[column]) < _STEEPEST * graph.data + 0.002 * length
     keep = agree & member[row] & member[column]
-    joined = coo_array((np.ones(keep.sum()), (row[keep], column[keep])), shape=graph.shape)
-    return connected_components(joined, directed=False)[1]
+    joined = scipy.sparse.coo_array(
+        (np.ones(keep.sum()), (row[keep], column[keep])), shape=graph.shape
+    )
+    return scipy.sparse.csgraph.connected_components(joined, directed=False)[1]
 
 
 def _spread(
     vertices: Float[np.ndarray, "n 3"],
-    graph: coo_array,
+    graph: scipy.sparse.coo_array,
     centerline: Centerline,
     foot: Int[np.ndarray, " n"],
 ) -> Int[np.ndarray, " n"]:
@@ -146,7 +145,9 @@ def _refine(
     return knots[below] + t * (knots[below + 1] - knots[below])
 
 
-def _fill_jumps(arc_length: Float[np.ndarray, " n"], graph: coo_array) -> Float[np.ndarray, " n"]:
+def _fill_jumps(
+    arc_length: Float[np.ndarray, " n"], graph: scipy.sparse.coo_array
+) -> Float[np.ndarray, " n"]:
     """Arc length with vertices at jumps, and those beside them, made the mean of their ring.
 
     A slight pull to the former value keeps this solvable where a whole piece of wall is loose.
@@ -160,11 +161,13 @@ def _fill_jumps(arc_length: Float[np.ndarray, " n"], graph: coo_array) -> Float[
     if not len(ids):
         return arc_length
     shortest = graph.data[graph.data > 0.0].min(initial=np.inf)
-    weights = csr_array((1.0 / np.maximum(graph.data, shortest), (row, column)), graph.shape)
+    weights = scipy.sparse.csr_array(
+        (1.0 / np.maximum(graph.data, shortest), (row, column)), graph.shape
+    )
     rows = weights[ids]
     total = rows.sum(axis=1)
-    system = diags_array((1.0 + _PULL) * total) - rows[:, ids]
+    system = scipy.sparse.diags_array((1.0 + _PULL) * total) - rows[:, ids]
     known = rows[:, np.flatnonzero(~loose)] @ arc_length[~loose] + _PULL * total * arc_length[ids]
     filled = arc_length.copy()
-    filled[ids] = spsolve(system.tocsc(), known)
+    filled[ids] = scipy.sparse.linalg.spsolve(system.tocsc(), known)
     return filled

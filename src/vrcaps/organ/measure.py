@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import KDTree
+import scipy
 
 from vrcaps.mesh.edges import face_areas, find_edges
 from vrcaps.mesh.mesh import Mesh
@@ -129,7 +129,7 @@ def _is_inner(centerline: Centerline) -> Bool[np.ndarray, " n"]:
 
 def _diameter_by_segment(organ: OrganSurface, inner: Bool[np.ndarray, " n"]) -> dict[str, float]:
     """Mean diameter [m] of the samples whose nearest wall has each label, in label order."""
-    nearest = KDTree(organ.vertices).query(organ.centerline.points[inner])[1]
+    nearest = scipy.spatial.KDTree(organ.vertices).query(organ.centerline.points[inner])[1]
     label, diameter = organ.label[nearest], 2.0 * organ.centerline.radius[inner]
     return {organ.label_names[k]: float(diameter[label == k].mean()) for k in np.unique(label)}
 

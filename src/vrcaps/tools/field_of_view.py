@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from vrcaps.color import LUMA_WEIGHTS
 
@@ -55,25 +55,28 @@ def field_of_view(rgb: UInt8[np.ndarray, "h w 3"]) -> FieldOfView:
     from skimage.measure import label
 
     brightest = rgb.max(axis=2)
-    bright = ndimage.binary_opening(brightest > _BORDER, iterations=2)
+    bright = scipy.ndimage.binary_opening(brightest > _BORDER, iterations=2)
     if not bright.any():
         nothing = np.zeros(rgb.shape[:2], bool)
         return FieldOfView(nothing, nothing, nothing, 0)
     part = np.asarray(label(bright, connectivity=1))
     largest = part == 1 + np.argmax(np.bincount(part.ravel())[1:])
-    filled = np.asarray(ndimage.binary_fill_holes(largest))
+    filled = np.asarray(scipy.ndimage.binary_fill_holes(largest))
     columns = np.flatnonzero(filled.any(axis=0))
     width = int(columns[-1] - columns[0] + 1)
     red, green, blue = (rgb[..., channel].astype(np.int16) for channel in range(3))
     foreign = (green > 1.15 * red + 8) | (blue > 1.1 * red + 8)
-    foreign = ndimage.binary_opening(foreign & filled, iterations=max(2, width // 100))
-    foreign = np.asarray(ndimage.binary_dilation(foreign, iterations=max(3, width // 50)))
+    foreign = scipy.ndimage.binary_opening(foreign & filled, iterations=max(2, width // 100))
+    foreign = np.asarray(scipy.ndimage.binary_dilation(foreign, iterations=max(3, width // 50)))
     framed = filled.all()  # a picture without a border has no rim
     rim = 0 if framed else max(2, round(0.02 * width))
     field = filled & np.logical_not(foreign)
-    depth = np.asarray(ndimage.distance_transform_edt(np.pad(field, 1)))[1:-1, 1:-1]
+    depth = np.asarray(scipy.ndimage.distance_transform_edt(np.pad(field, 1)))[1:-1, 1:-1]
     field = np.asarray(depth > rim, bool)
-    dark = np.asarray(ndimage.binary_opening(ndimage.uniform_filter(brightest, 5) < _DARK)) & field
+    dark = (
+        np.asarray(scipy.ndimage.binary_opening(scipy.ndimage.uniform_filter(brightest, 5) < _DARK))
+        & field
+    )
     return FieldOfView(field, highlights(rgb, field, width) & field, dark, width)
 
 
@@ -106,7 +109,7 @@ def highlights(
     pale, pale_around = (part.min(axis=2) / part.max(axis=2) for part in (light, around))
     pales = pale > _PALING * pale_around
     found = (sure | ((growth > _GROWTH) & pales & (luma > 0.45))) & field
-    return ndimage.binary_dilation(found, iterations=max(1, round(_GROW * width)))
+    return scipy.ndimage.binary_dilation(found, iterations=max(1, round(_GROW * width)))
 
 
 def _bright(image, luma, field, limit: float) -> Bool[np.ndarray, "h w"]:
@@ -125,7 +128,8 @@ def _local_color(image, known, window: int) -> Float[np.ndarray, "h w 3"]:
     filled = fill(image, known)[::step, ::step]
     size = max(3, window // step)
     small = np.stack(
-        [ndimage.median_filter(filled[..., k], size, mode="nearest") for k in range(3)], axis=2
+        [scipy.ndimage.median_filter(filled[..., k], size, mode="nearest") for k in range(3)],
+        axis=2,
     )
     shape = image.shape[:2]
     row, column = np.meshgrid(
@@ -133,7 +137,7 @@ def _local_color(image, known, window: int) -> Float[np.ndarray, "h w 3"]:
     )
     return np.stack(
         [
-            ndimage.map_coordinates(small[..., k], [row, column], order=1, mode="nearest")
+            scipy.ndimage.map_coordinates(small[..., k], [row, column], order=1, mode="nearest")
             for k in range(3)
         ],
         axis=2,
@@ -171,7 +175,7 @@ def fill(
     grid = np.meshgrid(rows, columns, indexing="ij")
     raised = np.stack(
         [
-            ndimage.map_coordinates(small[..., k], grid, order=1, mode="nearest")
+            scipy.ndimage.map_coordinates(small[..., k], grid, order=1, mode="nearest")
             for k in range(image.shape[2])
         ],
         axis=2,

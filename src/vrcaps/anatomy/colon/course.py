@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 
 import vrcaps.rng
 from vrcaps.anatomy.colon.parameters import SEGMENTS
@@ -305,7 +305,9 @@ def _smooth_course(nodes: np.ndarray, length: float) -> Course:
         nodes[1:-1] += 0.25 * (nodes[:-2] - 2.0 * nodes[1:-1] + nodes[2:])
     for _ in range(3):
         chord = _chord_length(nodes)
-        nodes = CubicSpline(chord, nodes)(np.linspace(0.0, chord[-1], round(length / MM) + 1))
+        nodes = scipy.interpolate.CubicSpline(chord, nodes)(
+            np.linspace(0.0, chord[-1], round(length / MM) + 1)
+        )
     center = nodes.mean(axis=0)
     nodes = center + (nodes - center) * (length / _chord_length(nodes)[-1])
     return Course(nodes, np.linspace(0.0, length, len(nodes)))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 
 from vrcaps.anatomy.full_tract.abdomen import (
     GAP,
@@ -140,7 +140,7 @@ def lay_upper_tract(
     points = np.concatenate([upper, bowel_tube.curve(bowel_tube.arc_length)])
     chord = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
     even = np.linspace(0.0, chord[-1], round(chord[-1] / MM) + 1)
-    plain = make_tube(Course(CubicSpline(chord, points)(even), even))
+    plain = make_tube(Course(scipy.interpolate.CubicSpline(chord, points)(even), even))
     tube = with_local_bend(plain, float(chord[len(upper)]))
     return UpperTract(
         stomach=draw_stomach_wall(stomach, tube, stomach_wall_rng(seed)),

@@ -11,9 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
-from scipy.spatial import KDTree
+import scipy
 
 from vrcaps.units import MM
 
@@ -42,8 +40,8 @@ class RoutingGrid:
     """
 
     points: Float[np.ndarray, "n 3"]
-    tree: KDTree
-    graph: csr_matrix
+    tree: scipy.spatial.KDTree
+    graph: scipy.sparse.csr_matrix
     obstacles: ObstacleSpheres
     clearance: float
     low: Float[np.ndarray, " 3"]
@@ -78,8 +76,8 @@ def make_routing_grid(
     start, end = _grid_edges(shape)
     length = np.linalg.norm(points[end] - points[start], axis=1)
     weight = 0.5 * length * (cost[start] + cost[end])
-    graph = csr_matrix((weight, (start, end)), shape=(len(points), len(points)))
-    return RoutingGrid(points, KDTree(points), graph, obstacles, clearance, low, high)
+    graph = scipy.sparse.csr_matrix((weight, (start, end)), shape=(len(points), len(points)))
+    return RoutingGrid(points, scipy.spatial.KDTree(points), graph, obstacles, clearance, low, high)
 
 
 def _grid_edges(shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
@@ -121,7 +119,7 @@ def _nearest_free(points: Float[np.ndarray, "k 3"], grid: RoutingGrid) -> Float[
     free = grid.points[distance_to_obstacles(grid.points, grid.obstacles) >= grid.clearance]
     if not len(free) or not len(points):
         return points
-    return free[KDTree(free).query(points)[1]]
+    return free[scipy.spatial.KDTree(free).query(points)[1]]
 
 
 def _cheapest_path(
@@ -129,7 +127,9 @@ def _cheapest_path(
 ) -> Float[np.ndarray, "k 3"]:
     """The cheapest path over the grid between two points, without its first and last point."""
     first, last = grid.tree.query([start, end])[1]
-    _, before = dijkstra(grid.graph, directed=False, indices=first, return_predecessors=True)
+    _, before = scipy.sparse.csgraph.dijkstra(
+        grid.graph, directed=False, indices=first, return_predecessors=True
+    )
     path = [last]
     while path[-1] != first:
         path.append(before[path[-1]])

@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
+import scipy
 
 import vrcaps.rng
 from vrcaps.anatomy.small_bowel.course import generate_course
@@ -91,7 +91,9 @@ def with_local_bend(tube: Tube, start: float = 0.0) -> Tube:
     A narrow tube may bend within a few centimeters: an average over more misses that.
     """
     sigma = 2.5 * MM / tube.arc_length[1]
-    local = gaussian_filter1d(tube.curve(tube.arc_length, 2), sigma, axis=0, mode="nearest")
+    local = scipy.ndimage.gaussian_filter1d(
+        tube.curve(tube.arc_length, 2), sigma, axis=0, mode="nearest"
+    )
     return replace(tube, bend=np.where((tube.arc_length < start)[:, None], tube.bend, local))
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
+import scipy
 
 from vrcaps.anatomy.small_bowel.parameters import BULB_LENGTH
 from vrcaps.anatomy.tube_mesh.folds import Folds
@@ -119,7 +119,7 @@ def small_bowel_envelope(
     diameters += [p.proximal_ileum_diameter, p.distal_ileum_diameter]
     s += [p.length - 25 * CM, p.length - 10 * CM, p.length]
     diameters += [p.distal_ileum_diameter] + [p.terminal_ileum_diameter] * 2
-    plain = PchipInterpolator(s, 0.5 * np.array(diameters))
+    plain = scipy.interpolate.PchipInterpolator(s, 0.5 * np.array(diameters))
     return lambda arc_length: plain(np.clip(arc_length, 0.0, p.length))
 
 

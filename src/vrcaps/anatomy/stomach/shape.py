@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicSpline, PchipInterpolator
-from scipy.ndimage import gaussian_filter1d
+import scipy
 
 import vrcaps.rng
 from vrcaps.anatomy.tube_mesh.tube import Course
@@ -81,8 +80,12 @@ class StomachWall:
 def stomach_course(parameters: StomachParameters, rng: np.random.Generator) -> Course:
     """The axis from the top of the fundus to the pyloric ring and the stub beyond it."""
     points = _AXIS_CM * CM + rng.normal(0.0, 3 * MM, _AXIS_CM.shape)
-    fine = CubicSpline(np.arange(len(points)), points)(np.linspace(0.0, len(points) - 1, 2000))
-    fine = _resample(gaussian_filter1d(_resample(fine, 600), 45, axis=0, mode="nearest"), 600)
+    fine = scipy.interpolate.CubicSpline(np.arange(len(points)), points)(
+        np.linspace(0.0, len(points) - 1, 2000)
+    )
+    fine = _resample(
+        scipy.ndimage.gaussian_filter1d(_resample(fine, 600), 45, axis=0, mode="nearest"), 600
+    )
     length = parameters.length + STUB
     # The stomach hangs from the diaphragm: the top of the fundus stays where it is.
     fine = fine[0] + (fine - fine[0]) * (
@@ -146,7 +149,7 @@ def stomach_envelope(parameters: StomachParameters) -> Callable[[np.ndarray], np
     s = np.concatenate(
         [fraction * p.length, [p.length - 0.5 * _CANAL, p.length + 0.5 * _CANAL, p.length + STUB]]
     )
-    plain = PchipInterpolator(s, [*radius, 1.02 * ring, 1.02 * ring, 1.9 * ring])
+    plain = scipy.interpolate.PchipInterpolator(s, [*radius, 1.02 * ring, 1.02 * ring, 1.9 * ring])
     depth = _DOME * fundus
 
     def envelope(arc_length: np.ndarray) -> np.ndarray:

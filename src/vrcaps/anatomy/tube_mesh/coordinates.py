@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import KDTree
+import scipy
 
 from vrcaps.organ.centerline import interpolate
 from vrcaps.organ.surface import Centerline
@@ -29,7 +29,7 @@ def arc_length_of_sections(
         tube: The course.
         centerline: In the same frame; it follows the course in its direction.
     """
-    _, nearest = KDTree(tube.curve(tube.arc_length)).query(centerline.points)
+    _, nearest = scipy.spatial.KDTree(tube.curve(tube.arc_length)).query(centerline.points)
     passed = np.maximum.accumulate(tube.arc_length[nearest])
     passed, first = np.unique(passed, return_index=True)
     return np.interp(sections, passed, centerline.arc_length[first])
@@ -57,5 +57,5 @@ def angle_and_radius(
 def tube_centerline(tube: Tube, vertices: Float[np.ndarray, "n 3"]) -> Centerline:
     """The course of a tube with the clearance to the nearest vertex of its wall."""
     points = tube.curve(tube.arc_length)
-    clearance, _ = KDTree(vertices).query(points)
+    clearance, _ = scipy.spatial.KDTree(vertices).query(points)
     return Centerline(points, tube.arc_length, clearance, tube.frames)

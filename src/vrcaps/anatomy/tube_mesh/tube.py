@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.ndimage import gaussian_filter1d
+import scipy
 
 from vrcaps.units import MM
 
@@ -39,7 +38,7 @@ class Tube:
         bend: Curvature vector at each sample, averaged over about 2 cm [1/m].
     """
 
-    curve: CubicSpline
+    curve: scipy.interpolate.CubicSpline
     arc_length: Float[np.ndarray, " n"]
     frames: Float[np.ndarray, "n 3 3"]
     bend: Float[np.ndarray, "n 3"]
@@ -86,7 +85,7 @@ class Tube:
 
 def make_tube(course: Course) -> Tube:
     """Frames along a course by the double reflection method (Wang et al. 2008)."""
-    curve = CubicSpline(course.arc_length, course.points)
+    curve = scipy.interpolate.CubicSpline(course.arc_length, course.points)
     points, tangents = course.points, curve(course.arc_length, 1)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
     axes = np.empty_like(points)
@@ -102,5 +101,7 @@ def make_tube(course: Course) -> Tube:
         axes[i + 1] = axis - 2.0 * (mirror @ axis) / square * mirror if square > 0.0 else axis
     frames = np.stack([axes, np.cross(tangents, axes), tangents], axis=-1)
     spacing = course.arc_length[1]
-    bend = gaussian_filter1d(curve(course.arc_length, 2), 7 * MM / spacing, axis=0, mode="nearest")
+    bend = scipy.ndimage.gaussian_filter1d(
+        curve(course.arc_length, 2), 7 * MM / spacing, axis=0, mode="nearest"
+    )
     return Tube(curve, course.arc_length, frames, bend)

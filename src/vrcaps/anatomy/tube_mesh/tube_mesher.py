@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
+import scipy
 
 from vrcaps.anatomy.tube_mesh.edge_flips import chart_area, flip_edges
 from vrcaps.anatomy.tube_mesh.swept_surface import (
@@ -84,14 +84,14 @@ def _place_rows(
     num_rows = round(count[-1]) - 1
     base = np.interp(np.linspace(0.0, count[-1], num_rows + 2)[1:-1], count, along)
     window = round(_LOCAL / _STEP)
-    relative = pace / uniform_filter1d(pace, window, axis=0)
-    relative *= (uniform_filter1d(mean, window) / ticks)[:, None]
+    relative = pace / scipy.ndimage.uniform_filter1d(pace, window, axis=0)
+    relative *= (scipy.ndimage.uniform_filter1d(mean, window) / ticks)[:, None]
     shift = np.empty((num_rows, len(angles)))
     for k in range(len(angles)):
         own = np.concatenate([[0.0], np.cumsum(relative[:, k])])
         wanted = np.linspace(0.0, own[-1], num_rows + 2)[1:-1]
         shift[:, k] = np.interp(wanted, own, along) - base
-    shift -= uniform_filter1d(shift, max(3, round(_DRIFT / end * num_rows)), axis=0)
+    shift -= scipy.ndimage.uniform_filter1d(shift, max(3, round(_DRIFT / end * num_rows)), axis=0)
     shift = _smooth_around(_smooth_around(shift))
     if surface.crests is not None:
         shift = _smooth_around(
@@ -129,7 +129,7 @@ def _pace(
     s = np.repeat(meridian.to_arc_length(along), len(angles))
     points = surface.points(s, np.tile(angles, len(along))).reshape(*shape, 3)
     pace = np.linalg.norm(np.diff(points, axis=0), axis=2) / np.diff(along)[:, None]
-    return np.maximum(uniform_filter1d(pace, 3, axis=0), 0.05)
+    return np.maximum(scipy.ndimage.uniform_filter1d(pace, 3, axis=0), 0.05)
 
 
 def _in_order(
@@ -159,10 +159,10 @@ def _place_columns(
     step = _steps_around(surface, meridian.to_arc_length(middle), fine)
     girth = step.sum(axis=1)
     # Blurred over many rows, lest columns weave in and out of folds.
-    fraction = uniform_filter1d(step / girth[:, None], _STRAIGHT, axis=0)
+    fraction = scipy.ndimage.uniform_filter1d(step / girth[:, None], _STRAIGHT, axis=0)
     fraction = np.pad(np.cumsum(fraction, axis=1), ((0, 0), (1, 0)))
     plain = 2.0 * np.pi * np.maximum(surface.envelope(meridian.to_arc_length(middle)), 0.1 * MM)
-    ratio = uniform_filter1d(np.clip(girth / plain, 0.5, 3.0), 25)
+    ratio = scipy.ndimage.uniform_filter1d(np.clip(girth / plain, 0.5, 3.0), 25)
     wanted = plain * ratio / surface.edge(meridian.to_arc_length(middle))
     num_columns = _steady(np.maximum(wanted, _FEWEST))
     all_along, all_theta = [], []

@@ -11,9 +11,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.ndimage import gaussian_filter1d
-from scipy.spatial import KDTree
+import scipy
 
 from vrcaps.anatomy.tube_mesh.tube import Course
 from vrcaps.units import MM
@@ -40,9 +38,9 @@ class ObstacleSpheres:
     radius: Float[np.ndarray, " k"]
 
     @cached_property
-    def tree(self) -> KDTree:
+    def tree(self) -> scipy.spatial.KDTree:
         """For the nearest centers."""
-        return KDTree(self.center)
+        return scipy.spatial.KDTree(self.center)
 
     def __add__(self, other: ObstacleSpheres) -> ObstacleSpheres:
         """Both together."""
@@ -129,7 +127,7 @@ def min_clearance(
     """
     step = max(1, round(4 * MM / course.arc_length[1]))
     points, s, radius = course.points[::step], course.arc_length[::step], radius[::step]
-    tree = KDTree(points)
+    tree = scipy.spatial.KDTree(points)
     i, j = tree.query_pairs(2.0 * radius.max(), output_type="ndarray").T
     apart = np.abs(s[i] - s[j]) > 0.65 * np.pi * (radius[i] + radius[j])
     i, j = i[apart], j[apart]
@@ -155,7 +153,7 @@ def smooth_course(nodes: Float[np.ndarray, "n 3"], *, step: float = 1 * MM) -> C
     chord = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(nodes, axis=0), axis=1)))
     num = round(chord[-1] / step) + 1
     for sigma in (0.0, 6 * MM, 0.0):
-        nodes = CubicSpline(chord, nodes)(np.linspace(0.0, chord[-1], num))
+        nodes = scipy.interpolate.CubicSpline(chord, nodes)(np.linspace(0.0, chord[-1], num))
         nodes = _blurred(nodes, sigma / step)
         chord = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(nodes, axis=0), axis=1)))
     return Course(nodes, np.linspace(0.0, float(chord[-1]), num))
@@ -168,7 +166,9 @@ def _blurred(points: Float[np.ndarray, "n 3"], sigma: float) -> Float[np.ndarray
     num = round(4.0 * sigma)
     before = 2.0 * points[0] - points[num:0:-1]
     after = 2.0 * points[-1] - points[-2 : -num - 2 : -1]
-    return gaussian_filter1d(np.concatenate([before, points, after]), sigma, axis=0)[num:-num]
+    return scipy.ndimage.gaussian_filter1d(np.concatenate([before, points, after]), sigma, axis=0)[
+        num:-num
+    ]
 
 
 def _neighbors(
@@ -177,7 +177,7 @@ def _neighbors(
     """Pairs of nodes that may come to touch, and the obstacles nearest to each node."""
     radius = chain.radius
     reach = 2.0 * radius.max() + chain.gap + _MARGIN
-    i, j = KDTree(nodes).query_pairs(reach, output_type="ndarray").T
+    i, j = scipy.spatial.KDTree(nodes).query_pairs(reach, output_type="ndarray").T
     apart = (j - i) * spacing > 0.65 * np.pi * (radius[i] + radius[j])
     num = min(_NUM_NEAREST, len(obstacles.radius))
     nearest = np.zeros((len(nodes), 0), int)

@@ -8,8 +8,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import coo_matrix, csr_matrix
-from scipy.sparse.linalg import splu
+import scipy
 
 from vrcaps.mesh.edges import face_areas, find_edges, signed_volume
 
@@ -207,11 +206,13 @@ def _membrane(
     ends = np.unique(np.sort(find_edges(faces).ends, axis=1), axis=0)
     rows, columns = np.concatenate([ends, ends[:, ::-1]]).T
     size = border + count
-    adjacency = csr_matrix(coo_matrix((np.ones(len(rows)), (rows, columns)), (size, size)))
+    adjacency = scipy.sparse.csr_matrix(
+        scipy.sparse.coo_matrix((np.ones(len(rows)), (rows, columns)), (size, size))
+    )
     inner = adjacency[border:]
     degree = np.asarray(inner.sum(axis=1)).reshape(-1)
-    system = csr_matrix((degree, (range(count), range(count)))) - inner[:, border:]
-    return splu(system.tocsc()).solve(inner[:, :border] @ known)
+    system = scipy.sparse.csr_matrix((degree, (range(count), range(count)))) - inner[:, border:]
+    return scipy.sparse.linalg.splu(system.tocsc()).solve(inner[:, :border] @ known)
 
 
 def _border_uv(mesh: Mesh, loop: Loop) -> Float[np.ndarray, "n 2"]:

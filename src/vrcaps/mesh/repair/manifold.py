@@ -6,8 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import breadth_first_order, connected_components
+import scipy
 
 from vrcaps.errors import InputError
 from vrcaps.mesh.edges import (
@@ -152,8 +151,10 @@ def keep_largest_component(
     """
     ends = find_edges(mesh.faces).ends
     size = len(mesh.vertices)
-    graph = coo_matrix((np.ones(len(ends), bool), (ends[:, 0], ends[:, 1])), (size, size))
-    num_parts, vertex_part = connected_components(graph, directed=False)
+    graph = scipy.sparse.coo_matrix(
+        (np.ones(len(ends), bool), (ends[:, 0], ends[:, 1])), (size, size)
+    )
+    num_parts, vertex_part = scipy.sparse.csgraph.connected_components(graph, directed=False)
     if num_parts == 1:
         return mesh, origin, []
     face_part = vertex_part[mesh.faces[:, 0]]
@@ -191,8 +192,10 @@ def orient_consistently(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
     partner = right + size * disagrees
     rows = np.concatenate([left, left + size])
     columns = np.concatenate([partner, (partner + size) % (2 * size)])
-    graph = coo_matrix((np.ones(len(rows), bool), (rows, columns)), (2 * size, 2 * size))
-    side = connected_components(graph, directed=False)[1]
+    graph = scipy.sparse.coo_matrix(
+        (np.ones(len(rows), bool), (rows, columns)), (2 * size, 2 * size)
+    )
+    side = scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
     if side[0] == side[size]:
         place = _conflict_place(mesh, edges, disagrees)
         raise InputError(
@@ -214,8 +217,10 @@ def _is_fin(mesh: Mesh, edges: Edges) -> Bool[np.ndarray, " m"]:
     """Faces of small patches with a free border, patches being bounded by nonmanifold edges."""
     pairs = edges.with_count(2) // 3
     size = len(mesh.faces)
-    graph = coo_matrix((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), (size, size))
-    num_patches, patch = connected_components(graph, directed=False)
+    graph = scipy.sparse.coo_matrix(
+        (np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), (size, size)
+    )
+    num_patches, patch = scipy.sparse.csgraph.connected_components(graph, directed=False)
     areas = np.bincount(patch, face_areas(mesh), num_patches)
     is_open = np.zeros(num_patches, bool)
     is_open[patch[edges.with_count(1)[:, 0] // 3]] = True
@@ -352,8 +357,10 @@ def _join_corners(
             np.where(same, following[:, 1], pairs[:, 1]),
         ]
     )
-    graph = coo_matrix((np.ones(len(rows), bool), (rows, columns)), (len(ends), len(ends)))
-    return connected_components(graph, directed=False)[1]
+    graph = scipy.sparse.coo_matrix(
+        (np.ones(len(rows), bool), (rows, columns)), (len(ends), len(ends))
+    )
+    return scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
 
 
 def _conflict_place(mesh: Mesh, edges: Edges, disagrees: Bool[np.ndarray, " k"]) -> str:
@@ -362,8 +369,8 @@ def _conflict_place(mesh: Mesh, edges: Edges, disagrees: Bool[np.ndarray, " k"])
     left, right = pairs.T // 3
     size = len(mesh.faces)
     sign = {(a, b): d for a, b, d in zip(left, right, disagrees, strict=True)}
-    graph = coo_matrix((np.ones(len(left), bool), (left, right)), (size, size))
-    order, parents = breadth_first_order(graph, 0, directed=False)
+    graph = scipy.sparse.coo_matrix((np.ones(len(left), bool), (left, right)), (size, size))
+    order, parents = scipy.sparse.csgraph.breadth_first_order(graph, 0, directed=False)
     is_turned = np.zeros(size, bool)
     for face in order[1:]:
         parent = parents[face]

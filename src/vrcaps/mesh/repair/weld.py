@@ -6,9 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
+import scipy
 
 from vrcaps.errors import InputError
 from vrcaps.mesh.edges import (
@@ -47,7 +45,7 @@ def merge_vertices(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
     tolerance = _MERGE_TOLERANCE * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     unique, number = np.unique(mesh.vertices, axis=0, return_inverse=True)
     _require_apart(unique, tolerance)
-    pairs = KDTree(unique).query_pairs(tolerance, output_type="ndarray")
+    pairs = scipy.spatial.KDTree(unique).query_pairs(tolerance, output_type="ndarray")
     group = _group(pairs, len(unique))[number.reshape(-1)]
     merged = _merge_groups(mesh, group)
     num_merged = len(mesh.vertices) - len(merged.vertices)
@@ -122,8 +120,10 @@ def remove_duplicate_faces(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
 
 def _group(pairs: Int[np.ndarray, "k 2"], count: int) -> Int[np.ndarray, " n"]:
     """Group number of each of `count` items, where pairs belong together."""
-    graph = coo_matrix((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), (count, count))
-    return connected_components(graph, directed=False)[1]
+    graph = scipy.sparse.coo_matrix(
+        (np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), (count, count)
+    )
+    return scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
 
 
 def _merge_groups(mesh: Mesh, group: Int[np.ndarray, " n"]) -> Mesh:

@@ -6,7 +6,7 @@ import logging
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import KDTree
+import scipy
 
 from vrcaps.errors import InputError
 from vrcaps.geometry import triangle_areas
@@ -161,7 +161,7 @@ def _left_out(grid: LumenGrid, centerline: Centerline) -> float:
     """Share of the lumen that is farther from the curve than 3 of its radii there."""
     ids = np.argwhere(grid.inside)
     points = grid.points(ids[:: max(1, len(ids) // _NUM_PROBES)])
-    away, nearest = KDTree(centerline.points).query(points)
+    away, nearest = scipy.spatial.KDTree(centerline.points).query(points)
     return float((away > _REACH * np.maximum(centerline.radius[nearest], grid.voxel)).mean())
 
 

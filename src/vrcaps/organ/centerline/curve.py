@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation
+import scipy
 
 from vrcaps.errors import InputError
 from vrcaps.organ.centerline.distance import wall_distance
@@ -44,7 +43,7 @@ def centerline_from_points(
     if np.count_nonzero(keep) < 2:
         raise InputError("A centerline needs at least 2 different points.")
     chord = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points[keep], axis=0), axis=1)))
-    spline = CubicSpline(chord, points[keep])
+    spline = scipy.interpolate.CubicSpline(chord, points[keep])
     if step is None:
         coarse = spline(np.linspace(0.0, chord[-1], 50))
         step = float(np.median(wall_distance(coarse, vertices, faces))) / _STEPS_PER_RADIUS
@@ -59,7 +58,9 @@ def centerline_from_points(
     return Centerline(samples, arc_length, radius, transport_frames(samples, tangents))
 
 
-def _uniform(spline: CubicSpline, stop: float, num: int) -> Float[np.ndarray, " n"]:
+def _uniform(
+    spline: scipy.interpolate.CubicSpline, stop: float, num: int
+) -> Float[np.ndarray, " n"]:
     """Parameters of `num` + 1 points at equal distances along a spline."""
     dense = np.linspace(0.0, stop, 8 * num + 1)
     length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(spline(dense), axis=0), axis=1)))
@@ -145,7 +146,13 @@ def interpolate(
     pull -= (t**2 * (1.0 - t) * gap)[..., None] * following[..., 2]
     points = start + (t**2 * (3.0 - 2.0 * t))[..., None] * (stop - start) + pull
     relative = np.swapaxes(frames, -1, -2) @ following
-    turn = Rotation.from_matrix(relative.reshape(-1, 3, 3)).as_rotvec().reshape(*t.shape, 3)
-    partial = Rotation.from_rotvec((t[..., None] * turn).reshape(-1, 3)).as_matrix()
+    turn = (
+        scipy.spatial.transform.Rotation.from_matrix(relative.reshape(-1, 3, 3))
+        .as_rotvec()
+        .reshape(*t.shape, 3)
+    )
+    partial = scipy.spatial.transform.Rotation.from_rotvec(
+        (t[..., None] * turn).reshape(-1, 3)
+    ).as_matrix()
     frames = frames @ partial.reshape(*t.shape, 3, 3)
     return points, frames, np.interp(at, knots, centerline.radius)

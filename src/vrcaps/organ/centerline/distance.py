@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import KDTree
+import scipy
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -25,7 +25,7 @@ def wall_distance(
     corners = vertices[faces]
     middle = 0.5 * (corners.min(axis=1) + corners.max(axis=1))
     reach = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
-    limit, _ = KDTree(vertices[np.unique(faces)]).query(points)
+    limit, _ = scipy.spatial.KDTree(vertices[np.unique(faces)]).query(points)
     # Triangles by size, so that a few large ones do not widen the search among all others.
     bounds = np.quantile(reach, [0.0, 0.5, 0.9, 0.99, 1.0])
     bin_of = np.clip(np.searchsorted(bounds, reach, side="left") - 1, 0, 3)
@@ -34,7 +34,7 @@ def wall_distance(
         ids = np.flatnonzero(bin_of == bin_id)
         if not len(ids):
             continue
-        tree, widest = KDTree(middle[ids]), reach[ids].max()
+        tree, widest = scipy.spatial.KDTree(middle[ids]), reach[ids].max()
         for first in range(0, len(points), _CHUNK):
             rows = slice(first, first + _CHUNK)
             near = tree.query_ball_point(points[rows], distance[rows] + widest)

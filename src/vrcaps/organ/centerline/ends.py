@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -103,6 +103,6 @@ def _pouch_depth(depth: Float[np.ndarray, "x y z"]) -> float:
 def _pouch(depth: Float[np.ndarray, "x y z"], limit: float) -> Int[np.ndarray, "n 3"]:
     """Voxels up to a depth that hang together with the farthest, within twice this depth."""
     wide = np.empty(depth.shape, np.int32)
-    ndimage.label(depth <= 2.0 * limit, output=wide)
+    scipy.ndimage.label(depth <= 2.0 * limit, output=wide)
     farthest = np.unravel_index(np.argmin(depth), depth.shape)
     return np.argwhere((wide == wide[farthest]) & (depth <= limit))

@@ -6,9 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import ndimage
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import minimum_spanning_tree, shortest_path
+import scipy
 
 from vrcaps.mesh.edges import find_edges
 from vrcaps.organ.centerline.lumen import LumenGrid, num_pieces
@@ -41,9 +39,9 @@ def without_short_cuts(grid: LumenGrid) -> tuple[LumenGrid, int]:
     """
     from skimage.segmentation import watershed
 
-    highest = ndimage.maximum_filter(grid.clearance, 2 * _APART + 1)
+    highest = scipy.ndimage.maximum_filter(grid.clearance, 2 * _APART + 1)
     peaks = np.empty(grid.inside.shape, np.int32)
-    ndimage.label(grid.inside & (grid.clearance == highest), np.ones((3, 3, 3)), output=peaks)
+    scipy.ndimage.label(grid.inside & (grid.clearance == highest), np.ones((3, 3, 3)), output=peaks)
     num = int(peaks.max())
     if num < 3:
         return grid, 0
@@ -53,13 +51,19 @@ def without_short_cuts(grid: LumenGrid) -> tuple[LumenGrid, int]:
     widest = np.zeros(len(pairs))
     np.maximum.at(widest, first, width)
     a, b = np.divmod(pairs, num + 1)
-    middle = np.array(ndimage.center_of_mass(peaks > 0, peaks, np.arange(num + 1)[1:]))
+    middle = np.array(scipy.ndimage.center_of_mass(peaks > 0, peaks, np.arange(num + 1)[1:]))
     middle = np.vstack([np.full(3, np.nan), middle])
     shape = (num + 1, num + 1)
-    tree = minimum_spanning_tree(coo_array((1.0 / widest, (a, b)), shape=shape).tocsr()).tocoo()
+    tree = scipy.sparse.csgraph.minimum_spanning_tree(
+        scipy.sparse.coo_array((1.0 / widest, (a, b)), shape=shape).tocsr()
+    ).tocoo()
     step = np.linalg.norm(middle[tree.row] - middle[tree.col], axis=1) * grid.voxel
-    way = shortest_path(coo_array((step, (tree.row, tree.col)), shape=shape), directed=False)
-    size = np.concatenate([[0.0], ndimage.maximum(grid.clearance, peaks, np.arange(1, num + 1))])
+    way = scipy.sparse.csgraph.shortest_path(
+        scipy.sparse.coo_array((step, (tree.row, tree.col)), shape=shape), directed=False
+    )
+    size = np.concatenate(
+        [[0.0], scipy.ndimage.maximum(grid.clearance, peaks, np.arange(1, num + 1))]
+    )
     is_cut = way[a, b] > 2.0 * _DETOUR * (size[a] + size[b])
     if not is_cut.any():
         return grid, 0

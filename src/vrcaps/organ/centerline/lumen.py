@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from vrcaps.errors import InputError
 from vrcaps.geometry import triangle_areas, triangle_normals
@@ -42,7 +42,7 @@ class LumenGrid:
     def clearance_at(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
         """Distance from the wall at points, interpolated; 0 outside the lumen [m]."""
         ids = (points - self.origin) / self.voxel
-        return ndimage.map_coordinates(self.clearance, ids.T, order=1, mode="constant")
+        return scipy.ndimage.map_coordinates(self.clearance, ids.T, order=1, mode="constant")
 
 
 def voxelize(
@@ -86,7 +86,7 @@ def voxelize(
             sheet.transpose(axes)[column_x[thin], column_y[thin], side] = True
     np.bitwise_xor.accumulate(inside, axis=2, out=inside)
     inside = inside.astype(bool) & ~sheet
-    clearance = np.asarray(ndimage.distance_transform_edt(~wall), np.float32)
+    clearance = np.asarray(scipy.ndimage.distance_transform_edt(~wall), np.float32)
     clearance = np.where(inside, np.maximum(clearance, 0.25), 0.0) * np.float32(voxel)
     return LumenGrid(inside, clearance, origin, voxel)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import solveh_banded
+import scipy
 
 from vrcaps.errors import InputError
 from vrcaps.organ.centerline.distance import wall_distance
@@ -127,7 +127,7 @@ def _smooth(grid: LumenGrid, path: Float[np.ndarray, "n 3"]) -> Float[np.ndarray
     weight = (step / (_SMOOTHING * np.maximum(clearance, grid.voxel))) ** 4
     smooth = path
     for _ in range(_ROUNDS):
-        smooth = solveh_banded(_bending(weight), weight[:, None] * path)
+        smooth = scipy.linalg.solveh_banded(_bending(weight), weight[:, None] * path)
         tight = grid.clearance_at(smooth) < _KEEP * clearance
         if not tight.any():
             break

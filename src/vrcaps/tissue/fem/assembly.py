@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import sparse
+import scipy
 
 from vrcaps.tissue.fem.elements import Points, integration_points, quadrature, shapes
 
@@ -86,7 +86,7 @@ def dilatation(
     modes: Float[np.ndarray, "prisms 3*points 4"],
     nodes: Int[np.ndarray, "m 10"],
     num_nodes: int,
-) -> sparse.csr_matrix:
+) -> scipy.sparse.csr_matrix:
     """Projected change of volume of displacements, four rows a prism, three columns a node."""
     weighted = points.gradients * points.weights[..., None, None]
     modes = modes.reshape(*points.weights.shape, 4)
@@ -95,7 +95,7 @@ def dilatation(
     column = 3 * nodes[:, :, None] + np.arange(3)
     ends = np.broadcast_arrays(row[:, :, None, None], column[:, None])
     shape = (4 * len(nodes) // 3, 3 * num_nodes)
-    return sparse.csr_matrix((values.ravel(), [end.ravel() for end in ends]), shape=shape)
+    return scipy.sparse.csr_matrix((values.ravel(), [end.ravel() for end in ends]), shape=shape)
 
 
 def shear_stiffness(points: Points, shear: float) -> Float[np.ndarray, "m 10 10 3 3"]:

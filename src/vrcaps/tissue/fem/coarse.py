@@ -6,9 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import dijkstra
-from scipy.spatial import KDTree
+import scipy
 
 import vrcaps.rng
 from vrcaps.errors import InputError
@@ -79,24 +77,24 @@ def coarsen(
         )
     bent, border = _bent(smooth, faces, seeds, triangles)
     surface = relaxed(bent, thickness).surface
-    nearest = np.asarray(KDTree(smooth).query(surface.nodes)[1])
+    nearest = np.asarray(scipy.spatial.KDTree(smooth).query(surface.nodes)[1])
     return Coarsened(surface, smooth, cell, nearest, border)
 
 
 def _edge_graph(
     vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
-) -> sparse.csr_matrix:
+) -> scipy.sparse.csr_matrix:
     pairs = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
     length = np.linalg.norm(vertices[pairs[:, 0]] - vertices[pairs[:, 1]], axis=1)
     ends = (np.concatenate([pairs[:, 0], pairs[:, 1]]), np.concatenate([pairs[:, 1], pairs[:, 0]]))
     # Zero would mean that there is no edge.
     length = np.maximum(np.tile(length, 2), 1e-9)
-    return sparse.csr_matrix((length, ends), shape=(len(vertices), len(vertices)))
+    return scipy.sparse.csr_matrix((length, ends), shape=(len(vertices), len(vertices)))
 
 
 def _cells(
     vertices: Float[np.ndarray, "n 3"],
-    graph: sparse.csr_matrix,
+    graph: scipy.sparse.csr_matrix,
     border: Int[np.ndarray, " k"],
     edge: float,
     rng: np.random.Generator,
@@ -109,7 +107,7 @@ def _cells(
     for v in order:
         if distance[v] > _SEED_DISTANCE * edge:
             seeds.append(v)
-            near = dijkstra(graph, indices=v, limit=edge)
+            near = scipy.sparse.csgraph.dijkstra(graph, indices=v, limit=edge)
             distance = np.minimum(distance, near)
     seeds = np.array(seeds)
     on_border = np.zeros(count, bool)
@@ -121,9 +119,11 @@ def _cells(
 
 
 def _nearest_seed(
-    graph: sparse.csr_matrix, seeds: Int[np.ndarray, " seeds"]
+    graph: scipy.sparse.csr_matrix, seeds: Int[np.ndarray, " seeds"]
 ) -> Int[np.ndarray, " n"]:
-    distance, _, source = dijkstra(graph, indices=seeds, min_only=True, return_predecessors=True)
+    distance, _, source = scipy.sparse.csgraph.dijkstra(
+        graph, indices=seeds, min_only=True, return_predecessors=True
+    )
     number = np.full(len(distance) + 1, -1)
     number[seeds] = np.arange(len(seeds))
     return number[source]
@@ -199,6 +199,6 @@ def _bent(
     is_open = np.isin(pairs @ [size, 1], coarse_border @ [size, 1])
     if is_open.any():
         rim = smooth[np.unique(border_edges(faces))]
-        middle[is_open] = rim[KDTree(rim).query(straight[is_open])[1]]
+        middle[is_open] = rim[scipy.spatial.KDTree(rim).query(straight[is_open])[1]]
     bent = BentTriangles(corners, pairs, bulges_towards(corners, pairs, middle), triangles)
     return bent, np.concatenate([np.unique(coarse_border), size + np.flatnonzero(is_open)])

@@ -11,7 +11,7 @@ from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import roots_jacobi
+import scipy
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -28,7 +28,7 @@ def quadrature(
     The conical product of Gauss-Jacobi rules (Stroud, Approximate Calculation of Multiple
     Integrals, 1971, 2.4): all weights are positive, whatever the degree.
     """
-    rules = [roots_jacobi(num, float(k), 0.0) for k in reversed(range(dim))]
+    rules = [scipy.special.roots_jacobi(num, float(k), 0.0) for k in reversed(range(dim))]
     points, weights = [], []
     for places in product(range(num), repeat=dim):
         left, point, weight = 1.0, [], 1.0

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.linalg import splu
+import scipy
 
 from vrcaps.geometry import triangle_areas
 
@@ -31,11 +30,13 @@ def low_pass(
     area, stiffness = cotangent_laplacian(vertices, faces)
     inner = np.ones(len(vertices))
     inner[border_edges(faces).ravel()] = 0.0
-    bending = stiffness @ sparse.diags(inner / area) @ stiffness
+    bending = stiffness @ scipy.sparse.diags(inner / area) @ stiffness
     tau = (0.5 * wavelength / np.pi) ** 2
-    matrix = (sparse.diags(area) + tau**2 * bending).tocsc()
+    matrix = (scipy.sparse.diags(area) + tau**2 * bending).tocsc()
     options = {"SymmetricMode": True}
-    solver = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+    solver = scipy.sparse.linalg.splu(
+        matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options
+    )
     center = vertices.mean(axis=0)
     around = vertices - center
     once = solver.solve(area[:, None] * around)
@@ -44,20 +45,20 @@ def low_pass(
 
 def cotangent_laplacian(
     vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
-) -> tuple[Float[np.ndarray, " n"], sparse.csr_matrix]:
+) -> tuple[Float[np.ndarray, " n"], scipy.sparse.csr_matrix]:
     """Area of each vertex [m²], and the cotangent stiffness matrix, positive semidefinite."""
     corners, count = vertices[faces], len(vertices)
     double_area = 2.0 * triangle_areas(corners)
     tiny = 1e-12 * double_area.mean()
     area = np.bincount(faces.ravel(), np.repeat(double_area / 6.0, 3), count)
-    matrix = sparse.csr_matrix((count, count))
+    matrix = scipy.sparse.csr_matrix((count, count))
     for k in range(3):
         a, b = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
         cotangent = (a * b).sum(1) / np.maximum(double_area, tiny)
         half = 0.5 * np.clip(cotangent, -_LARGEST_COTANGENT, _LARGEST_COTANGENT)
         i, j = faces[:, (k + 1) % 3], faces[:, (k + 2) % 3]
         ends = (np.concatenate([i, j, i, j]), np.concatenate([j, i, i, j]))
-        matrix += sparse.csr_matrix(
+        matrix += scipy.sparse.csr_matrix(
             (np.concatenate([-half, -half, half, half]), ends), shape=(count, count)
         )
     return np.maximum(area, tiny), matrix

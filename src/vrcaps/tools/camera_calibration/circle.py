@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import ndimage
-from scipy.optimize import least_squares
+import scipy
 
 if TYPE_CHECKING:
     from jaxtyping import Float, UInt8
@@ -61,7 +60,7 @@ def image_circle(images: Sequence[UInt8[np.ndarray, "h w 3"]]) -> ImageCircle | 
     """
     height, width = images[0].shape[:2]
     bright = np.quantile([image.max(axis=2) for image in images], 0.9, axis=0)
-    bright = ndimage.gaussian_filter(np.asarray(bright, float), 1.0)
+    bright = scipy.ndimage.gaussian_filter(np.asarray(bright, float), 1.0)
     middle = np.array([0.5 * (width - 1), 0.5 * (height - 1)])
     angle = 2.0 * np.pi * np.arange(_NUM_DIRECTIONS) / _NUM_DIRECTIONS
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
@@ -69,7 +68,9 @@ def image_circle(images: Sequence[UInt8[np.ndarray, "h w 3"]]) -> ImageCircle | 
         reach = np.min(middle / np.abs(direction), axis=1)
     steps = np.arange(0.0, reach.max(), _STEP)
     at = middle + steps[:, None, None] * direction
-    profile = ndimage.map_coordinates(bright, np.moveaxis(at, -1, 0)[::-1], order=1, cval=np.nan)
+    profile = scipy.ndimage.map_coordinates(
+        bright, np.moveaxis(at, -1, 0)[::-1], order=1, cval=np.nan
+    )
     median, dark = float(np.nanmedian(profile)), float(np.quantile(bright, _DARK_QUANTILE))
     if dark > _DARK_MOST * median:
         return None
@@ -96,7 +97,7 @@ def _fitted(edge: np.ndarray, middle: np.ndarray) -> ImageCircle | None:
     def distance(x: np.ndarray) -> np.ndarray:
         return np.linalg.norm(edge - x[:2], axis=1) - x[2]
 
-    found = least_squares(distance, [*middle, radius], loss="huber", f_scale=0.5)
+    found = scipy.optimize.least_squares(distance, [*middle, radius], loss="huber", f_scale=0.5)
     cx, cy, radius = map(float, found.x)
     if np.median(np.abs(distance(found.x))) > _MAX_SCATTER * radius:
         return None

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
+import scipy
 
 from vrcaps.camera.lens.base import angles_to_axis
 from vrcaps.errors import InputError, require
@@ -231,7 +230,7 @@ class _Problem:
     ) -> tuple[Lens, np.ndarray]:
         """Lens and poses of least squares, or of Huber's function with its knee at `robust`."""
         names = self.family.names(num_terms)
-        found = least_squares(
+        found = scipy.optimize.least_squares(
             lambda x: self._all(x, lens, names),
             self._packed(lens, poses, names),
             jac=lambda x: self._jacobian(x, lens, names),  # type: ignore[arg-type]
@@ -273,7 +272,7 @@ class _Problem:
         return names, variance * spread.T @ spread
 
     def _packed(self, lens: Lens, poses: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
-        turns = Rotation.from_matrix(poses[:, :3, :3]).as_rotvec()
+        turns = scipy.spatial.transform.Rotation.from_matrix(poses[:, :3, :3]).as_rotvec()
         scaled = values_of(lens, names) / self.family.scales(names, self.size)
         return np.concatenate([scaled, np.hstack([turns, poses[:, :3, 3] / self._reach]).ravel()])
 
@@ -283,7 +282,8 @@ class _Problem:
         count = len(names)
         moved = x[count:].reshape(-1, 6)
         poses = transform_from(
-            Rotation.from_rotvec(moved[:, :3]).as_matrix(), moved[:, 3:] * self._reach
+            scipy.spatial.transform.Rotation.from_rotvec(moved[:, :3]).as_matrix(),
+            moved[:, 3:] * self._reach,
         )
         scaled = x[:count] * self.family.scales(names, self.size)
         positive = [name in self.family.focal for name in names]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -37,7 +37,7 @@ def refine_corners(
         gray: Brightness of the photograph.
         grid: Corners (column, row) [px] as neighbors on the board.
     """
-    smooth = ndimage.gaussian_filter(gray.astype(float), _BLUR)
+    smooth = scipy.ndimage.gaussian_filter(gray.astype(float), _BLUR)
     radius = np.clip(_REACH * nearest_neighbors(grid), _LEAST, _MOST).reshape(-1)
     step = np.linspace(-1.0, 1.0, _SAMPLES)
     x, y = (part.ravel() for part in np.meshgrid(step, step))
@@ -48,7 +48,7 @@ def refine_corners(
     found, stays = start.copy(), np.zeros(len(start), bool)
     for _ in range(_ROUNDS):
         at = found[:, None] + radius[:, None, None] * np.stack([x, y], axis=-1)
-        values = ndimage.map_coordinates(smooth, np.moveaxis(at, -1, 0)[::-1], mode="nearest")
+        values = scipy.ndimage.map_coordinates(smooth, np.moveaxis(at, -1, 0)[::-1], mode="nearest")
         a, b, c, d, e, _ = (values @ solver.T).T
         bend = 4.0 * a * c - b * b  # determinant of the Hessian, negative at a saddle
         stays |= bend > -_FLAT

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 import vrcaps.rng
 from vrcaps.color import LUMINANCE, srgb_from_log_linear
@@ -204,7 +204,7 @@ def _scaled(source: PhotoAnalysis, first: PhotoAnalysis) -> list[VesselPiece]:
         return source.vessels.pieces
     return [
         VesselPiece(
-            np.maximum(np.asarray(ndimage.zoom(piece.density, zoom, order=1)), 0.0),
+            np.maximum(np.asarray(scipy.ndimage.zoom(piece.density, zoom, order=1)), 0.0),
             piece.color,
             max(1, round(piece.length * zoom)),
             piece.radius * zoom,

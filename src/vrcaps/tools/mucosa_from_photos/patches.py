@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from vrcaps.color import log_linear_from_srgb
 from vrcaps.errors import InputError
@@ -202,9 +202,10 @@ def source_patches(
         part = fill(part, ~marks)
         zoom = source.mm_per_pixel / chosen[0].mm_per_pixel
         if abs(zoom - 1.0) > 0.02:
-            part = np.asarray(ndimage.zoom(part, (zoom, zoom, 1.0), order=1))
+            part = np.asarray(scipy.ndimage.zoom(part, (zoom, zoom, 1.0), order=1))
             doubtful = (
-                np.asarray(ndimage.zoom((doubtful | marks).astype(float), zoom, order=1)) > 0.5
+                np.asarray(scipy.ndimage.zoom((doubtful | marks).astype(float), zoom, order=1))
+                > 0.5
             )
         else:
             doubtful = doubtful | marks
@@ -222,7 +223,7 @@ def source_patches(
 def _high_pass(part: Float[np.ndarray, "s s 3"]) -> Float[np.ndarray, "s s 3"]:
     """With most of the variation slower than an eighth of the side taken out."""
     sigma = len(part) / 8.0
-    return part - _SLOW * ndimage.gaussian_filter(part, (sigma, sigma, 0.0), mode="reflect")
+    return part - _SLOW * scipy.ndimage.gaussian_filter(part, (sigma, sigma, 0.0), mode="reflect")
 
 
 def _shrunk(rgb: np.ndarray, factor: int) -> np.ndarray:
@@ -240,17 +241,17 @@ def _whole(rgb: np.ndarray) -> FieldOfView:
 
 
 def _grown(mask: np.ndarray) -> np.ndarray:
-    return ndimage.binary_dilation(mask, iterations=1)
+    return scipy.ndimage.binary_dilation(mask, iterations=1)
 
 
 def _blemishes(part: Float[np.ndarray, "s s 3"]) -> Bool[np.ndarray, "s s"]:
     """Marks so rare in a square that patches with one would be recognized again."""
     tints = np.dstack([part, part[..., 0] - part[..., 1], part[..., 1] - part[..., 2]])
-    smooth = ndimage.gaussian_filter(tints, (0.7, 0.7, 0.0))
+    smooth = scipy.ndimage.gaussian_filter(tints, (0.7, 0.7, 0.0))
     off = np.abs(smooth - np.median(smooth, axis=(0, 1)))
     spread = 1.4826 * np.median(off, axis=(0, 1))
     marks = (off > _BLEMISH * np.maximum(spread, 1e-6)).any(axis=2)
-    return ndimage.binary_dilation(marks, iterations=2)
+    return scipy.ndimage.binary_dilation(marks, iterations=2)
 
 
 SHADING_GRAIN = 1 / 16
@@ -273,12 +274,12 @@ def remove_shading(
         width: Of the field [px].
     """
     sigma = SHADING_GRAIN * width
-    weight = ndimage.gaussian_filter(known.astype(np.float32), sigma, mode="reflect")
+    weight = scipy.ndimage.gaussian_filter(known.astype(np.float32), sigma, mode="reflect")
     weight = np.maximum(weight, 1e-6)
     flat = np.empty_like(log_light)
     for channel in range(3):
         part = np.where(known, log_light[..., channel], 0.0)
         flat[..., channel] = log_light[..., channel] - (
-            ndimage.gaussian_filter(part, sigma, mode="reflect") / weight
+            scipy.ndimage.gaussian_filter(part, sigma, mode="reflect") / weight
         )
     return flat - flat[known].mean(axis=0)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -93,14 +93,14 @@ def _transformed(
     rows, columns = np.indices((int(size[0]), int(size[1]))) - 0.5 * (size - 1)[:, None, None]
     middle = 0.5 * (shape - 1)
     places = [back[k, 0] * rows + back[k, 1] * columns + middle[k] for k in (0, 1)]
-    rotated = ndimage.map_coordinates(density, places, order=1, mode="constant")
+    rotated = scipy.ndimage.map_coordinates(density, places, order=1, mode="constant")
     return np.maximum(rotated, 0.0)
 
 
 def _draw_position(occupancy, grain: int, reach: int, std: float, rng: np.random.Generator):
     """Near the emptiest of some random positions [px]."""
     size = occupancy.shape[0]
-    smooth = ndimage.gaussian_filter(occupancy, max(1.0, 0.35 * reach / grain), mode="wrap")
+    smooth = scipy.ndimage.gaussian_filter(occupancy, max(1.0, 0.35 * reach / grain), mode="wrap")
     candidates = rng.integers(0, size, (_CANDIDATES, 2))
     best = candidates[np.argmin(smooth[candidates[:, 0], candidates[:, 1]])]
     return (best + rng.random(2)) * grain + rng.normal(0.0, std * reach, 2)

@@ -10,7 +10,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import fft, ndimage
+import scipy
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -119,11 +119,11 @@ class _Search:
         self.sources = np.stack(sources).astype(np.float32)
         self.patch, self.rng = patch, rng
         side = self.sources.shape[1]
-        self.shape = (fft.next_fast_len(side, real=True),) * 2
+        self.shape = (scipy.fft.next_fast_len(side, real=True),) * 2
         self.places = side - patch + 1
-        spectrum = np.asarray(fft.rfft2(self.sources, self.shape, axes=(1, 2)))
+        spectrum = np.asarray(scipy.fft.rfft2(self.sources, self.shape, axes=(1, 2)))
         self.spectrum = np.ascontiguousarray(np.moveaxis(spectrum, 3, 1))
-        self.energy = np.asarray(fft.rfft2((self.sources**2).sum(axis=3), self.shape))
+        self.energy = np.asarray(scipy.fft.rfft2((self.sources**2).sum(axis=3), self.shape))
         self.masked = np.stack([_box_mean(mask, patch) for mask in doubtful]).astype(np.float32)
         self.used = np.zeros_like(self.masked)
         self.energies = lru_cache(maxsize=64)(self._energies)
@@ -147,16 +147,16 @@ class _Search:
 
     def _differences(self, there, overlaps, tried) -> Float[np.ndarray, "k n n"]:
         """Sum of squared differences at every place of the tried sources."""
-        wanted = np.asarray(fft.rfft2(there, self.shape, axes=(0, 1)))
+        wanted = np.asarray(scipy.fft.rfft2(there, self.shape, axes=(0, 1)))
         product = np.einsum("kcij,ijc->kij", self.spectrum[tried], wanted.conj())
-        across = np.asarray(fft.irfft2(product, self.shape))[:, : self.places, : self.places]
+        across = np.asarray(scipy.fft.irfft2(product, self.shape))[:, : self.places, : self.places]
         total = self.energies(overlaps)[tried] - 2.0 * across + (there**2).sum()
         return np.maximum(total, 0.0)
 
     def _energies(self, overlaps) -> Float[np.ndarray, "k n n"]:
         band = _band(self.patch, overlaps).astype(np.float32)
-        mask = np.asarray(fft.rfft2(band, self.shape))
-        sums = np.asarray(fft.irfft2(self.energy * mask.conj(), self.shape))
+        mask = np.asarray(scipy.fft.rfft2(band, self.shape))
+        sums = np.asarray(scipy.fft.irfft2(self.energy * mask.conj(), self.shape))
         return sums[:, : self.places, : self.places]
 
     def _mark(self, source: int, row: int, column: int) -> None:
@@ -197,7 +197,7 @@ def _join(there, patch, overlaps) -> Float[np.ndarray, "p p"]:
             keep = np.ones(difference.shape, np.float32)
             keep[:, :depth] = np.arange(depth) > least_path(turned)[:, None]
             alpha = np.minimum(alpha, np.rot90(keep, -turns))
-    soft = ndimage.gaussian_filter(alpha, _FEATHER, mode="nearest")
+    soft = scipy.ndimage.gaussian_filter(alpha, _FEATHER, mode="nearest")
     return np.where(_rim(alpha.shape[0], overlaps), alpha, soft)
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from vrcaps.color import log_luminance
 from vrcaps.errors import InputError
@@ -172,8 +172,8 @@ def _coarse(part: np.ndarray, factor: int) -> np.ndarray:
 
 
 def _smooth(part, usable, sigma: float) -> Float[np.ndarray, "h w"]:
-    weight = ndimage.gaussian_filter(usable.astype(np.float32), sigma)
-    part = ndimage.gaussian_filter(np.where(usable, part, 0.0), sigma)
+    weight = scipy.ndimage.gaussian_filter(usable.astype(np.float32), sigma)
+    part = scipy.ndimage.gaussian_filter(np.where(usable, part, 0.0), sigma)
     return part / np.maximum(weight, 1e-4)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from vrcaps.color import log_luminance
 
@@ -37,8 +37,8 @@ def relief(
         texel: Side of a texel [m].
     """
     bright = log_luminance(log_light)
-    fine = ndimage.gaussian_filter(bright, 0.8, mode="wrap")
-    fine = fine - ndimage.gaussian_filter(bright, max(2.0, _COARSEST / texel), mode="wrap")
+    fine = scipy.ndimage.gaussian_filter(bright, 0.8, mode="wrap")
+    fine = fine - scipy.ndimage.gaussian_filter(bright, max(2.0, _COARSEST / texel), mode="wrap")
     slope = np.hypot(*(np.roll(fine, -1, axis) - fine for axis in (0, 1))) / texel
     steepness = float(np.sqrt(np.mean(slope**2)))
     height = fine * (RELIEF_SLOPE / steepness if steepness > 0.0 else 0.0)

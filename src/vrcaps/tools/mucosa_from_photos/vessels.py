@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -70,8 +70,8 @@ def find_vessels(
     from skimage.measure import label
     from skimage.morphology import skeletonize
 
-    density = ndimage.median_filter(-flat[..., 1], 3)
-    inside = ndimage.binary_erosion(usable, iterations=max(3, width // 80), border_value=1)
+    density = scipy.ndimage.median_filter(-flat[..., 1], 3)
+    inside = scipy.ndimage.binary_erosion(usable, iterations=max(3, width // 80), border_value=1)
     if not inside.any():
         return Vessels([], np.zeros_like(usable), 0.0)
     low, high = np.percentile(density[inside], [1.0, 99.0])
@@ -87,11 +87,11 @@ def find_vessels(
     skeleton = skeletonize(found)
     part = np.asarray(label(skeleton, connectivity=2))
     member = np.where(found, part[_nearest(part > 0)], 0)
-    around = ndimage.gaussian_filter(flat, (0.02 * width, 0.02 * width, 0.0))
+    around = scipy.ndimage.gaussian_filter(flat, (0.02 * width, 0.02 * width, 0.0))
     extra = around - flat
     pieces, kept = [], np.zeros_like(found)
     sizes = np.bincount(part.ravel())
-    for number, box in enumerate(ndimage.find_objects(part), start=1):
+    for number, box in enumerate(scipy.ndimage.find_objects(part), start=1):
         if box is None or sizes[number] < _MIN_LENGTH * width:
             continue
         piece = _piece(member, part, extra, number, box)
@@ -122,19 +122,21 @@ def _piece(member, part, extra, number: int, box) -> VesselPiece | None:
     peak = _along(np.clip(depth[..., 1], 0.0, 1.2), line, 4.0)[nearest]
     profile = np.exp(-0.5 * (distance / np.maximum(0.75 * radius, 0.6)) ** 2)
     density = peak * profile * _taper(line, float(radius[line].mean()))
-    density = ndimage.gaussian_filter(np.pad(density, 2), 0.6).astype(np.float32)
+    density = scipy.ndimage.gaussian_filter(np.pad(density, 2), 0.6).astype(np.float32)
     return VesselPiece(density, color, int(line.sum()), float(radius[line].mean()))
 
 
 def _along(values, line, sigma: float) -> Float[np.ndarray, "h w"]:
     """Values on a line, smoothed along it."""
-    weight = ndimage.gaussian_filter(line.astype(np.float32), sigma)
-    return ndimage.gaussian_filter(values * line, sigma) / np.maximum(weight, 1e-6)
+    weight = scipy.ndimage.gaussian_filter(line.astype(np.float32), sigma)
+    return scipy.ndimage.gaussian_filter(values * line, sigma) / np.maximum(weight, 1e-6)
 
 
 def _taper(line, radius: float) -> Float[np.ndarray, "h w"]:
     """1, falling to 0 at the free ends of a line."""
-    neighbors = ndimage.convolve(line.astype(np.int16), np.ones((3, 3), np.int16), mode="constant")
+    neighbors = scipy.ndimage.convolve(
+        line.astype(np.int16), np.ones((3, 3), np.int16), mode="constant"
+    )
     ends = line & (neighbors == 2)
     if not ends.any():
         return np.ones(line.shape, np.float32)
@@ -143,12 +145,12 @@ def _taper(line, radius: float) -> Float[np.ndarray, "h w"]:
 
 def _distance(mask: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
     """From each pixel to the nearest of a mask [px]."""
-    return np.asarray(ndimage.distance_transform_edt(~mask))
+    return np.asarray(scipy.ndimage.distance_transform_edt(~mask))
 
 
 def _nearest(mask: Bool[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
     """Row and column of the nearest pixel of a mask, for each pixel."""
     rows, columns = np.asarray(
-        ndimage.distance_transform_edt(~mask, return_distances=False, return_indices=True)
+        scipy.ndimage.distance_transform_edt(~mask, return_distances=False, return_indices=True)
     )
     return rows, columns

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.stats import chi2
+import scipy
 
 from vrcaps.color import LINEAR
 from vrcaps.tools.photometric_calibration.frames import Frames
@@ -64,7 +63,9 @@ def fit_noise(frames: Frames) -> NoiseModel | None:
 
     # Variances scatter in proportion to themselves, hence the logarithm.
     start = np.log([np.median(variance / brightness), 0.3 * variance.min()])
-    fit = least_squares(residuals, start, bounds=(-60.0, 0.0), loss="huber", f_scale=0.1)
+    fit = scipy.optimize.least_squares(
+        residuals, start, bounds=(-60.0, 0.0), loss="huber", f_scale=0.1
+    )
     slope, offset = np.exp(fit.x).tolist()
     if np.median((slope * brightness + offset) / rounding) < 1.0 or slope < 1.0 / MOST_ELECTRONS:
         return None
@@ -93,7 +94,7 @@ def _levels(
     if len(mean) < _NUM_LEVELS:
         return np.zeros((0, 3))
     freedom = BLOCK**2 / _CORRELATION
-    quantile = float(chi2.ppf(_FLATTEST, freedom)) / freedom
+    quantile = float(scipy.stats.chi2.ppf(_FLATTEST, freedom)) / freedom
     edges = np.quantile(mean, np.linspace(0.0, 1.0, _NUM_LEVELS + 1))
     level = np.clip(np.searchsorted(edges, mean, side="right") - 1, 0, _NUM_LEVELS - 1)
     found = []

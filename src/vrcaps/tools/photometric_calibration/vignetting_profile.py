@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 
 from vrcaps.tools.photometric_calibration.frames import Frames
 
@@ -140,7 +140,7 @@ def _fitted(profile: RadialProfile, reference: RadialProfile | None) -> tuple[fl
             return weight * (x[0] * (1.0 + terms @ x[1:]) - brightness)
 
         start = [float(brightness.mean()), -0.1, *[0.0] * (terms.shape[1] - 1)]
-        return least_squares(residuals, start, loss="huber", f_scale=0.05).x[1:]
+        return scipy.optimize.least_squares(residuals, start, loss="huber", f_scale=0.05).x[1:]
 
     k1, k2 = map(float, solve(np.column_stack([square, square**2])))
     if k1 < 0.0 and k1 + 2.0 * k2 * square[-1] > 0.0:

@@ -1,13 +1,21 @@
 """Files are written whole or not at all."""
 
+import errno
 import hashlib
 import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from vrcaps import temporary_files
+from vrcaps.errors import InputError, StorageError
 from vrcaps.files import (
-    TEMPORARY,
+    atomic_folder,
     atomic_write,
     file_sha256,
     is_new_folder,
@@ -17,6 +25,8 @@ from vrcaps.files import (
     write_bytes,
     write_json,
 )
+from vrcaps.locks import FolderInUseError
+from vrcaps.temporary_files import is_temporary, remove_stale
 
 
 def test_a_failed_write_leaves_what_was_there(tmp_path):
@@ -44,7 +54,7 @@ def test_two_writers_of_one_file_do_not_disturb_each_other(tmp_path):
     path = tmp_path / "file.bin"
     with atomic_write(path) as first, atomic_write(path) as second:
         assert first != second
-        assert first.name.startswith(f".{path.name}.") and first.name.endswith(TEMPORARY)
+        assert first.name.startswith(f".{path.name}.") and is_temporary(first.name)
         first.write_bytes(b"first")
         second.write_bytes(b"second")
     assert path.read_bytes() == b"first"
@@ -94,3 +104,136 @@ def test_a_new_folder_is_one_that_is_not_there_or_empty(tmp_path):
     (tmp_path / "full" / "file").touch()
     names = ("none", "empty", "full", "full/file")
     assert [is_new_folder(tmp_path / name) for name in names] == [True, True, False, False]
+
+
+HOLD = """
+import sys
+from pathlib import Path
+from vrcaps.files import atomic_folder, atomic_write
+kind, path = sys.argv[1], Path(sys.argv[2])
+with (atomic_write if kind == "file" else atomic_folder)(path) as temporary:
+    (temporary if kind == "file" else temporary / "part").write_text("half")
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+@contextmanager
+def held_by_another_process(kind: str, path: Path) -> Iterator[subprocess.Popen]:
+    """Another process that is writing a file or a folder, killed after the block."""
+    command = [sys.executable, "-c", HOLD, kind, str(path)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == b"held\n"
+        yield other
+        other.kill()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name == "nt", reason="Windows locks no open file")
+def test_the_temporary_file_of_a_killed_process_is_removed_and_of_a_running_one_stays(tmp_path):
+    path = tmp_path / "file.bin"
+    with held_by_another_process("file", path):
+        remove_stale(tmp_path)
+        assert len(list(tmp_path.iterdir())) == 1
+        assert is_new_folder(tmp_path)
+    assert len(list(tmp_path.iterdir())) == 1
+    write_bytes(tmp_path / "other.bin", b"whole")  # the first of this process in the folder
+    assert [p.name for p in tmp_path.iterdir()] == ["other.bin"]
+
+
+def test_only_temporary_files_are_removed(tmp_path):
+    """Files of others with such an end, links and folders stay; the target of a link, too."""
+    name = f".a.{'0' * 32}.tmp"
+    kept = [".a.tmp", "a.tmp", ".a.partial", f"a.{'0' * 32}.tmp", f".a.{'g' * 32}.tmp"]
+    for each in kept:
+        (tmp_path / each).touch()
+    (tmp_path / f".b.{'1' * 32}.tmp").mkdir()
+    (tmp_path / f".c.{'2' * 32}.tmp").symlink_to(tmp_path / "a.tmp")
+    (tmp_path / name).touch()
+    before = set(tmp_path.iterdir())
+    remove_stale(tmp_path)
+    assert before - set(tmp_path.iterdir()) == {tmp_path / name}
+    remove_stale(tmp_path / "none")
+
+
+def test_a_file_system_without_locks_keeps_temporary_files(tmp_path, monkeypatch):
+    """There, nothing tells the file of a killed process from that of a running one."""
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(pytest.importorskip("fcntl"), "flock", refuse)
+    left = tmp_path / f".a.{'0' * 32}.tmp"
+    left.touch()
+    write_bytes(tmp_path / "a", b"whole")
+    assert (tmp_path / "a").read_bytes() == b"whole"
+    remove_stale(tmp_path)
+    assert left.exists()
+
+
+def test_a_temporary_file_that_another_process_removed_before_its_lock_is_made_again(
+    tmp_path, monkeypatch
+):
+    lock, calls = temporary_files.try_lock, []
+
+    def late(file: int) -> bool:
+        if not calls:
+            for path in tmp_path.iterdir():
+                path.unlink()
+        calls.append(file)
+        return lock(file)
+
+    monkeypatch.setattr(temporary_files, "try_lock", late)
+    write_bytes(tmp_path / "a", b"whole")
+    assert len(calls) == 2
+    assert [p.name for p in tmp_path.iterdir()] == ["a"]
+
+
+def test_a_folder_appears_whole_or_not_at_all(tmp_path):
+    out = tmp_path / "out"
+    with pytest.raises(RuntimeError), atomic_folder(out) as partial:
+        (partial / "a").touch()
+        raise RuntimeError
+    assert list(tmp_path.iterdir()) == []
+    out.mkdir()
+    with atomic_folder(out) as partial:
+        (partial / "a").touch()
+        with pytest.raises(FolderInUseError, match=rf"Process {os.getpid()} on .* writing .*out"):
+            atomic_folder(out).__enter__()
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+    assert [p.name for p in out.iterdir()] == ["a"]
+    with pytest.raises(InputError, match="out exists"):
+        atomic_folder(out).__enter__()
+
+
+@pytest.mark.slow
+def test_the_folder_of_a_killed_process_is_replaced(tmp_path):
+    out = tmp_path / "out"
+    with (
+        held_by_another_process("folder", out) as other,
+        pytest.raises(FolderInUseError, match=f"Process {other.pid} on"),
+    ):
+        atomic_folder(out).__enter__()
+    assert sorted(p.name for p in tmp_path.iterdir()) == [".out.lock", ".out.partial"]
+    with atomic_folder(out) as partial:
+        assert list(partial.iterdir()) == []
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need rights on Windows")
+def test_a_link_in_the_place_of_a_temporary_folder_is_not_followed(tmp_path):
+    """Another user of a shared folder may put it there."""
+    target = tmp_path / "target"
+    target.mkdir()
+    (target / "thesis").touch()
+    (tmp_path / ".out.partial").symlink_to(target)
+    with atomic_folder(tmp_path / "out") as partial:
+        assert not partial.is_symlink()
+    assert (target / "thesis").exists()
+    (tmp_path / ".new.lock").symlink_to(target / "thesis")
+    with pytest.raises(StorageError, match="Cannot write"):
+        atomic_folder(tmp_path / "new").__enter__()
+    (tmp_path / ".other.partial").touch()
+    with pytest.raises(StorageError, match=r"Cannot write .*other\.partial: Not a directory"):
+        atomic_folder(tmp_path / "other").__enter__()

@@ -8,7 +8,7 @@ import hashlib
 import io
 import json
 import os
-import uuid
+import shutil
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -18,10 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from vrcaps.errors import InputError
-
-TEMPORARY = ".tmp"
-"""End of the names of files that are still being written; they start with a dot."""
+from vrcaps.errors import InputError, StorageError
+from vrcaps.locks import file_lock
+from vrcaps.temporary_files import is_temporary, remove_stale, temporary_beside
 
 _DAMAGED = (
     *(EOFError, LookupError, TypeError, AttributeError, MemoryError, RuntimeError),
@@ -38,14 +37,50 @@ def atomic_write(path: Path) -> Iterator[Path]:
     whole new one. The temporary name is unique, so that processes that write the same file do not
     disturb each other: the last one to finish wins.
     """
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}{TEMPORARY}")
-    try:
+    with temporary_beside(path) as temporary:
         yield temporary
         with temporary.open("rb+") as file:
             os.fsync(file.fileno())
         os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def atomic_folder(out: Path) -> Iterator[Path]:
+    """Empty folder beside `out`, which becomes `out` if the block succeeds and is removed if not.
+
+    The folder of a process that was killed is replaced.
+
+    Raises:
+        InputError: If `out` exists and is not empty.
+        FolderInUseError: If another process is making `out`.
+        StorageError: If the place cannot be written.
+    """
+    out = Path(os.path.abspath(out))
+    require_new_folder(out)
+    partial = out.with_name(f".{out.name}.partial")
+    with file_lock(out.with_name(f".{out.name}.lock"), str(out)):
+        try:
+            _remove_folder(partial)
+            partial.mkdir()
+        except OSError as error:
+            raise StorageError(f"Cannot write {partial}: {error.strerror}.") from error
+        try:
+            yield partial
+            if out.exists():
+                remove_stale(out)
+                out.rmdir()
+            partial.rename(out)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+    sync_folder(out.parent)
+
+
+def _remove_folder(folder: Path) -> None:
+    """Remove a folder with all that it holds; of a symbolic link only the link."""
+    if folder.is_symlink():
+        folder.unlink()
+    elif folder.exists():
+        shutil.rmtree(folder)
 
 
 def write_bytes(path: Path, data: bytes | Iterable[bytes]) -> None:
@@ -100,8 +135,10 @@ def write_json(path: Path, value: Any) -> None:
 
 
 def is_new_folder(folder: Path) -> bool:
-    """Whether a folder to be made is not there, or is empty; a file is neither."""
-    return not folder.exists() or (folder.is_dir() and not any(folder.iterdir()))
+    """Whether a folder to be made is not there, or holds at most temporary files."""
+    if not folder.exists():
+        return True
+    return folder.is_dir() and all(is_temporary(path.name) for path in folder.iterdir())
 
 
 def require_new_folder(folder: Path) -> None:

@@ -21,7 +21,7 @@ from vrcaps.data.runners.in_process import InProcess
 from vrcaps.data.store import LocalStore
 from vrcaps.data.units import Units
 from vrcaps.errors import InputError, StorageError
-from vrcaps.recording.lock import FolderInUseError, file_lock
+from vrcaps.locks import FolderInUseError, file_lock
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -171,7 +171,7 @@ def test_a_unit_is_one_makers_until_it_is_entered(
 
         def call(store: LocalStore, *given: object) -> None:
             with (
-                pytest.raises(FolderInUseError, match="is recording into"),
+                pytest.raises(FolderInUseError, match="is writing"),
                 file_lock(store.staging(f"{name}.lock"), name),
             ):
                 pass
@@ -198,12 +198,12 @@ def test_a_killed_maker_leaves_no_part_file_beside_the_data(
     def killed(*paths: object) -> None:
         raise KeyboardInterrupt
 
-    for what, name in ((os.replace, "replace"), (os.link, "link")):
+    for name, write in (("replace", store.write), ("link", store.create)):
         with monkeypatch.context() as patched:
             patched.setattr(Path, "unlink", lambda path, **more: None)
             patched.setattr(os, name, killed)
             with pytest.raises(KeyboardInterrupt):
-                (store.write if what is os.replace else store.create)("ledger/b.json", b"{}")
+                write("ledger/b.json", b"{}")
         assert os.listdir(store.folder / "ledger") == ["a.json"]
     assert store.write("ledger/b.json", b"{}") is None
     assert not store.create("ledger/b.json", b"[]")

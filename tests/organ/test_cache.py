@@ -17,6 +17,7 @@ import pytest
 from vrcaps.organ import cache
 from vrcaps.organ.cache import cache_folder, cached_organ
 from vrcaps.organ.surface import Appearance, Centerline, OrganSurface
+from vrcaps.temporary_files import temporary_beside
 
 
 def make_organ(*, has_appearance: bool = True) -> OrganSurface:
@@ -217,20 +218,18 @@ def test_the_digest_is_the_same_in_every_process():
     assert len(found) == 1
 
 
-def test_abandoned_files_are_removed_and_those_being_written_count(folder: Path, monkeypatch):
+def test_files_being_written_count_as_used_space(folder: Path, monkeypatch):
     cached_organ("a", make_organ)
     path = folder / "organs" / "a.npz"
     size = path.stat().st_size
-    old, young = (path.with_name(f".{n}.npz.tmp") for n in ("old", "young"))
-    for part in (old, young):
-        part.write_bytes(bytes(size))
-    os.utime(old, (1.0, 1.0))
     os.utime(path, (2.0, 2.0))
-    cached_organ("b", make_organ)
-    assert {p.name for p in (folder / "organs").iterdir()} == {"a.npz", "b.npz", young.name}
-    monkeypatch.setattr(cache, "_MOST_BYTES", 2.5 * size)
-    cached_organ("c", make_organ)
-    assert {p.name for p in (folder / "organs").iterdir()} == {"c.npz", young.name}
+    with temporary_beside(path.with_name("other.npz")) as part:
+        part.write_bytes(bytes(size))
+        cached_organ("b", make_organ)
+        assert {p.name for p in path.parent.iterdir()} == {"a.npz", "b.npz", part.name}
+        monkeypatch.setattr(cache, "_MOST_BYTES", 2.5 * size)
+        cached_organ("c", make_organ)
+        assert {p.name for p in path.parent.iterdir()} == {"c.npz", part.name}
 
 
 def test_organs_used_longest_ago_make_room(folder: Path, monkeypatch: pytest.MonkeyPatch):

@@ -32,13 +32,13 @@ def _names(folder: Path) -> list[str]:
 
 
 def test_a_recorder_in_the_same_folder_is_refused(scenario: Scenario, tmp_path: Path) -> None:
-    me = f"Process {os.getpid()} on {platform.node()} is recording into .*Wait until it ends"
+    me = f"Process {os.getpid()} on {platform.node()} is writing the episode .*Wait until it ends"
     with recording_lock(tmp_path):
         with pytest.raises(InputError, match=me):
             record(scenario, tmp_path)
         assert _names(tmp_path) == [LOCK]
         (tmp_path / LOCK).write_text("{")
-        with pytest.raises(InputError, match="Another process is recording into"):
+        with pytest.raises(InputError, match="Another process is writing the episode"):
             record(scenario, tmp_path)
     assert _names(tmp_path) == []
 

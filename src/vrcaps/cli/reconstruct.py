@@ -11,7 +11,7 @@ from tyro.conf import Positional
 
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.errors import InputError, require
-from vrcaps.files import require_new_folder, write_bytes
+from vrcaps.files import atomic_folder, require_new_folder, write_bytes
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -103,23 +103,29 @@ class Reconstruct:
             InputError: If depth or poses are missing or do not fit.
         """
         from vrcaps.formats.sources import read_source
-        from vrcaps.tools.reconstruction.compare import compare, write_comparison, write_ply
 
         self._check()
-        require_new_folder(self.out)
+        require_new_folder(self.out)  # before the work
         found = read_source(self.source)
         chosen = [one for one in found if self.camera in ("", one.name.rpartition("/")[2])]
         if not chosen:
             raise InputError(f"{self.source} has no camera {self.camera!r}.")
         sequence = chosen[0]
-        self.out.mkdir(parents=True, exist_ok=True)
-        mesh, color = (self._fused if self.method == "fusion" else self._stitched)(sequence)
-        write_ply(self.out / "mesh.ply", mesh, color)
-        console.print(f"Written: {self.out / 'mesh.ply'}, {len(mesh.faces)} triangles.")
+        with atomic_folder(self.out) as out:
+            self._write(sequence, out)
+
+    def _write(self, sequence: FrameSequence, out: Path) -> None:
+        """Reconstruct and compare into a folder, which is renamed to `self.out` afterwards."""
+        from vrcaps.tools.reconstruction.compare import compare, write_comparison, write_ply
+
+        make = self._fused if self.method == "fusion" else self._stitched
+        mesh, color = make(sequence, out)
+        write_ply(out / "mesh.ply", mesh, color)
+        console.print(f"Made: {self.out / 'mesh.ply'}, {len(mesh.faces)} triangles.")
         if sequence.episode is None:
             return
         errors = compare(mesh, sequence.episode.organ)
-        write_comparison(self.out, mesh, errors)
+        write_comparison(out, mesh, errors)
         console.print(
             f"RMSE {errors.errors.rmse / MM:.2f} mm, median {errors.errors.median / MM:.2f} mm; "
             f"{100.0 * errors.completeness:.0f} % of the wall within 2 mm. See "
@@ -143,7 +149,7 @@ class Reconstruct:
             raise InputError("Depth comes from one of --depth, --weights and --shading.")
         require(self.every >= 1, "every", self.every, "1 or more")
 
-    def _fused(self, sequence: FrameSequence) -> tuple[Mesh, np.ndarray]:
+    def _fused(self, sequence: FrameSequence, out: Path) -> tuple[Mesh, np.ndarray]:
         from vrcaps.learn.published import find_weights
         from vrcaps.learn.weights import read_weights
         from vrcaps.tools.reconstruction.estimates import (
@@ -164,11 +170,11 @@ class Reconstruct:
             used = with_poses(used, read_poses(self.poses, sequence, self.align or "none"))
         used = used.subset(range(0, len(used), self.every))
         if self.odometry:
-            used = self._tracked(used)
+            used = self._tracked(used, out)
         with progress_bar("fusing") as progress:
             return fuse(used, settings, progress=progress)
 
-    def _tracked(self, sequence: FrameSequence) -> FrameSequence:
+    def _tracked(self, sequence: FrameSequence, out: Path) -> FrameSequence:
         """The frames whose poses odometry finds, with these."""
         from vrcaps.formats.tum import trajectory_text
         from vrcaps.metrics.trajectory import absolute_trajectory_error
@@ -180,7 +186,7 @@ class Reconstruct:
             found = estimated_poses(sequence, OdometrySettings(), progress=progress)
         kept = sequence.subset(found.frames)
         estimate = with_poses(kept, found.Ts_first_camera)
-        write_bytes(self.out / "poses.txt", trajectory_text(estimate).encode())
+        write_bytes(out / "poses.txt", trajectory_text(estimate).encode())
         console.print(f"Poses of {len(kept)} of {len(sequence)} frames are known.")
         if CAMERA_POSE not in sequence.values and self.align is None:
             return estimate
@@ -190,7 +196,7 @@ class Reconstruct:
         console.print(f"Absolute trajectory error {rmse / MM:.2f} mm ({align}).")
         return aligned(estimate, truth, align)
 
-    def _stitched(self, sequence: FrameSequence) -> tuple[Mesh, np.ndarray]:
+    def _stitched(self, sequence: FrameSequence, out: Path) -> tuple[Mesh, np.ndarray]:
         from vrcaps.tools.reconstruction.estimates import read_depth
         from vrcaps.tools.reconstruction.stitch import StitchSettings, stitch
         from vrcaps.tools.reconstruction.stitch_files import write_registration, write_stitched
@@ -204,6 +210,6 @@ class Reconstruct:
         used = len(found.mosaic.images)
         console.print(f"{used} of {len(found.frames)} frames are stitched.")
         found, surface = wall_surface(found, DepthSource(self.weights, self.shading))
-        write_stitched(self.out, found)
-        write_registration(self.out, surface)
+        write_stitched(out, found)
+        write_registration(out, surface)
         return surface.mesh, surface.color

@@ -14,7 +14,8 @@ from vrcaps.errors import InputError
 from vrcaps.file_ref import FileRef
 from vrcaps.files import is_new_folder, write_bytes, write_json
 from vrcaps.motion.dynamics import Dynamics
-from vrcaps.scenario.scenario import Scenario, scenario_to_plain
+from vrcaps.scenario.scenario import SOURCE_ORGAN, Scenario, scenario_to_plain
+from vrcaps.temporary_files import remove_stale
 
 if TYPE_CHECKING:
     from vrcaps.cockpit.operator import Operator
@@ -27,11 +28,21 @@ DRIVE_JSON = "drive.json"
 
 
 def make_folder(folder: Path) -> None:
-    """Make the folder of a drive.
+    """Make the folder of a drive; what a run killed in its first second left there is removed.
 
     Raises:
-        InputError: If it holds anything, or cannot be made.
+        InputError: If it holds a drive or anything else, or cannot be made.
     """
+    remove_stale(folder)
+    if (folder / DRIVE_JSON).exists():
+        raise InputError(
+            f"{folder} holds a drive. Record it with `vrcaps record {folder / DRIVE_JSON} --out "
+            "EPISODE`, or give a new or empty folder."
+        )
+    leftovers = [folder / COMMANDS_CSV, folder / SOURCE_ORGAN]  # written before DRIVE_JSON
+    if folder.is_dir() and {*folder.iterdir()} <= {*leftovers}:
+        for path in leftovers:
+            path.unlink(missing_ok=True)
     if not is_new_folder(folder):
         raise InputError(f"{folder} is not empty. Give a new or empty folder.")
     try:

@@ -20,7 +20,7 @@ from vrcaps.data.make_unit import Job, Outcome
 from vrcaps.data.plan import Plan
 from vrcaps.data.runners.pool import Pool
 from vrcaps.data.runners.runner import Runner
-from vrcaps.data.store import open_store
+from vrcaps.data.store import open_store, tidy_staging
 from vrcaps.data.units import Units
 from vrcaps.errors import StorageError, require
 from vrcaps.made_with import made_here
@@ -93,6 +93,7 @@ def make_dataset(
                 progress(done, len(chosen))
     if len(whole_units(store)) + len(failures(store)) == len(units):
         write_card(store)
+    tidy_staging(store)
     return Made(len(missing) - len(failed), len(chosen) - len(missing), failed)
 
 

@@ -112,7 +112,7 @@ def make_unit(units: Units, store: Store, number: int) -> None:
         VrcapsError: If it cannot be made.
         OSError: If it cannot be written.
     """
-    from vrcaps.recording.lock import FolderInUseError, file_lock
+    from vrcaps.locks import FolderInUseError, file_lock
 
     unit = units[number]
     lock = store.staging(f"{unit.name}.lock")

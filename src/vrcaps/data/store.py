@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import os
 import shutil
-import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Protocol
 
 from vrcaps.errors import StorageError
-from vrcaps.files import TEMPORARY, sync_folder, write_bytes
+from vrcaps.files import sync_folder
+from vrcaps.locks import FolderInUseError, file_lock
+from vrcaps.temporary_files import remove_stale, temporary_beside
 
 
 class Store(Protocol):
@@ -103,13 +104,14 @@ class LocalStore:
     @contextmanager
     def _staged(self, data: bytes) -> Iterator[Path]:
         """A whole file in the hidden folder; one that a killed process leaves there is no data."""
-        path = self.staging(f"{uuid.uuid4().hex}{TEMPORARY}")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            write_bytes(path, data)
+        place = self.staging("file")
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with temporary_beside(place) as path:
+            with path.open("wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
             yield path
-        finally:
-            path.unlink(missing_ok=True)
 
     def remove(self, name: str) -> None:
         """Remove a file, if it is there."""
@@ -170,6 +172,15 @@ def _told(url: str) -> Iterator[None]:
             f"Cannot write the data set {url}: {reason}. What is whole there stays whole; mend "
             "this and run the same command again to go on."
         ) from error
+
+
+def tidy_staging(store: Store) -> None:
+    """Remove temporary files and locks of killed processes; what a running one holds stays."""
+    folder = store.staging("")
+    remove_stale(folder)
+    for lock in folder.glob("*.lock"):
+        with suppress(FolderInUseError, StorageError), file_lock(lock, str(folder)):
+            pass  # removed when it is released
 
 
 def open_store(url: str | Path) -> Store:

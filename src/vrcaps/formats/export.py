@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from vrcaps.files import require_new_folder, sync_folder
+from vrcaps.files import atomic_folder
 from vrcaps.formats.format import Format, require_needs
 from vrcaps.recording.frame_sequence import FrameSequence
 
@@ -40,7 +38,6 @@ def export(
     """
     require_needs(form, sequences)
     out = Path(out)
-    require_new_folder(out)
     total, done = sum(map(len, sequences)), 0
 
     def advance() -> None:
@@ -49,15 +46,6 @@ def export(
         if progress is not None:
             progress(done, total)
 
-    partial = out.with_name(f".{out.name}.{os.getpid()}.partial")
-    shutil.rmtree(partial, ignore_errors=True)  # of a process of this number that was killed
-    partial.mkdir(parents=True)
-    try:
+    with atomic_folder(out) as partial:
         form.write(sequences, partial, advance)
-        if out.exists():
-            out.rmdir()
-        partial.rename(out)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
-    sync_folder(out.parent)
     return out

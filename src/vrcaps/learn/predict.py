@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.errors import InputError
-from vrcaps.files import require_new_folder, write_bytes, write_csv
+from vrcaps.files import atomic_folder, write_bytes, write_csv
 from vrcaps.formats.images import file_name
 from vrcaps.formats.sources import read_source
 from vrcaps.formats.tum import trajectory_text
@@ -58,7 +58,7 @@ def predict(
     """Write the estimate of each image: maps of its size under its name, or a row of a table.
 
     `sheet.png` shows some of them. A learner of motion writes `trajectory.txt` for each sequence,
-    in the form of TUM, over its images that can be read.
+    in the form of TUM, over its images that can be read. The folder appears when all is written.
 
     Args:
         trained: Learner and network.
@@ -72,7 +72,17 @@ def predict(
     Raises:
         InputError: If the folder holds something, or no image can be estimated from.
     """
-    require_new_folder(out)
+    with atomic_folder(out) as partial:
+        return _write_estimates(trained, sequences, partial, progress)
+
+
+def _write_estimates(
+    trained: Trained,
+    sequences: tuple[FrameSequence, ...],
+    out: Path,
+    progress: Callable[[int, int], None],
+) -> dict[str, str]:
+    """Write the estimates into a folder; the images that could not be read, with the reason."""
     frames = [(one, index) for one in sequences for index in range(len(one))]
     shown = set(np.unique(np.linspace(0, len(frames) - 1, _SHEET_ROWS).astype(int)).tolist())
     rows: list[dict[str, Any]] = []

@@ -12,7 +12,7 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.errors import InputError
-from vrcaps.files import atomic_write, file_sha256, write_json
+from vrcaps.files import atomic_write, file_sha256, is_new_folder, write_json
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -66,8 +66,6 @@ def write_texture(folder: Path, texture: MucosaTexture) -> None:
     check_free(folder)
     folder.mkdir(parents=True, exist_ok=True)
     with ExitStack() as files:
-        # Entered first, so renamed last: the head is the one that tells which pictures belong.
-        head_path = files.enter_context(atomic_write(folder / HEAD))
         paths = {f"{name}.png": folder / f"{name}.png" for name in _PICTURES}
         temporary = {name: files.enter_context(atomic_write(p)) for name, p in paths.items()}
         images = [getattr(texture, name) for name in _PICTURES]
@@ -81,7 +79,8 @@ def write_texture(folder: Path, texture: MucosaTexture) -> None:
             "sha256": {name: file_sha256(path) for name, path in temporary.items()},
             **texture.metadata,
         }
-        write_json(head_path, head)
+        # Before the pictures get their names: a folder with a head is replaced after a kill.
+        write_json(folder / HEAD, head)
 
 
 def check_free(folder: Path) -> None:
@@ -90,12 +89,8 @@ def check_free(folder: Path) -> None:
     Raises:
         InputError: If it is a file, or a folder that holds anything but a texture.
     """
-    if folder.is_dir():
-        if (folder / HEAD).is_file() or not any(folder.iterdir()):
-            return
-    elif not folder.exists():
-        return
-    raise InputError(f"{folder} exists and is no texture. Give a new or an empty folder.")
+    if not (folder / HEAD).is_file() and not is_new_folder(folder):
+        raise InputError(f"{folder} exists and is no texture. Give a new or an empty folder.")
 
 
 def read_texture(path: str | Path) -> MucosaTexture:

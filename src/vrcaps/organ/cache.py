@@ -6,7 +6,6 @@ import contextlib
 import hashlib
 import json
 import os
-import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextvars import ContextVar
@@ -18,10 +17,11 @@ from typing import Any, TypeVar
 import numpy as np
 from platformdirs import user_cache_path
 
-from vrcaps.files import TEMPORARY, atomic_write, read_arrays
+from vrcaps.files import atomic_write, read_arrays
 from vrcaps.made_with import ORGAN_PACKAGES, core_sha256, versions
 from vrcaps.organ.arrays import organ_from_arrays, organ_to_arrays
 from vrcaps.organ.surface import OrganSurface
+from vrcaps.temporary_files import is_temporary
 
 Stored = TypeVar("Stored")
 
@@ -32,8 +32,8 @@ _MAKERS = ("mesh", "organ", "mucosa", "anatomy", "lesion")
 """Packages whose code decides what an organ is."""
 
 _MAKER_MODULES = (
-    *("color", "errors", "files", "geometry", "limits", "made_with", "rng", "transforms", "units"),
-    "scenario/build",
+    *("color", "errors", "files", "geometry", "limits", "locks", "made_with", "rng"),
+    *("scenario/build", "temporary_files", "transforms", "units"),
 )
 """Other modules that they use, and the one that calls them."""
 
@@ -49,9 +49,6 @@ _MOST_PASSING_BYTES = 4 * 10**9
 _is_passing: ContextVar[bool] = ContextVar("is_passing", default=False)
 
 _other_folder: ContextVar[Path | None] = ContextVar("other_folder", default=None)
-
-_ABANDONED = 3600.0
-"""Age of an unfinished file [s] from which the process that wrote it must have been stopped."""
 
 
 def cache_folder() -> Path:
@@ -206,16 +203,14 @@ def _mark_used(path: Path) -> None:
 
 
 def _forget_unused(folder: Path, most_bytes: float) -> None:
-    """Remove the organs used longest ago where all take too much space, and abandoned files."""
+    """Remove the organs used longest ago where all take too much space."""
     found, total = [], 0
-    for path in [*folder.glob("*.npz"), *folder.glob(f".*{TEMPORARY}")]:
+    for path in folder.iterdir():
         with contextlib.suppress(OSError):  # removed by another process meanwhile
             stat = path.stat()
             if path.suffix == ".npz":
                 found.append((stat.st_mtime_ns, stat.st_size, path))
-            elif time.time() - stat.st_mtime > _ABANDONED:
-                path.unlink()
-            else:  # another process is writing it
+            elif is_temporary(path.name):  # another process is writing it
                 total += stat.st_size
     for rank, (_, size, path) in enumerate(sorted(found, reverse=True)):
         total += size

@@ -3,34 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-import errno
-import json
-import os
-import platform
-import sys
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from vrcaps.errors import InputError, StorageError
+from vrcaps.locks import file_lock
 
 LOCK = ".recording.lock"
-
-_HELD = {errno.EACCES, errno.EAGAIN, errno.EDEADLK}
-_UNSUPPORTED = {errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP}
-
-
-class FolderInUseError(InputError):
-    """A folder that another recorder is writing to."""
 
 
 @contextmanager
 def recording_lock(out: Path) -> Iterator[None]:
     """Holds a folder for one recorder; makes it, and removes it if the block left nothing in it.
-
-    The operating system lets go of the lock when its process ends in whichever way, so a file that
-    a killed process left behind locks nothing. The file names the process that holds it.
 
     Raises:
         FolderInUseError: If another recorder holds the folder.
@@ -44,101 +28,3 @@ def recording_lock(out: Path) -> Iterator[None]:
         with contextlib.suppress(OSError):  # something is in it
             for path in made:
                 path.rmdir()
-
-
-@contextmanager
-def file_lock(path: Path, what: str) -> Iterator[None]:
-    """Holds a file that is made for it, with its folder if there is none, and removed afterwards.
-
-    Args:
-        path: The file.
-        what: Is written under the lock, for messages.
-
-    Raises:
-        FolderInUseError: If another process or thread holds it.
-        StorageError: If it cannot be made.
-    """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        file = _acquire(path)
-    except OSError as error:
-        raise StorageError(f"Cannot write {what}: {error}.") from error
-    try:
-        yield
-    finally:
-        _release(file, path)
-
-
-def _acquire(path: Path) -> int:
-    """The open and locked file.
-
-    Raises:
-        FolderInUseError: If another process holds it.
-        OSError: If it cannot be made.
-    """
-    flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
-    while True:
-        file = os.open(path, flags, 0o666)
-        try:
-            _lock(file)
-            is_own = path.exists() and os.path.samestat(os.fstat(file), path.stat())
-        except OSError as error:
-            os.close(file)
-            if error.errno not in _HELD:
-                raise
-            raise FolderInUseError(
-                f"{_holder(path)} is recording into {path.parent}. Wait until it ends, or give "
-                "another folder."
-            ) from error
-        if is_own:
-            break
-        os.close(file)  # of a recorder that has just ended and removed its file
-    os.ftruncate(file, 0)
-    os.write(file, json.dumps({"pid": os.getpid(), "host": platform.node()}).encode())
-    return file
-
-
-def _release(file: int, path: Path) -> None:
-    """Removes the file while it is locked; on Windows, where an open file stays, after that."""
-    with contextlib.suppress(OSError):
-        if sys.platform != "win32":
-            path.unlink()
-        os.close(file)
-        if sys.platform == "win32":
-            path.unlink()
-
-
-def _lock(file: int) -> None:
-    """Locks an open file, or fails at once if another has locked it.
-
-    Raises:
-        OSError: If it is locked.
-    """
-    try:
-        if sys.platform == "win32":
-            import msvcrt
-
-            os.lseek(file, 1 << 30, os.SEEK_SET)  # beyond the text, which others read
-            msvcrt.locking(file, msvcrt.LK_NBLCK, 1)
-            os.lseek(file, 0, os.SEEK_SET)
-        else:
-            import fcntl
-
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        if error.errno not in _UNSUPPORTED:
-            raise
-        warnings.warn(
-            "The file system of the output folder has no locks: do not start a second recording "
-            "into it.",
-            stacklevel=2,
-        )
-
-
-def _holder(path: Path) -> str:
-    """Which process wrote the lock, for messages."""
-    try:
-        held = json.loads(path.read_text(encoding="utf-8"))
-        return f"Process {held['pid']} on {held['host']}"
-    except (OSError, ValueError, LookupError, TypeError):
-        return "Another process"

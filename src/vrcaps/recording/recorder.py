@@ -15,7 +15,7 @@ import numpy as np
 
 from vrcaps.camera_pipeline.capsule_cameras import CAPTURED, CapsuleCameras
 from vrcaps.errors import InputError, StorageError
-from vrcaps.files import TEMPORARY, sync_folder, write_bytes, write_json
+from vrcaps.files import sync_folder, write_bytes, write_json
 from vrcaps.recording.checkpoint import (
     Checkpoint,
     read_checkpoint,
@@ -49,6 +49,7 @@ from vrcaps.render.channels import CHANNELS
 from vrcaps.render.renderer import Renderer
 from vrcaps.scenario.build import build, resolve
 from vrcaps.scenario.scenario import SOURCE_ORGAN, Scenario, scenario_to_plain
+from vrcaps.temporary_files import is_temporary, remove_stale
 from vrcaps.world.moving_wall import MovingWall
 
 if TYPE_CHECKING:
@@ -175,10 +176,9 @@ def _require_free(out: Path) -> None:
         return
     if not out.is_dir():
         raise InputError(f"{out} is a file. Give a new or empty folder.")
-    leftovers = {out / SOURCE_ORGAN, out / LOCK}  # of a run that was killed
-    for name in (SOURCE_ORGAN, EPISODE_JSON):
-        leftovers.update(out.glob(f".{name}.*{TEMPORARY}"))
-    names = sorted(path.name for path in out.iterdir() if path not in leftovers)
+    leftovers = {SOURCE_ORGAN, LOCK}  # of a run that was killed
+    names = sorted({path.name for path in out.iterdir()} - leftovers)
+    names = [name for name in names if not is_temporary(name)]
     if names and EPISODE_JSON not in names:
         raise InputError(
             f"{out} holds something else ({names[0]!r}, …). Give a new or empty folder."
@@ -364,9 +364,8 @@ def _finish(out: Path, head: dict[str, Any]) -> None:
         sheet = contact_sheet(read_episode(out, unfinished=True))
         write_images([(out / SHEET_PNG, np.ascontiguousarray(sheet))])
     remove_checkpoint(out)
-    for leftover in out.rglob(f".*{TEMPORARY}"):  # of a run that was killed
-        leftover.unlink()
     for folder, _, _ in os.walk(out):
+        remove_stale(Path(folder))
         sync_folder(Path(folder))
     write_json(out / EPISODE_JSON, {"status": COMPLETE, **head})
 

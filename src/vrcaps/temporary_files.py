@@ -1,0 +1,82 @@
+"""Temporary files beside their targets, and removal of those that killed processes left behind."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from pathlib import Path
+
+from vrcaps.locks import try_lock
+
+TEMPORARY = ".tmp"
+"""End of the names of files that are still being written; they start with a dot."""
+
+_NAME = re.compile(rf"\..+\.[0-9a-f]{{32}}{re.escape(TEMPORARY)}")
+
+
+def is_temporary(name: str) -> bool:
+    """Whether a file name is one that `temporary_beside` gives."""
+    return _NAME.fullmatch(name) is not None
+
+
+@contextmanager
+def temporary_beside(path: Path) -> Iterator[Path]:
+    """Empty temporary file in the folder of `path`, under a unique name, removed after the block.
+
+    The process holds a lock on the file, which ends with the process: `remove_stale` thereby
+    distinguishes the file of a killed process from that of a running one. The first temporary file
+    of a process in a folder removes the stale ones there.
+    """
+    _remove_stale_once(path.parent)
+    while True:
+        temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}{TEMPORARY}")
+        file = os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o666)
+        try:
+            if os.name != "nt":  # Windows removes no open file, and replaces none
+                try_lock(file)
+            if temporary.exists():
+                break
+        except OSError:
+            pass
+        os.close(file)  # `remove_stale` of another process came before the lock
+    if os.name == "nt":
+        os.close(file)
+    try:
+        yield temporary
+    finally:
+        temporary.unlink(missing_ok=True)
+        if os.name != "nt":
+            os.close(file)
+
+
+def remove_stale(folder: Path) -> None:
+    """Remove the temporary files in a folder whose processes have ended; others stay.
+
+    A file system without locks shows no difference; there all of them stay.
+    """
+    with contextlib.suppress(OSError), os.scandir(folder) as entries:
+        stale = [Path(entry.path) for entry in entries if is_temporary(entry.name)]
+        for path in stale:
+            _remove_unlocked(path)
+
+
+@lru_cache(maxsize=1024)
+def _remove_stale_once(folder: Path) -> None:
+    """Remove stale files in a folder, once in a process: to list a large folder takes a while."""
+    remove_stale(folder)
+
+
+def _remove_unlocked(path: Path) -> None:
+    """Remove a file unless a process holds it."""
+    with contextlib.suppress(OSError):  # held, or removed by another process meanwhile
+        file = os.open(path, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0))
+        try:
+            if os.name == "nt" or try_lock(file):
+                path.unlink()
+        finally:
+            os.close(file)

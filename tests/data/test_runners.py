@@ -6,7 +6,6 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -18,12 +17,14 @@ from vrcaps.data.ledger import whole_units
 from vrcaps.data.make import make_dataset
 from vrcaps.data.make_unit import Job, Maker, Outcome
 from vrcaps.data.plan import read_plan
+from vrcaps.data.runners import ray_guard
 from vrcaps.data.runners.in_process import InProcess
 from vrcaps.data.runners.pool import Pool
 from vrcaps.data.runners.ray_cluster import RayCluster
 from vrcaps.data.runners.runner import Deaths, UnitQueue
 from vrcaps.data.store import LocalStore
 from vrcaps.errors import InputError, MissingExtraError
+from waiting import wait_until
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -42,10 +43,7 @@ def kill_one(head: int, word: str) -> bool:
 
 def kill_soon(head: int, word: str) -> None:
     """SIGKILL the first such process as soon as there is one."""
-    until = time.monotonic() + 60.0
-    while not kill_one(head, word):
-        assert time.monotonic() < until
-        time.sleep(0.01)
+    wait_until(lambda: kill_one(head, word))
 
 
 def once(action: Callable[[], object]) -> Callable[[int, int], object]:
@@ -63,15 +61,11 @@ def test_a_pool_goes_on_after_kills(whole: Path, plan_file: Path, tmp_path: Path
         f"from vrcaps.cli import main\nif __name__ == '__main__':\n    main({words!r})\n"
     )
     head = subprocess.Popen([sys.executable, script])
-    until = time.monotonic() + 60.0
-    while not whole_units(LocalStore(out)) and time.monotonic() < until:
-        time.sleep(0.01)
+    wait_until(lambda: whole_units(LocalStore(out)))
     below = descendants(head.pid)
     head.kill()
     head.wait()
-    while any(map(command_of, below)) and time.monotonic() < until:
-        time.sleep(0.01)
-    assert not any(map(command_of, below))
+    wait_until(lambda: not any(map(command_of, below)))
     num_made, killed = len(whole_units(LocalStore(out))), []
     assert 0 < num_made < 8
     kill_worker = once(lambda: killed.append(kill_one(os.getpid(), "spawn_main")))
@@ -79,6 +73,10 @@ def test_a_pool_goes_on_after_kills(whole: Path, plan_file: Path, tmp_path: Path
     assert killed == [True]
     assert (made.made, made.present, made.failed) == (8 - num_made, num_made, {})
     assert files(out) == files(whole)
+
+
+def _has_raylet(head: int) -> bool:
+    return any("raylet" in command_of(pid) for pid in descendants(head))
 
 
 @pytest.fixture(scope="module")
@@ -97,11 +95,8 @@ def ray_head() -> Iterator[tuple[subprocess.Popen, str]]:
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
-    until = time.monotonic() + 60.0
-    while not any("raylet" in command_of(pid) for pid in descendants(process.pid)):
-        assert process.poll() is None
-        assert time.monotonic() < until
-        time.sleep(0.2)
+    wait_until(lambda: process.poll() is not None or _has_raylet(process.pid))
+    assert process.poll() is None
     yield process, f"127.0.0.1:{port}"
     for pid in descendants(process.pid):
         os.kill(pid, signal.SIGKILL)
@@ -133,6 +128,32 @@ def test_ray_makes_the_same_bytes_and_tells_of_a_dead_head(
         make_dataset(plan, out, runner=cluster)
     make_dataset(plan, out, runner=InProcess())
     assert files(out) == files(whole)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+@pytest.mark.parametrize("is_shut_down", [False, True])
+def test_processes_of_a_cluster_end_when_its_head_is_killed(is_shut_down: bool) -> None:
+    """The end of its standard input tells the guard; other processes stay."""
+    pause = [sys.executable, "-c", "import signal; signal.pause()"]
+    token = "0123456789abcdef"
+    worker, other = (
+        subprocess.Popen(pause, env={**os.environ, "RAY_AUTH_TOKEN": value})
+        for value in (token, token[:-1])
+    )
+    wait_until(lambda: command_of(worker.pid) and command_of(other.pid))
+    try:
+        said = f"{token}\ndone\n" if is_shut_down else f"{token}\n"
+        subprocess.run([sys.executable, ray_guard.__file__], input=said, text=True, check=True)
+        if is_shut_down:
+            assert worker.poll() is None
+        else:
+            assert worker.wait() == -signal.SIGKILL
+        assert other.poll() is None
+    finally:
+        for process in (worker, other):
+            process.kill()
+            process.wait()
 
 
 def test_a_unit_that_kills_its_workers_counts_as_failed() -> None:

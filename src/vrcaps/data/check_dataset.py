@@ -21,6 +21,7 @@ from vrcaps.data.store import LocalStore, Store, open_store
 from vrcaps.data.stored_files import read_at_once
 from vrcaps.data.units import Units
 from vrcaps.files import files_in
+from vrcaps.processes import end_with_parent
 from vrcaps.recording.check import check_episode
 
 _Entry = Mapping[str, Any]
@@ -96,7 +97,8 @@ def _all_checked(jobs: Sequence[_Job], workers: int) -> Iterator[list[str]]:
         yield from map(_check_unit, jobs)
         return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, max(len(jobs), 1)), mp_context=context) as pool:
+    count = min(workers, max(len(jobs), 1))
+    with ProcessPoolExecutor(count, mp_context=context, initializer=end_with_parent) as pool:
         results = [pool.submit(_check_unit, job) for job in jobs]
         yield from (result.result() for result in as_completed(results))
 

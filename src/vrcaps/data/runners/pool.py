@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import threading
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from typing import Any
 from vrcaps.data.make_unit import Job, Maker, Outcome
 from vrcaps.data.runners.runner import Deaths, UnitQueue, num_processors
 from vrcaps.data.units import Units
+from vrcaps.processes import spawned
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,6 @@ class _Run:
     def __init__(self, job: Job, numbers: Sequence[int], workers: int) -> None:
         self._queue = UnitQueue(numbers, Units(job.plan).per_patient)
         self._job, self._deaths = job, Deaths()
-        self._context = multiprocessing.get_context("spawn")
         self._threads = max(1, num_processors() // max(workers, 1))
         self._busy: dict[Connection, tuple[Any, int]] = {}
         self._workers = workers
@@ -65,9 +64,8 @@ class _Run:
         """A new process with the next unit, if there is one."""
         if not self._queue:
             return
-        ours, theirs = self._context.Pipe()
-        arguments = (self._job, theirs, self._threads)
-        process = self._context.Process(target=_work, args=arguments, daemon=True)
+        ours, theirs = multiprocessing.Pipe()
+        process = spawned(_work, self._job, theirs, self._threads)
         process.start()
         theirs.close()
         self._give(ours, process)
@@ -110,21 +108,8 @@ class _Run:
 
 def _work(job: Job, connection: Connection, threads: int) -> None:
     """A worker: makes the units that it is told until it is told none."""
-    threading.Thread(target=_die_with_head, daemon=True).start()
     os.environ.setdefault("RAYON_NUM_THREADS", str(threads))
     maker = Maker(job)
     with suppress(EOFError, BrokenPipeError, KeyboardInterrupt):
         while (number := connection.recv()) is not None:
             connection.send(maker.make_always(number))
-
-
-def _die_with_head() -> None:
-    """End this process as soon as the one that started it has ended, in whichever way.
-
-    Otherwise a worker would go on with its unit after its head was killed, beside the worker of
-    the next head.
-    """
-    head = multiprocessing.parent_process()
-    assert head is not None
-    wait([head.sentinel])
-    os._exit(1)

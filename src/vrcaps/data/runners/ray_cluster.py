@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import logging
 import os
+import secrets
 import socket
+import subprocess
+import sys
 import time
 from collections.abc import Generator, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 from vrcaps.data.make_unit import Job, Maker, Outcome
@@ -69,8 +73,7 @@ def _connected(ray: Any, cluster: RayCluster) -> Iterator[str]:
     """
     options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
     if cluster.address == LOCAL:
-        # Tells nobody that it was started. Ray listens on all networks of the machine and asks who
-        # connects for a token, by default since the version that the extra names.
+        # Tells nobody that it was started.
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         options |= {
             "num_cpus": cluster.workers or num_processors(),
@@ -80,21 +83,69 @@ def _connected(ray: Any, cluster: RayCluster) -> Iterator[str]:
             # Otherwise a first worker that dies while it starts leaves this process waiting.
             "_system_config": {"prestart_worker_first_driver": False},
         }
+    with _own_token() if cluster.address == LOCAL else nullcontext():
+        try:
+            if cluster.address != LOCAL:
+                _require_head(cluster.address)
+            ray.init(cluster.address, **options)
+        except (ConnectionError, RuntimeError) as error:
+            reason = str(error).splitlines()[0].rstrip(".") + "."
+            raise InputError(
+                f"Cannot join the Ray cluster {cluster.address!r} from this machine: {reason} "
+                "Start one with `ray start --head` (if it has a token: set RAY_AUTH_MODE=token), "
+                f"or give --ray {LOCAL}."
+            ) from error
+        try:
+            yield ray.get_runtime_context().gcs_address
+        finally:
+            ray.shutdown()
+
+
+@contextmanager
+def _guarded(token: str) -> Iterator[None]:
+    """Should this process be killed in this block, the cluster of a token ends with it (Linux)."""
+    if sys.platform != "linux":  # elsewhere Ray has such a program of its own
+        yield
+        return
+    environment = {name: v for name, v in os.environ.items() if name != "RAY_AUTH_TOKEN"}
+    command = [sys.executable, "-I", "-S", str(Path(__file__).with_name("ray_guard.py"))]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, env=environment, text=True) as guard:
+        assert guard.stdin is not None
+        guard.stdin.write(f"{token}\n")
+        guard.stdin.flush()
+        try:
+            yield
+        finally:
+            with suppress(OSError):  # it was killed
+                guard.stdin.write("done\n")
+                guard.stdin.close()
+
+
+@contextmanager
+def _own_token() -> Iterator[None]:
+    """In this block clusters that start here ask who connects for a token of this process.
+
+    Who connects to a cluster runs code in it, and any process of the machine reaches its ports.
+    The token is passed in the environment, which other users cannot read; by itself Ray keeps one
+    in a file of the home folder, which they can.
+    """
+    from ray._raylet import AuthenticationTokenLoader, Config
+
+    names = ("RAY_AUTH_MODE", "RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH")
+    before = {name: os.environ.pop(name) for name in names if name in os.environ}
+    token = secrets.token_hex(32)
+    os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": token}
     try:
-        if cluster.address != LOCAL:
-            _require_head(cluster.address)
-        ray.init(cluster.address, **options)
-    except (ConnectionError, RuntimeError) as error:
-        reason = str(error).splitlines()[0].rstrip(".") + "."
-        raise InputError(
-            f"Cannot join the Ray cluster {cluster.address!r} from this machine: {reason} Start "
-            f"one with `ray start --head` (if it has a token: set RAY_AUTH_MODE=token), or give "
-            f"--ray {LOCAL}."
-        ) from error
-    try:
-        yield ray.get_runtime_context().gcs_address
+        AuthenticationTokenLoader.instance().reset_cache()
+        Config.initialize("")
+        with _guarded(token):
+            yield
     finally:
-        ray.shutdown()
+        for name in names:
+            os.environ.pop(name, None)
+        os.environ |= before
+        Config.initialize("")  # first: threads of Ray that still end would miss the token
+        AuthenticationTokenLoader.instance().reset_cache()
 
 
 def _require_head(address: str) -> None:

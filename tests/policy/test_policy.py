@@ -15,6 +15,21 @@ from vrcaps.policy.random import RandomPolicy
 from vrcaps.policy.registry import BASELINES
 
 
+@pytest.fixture
+def odd_modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Modules whose names lead to no policy."""
+    methods = "def reset(self, numbers, seeds): ...\n    def act(self, observations, env): ..."
+    (tmp_path / "odd_policies.py").write_text(
+        "import os\n"
+        "def Called(): os.abort()\n"
+        f"class Halves:\n    {methods}\n"
+        f"class Exits:\n    {methods}\n    def __init__(self): raise SystemExit(3)\n"
+    )
+    (tmp_path / "odd_syntax.py").write_text("class Mine(:\n")
+    (tmp_path / "odd_exit.py").write_text("raise SystemExit\n")
+    monkeypatch.syspath_prepend(tmp_path)
+
+
 @pytest.mark.parametrize("name", BASELINES)
 def test_every_baseline_is_a_policy(name: str) -> None:
     assert isinstance(read_policy(name), Policy)
@@ -31,9 +46,26 @@ def test_a_policy_of_ones_own_by_its_import_path() -> None:
         ("no.such.module:Mine", InputError, "No policy at no.such.module:Mine"),
         ("vrcaps.policy.random:Mine", InputError, "the module has no 'Mine'"),
         ("pathlib:Path", InputError, "pathlib:Path is no policy"),
+        ("vrcaps.policy.policy:read_policy", InputError, "is no policy"),
+        ("vrcaps.policy.policy:Policy", InputError, "cannot be made without arguments: TypeError"),
+        ("os:abort", InputError, "os:abort is no policy"),
+        ("sys:exit", InputError, "sys:exit is no policy"),
+        ("os:environ", InputError, "os:environ is no policy"),
+        ("subprocess:Popen", InputError, "subprocess:Popen is no policy"),
+        (":Mine", InputError, "No policy at :Mine: ValueError"),
+        (".mine:Mine", InputError, "No policy at .mine:Mine: TypeError"),
+        ("vrcaps.policy.random:", InputError, "the module has no ''"),
+        ("odd_policies:Called", InputError, "odd_policies:Called is no policy"),
+        ("odd_policies:Halves", InputError, "odd_policies:Halves is no policy"),
+        ("odd_policies:Exits", InputError, "cannot be made without arguments: SystemExit: 3"),
+        ("odd_syntax:Mine", InputError, "No policy at odd_syntax:Mine: SyntaxError: "),
+        ("odd_exit:Mine", InputError, "No policy at odd_exit:Mine: SystemExit"),
     ],
 )
-def test_what_is_no_policy_is_one_line(name: str, error: type[Exception], said: str) -> None:
+def test_what_is_no_policy_is_one_line(
+    name: str, error: type[Exception], said: str, odd_modules: None
+) -> None:
+    """Nothing is called that is not a class with the methods of a policy."""
     with pytest.raises(error, match=said) as caught:
         read_policy(name)
     assert "\n" not in str(caught.value)

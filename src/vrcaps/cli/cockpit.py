@@ -31,14 +31,15 @@ class Cockpit:
     What is driven is kept in a folder, each second: commands.csv, and drive.json, which records the
     drive as an episode: vrcaps record FOLDER/drive.json --out EPISODE.
 
-    The page is served to this machine only. From elsewhere, forward the port:
-    ssh -L 8080:localhost:8080 MACHINE. With --host 0.0.0.0 other machines reach it, by the token in
-    the address that is printed.
+    Only the address that is printed opens the page: it holds a token, without which nothing is
+    served, and which the browser keeps as a cookie. The page is served to this machine only. From
+    elsewhere, forward the port (ssh -L 8080:localhost:8080 MACHINE), or give --host 0.0.0.0.
 
     For example:
       vrcaps cockpit
       vrcaps cockpit --organ colon --seed 3 --lesions prevalence --out runs/drive
       vrcaps cockpit --motion dynamics --set motion.magnet.wall=upper
+      vrcaps cockpit --policy mine.policies:Mine --policy runs/policy/best.npz
     """
 
     scenario: Positional[Path | None] = None
@@ -48,10 +49,14 @@ class Cockpit:
     """New or empty folder for what is driven; by default runs/drive-DATE-TIME."""
 
     host: str = "127.0.0.1"
-    """Address to listen at; 0.0.0.0 lets other machines in, with a token."""
+    """Address to listen at; 0.0.0.0 lets other machines in, too."""
 
     port: int = 8080
     """Port to listen at."""
+
+    policy: UseAppendAction[tuple[str, ...]] = ()
+    """A policy that the page offers beside the baselines: the file of a trained one, or an import
+    path package.module:Class; repeat for more."""
 
     organ: OmitArgPrefixes[OrganFlags] = field(default_factory=OrganFlags)  # pyright: ignore
     """The patient: the organ, its lesions and what is in its lumen."""
@@ -81,7 +86,12 @@ class Cockpit:
         out = self.out or Path("runs") / time.strftime("drive-%Y%m%d-%H%M%S")
         console.print("Making organ and world …")
         with open_cockpit(
-            self.resolved(), out, host=self.host, port=self.port, say=console.print
+            self.resolved(),
+            out,
+            host=self.host,
+            port=self.port,
+            policies=self.policy,
+            say=console.print,
         ) as cockpit:
             console.print(f"Open {cockpit.gate.address} in a browser; Ctrl-C here ends the drive.")
             console.print(f"The drive is kept in {out}.")

@@ -16,7 +16,7 @@ class View:
     """Look through an episode in a browser: every image, and the capsule's path in the organ.
 
     Two episodes are shown side by side at the same time. An estimated path is drawn beside the
-    true one, with its error.
+    true one, with its error. Only the address that is printed opens the page: it holds a token.
 
     For example:
       vrcaps view runs/demo
@@ -31,7 +31,7 @@ class View:
     """TUM file of an estimated path of the first episode's capsule [m], at its frames' times."""
 
     host: str = "127.0.0.1"
-    """Address to listen at; 0.0.0.0 lets other machines in, with a token."""
+    """Address to listen at; 0.0.0.0 lets other machines in, too."""
 
     port: int = 8080
     """Port to listen at."""

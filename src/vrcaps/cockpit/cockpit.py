@@ -9,16 +9,17 @@ import secrets
 import shutil
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vrcaps.cockpit.gate import Gate, OneLine, guarded, is_loopback, require_free
+from vrcaps.cockpit.gate import Gate, OneLine, guarded, require_free
 from vrcaps.cockpit.page import Page
 from vrcaps.cockpit.panels import PANELS
 from vrcaps.cockpit.session import Session
 from vrcaps.errors import InputError, import_extra
+from vrcaps.policy.policy import read_policy
 
 if TYPE_CHECKING:
     import viser
@@ -44,6 +45,7 @@ class Cockpit:
         gate: Gate,
         session: Session,
         say: Callable[[str], None],
+        policies: Sequence[str] = (),
     ) -> None:
         """Starts a session and its page.
 
@@ -52,8 +54,9 @@ class Cockpit:
             gate: In front of it.
             session: The first, not started.
             say: Called with each message for the terminal.
+            policies: Files and import paths of policies that browsers may choose.
         """
-        self.gate = gate
+        self.gate, self._policies = gate, policies
         self._server, self._say, self._folder = server, say, session.drive.folder
         self._is_busy = threading.Lock()
         self._show(session)
@@ -114,7 +117,13 @@ class Cockpit:
     def _show(self, session: Session) -> None:
         self.session = session
         self.page = Page(
-            self._server, session, PANELS, self._say, begin=self.begin, is_busy=self._is_busy
+            self._server,
+            session,
+            PANELS,
+            self._say,
+            begin=self.begin,
+            is_busy=self._is_busy,
+            policies=self._policies,
         )
         session.start()
         self.page.start()
@@ -127,6 +136,7 @@ def open_cockpit(
     *,
     host: str = "127.0.0.1",
     port: int = 8080,
+    policies: Sequence[str] = (),
     say: Callable[[str], None] = lambda text: None,
 ) -> Iterator[Cockpit]:
     """Drives a scenario from browsers as long as the block lasts.
@@ -139,19 +149,23 @@ def open_cockpit(
     Args:
         scenario: What to drive, see `cockpit_scenario`.
         folder: New or empty folder for what is driven.
-        host: Address to listen at. Where other machines reach it, the page needs a token.
+        host: Address to listen at.
         port: Port to listen at.
+        policies: Files and import paths of policies that browsers may choose, see `read_policy`.
         say: Called with each message for the terminal.
 
     Raises:
-        InputError: If the scenario cannot be made, the folder is not empty or the port in use.
+        InputError: If the scenario cannot be made, the folder is not empty, the port in use or
+            a policy cannot be read.
         MissingExtraError: If the extra `cockpit` is not installed.
     """
     require_viser()
+    for name in policies:
+        read_policy(name)
     gate = make_gate(host, port)
     session = Session(scenario, folder, on_message=say)
     with serving(gate, say) as server:
-        cockpit = Cockpit(server, gate, session, say)
+        cockpit = Cockpit(server, gate, session, say, policies)
         try:
             yield cockpit
         finally:
@@ -159,13 +173,13 @@ def open_cockpit(
 
 
 def make_gate(host: str, port: int) -> Gate:
-    """The gate at an address, with a new token where other machines reach it.
+    """The gate at an address, with a new token.
 
     Raises:
         InputError: If the port is impossible or in use, or the host is none of this machine.
     """
     require_free(host, port)
-    return Gate(host, port, "" if is_loopback(host) else secrets.token_urlsafe(16))
+    return Gate(host, port, secrets.token_urlsafe(32))
 
 
 def require_viser() -> None:

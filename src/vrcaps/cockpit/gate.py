@@ -9,7 +9,7 @@ import logging
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from http.cookies import CookieError, SimpleCookie
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs, urlsplit
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 """Hosts that only this machine reaches."""
 
-_REFUSED = "Not allowed. Open the address that `vrcaps cockpit` printed, with its token.\n"
+_REFUSED = "Not allowed. Open the address that vrcaps printed in the terminal, with its token.\n"
 
 
 @dataclass(frozen=True)
@@ -32,20 +32,20 @@ class Gate:
     Attributes:
         host: Address that the server is bound to.
         port: Its port.
-        token: Secret that the address must hold; empty where only this machine reaches the server.
+        token: Secret that the address must hold, or a cookie; other processes of this machine
+            reach the server, too.
     """
 
     host: str
     port: int
-    token: str = ""
+    token: str = field(repr=False)
 
     @property
     def address(self) -> str:
         """Address of the page, with the token."""
         host = socket.gethostname() if self.host in ("0.0.0.0", "::") else self.host
         host = f"[{host}]" if ":" in host else host
-        query = f"/?token={self.token}" if self.token else "/"
-        return f"http://{host}:{self.port}{query}"
+        return f"http://{host}:{self.port}/?token={self.token}"
 
     @property
     def cookie(self) -> str:
@@ -55,29 +55,33 @@ class Gate:
     def allows(self, path: str, headers: Any) -> bool:
         """Whether a request is to be answered.
 
-        A page of another site may send requests by the user's own browser; its origin gives it
-        away. Without a token, names of other hosts are refused, which such a site could point here.
+        A page of another site may send requests by the user's own browser, with the cookie; its
+        origin gives it away.
 
         Args:
             path: Path and query.
             headers: By name.
         """
-        host = headers.get("Host", "")
-        origin = headers.get("Origin")
-        if origin is not None and urlsplit(origin).netloc != host:
+        origins, hosts = headers.get_all("Origin"), headers.get_all("Host")
+        try:
+            if origins and [urlsplit(origin).netloc for origin in origins] != hosts:
+                return False
+            query = parse_qs(urlsplit(path).query)
+        except ValueError:  # no URL
             return False
-        if not self.token:
-            return urlsplit(f"//{host}").hostname in LOOPBACK
-        given = [*parse_qs(urlsplit(path).query).get("token", ()), self._kept(headers)]
-        return any(hmac.compare_digest(each.encode(), self.token.encode()) for each in given)
+        given = [*query.get("token", ()), *self._kept(headers)]
+        return any(
+            hmac.compare_digest(each.encode(errors="replace"), self.token.encode())
+            for each in given
+        )
 
-    def _kept(self, headers: Any) -> str:
-        """Token in the cookie of a request; empty if there is none."""
+    def _kept(self, headers: Any) -> list[str]:
+        """Token in the cookie of a request; none if there is no cookie."""
         try:
             cookies = SimpleCookie("; ".join(headers.get_all("Cookie")))
         except CookieError:
-            return ""
-        return cookies[self.cookie].value if self.cookie in cookies else ""
+            return []
+        return [cookies[self.cookie].value] if self.cookie in cookies else []
 
 
 def require_free(host: str, port: int) -> None:
@@ -123,9 +127,10 @@ def guarded(gate: Gate) -> Iterator[None]:
             if not gate.allows(request.path, request.headers):
                 return connection.respond(http.HTTPStatus.FORBIDDEN, _REFUSED)
             response = process_request(connection, request)
-            if response is not None and gate.token:
+            if response is not None:
                 kept = f"{gate.cookie}={gate.token}; HttpOnly; SameSite=Strict; Path=/"
                 response.headers["Set-Cookie"] = kept
+                response.headers["Referrer-Policy"] = "no-referrer"  # the address has the token
             return response
 
         return original(*args, process_request=ask, **more)

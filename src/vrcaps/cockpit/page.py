@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import threading
 import time as wall_clock
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -58,6 +58,7 @@ class Page:
         side_panel: Window at the right, in which panels have tabs.
         bridge: To the browsers' keys and gamepads.
         is_busy: Held while a recording is made.
+        policies: Files and import paths of policies that browsers may choose.
         actions: What the buttons of a gamepad do, by name.
         latest_image: The last of them.
         pad: What the driver's browser said last of its gamepad's layout; None before it has one.
@@ -72,6 +73,7 @@ class Page:
         *,
         begin: Callable[[Scenario], None] | None = None,
         is_busy: threading.Lock | None = None,
+        policies: Sequence[str] = (),
     ) -> None:
         """Fills the page.
 
@@ -82,6 +84,7 @@ class Page:
             say: Called with each message, for the terminal.
             begin: Begins another drive in the same page.
             is_busy: Held while a recording is made; shared by all drives.
+            policies: Files and import paths of policies that browsers may choose.
         """
         self.server, self.session, self._say = server, session, say
         self.latest_image: LiveImage | None = None
@@ -92,6 +95,7 @@ class Page:
         self.pad: DriverInput | None = None
         self._is_closed = False
         self.is_busy = is_busy or threading.Lock()
+        self.policies = tuple(policies)
         self._begin = begin
         self.actions: dict[str, Callable[[], None]] = {}
         session.on_message = self.tell

@@ -17,6 +17,11 @@ if TYPE_CHECKING:
     from vrcaps.env.settings import EnvSettings
     from vrcaps.env.vector_env import CapsuleVectorEnv
 
+_NO_POLICY = (
+    "is no policy. Allowed: a class with `requires`, `reset` and `act`, see "
+    "vrcaps.policy.policy.Policy."
+)
+
 _SHIPPED = Path(__file__).parent / "trained"
 """Folder of the trained policies that come with the package."""
 
@@ -137,21 +142,42 @@ def _shipped() -> dict[str, Path]:
 
 
 def _imported(path: str) -> Policy:
-    """A policy of a class by its import path, made without arguments."""
+    """A policy of a class by its import path, made without arguments.
+
+    Raises:
+        InputError: If the module cannot be imported, or the path names no policy class.
+    """
     module_name, _, class_name = path.partition(":")
     try:
         module = importlib.import_module(module_name)
-    except ImportError as error:
+    except (Exception, SystemExit) as error:  # a module may raise anything
         raise InputError(
-            f"No policy at {path}: {error}. Give package.module:Class, importable from here."
+            f"No policy at {path}: {_reason(error)}. Give package.module:Class, importable from "
+            "here."
         ) from error
     cls = getattr(module, class_name, None)
     if cls is None:
         raise InputError(f"No policy at {path}: the module has no {class_name!r}.")
-    policy = cls()
+    # Checked before the call: a path may name any function, such as os:abort.
+    if not _is_policy_class(cls):
+        raise InputError(f"{path} {_NO_POLICY}")
+    try:
+        policy = cls()
+    except (Exception, SystemExit) as error:
+        raise InputError(f"{path} cannot be made without arguments: {_reason(error)}.") from error
     if not isinstance(policy, Policy):
-        raise InputError(
-            f"{path} is no policy. Allowed: a class with `requires`, `reset` and `act`, see "
-            "vrcaps.policy.policy.Policy."
-        )
+        raise InputError(f"{path} {_NO_POLICY}")
     return policy
+
+
+def _is_policy_class(value: Any) -> bool:
+    """Whether a value is a class with the methods of `Policy`; `requires` may be of the object."""
+    if not isinstance(value, type):
+        return False
+    return all(callable(getattr(value, name, None)) for name in ("reset", "act"))
+
+
+def _reason(error: BaseException) -> str:
+    """Kind and first line of an error."""
+    first = next(iter(str(error).splitlines()), "").rstrip(".")
+    return f"{type(error).__name__}: {first}" if first else type(error).__name__

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from vrcaps.cockpit.policy_driver import PolicyDriver
 from vrcaps.env.actuation.magnet import MagnetActuation
+from vrcaps.errors import UnknownNameError
 from vrcaps.policy.policy import policy_names
 
 if TYPE_CHECKING:
@@ -24,11 +25,9 @@ class PolicyPanel:
         self._page, self._session, self._shown = page, page.session, ""
         gui = page.server.gui
         with gui.add_folder("Policy", expand_by_default=False):
-            names = policy_names(MagnetActuation.kind)
-            self._name = gui.add_dropdown("Baseline", names, initial_value=_FIRST)
-            self._own = gui.add_text(
-                "Own policy", "", hint="Its file, or package.module:Class; empty takes the list's."
-            )
+            names = (*policy_names(MagnetActuation.kind), *page.policies)
+            self._names = tuple(dict.fromkeys(names))
+            self._name = gui.add_dropdown("Policy", self._names, initial_value=_FIRST)
             self._goal = gui.add_slider(
                 "Goal", 0.0, 1.0, 0.01, 1.0, hint="Where navigate leads, from the oral end"
             )
@@ -51,11 +50,11 @@ class PolicyPanel:
         if operator.policy:
             operator.stop()
             return
-        own = self._own.value.strip()
-        if own:
-            self._page.require_here("A policy of your own")
+        name = self._name.value
+        if name not in self._names:  # a browser may send any text, and a policy may run any code
+            raise UnknownNameError("policy", name, self._names)
         driver = PolicyDriver(
-            own or self._name.value,
+            name,
             session.rollout,
             posture=session.scenario.posture,
             seed=session.scenario.seed,

@@ -14,7 +14,7 @@ import vrcaps
 LAYERS = (
     ("_core",),
     ("units", "errors", "rng", "transforms", "color"),
-    ("catalog_folder", "files", "geometry"),
+    ("catalog_folder", "files", "geometry", "locks", "processes", "temporary_files"),
     ("decimals", "limits", "plain_files", "file_ref", "made_with"),
     ("serialization", "torch_threads", "training_folder"),
     ("mesh",),
@@ -54,7 +54,8 @@ ALLOWED = {"env": {"gymnasium"}}
 """Heavy packages that a layer may load; no layer below imports it."""
 MAX_FILE_LINES = 400
 MAX_FUNCTION_LINES = 60
-MAX_IMPORT_SECONDS = 0.05
+MAX_MODULES = 10
+"""Modules that `import vrcaps` may load beyond those of NumPy."""
 
 PACKAGE = Path(vrcaps.__file__).parent
 FILES = sorted(PACKAGE.rglob("*.py"))
@@ -171,7 +172,7 @@ def test_a_module_in_every_import_statement_form_is_seen() -> None:
 
 def run_python(code: str) -> str:
     result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
     return result.stdout
 
@@ -181,12 +182,10 @@ def test_importing_the_package_loads_nothing_heavy() -> None:
     assert not {name.split(".")[0] for name in loaded} & HEAVY
 
 
-def test_importing_the_package_is_fast() -> None:
-    """Beyond NumPy, `import vrcaps` costs less than 50 ms of CPU (best of five, against noise)."""
-    code = (
-        "import numpy, time; t = time.process_time(); import vrcaps; print(time.process_time()-t)"
-    )
-    assert min(float(run_python(code)) for _ in range(5)) < MAX_IMPORT_SECONDS
+def test_importing_the_package_loads_few_modules() -> None:
+    """Beyond NumPy, so that it is fast; `benchmarks/speed_start.py` measures the time."""
+    count = "import numpy, sys; n = len(sys.modules); import vrcaps; print(len(sys.modules) - n)"
+    assert int(run_python(count)) <= MAX_MODULES
 
 
 def test_every_public_name_loads() -> None:
@@ -194,14 +193,13 @@ def test_every_public_name_loads() -> None:
         getattr(vrcaps, name)
 
 
-def test_help_is_fast_and_loads_nothing_heavy() -> None:
+def test_help_loads_nothing_heavy() -> None:
     code = (
-        "import sys, time; t = time.process_time()\n"
+        "import sys\n"
         "import vrcaps.cli\n"
         "try: vrcaps.cli.main(['--help'])\n"
         "except SystemExit: pass\n"
-        "print('loaded', *sys.modules)\nprint(time.process_time() - t)"
+        "print('loaded', *sys.modules)"
     )
-    *_, loaded, _seconds = run_python(code).splitlines()
+    loaded = run_python(code).splitlines()[-1]
     assert not {name.split(".")[0] for name in loaded.split()} & HEAVY
-    assert min(float(run_python(code).splitlines()[-1]) for _ in range(3)) < 0.5

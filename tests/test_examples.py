@@ -13,6 +13,7 @@ import pytest
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.scenario.scenario import OrganFile, read_scenario
+from waiting import WATCHDOG
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("[0-9]*.py"))
@@ -31,7 +32,7 @@ def output_of(program: Path, folder: Path, *arguments: str) -> str:
     """What a program prints that runs in a folder."""
     command = [sys.executable, "-c", RUN, str(program), *arguments]
     result = subprocess.run(
-        command, capture_output=True, text=True, timeout=300, cwd=folder, check=False
+        command, capture_output=True, text=True, timeout=WATCHDOG, cwd=folder, check=False
     )
     assert result.returncode == 0, result.stderr
     return result.stdout

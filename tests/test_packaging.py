@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import vrcaps
+from waiting import WATCHDOG
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -54,7 +55,7 @@ def test_wheel_records_the_demo_in_a_clean_environment(tmp_path: Path) -> None:
 
     def run(program: str, *args: str | Path) -> None:
         command = [scripts / program, *args]
-        subprocess.run(command, cwd=tmp_path, env=environment, check=True, timeout=600)
+        subprocess.run(command, cwd=tmp_path, env=environment, check=True, timeout=WATCHDOG)
 
     run("python", "-m", "pip", "install", "--quiet", "--only-binary=:all:", wheel)
     run("vrcaps", "demo", "--out", "demo")

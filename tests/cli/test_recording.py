@@ -5,7 +5,6 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ import trimesh
 
 from vrcaps import cli
 from vrcaps.recording.episode import read_episode
+from waiting import WATCHDOG, wait_until
 
 FLAGS = "--unit mm --frames 3 --channels rgb depth label --seed 5"
 
@@ -112,13 +112,10 @@ def test_interrupted_recording_ends_in_one_line_and_goes_on(phantom: Path, tmp_p
     listen = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
     script = [sys.executable, "-c", f"{listen}; from vrcaps.cli import main; main()", *flags]
     process = subprocess.Popen(script, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 120.0
-    while not list(out.glob("front/rgb/0000*.png")):
-        assert process.poll() is None, process.communicate()[1]
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    wait_until(lambda: list(out.glob("front/rgb/0000*.png")) or process.poll() is not None)
+    assert process.poll() is None, process.communicate()[1]
     process.send_signal(signal.SIGINT)
-    _, text = process.communicate(timeout=60)
+    _, text = process.communicate(timeout=WATCHDOG)
     assert process.returncode == cli.EXIT_INTERRUPTED
     assert text.splitlines()[-1] == "vrcaps: Interrupted. Files written so far are whole."
     assert "Traceback" not in text

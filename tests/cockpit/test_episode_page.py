@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cockpit_browser import PATIENCE, free_port, wait_until
+from cockpit_browser import free_port, wait_until
 from vrcaps.cockpit.episode_page import open_episodes
 from vrcaps.cockpit.episode_scene import RecordedWalls
 from vrcaps.errors import InputError
@@ -19,6 +19,7 @@ from vrcaps.organ.read_organ import read_organ
 from vrcaps.recording.episode import read_episode
 from vrcaps.recording.pictures import picture
 from vrcaps.transforms import transform_points
+from waiting import WATCHDOG
 
 
 def test_says_how_many_episodes_there_may_be(recorded):
@@ -44,7 +45,7 @@ def test_two_episodes_play_side_by_side(browser, recorded, tmp_path):
     damaged.write_bytes(damaged.read_bytes()[:50])
     with open_episodes([recorded, other], estimate=path, port=free_port()) as (page, gate):
         tab = browser.new_page(viewport={"width": 1100, "height": 500}, device_scale_factor=0.3)
-        tab.set_default_timeout(1e3 * PATIENCE)
+        tab.set_default_timeout(1e3 * WATCHDOG)
         tab.goto(gate.address)
         tab.get_by_role("button", name="Play").wait_for()
         images = tab.locator("img[src^='blob:']")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +11,7 @@ from vrcaps.cockpit.camera_images import CameraImages
 from vrcaps.cockpit.live_shadows import LiveShadows
 from vrcaps.cockpit.session import Session
 from vrcaps.render.renderer import Renderer
+from waiting import wait_until
 
 
 class Machine:
@@ -73,8 +73,7 @@ def test_an_image_without_shadows_is_that_of_a_renderer_without(drive_scenario, 
     session = Session(drive_scenario, tmp_path / "drive")
     session.start()
     try:
-        while session.view is None:
-            time.sleep(0.01)
+        wait_until(lambda: session.view is not None)
         images, view = CameraImages(session, lambda image: None), session.view
         look = images.look
         for has_shadows in (True, False, True):

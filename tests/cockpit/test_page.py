@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -11,11 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from cockpit_browser import PATIENCE, wait_until
+from cockpit_browser import draw_frames, wait_until
 from pad_pilot import PAD, PadPilot, push
 from vrcaps.cockpit.panels.scene_panel import ScenePanel
 from vrcaps.errors import InputError
 from vrcaps.transforms import matrix_from_quaternion, transform_points
+from waiting import WATCHDOG
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Locator, Page
@@ -29,16 +29,14 @@ pytestmark = pytest.mark.slow
 def tab(browser: Browser, cockpit: Cockpit) -> Iterator[Page]:
     """The page, with the first live image; the message about software rendering is closed."""
     opened = browser.new_page(viewport={"width": 1200, "height": 600}, device_scale_factor=0.5)
-    opened.set_default_timeout(1e3 * PATIENCE)
+    opened.set_default_timeout(1e3 * WATCHDOG)
     opened.add_init_script(PAD)
-    began = time.monotonic()
     opened.goto(cockpit.gate.address)
     opened.get_by_role("button", name="Pause").wait_for()
-    assert time.monotonic() - began < PATIENCE  # 5 s on a machine that does nothing else
     wait_until(opened, lambda: cockpit.page.latest_image is not None)
     closing = "document.querySelectorAll('.mantine-Notification-closeButton')"
     opened.evaluate(f"{closing}.forEach((button) => button.click())")
-    opened.wait_for_timeout(300)
+    draw_frames(opened)
     yield opened
     opened.close()
 
@@ -71,11 +69,11 @@ def test_dragging_the_gizmo_moves_the_magnet_and_the_image_follows(tab, cockpit)
     axis = matrix_from_quaternion(np.array(handle.wxyz))[:, 2]
     start, end = (on_screen(tab, cockpit, before + reach * axis) for reach in (0.09, 0.16))
     tab.mouse.move(*start)
-    tab.wait_for_timeout(200)
+    draw_frames(tab)
     tab.mouse.down()
     tab.mouse.move(*(0.5 * (a + b) for a, b in zip(start, end, strict=True)))
     tab.mouse.move(*end)
-    tab.wait_for_timeout(200)
+    draw_frames(tab)
     tab.mouse.up()
     wait_until(tab, lambda: not session.operator.is_dragged)
     moved = session.view.T_world_requested[:3, 3] - before
@@ -169,7 +167,7 @@ def test_a_gamepad_and_keys_steer_beyond_the_dead_zone(tab, cockpit):
     tab.evaluate("window.pad.buttons[0].pressed = true")
     wait_until(tab, lambda: clock.is_paused)
     tab.evaluate("window.pad.buttons[0].pressed = false")
-    tab.wait_for_timeout(100)
+    draw_frames(tab)
     tab.evaluate("window.pad.buttons[0].pressed = true")
     wait_until(tab, lambda: not clock.is_paused)
     tab.evaluate("window.pad.buttons[0].pressed = false")
@@ -204,7 +202,7 @@ def test_a_pads_controls_are_assigned_by_pushing_them(tab, cockpit):
     assert last() == (0, 0, 0, 0, 0, 0)
     tab.get_by_text("drives nothing yet").first.wait_for()
     tab.evaluate("window.pad.axes = [0, 0, 0, 0, 0, -1]")
-    tab.wait_for_timeout(100)
+    draw_frames(tab)
     assign("y+", [0, 0, 0, 0.9, 0, -1])
     assign("tilt-x+", [0, 0, 0, 0, 0, 1])
     assert page.pad.layout == {"y+": "axis 3 +", "y-": "axis 3 −", "tilt-x+": "axis 5 +"}
@@ -223,11 +221,7 @@ def test_a_pads_controls_are_assigned_by_pushing_them(tab, cockpit):
 def test_a_policy_takes_over_by_a_key_and_a_stick_takes_back(tab, cockpit):
     operator = cockpit.session.operator
     tab.get_by_text("Policy", exact=True).click()
-    field(tab, "Own policy").fill("autopilot")
     button = tab.get_by_role("button", name="Let the policy drive")
-    button.click()
-    tab.get_by_text("No policy named 'autopilot'").first.wait_for()
-    field(tab, "Own policy").fill("")
     tab.get_by_role("button", name="Stop the magnet").focus()
     tab.keyboard.press("t")
     tab.get_by_role("button", name="Take the magnet back").wait_for()
@@ -246,7 +240,7 @@ def test_a_second_browser_looks_on_and_takes_over_when_the_driver_is_gone(browse
     operator, page = cockpit.session.operator, cockpit.page
     driver = page.driver
     other = browser.new_page(viewport={"width": 900, "height": 300}, device_scale_factor=0.3)
-    other.set_default_timeout(1e3 * PATIENCE)
+    other.set_default_timeout(1e3 * WATCHDOG)
     other.goto(cockpit.gate.address)
     other.get_by_role("button", name="Pause").wait_for()
     wait_until(tab, lambda: len(page.server.get_clients()) == 2)
@@ -274,7 +268,7 @@ def choose(tab, label: str, option: str) -> None:
     while True:
         tab.get_by_label(label).first.click()
         try:
-            found.click(timeout=3000)
+            found.click(timeout=10_000)
             return
         except PlaywrightTimeout:
             tab.keyboard.press("Escape")

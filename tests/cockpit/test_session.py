@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import errno
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +21,7 @@ from vrcaps.recording.recorder import record
 from vrcaps.recording.table import POSE_COLUMNS
 from vrcaps.scenario.scenario import Scenario, read_scenario
 from vrcaps.transforms import quaternion_from_matrix
+from waiting import wait_until
 
 
 def test_all_commands_are_in_the_drive_and_go_with_what_is_forgotten(drive_scenario, tmp_path):
@@ -49,13 +49,6 @@ def driving(scenario: Scenario, folder: Path, **more) -> Iterator[Session]:
         yield session
     finally:
         session.close()
-
-
-def wait_until(done: Callable[[], bool], seconds: float = 20.0) -> None:
-    end = time.monotonic() + seconds
-    while not done():
-        assert time.monotonic() < end
-        time.sleep(0.005)
 
 
 def run_to(session: Session, frame: int) -> None:

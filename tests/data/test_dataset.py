@@ -16,6 +16,7 @@ from vrcaps.data.stored_files import read_at_once
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.files import files_in
 from vrcaps.recording.episode import read_episode
+from waiting import WATCHDOG
 
 
 @pytest.fixture(scope="module")
@@ -84,13 +85,13 @@ def test_processes_forked_after_a_read_read_too(served):
     expected = sequence[0]["rgb"]
     context = multiprocessing.get_context("fork")
     with context.Pool(1) as pool:
-        found = pool.apply_async(sequence.image, ("rgb", 0)).get(timeout=20)
+        found = pool.apply_async(sequence.image, ("rgb", 0)).get(timeout=WATCHDOG)
     np.testing.assert_array_equal(found, expected)
 
 
 def test_tables_of_several_recordings_are_read_at_once(whole):
     """Each of two waits for the other: if they came one after the other, both would fail."""
-    meeting = threading.Barrier(2, timeout=10.0)
+    meeting = threading.Barrier(2, timeout=WATCHDOG)
     episodes = [
         read_episode(Meeting(member.files, meeting))
         for member in vrcaps.data.open(whole).members()[:2]

@@ -14,6 +14,7 @@ from vrcaps.data.frame_stream import FrameStream
 from vrcaps.data.frame_windows import FrameWindows
 from vrcaps.errors import InputError, MissingExtraError
 from vrcaps.recording.frame_sequence import FrameSequence
+from waiting import WATCHDOG
 
 
 def load(base: int, channel: str, index: int) -> np.ndarray:
@@ -89,7 +90,7 @@ def test_workers_of_a_loader_share_it_in_each_epoch(windows):
         num_workers=2,
         multiprocessing_context="fork",
         persistent_workers=True,
-        timeout=60,
+        timeout=WATCHDOG,
     )
     passes = [numbers(loader_samples(loader)) for _ in range(2)]
     assert sorted(passes[0]) == sorted(passes[1]) == list(range(100))

@@ -13,6 +13,7 @@ from vrcaps.data.frame_windows import FrameWindows
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.transforms import rotation_from_vector, transform_from
+from waiting import WATCHDOG
 
 
 def load(base: int, channel: str, index: int) -> np.ndarray:
@@ -86,7 +87,7 @@ def test_threads_read_the_same(sequences):
 def test_a_loader_with_workers_gives_every_window_once(sequences):
     made = FrameWindows(sequences, length=2, transform=partial(replace_depth, 7.0))
     windows = pickle.loads(pickle.dumps(made))  # as workers that are not forked take it
-    loader = DataLoader(windows, 3, num_workers=2, multiprocessing_context="fork", timeout=60)
+    loader = DataLoader(windows, 3, num_workers=2, multiprocessing_context="fork", timeout=WATCHDOG)
     batches = list(loader)
     assert batches[0]["rgb"].shape == (3, 2, 4, 5, 3)
     assert batches[0]["rgb"].dtype == torch.uint8

@@ -24,6 +24,7 @@ from vrcaps.data.plan import read_plan
 from vrcaps.data.runners.in_process import InProcess
 from vrcaps.data.store import LocalStore, open_store
 from vrcaps.errors import InputError, MissingExtraError, StorageError
+from waiting import WATCHDOG
 
 KILLED = """
 import os, signal
@@ -68,7 +69,9 @@ def test_an_s3_store_outlives_kills_and_a_lost_network(
     words = ["dataset", "make", str(plan_file), "--out", url, "--workers", "0"]
     script = tmp_path / "run.py"
     script.write_text(KILLED.format(words=words))
-    killed = subprocess.run([sys.executable, script], env={**os.environ}, check=False, timeout=60)
+    killed = subprocess.run(
+        [sys.executable, script], env={**os.environ}, check=False, timeout=WATCHDOG
+    )
     assert killed.returncode == -signal.SIGKILL
     store = open_store(url)
     assert len(whole_units(store)) == 1
@@ -97,7 +100,7 @@ def require_same_batches(url: str, folder: Path) -> None:
             batch_size=4,
             num_workers=2,
             multiprocessing_context="fork",
-            timeout=60,
+            timeout=WATCHDOG,
         )
         for place in (url, folder)
     )

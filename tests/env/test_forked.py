@@ -8,6 +8,7 @@ import pytest
 from small_envs import small_env
 from vrcaps.env import forked
 from vrcaps.errors import InputError
+from waiting import WATCHDOG
 
 
 def _begin(answer: multiprocessing.Queue) -> None:
@@ -25,7 +26,7 @@ def test_a_fork_of_a_process_with_worlds_is_one_clear_line() -> None:
     answer = context.Queue()
     process = context.Process(target=_begin, args=(answer,))
     process.start()
-    said = answer.get(timeout=60)
+    said = answer.get(timeout=WATCHDOG)
     process.join()
     assert "context='spawn'" in said
 

@@ -22,6 +22,7 @@ from vrcaps.recording.check import check_episode
 from vrcaps.recording.episode import read_episode
 from vrcaps.recording.recorder import record
 from vrcaps.scenario.scenario import read_scenario, scenario_to_plain
+from waiting import WATCHDOG
 
 
 def _digests(folder: Path) -> dict[str, str]:
@@ -108,7 +109,8 @@ def test_missing_files_are_made_again(recorded, scenario, tmp_path, name):
     out = record(scenario, tmp_path / "episode")
     (out / name).unlink()
     (out / "front/rgb/000002.png").unlink()
-    (out / "front/rgb/.000002.png.tmp").write_bytes(b"left by a run that was killed")
+    stale = out / f"front/rgb/.000002.png.{'0' * 32}.tmp"
+    stale.write_bytes(b"left by a run that was killed")
     record(scenario, out)
     assert _digests(out) == _digests(recorded)
 
@@ -257,9 +259,9 @@ def test_interrupt_threads_and_file_limit(scenario, organ, tmp_path):
         if int(line) >= 5:
             break
     stopped.send_signal(signal.SIGINT)
-    _, stopped_error = stopped.communicate(timeout=60)
-    _, refused_error = refused.communicate(timeout=60)
-    _, one_error = one.communicate(timeout=60)
+    _, stopped_error = stopped.communicate(timeout=WATCHDOG)
+    _, refused_error = refused.communicate(timeout=WATCHDOG)
+    _, one_error = one.communicate(timeout=WATCHDOG)
     assert (one.returncode, one_error) == (0, "")
     assert stopped.returncode != 0
     assert "KeyboardInterrupt" in stopped_error
@@ -275,7 +277,7 @@ def test_interrupt_threads_and_file_limit(scenario, organ, tmp_path):
         same = [whole.get(file) == digest for file, digest in written.items()]
         assert same.count(False) == 1  # episode.json, by its status
         resumed = _start(scenario, tmp_path, name, threads="2")
-        assert resumed.communicate(timeout=60)[1] == ""
+        assert resumed.communicate(timeout=WATCHDOG)[1] == ""
         assert _digests(out) == whole
 
 

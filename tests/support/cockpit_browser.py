@@ -1,18 +1,15 @@
-"""What the tests of the pages share: a free port, and waiting in a browser."""
+"""Support of the tests of the pages: a free port, and waiting in a browser."""
 
 from __future__ import annotations
 
 import socket
-import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+import waiting
+
 if TYPE_CHECKING:
     from playwright.sync_api import Page
-
-
-PATIENCE = 120.0
-"""Longest wait for a page [s], which takes a second on a machine that does nothing else."""
 
 
 def free_port() -> int:
@@ -21,9 +18,15 @@ def free_port() -> int:
         return probe.getsockname()[1]
 
 
-def wait_until(tab: Page, done: Callable[[], bool], seconds: float = PATIENCE) -> None:
-    """Returns as soon as something is so; fails if it is not in time."""
-    end = time.monotonic() + seconds
-    while not done():
-        assert time.monotonic() < end
-        tab.wait_for_timeout(20)
+def wait_until(tab: Page, condition: Callable[[], object]) -> None:
+    """Return as soon as a condition holds; the page goes on meanwhile."""
+    waiting.wait_until(condition, lambda seconds: tab.wait_for_timeout(1e3 * seconds))
+
+
+def draw_frames(tab: Page, count: int = 20) -> None:
+    """Return when the page has drawn some frames, and so has taken notice of input before."""
+    tab.evaluate(
+        "(n) => new Promise((done) => {"
+        " const next = () => (n-- > 0 ? requestAnimationFrame(next) : done()); next(); })",
+        count,
+    )

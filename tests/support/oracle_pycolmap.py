@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from waiting import WATCHDOG
+
 
 def read_colmap_model(folder: Path) -> dict:
     """Cameras, rigs, points and images of a text model, with points where its cameras show them.
@@ -20,7 +22,7 @@ def read_colmap_model(folder: Path) -> dict:
     """
     done = subprocess.run(
         [sys.executable, __file__, str(folder)],
-        capture_output=True, text=True, timeout=60, check=False,
+        capture_output=True, text=True, timeout=WATCHDOG, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)

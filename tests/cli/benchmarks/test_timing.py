@@ -1,10 +1,9 @@
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 
+from vrcaps.cli.benchmarks import timing
 from vrcaps.cli.benchmarks.timing import Spread, Subject, Times, interleave, ratio
 
 
@@ -27,14 +26,18 @@ def test_turns_alternate_and_every_view_is_drawn_once_a_round() -> None:
     assert len(rounds) == 3
 
 
-def test_times_are_of_one_frame() -> None:
-    def sleep(view: int) -> None:
-        time.sleep(2e-3 * (1 + view))  # 2 and 4 ms: 3 ms on average
+def test_times_are_of_one_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Clocks that only drawing moves: 2 and 4 ms on the wall, half of it on the processor."""
+    now = [0.0]
 
-    times = interleave([Subject("s", sleep)], num_views=2, num_rounds=3)["s"]
-    assert times.wall.shape == times.cpu.shape == (3,)
-    assert (times.wall >= 3e-3).all()
-    assert (times.cpu < 2e-3).all()  # a sleeping process uses no processor
+    def draw(view: int) -> None:
+        now[0] += 2e-3 * (1 + view)
+
+    monkeypatch.setattr(timing.time, "perf_counter", lambda: now[0])
+    monkeypatch.setattr(timing.time, "process_time", lambda: 0.5 * now[0])
+    times = interleave([Subject("s", draw)], num_views=2, num_rounds=3)["s"]
+    np.testing.assert_allclose(times.wall, [3e-3] * 3)
+    np.testing.assert_allclose(times.cpu, [1.5e-3] * 3)
 
 
 def test_a_drift_of_the_machine_cancels_in_ratios() -> None:

@@ -11,6 +11,7 @@ mod magnet;
 mod mesh;
 mod metrics;
 mod mucosa;
+mod pool;
 mod poses;
 mod recording;
 mod render;
@@ -23,6 +24,7 @@ use pyo3::prelude::*;
 
 #[pymodule]
 fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
+    pool::watch_forks();
     m.add("__version__", env!("CARGO_PKG_VERSION"))?;
     m.add_function(wrap_pyfunction!(mucosa::bake_mucosa, m)?)?;
     m.add_class::<wall::Wall>()?;
@@ -66,8 +68,9 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     camera_pipeline::register(m)?;
     let testing = PyModule::new(m.py(), "testing")?;
     camera_pipeline::register_testing(&testing)?;
+    testing.add_function(wrap_pyfunction!(pool::forbid_global_pool, &testing)?)?;
     m.add_submodule(&testing)?;
     m.add_function(wrap_pyfunction!(cpu::cpu_features, m)?)?;
-    m.add_function(wrap_pyfunction!(cpu::num_threads, m)?)?;
+    m.add_function(wrap_pyfunction!(pool::num_threads, m)?)?;
     Ok(())
 }

@@ -4,11 +4,11 @@ use super::damped_least_squares::descend;
 use super::inverse_kinematics::{All, Angles, BRANCHES, Inverse, JOINTS};
 use super::kinematic_chain::{Chain, Joint, Pose};
 use super::link_capsules::{LinkCapsule, Obstacles};
+use crate::pool::map;
 use crate::poses::{pose_of, rows, square};
 use glam::DVec3;
 use numpy::{IntoPyArray, PyArrayDyn, PyReadonlyArray2, PyReadonlyArray3, ndarray::ArrayD};
 use pyo3::{exceptions::PyValueError, prelude::*};
-use rayon::prelude::*;
 
 /// Poses that one thread takes at a time.
 const CHUNK: usize = 64;
@@ -131,15 +131,13 @@ impl ArmChain {
     ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         let n = self.count();
         let angles = rows(&angles, n)?;
-        let flat: Vec<f64> = py.detach(|| {
-            let one = |q: &[f64]| {
-                let mut frames = Vec::with_capacity(n + 1);
-                self.chain.frames(q, &mut frames);
-                frames.iter().flat_map(Pose::rows).collect::<Vec<f64>>()
-            };
-            angles.par_chunks_exact(n).with_min_len(CHUNK).flat_map_iter(one).collect()
+        let each: Vec<&[f64]> = angles.chunks_exact(n).collect();
+        let frames = map(py, &each, CHUNK, |q| {
+            let mut frames = Vec::with_capacity(n + 1);
+            self.chain.frames(q, &mut frames);
+            frames.iter().flat_map(Pose::rows).collect::<Vec<f64>>()
         });
-        array(py, &[angles.len() / n, n + 1, 4, 4], flat)
+        array(py, &[each.len(), n + 1, 4, 4], frames.concat())
     }
 
     /// Jacobian [k 6 n]: velocity of the flange's origin, then angular velocity, in the base.
@@ -197,15 +195,11 @@ impl ArmChain {
         if targets.len() * n != near.len() {
             return Err(PyValueError::new_err("One start a target is needed."));
         }
-        let solve = |(target, near): (&Pose, &[f64])| {
+        let each: Vec<(&Pose, &[f64])> = targets.iter().zip(near.chunks_exact(n)).collect();
+        let solved = map(py, &each, CHUNK, |(target, near)| {
             self.solve(target, near, &others).unwrap_or_else(|| vec![f64::NAN; n])
-        };
-        let flat = py.detach(|| {
-            let starts = near.par_chunks_exact(n);
-            let each = targets.par_iter().zip(starts).with_min_len(CHUNK).map(solve);
-            each.collect::<Vec<_>>().concat()
         });
-        array(py, &[targets.len(), n], flat)
+        array(py, &[targets.len(), n], solved.concat())
     }
 
     /// Angles [k n] along a path of targets [k 4 4]: each nearest to those before; from the first

@@ -1,7 +1,7 @@
 //! Bloom and veiling glare: light that the lens and its dome scatter about its image.
 
 use super::planes::{Line, planes_array, rows, size};
-use crate::cpu::on_pool;
+use crate::pool::on_pool;
 use numpy::{PyArray3, PyReadonlyArray3};
 use pyo3::prelude::*;
 use rayon::prelude::*;

@@ -1,7 +1,7 @@
 //! Colors of all pixels from a mosaic of one color each.
 
 use super::planes::{Line, planes_array, rows};
-use crate::cpu::on_pool;
+use crate::pool::on_pool;
 use numpy::{PyArray3, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;

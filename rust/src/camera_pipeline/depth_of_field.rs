@@ -2,7 +2,7 @@
 
 use super::dome::totals;
 use super::planes::{Line, planes_array, rows, size};
-use crate::cpu::on_pool;
+use crate::pool::on_pool;
 use crate::render::lumen::foreground::FOREGROUND_BUBBLE;
 use crate::simd::f32x64::{Vec3, clamp, load, max, min, store};
 use numpy::{PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};

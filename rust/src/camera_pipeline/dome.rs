@@ -2,7 +2,7 @@
 //! that are lenses.
 
 use super::planes::{Line, planes_array, rows, size};
-use crate::cpu::on_pool;
+use crate::pool::on_pool;
 use crate::simd::f32x64::Vec3;
 use numpy::{
     PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,

@@ -5,7 +5,7 @@
 use super::dct::{Basis, Block, bases, transform_2d};
 use super::jpeg_tables::{AC_BITS_CHROMINANCE, AC_BITS_LUMINANCE, DC_BITS, STEPS};
 use super::planes::interleave;
-use crate::cpu::on_pool;
+use crate::pool::on_pool;
 use crate::simd::f32x64::clamp;
 use numpy::{IntoPyArray, PyArray3, PyReadonlyArray3, PyUntypedArrayMethods, ndarray::Array3};
 use pyo3::{exceptions::PyValueError, prelude::*};

@@ -2,7 +2,7 @@
 
 use super::motion_field::{MotionField, Shutter, Window, whole};
 use super::planes::{Line, planes_array, rows, size_of_image};
-use crate::cpu::on_pool;
+use crate::pool::on_pool;
 use crate::simd::f32x64::{clamp, load, max, min, store};
 use numpy::{PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};

@@ -1,6 +1,6 @@
 //! Where points appear in an image, by the rays of its pixels alone: for any lens.
 
-use crate::cpu::on_pool;
+use crate::pool::on_pool;
 use crate::poses::read_pose;
 use crate::render::lumen::foreground::FOREGROUND_BUBBLE;
 use crate::render::ray_table::RayTable;

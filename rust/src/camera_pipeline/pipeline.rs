@@ -14,7 +14,7 @@ use super::sensor_noise::{Readout, Sensor, streams};
 use super::stages::{
     ColorGains, Distances, FrameParams, FrameStageParams, StageParams, of_image, size_mismatch,
 };
-use crate::cpu::on_pool;
+use crate::pool::{install, on_pool};
 use crate::render::channels::STEP;
 use crate::render::lumen::foreground::FOREGROUND_BUBBLE;
 use crate::render::ray_table::RayTable;
@@ -44,7 +44,8 @@ pub struct CameraPipeline {
     bayer_filter: Option<[usize; 4]>,
     colors: ColorGains,
     jpeg: Option<Compression>,
-    /// Buffers of earlier frames, whose memory is used again.
+    /// Buffers of earlier frames, whose memory is used again. Nobody waits for the lock: a forked
+    /// process may have a copy that is locked forever.
     buffers: Mutex<Vec<Buffers>>,
 }
 
@@ -96,7 +97,8 @@ impl CameraPipeline {
             return Err(size_mismatch());
         }
         let lit = of_image(&lit, size)?.to_vec();
-        let shutter = given.shutter().map(|times| (Shutter::of(times), LitMask::new(size, &lit)));
+        let mask = |times| (Shutter::of(times), install(|| LitMask::new(size, &lit)));
+        let shutter = given.shutter().map(mask);
         let sites = (if bayer.is_some() { height } else { 3 * height }, width);
         Ok(CameraPipeline {
             size,
@@ -229,7 +231,7 @@ impl CameraPipeline {
     }
 
     fn process(&self, light: &mut [f32], frame: &Frame<'_>) -> Vec<u8> {
-        let kept = self.buffers.lock().ok().and_then(|mut buffers| buffers.pop());
+        let kept = self.buffers.try_lock().ok().and_then(|mut buffers| buffers.pop());
         let mut buffers = kept.unwrap_or_else(|| self.new_buffers());
         let mut out = vec![0; 3 * self.lit.len()];
         let totals = self.expose(light, frame, &mut buffers);
@@ -248,7 +250,7 @@ impl CameraPipeline {
                 });
             }
         }
-        if let Ok(mut kept) = self.buffers.lock() {
+        if let Ok(mut kept) = self.buffers.try_lock() {
             kept.push(buffers);
         }
         out

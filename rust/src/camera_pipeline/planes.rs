@@ -1,6 +1,6 @@
 //! An image as three planes, and what acts on each plane by itself.
 
-use crate::cpu::on_pool;
+use crate::pool::on_pool;
 use crate::render::channels::srgb;
 use crate::simd::f32x64::max;
 use numpy::{

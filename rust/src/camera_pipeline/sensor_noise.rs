@@ -3,7 +3,7 @@
 //! Random numbers are hashes of (key, site), so that they depend on nothing else.
 
 use super::planes::size;
-use crate::cpu::on_pool;
+use crate::pool::on_pool;
 use crate::simd::f32x64::{clamp, exp2, load, log2, max, store};
 use numpy::{
     IntoPyArray, PyArray2, PyArrayDyn, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,

@@ -7,6 +7,7 @@ use super::particle_contact::push_apart;
 use super::spheres::{BUBBLE, SphereArrays};
 use super::step_inputs::{Around, StepInputs};
 use crate::mucosa::noise::uniform;
+use crate::pool::{install, map};
 use crate::wall::Wall;
 use crate::wall::query;
 use glam::DVec3;
@@ -24,6 +25,8 @@ const BESIDE: f64 = 5e-3;
 /// Tell draws for different purposes apart.
 const LANDING: u32 = 0x9e37_79b9;
 const RELEASE: u32 = 0x85eb_ca6b;
+/// Spheres that a thread moves at a time.
+const PART: usize = 256;
 /// Density of gas [kg/m³].
 const GAS: f64 = 1.2;
 /// Share of the displaced liquid that moves with a sphere (added mass, Lamb 1932, art. 92).
@@ -82,6 +85,7 @@ impl Particles {
     /// Takes spheres at rest in the wall's outside world, and tangents [k 3] of the centerline.
     #[new]
     fn new(
+        py: Python<'_>,
         wall: &Wall,
         spheres: SphereArrays<'_>,
         laws: ParticleLaws,
@@ -90,16 +94,13 @@ impl Particles {
     ) -> PyResult<Self> {
         let kind = spheres.kind.as_array().to_vec();
         let all = spheres.read(wall)?;
-        let kinds: Vec<Kind> = all
-            .par_iter()
-            .map(|s| Kind {
-                height: f64::from(query::nearest(&wall.bvh, s.center).distance),
-                radius: f64::from(s.radius),
-                is_bubble: kind[s.number as usize] == BUBBLE,
-                home: vector(s.center.map(f64::from)),
-                home_arc: f64::from(s.arc_length),
-            })
-            .collect();
+        let kinds: Vec<Kind> = map(py, &all, 1, |s| Kind {
+            height: f64::from(query::nearest(&wall.bvh, s.center).distance),
+            radius: f64::from(s.radius),
+            is_bubble: kind[s.number as usize] == BUBBLE,
+            home: vector(s.center.map(f64::from)),
+            home_arc: f64::from(s.arc_length),
+        });
         let rows = tangents.as_array();
         let tangents = rows.outer_iter().map(|r| DVec3::new(r[0], r[1], r[2])).collect();
         let states = kinds.iter().map(ParticleState::at_home).collect();
@@ -183,14 +184,21 @@ impl Particles {
             self.beside = states.iter().zip(kinds).map(near).collect();
         }
         let step = Step { wall, laws, course: &self.course, around, count: self.count, capsule };
-        let moving = states.par_iter_mut().zip(kinds).zip(&self.beside).enumerate();
-        moving.with_min_len(256).for_each(|(number, ((state, kind), &is_beside))| {
-            let time = if is_beside || state.sits() { dt } else { sweep };
-            if time > 0.0 && (state.sits() || within(state.position, laws.reach)) {
-                step.advance(number as u32, kind, state, time);
-            }
-        });
         let beside = &self.beside;
+        let advance = |first: usize, states: &mut [ParticleState]| {
+            for (number, state) in (first..).zip(states) {
+                let time = if beside[number] || state.sits() { dt } else { sweep };
+                if time > 0.0 && (state.sits() || within(state.position, laws.reach)) {
+                    step.advance(number as u32, &kinds[number], state, time);
+                }
+            }
+        };
+        if states.len() < 2 * PART {
+            advance(0, states);
+        } else {
+            let parts = states.par_chunks_mut(PART).enumerate();
+            install(|| parts.for_each(|(part, states)| advance(PART * part, states)));
+        }
         let moved = |k: usize, s: &ParticleState| {
             (beside[k] || sweep > 0.0) && within(s.position, laws.reach)
         };

@@ -3,6 +3,7 @@
 use super::axial::{Ring, Shell};
 use super::field_map::FieldMap;
 use super::sources::{InternalMagnet, Kind, MAGNETIC_CONSTANT, Source, field, wrench};
+use crate::pool::map;
 use crate::poses::{read_pose, rows, vector};
 use glam::{DQuat, DVec3};
 use numpy::{
@@ -10,7 +11,6 @@ use numpy::{
     ndarray::{Array1, Array2, Array3},
 };
 use pyo3::{exceptions::PyValueError, prelude::*};
-use rayon::prelude::*;
 use std::sync::Arc;
 
 /// Points that one thread takes at a time.
@@ -142,14 +142,8 @@ impl FieldSources {
         points: PyReadonlyArray2<'py, f64>,
     ) -> PyResult<Fields<'py>> {
         let points = rows(&points, 3)?;
-        let fields = py.detach(|| {
-            let one = |p: &[f64]| field(&self.sources, vector(p));
-            if points.len() <= 3 * CHUNK {
-                points.chunks_exact(3).map(one).collect::<Vec<_>>()
-            } else {
-                points.par_chunks_exact(3).with_min_len(CHUNK).map(one).collect()
-            }
-        });
+        let each: Vec<&[f64]> = points.chunks_exact(3).collect();
+        let fields = map(py, &each, CHUNK, |p| field(&self.sources, vector(p)));
         let n = fields.len();
         let flux = fields.iter().flat_map(|f| f.flux.to_array()).collect();
         let gradient = fields.iter().flat_map(|f| f.gradient.transpose().to_cols_array()).collect();

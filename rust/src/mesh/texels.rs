@@ -1,6 +1,6 @@
 //! Which texels triangles cover (`vrcaps.mesh.rasterize`).
 
-use crate::cpu::on_pool;
+use crate::pool::on_pool;
 use numpy::ndarray::{Array2, ArrayView2, Axis};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray3};
 use pyo3::{exceptions::PyValueError, prelude::*};

@@ -1,7 +1,7 @@
 //! Coverage: which triangles of a wall are the first thing that the pixels of cameras see
 //! (`vrcaps.metrics.coverage`), for many views in one call.
 
-use crate::cpu::on_pool;
+use crate::pool::on_pool;
 use crate::poses::pose_of;
 use crate::render::ray_table::{RayTable, TileRays};
 use crate::render::tile::intersect;

@@ -1,7 +1,7 @@
 //! Coverage of an organ by points on its wall that stand for its area: which of them cameras see,
 //! for many worlds in one call (`vrcaps.metrics.point_coverage`).
 
-use crate::cpu::on_pool;
+use crate::pool::on_pool;
 use crate::poses::pose_of;
 use crate::simd::f32x64::*;
 use crate::wall::Wall;

@@ -6,6 +6,7 @@ mod raster;
 mod tissue;
 mod vessels;
 
+use crate::pool::detached;
 use crate::simd::f32x64::{LANES, Vec3, at, dot, max};
 use grid::SegmentGrid;
 use multiversion::multiversion;
@@ -280,7 +281,7 @@ pub fn bake_mucosa<'py>(
     let wall = Wall { vertices, faces: &faces, uv: uv.as_slice()? };
     let size = Size { height: layout.0, width: layout.1 };
     let texel = layout.2;
-    let textures = py.detach(|| {
+    let textures = detached(py, || {
         let (map, segments) =
             rayon::join(|| face_map(wall.uv, size, PADDING), || grow_on(&wall, seed, &mucosa));
         let tissue = Tissue::new(mucosa, seed, SegmentGrid::new(&segments, texel), texel);

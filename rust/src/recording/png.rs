@@ -1,5 +1,6 @@
 //! PNG files: written in parallel and whole, read back exactly.
 
+use crate::pool::{detached, map};
 use numpy::{
     IntoPyArray, PyArrayDyn, PyArrayMethods, PyReadonlyArray1, PyReadonlyArrayDyn,
     PyUntypedArrayMethods,
@@ -127,7 +128,7 @@ pub fn quantize<'py>(
     let mut steps = vec![0u16; pixels.len()];
     let per_unit = 1.0 / scale;
     let rows = shape.get(1).copied().unwrap_or(1).max(1) * components * 16;
-    py.detach(|| {
+    detached(py, || {
         steps.par_chunks_mut(rows).zip(pixels.par_chunks(rows)).for_each(|(out, row)| {
             for (step, &value) in out.iter_mut().zip(row) {
                 // Whole numbers of 0 to 2²³ are in the low bits then, ties rounded to even.
@@ -156,8 +157,8 @@ pub fn write_pngs(py: Python<'_>, items: Vec<(String, Bound<'_, PyAny>)>) -> PyR
         Err(e) => Err(PyValueError::new_err(format!("{path}: {}", e.value(py)))),
     };
     let images: Vec<(String, Image)> = items.into_iter().map(image).collect::<PyResult<_>>()?;
+    let files = map(py, &images, 1, |(_, image)| image.encode());
     py.detach(|| {
-        let files: Vec<_> = images.par_iter().map(|(_, image)| image.encode()).collect();
         for ((path, _), file) in images.iter().zip(files) {
             let written =
                 file.map_err(io::Error::other).and_then(|f| write_whole(Path::new(path), &f));
@@ -174,7 +175,7 @@ pub fn encode_pngs<'py>(
     arrays: Vec<Bound<'py, PyAny>>,
 ) -> PyResult<Vec<Bound<'py, PyBytes>>> {
     let images: Vec<Image> = arrays.iter().map(Image::new).collect::<PyResult<_>>()?;
-    let files = py.detach(|| images.par_iter().map(Image::encode).collect::<Result<Vec<_>, _>>());
+    let files = map(py, &images, 1, Image::encode).into_iter().collect::<Result<Vec<_>, _>>();
     let files = files.map_err(|e| PyValueError::new_err(e.to_string()))?;
     Ok(files.iter().map(|file| PyBytes::new(py, file)).collect())
 }
@@ -194,7 +195,7 @@ pub fn decode_pngs<'py>(
     files: Vec<PyReadonlyArray1<'py, u8>>,
 ) -> PyResult<Vec<Bound<'py, PyAny>>> {
     let files: Vec<&[u8]> = files.iter().map(|file| file.as_slice()).collect::<Result<_, _>>()?;
-    let images = py.detach(|| files.par_iter().map(|file| decode(file)).collect::<Vec<_>>());
+    let images = map(py, &files, 1, |file| decode(file));
     let arrays = images.into_iter().map(|image| image?.into_array(py));
     arrays.collect::<Result<_, _>>().map_err(PyValueError::new_err::<String>)
 }

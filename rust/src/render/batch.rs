@@ -1,6 +1,6 @@
 //! Images of many walls, or of one from many places, in one call.
 
-use crate::cpu::on_pool;
+use crate::pool::on_pool;
 use crate::render::channels::{ChannelArrays, refuse_partial};
 use crate::render::frame::render_bands;
 use crate::render::ray_table::RayTable;

@@ -1,6 +1,6 @@
 //! One image: trace, shade and write every channel that was asked for.
 
-use crate::cpu::on_pool;
+use crate::pool::on_pool;
 use crate::render::channels::{ChannelArrays, Channels, Place};
 use crate::render::lumen::Contents;
 use crate::render::lumen_tile::LumenTiles;

@@ -1,5 +1,6 @@
 //! Wall textures: base color, roughness and the slope of the relief, with mip levels.
 
+use crate::pool::detached;
 use crate::simd::f32x64::*;
 use numpy::{PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
@@ -215,7 +216,7 @@ impl Texture {
             roughness: roughness.as_slice()?,
             relief: height.as_slice()?,
         };
-        let texture = py.detach(|| {
+        let texture = detached(py, || {
             let is_finite = |row: &[f32]| row.iter().all(|x| x.is_finite());
             images.relief.par_chunks(w).all(is_finite).then(|| {
                 let step = images.steepest().map(|s| s / SLOPE_STEPS);

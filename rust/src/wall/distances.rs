@@ -1,6 +1,6 @@
 //! Distances to many walls along given directions, in one call.
 
-use crate::cpu::on_pool;
+use crate::pool::on_pool;
 use crate::wall::Wall;
 use crate::wall::packet::MISS;
 use crate::wall::ray::{Pile, cast_in};

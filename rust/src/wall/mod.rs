@@ -9,6 +9,7 @@ pub mod query;
 pub mod ray;
 pub mod visibility;
 
+use crate::pool::{detached, install, map};
 use crate::simd::f32x64::{Vec3, add, cross, normalize, sub};
 use crate::wall::bvh::{Bvh, DEEPEST, vertex};
 use glam::Vec3A;
@@ -18,6 +19,8 @@ use rayon::prelude::*;
 
 /// Vertices whose normals are made unit length side by side.
 const EIGHT: usize = 8;
+/// Fewest points or rays that a thread of its own takes.
+const PART: usize = 64;
 
 /// Nearest place and its face for each point, as Python sees them.
 type PlaceAndFace<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<i64>>);
@@ -80,7 +83,7 @@ impl Wall {
 
     /// Moves the wall to new vertices about its center and refits all that follows from them.
     fn move_to(&mut self, place: impl Fn(usize) -> Vec3 + Sync) -> Result<(), &'static str> {
-        among_threads(|| {
+        install(|| {
             self.set_vertices(self.vertices.len(), &place, &[])?;
             self.refit_all();
             Ok(())
@@ -94,7 +97,7 @@ impl Wall {
         place: impl Fn(usize) -> Vec3 + Sync,
         others: &[(u32, Vec3)],
     ) -> Result<(), &'static str> {
-        among_threads(|| {
+        install(|| {
             self.set_vertices(self.vertices.len(), &place, others)?;
             self.bvh.refit(&self.vertices);
             self.has_normals = false;
@@ -163,8 +166,10 @@ impl Wall {
     /// Makes the vertex normals those of the vertices as they are now.
     pub fn renew_normals(&mut self) {
         if !self.has_normals {
-            find_area_normals(&self.vertices, &self.faces, &mut self.area_normals);
-            self.update_normals();
+            install(|| {
+                find_area_normals(&self.vertices, &self.faces, &mut self.area_normals);
+                self.update_normals();
+            });
             self.has_normals = true;
         }
     }
@@ -208,11 +213,6 @@ fn find_area_normals(vertices: &[Vec3], faces: &[[u32; 3]], normals: &mut [Vec3A
         let [a, b, c] = face.map(|v| Vec3A::from_vec4(vertex(numbers, v)));
         *normal = (b - a).cross(c - a);
     });
-}
-
-/// Works from within the pool of threads, so that its parts in parallel need not wake it each time.
-fn among_threads<R: Send>(work: impl FnOnce() -> R + Send) -> R {
-    rayon::scope(|_| work())
 }
 
 fn faces_around(faces: &[[u32; 3]], num_vertices: usize) -> (Vec<u32>, Vec<u32>) {
@@ -261,6 +261,7 @@ impl Wall {
     /// Builds the wall from vertices [n 3] in meters and faces [m 3].
     #[new]
     fn new(
+        py: Python<'_>,
         vertices: PyReadonlyArray2<'_, f64>,
         faces: PyReadonlyArray2<'_, i64>,
     ) -> PyResult<Self> {
@@ -289,9 +290,13 @@ impl Wall {
             spare: Vec::new(),
         };
         let (center, (rows, _)) = (wall.center, vertices.as_chunks());
-        wall.set_vertices(num_vertices, &|v| about(center, &rows[v]), &[])
-            .map_err(PyValueError::new_err)?;
-        wall.bvh = Bvh::build(&wall.vertices, &wall.faces);
+        detached(py, || {
+            wall.set_vertices(num_vertices, &|v| about(center, &rows[v]), &[])?;
+            wall.bvh = Bvh::build(&wall.vertices, &wall.faces);
+            wall.refit_all();
+            Ok(())
+        })
+        .map_err(PyValueError::new_err::<&str>)?;
         if wall.bvh.depth() > DEEPEST {
             return Err(PyValueError::new_err(format!(
                 "Triangles of a wall lie within each other's bounds {} levels deep. Allowed: \
@@ -299,7 +304,6 @@ impl Wall {
                 wall.bvh.depth()
             )));
         }
-        wall.refit_all();
         Ok(wall)
     }
 
@@ -342,15 +346,11 @@ impl Wall {
                 (self.localize([o[0], o[1], o[2]]), [d[0] as f32, d[1] as f32, d[2] as f32])
             })
             .collect();
-        let found: Vec<(f32, i64)> = py.detach(|| {
-            rays.par_iter()
-                .with_min_len(64)
-                .map(|&(o, d)| match query::cast(&self.bvh, o, d) {
-                    Some((t, face)) => (t, i64::from(face)),
-                    None => (f32::NAN, -1),
-                })
-                .collect()
-        });
+        let found: Vec<(f32, i64)> =
+            map(py, &rays, PART, |&(o, d)| match query::cast(&self.bvh, o, d) {
+                Some((t, face)) => (t, i64::from(face)),
+                None => (f32::NAN, -1),
+            });
         let (distance, face): (Vec<f32>, Vec<i64>) = found.into_iter().unzip();
         Ok((distance.into_pyarray(py), face.into_pyarray(py)))
     }
@@ -362,7 +362,7 @@ impl Wall {
         points: PyReadonlyArray2<'_, f64>,
     ) -> PyResult<PlaceAndFace<'py>> {
         let points = self.local_points(&points)?;
-        let nearest = py.detach(|| map(&points, |p| query::nearest(&self.bvh, p)));
+        let nearest = map(py, &points, PART, |&p| query::nearest(&self.bvh, p));
         let mut places = Array2::zeros((nearest.len(), 3));
         for (mut row, found) in places.outer_iter_mut().zip(&nearest) {
             row.iter_mut().zip(self.globalize(found.point)).for_each(|(x, value)| *x = value);
@@ -378,11 +378,11 @@ impl Wall {
         points: PyReadonlyArray2<'_, f64>,
     ) -> PyResult<Bound<'py, PyArray1<f32>>> {
         let points = self.local_points(&points)?;
-        let signed = |p: Vec3| {
+        let signed = |&p: &Vec3| {
             let distance = query::nearest(&self.bvh, p).distance;
             if query::is_inside(&self.bvh, p) { distance } else { -distance }
         };
-        let distance = py.detach(|| map(&points, signed));
+        let distance = map(py, &points, PART, signed);
         Ok(distance.into_pyarray(py))
     }
 
@@ -395,7 +395,7 @@ impl Wall {
     ) -> PyResult<Bound<'py, PyArray1<bool>>> {
         let points = self.local_points(&points)?;
         let origin = self.localize(origin);
-        Ok(py.detach(|| visibility::visible(self, origin, &points)).into_pyarray(py))
+        Ok(detached(py, || visibility::visible(self, origin, &points)).into_pyarray(py))
     }
 
     /// Unit vertex normals [n 3], the area-weighted mean over the faces around each vertex.
@@ -416,8 +416,4 @@ impl Wall {
         }
         Ok(rows.outer_iter().map(|r| self.localize([r[0], r[1], r[2]])).collect())
     }
-}
-
-fn map<T: Send>(points: &[Vec3], function: impl Fn(Vec3) -> T + Sync) -> Vec<T> {
-    points.par_iter().with_min_len(64).map(|&p| function(p)).collect()
 }

@@ -4,6 +4,7 @@ use super::binding::{World, busy, table};
 use super::parameters::{LOAD_ROW, load};
 use super::substep::Load;
 use super::time_stepping::Stepper;
+use crate::pool::detached;
 use crate::poses::{pose_of, rows};
 use crate::tissue::fem::layer::FemLayer;
 use crate::wall::Wall;
@@ -79,7 +80,7 @@ pub fn step_worlds(
         let Task { stepper, wall, layer, load, strides } = task;
         stepper.run(wall, layer.as_deref_mut(), load, dt / strides.0 as f64, *strides).err()
     };
-    Ok(py.detach(|| tasks.par_iter_mut().with_max_len(1).map(step).collect()))
+    Ok(detached(py, || tasks.par_iter_mut().with_max_len(1).map(step).collect()))
 }
 
 /// Of each world, where the patient lies as in a row of `poses` [n 16]: the capsule's pose in the
@@ -132,7 +133,7 @@ fn on_each<R: Send>(
     let mut pairs: Vec<(&mut Stepper, &mut Wall)> =
         pairs.map(|(world, wall)| (&mut world.stepper, &mut **wall)).collect();
     let each = |(stepper, wall): &mut (&mut Stepper, &mut Wall)| work(stepper, wall);
-    let done = py.detach(|| pairs.par_iter_mut().with_max_len(1).map(each).collect());
+    let done = detached(py, || pairs.par_iter_mut().with_max_len(1).map(each).collect());
     let done: Result<Vec<R>, &'static str> = done;
     done.map_err(PyValueError::new_err)
 }

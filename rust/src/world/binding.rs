@@ -12,6 +12,7 @@ use super::solve::Twist;
 use super::substep::Load;
 use super::time_stepping::{Dynamics, StepTotals, Stepper};
 use crate::magnet::field_sources::{FieldSources, internal_magnets};
+use crate::pool::detached;
 use crate::poses::{pose_rows, read_pose, rows};
 use crate::tissue::fem::layer::FemLayer;
 use crate::tissue::spring_wall::{SpringWall, VertexMotion};
@@ -118,7 +119,7 @@ impl World {
         let mut layer =
             layer.as_ref().map(|layer| layer.try_borrow_mut(py)).transpose().map_err(busy)?;
         let layer: Option<&mut FemLayer> = layer.as_deref_mut();
-        py.detach(|| self.stepper.run(wall, layer, &load, dt, (count, outer)))
+        detached(py, || self.stepper.run(wall, layer, &load, dt, (count, outer)))
             .map_err(PyValueError::new_err)
     }
 
@@ -249,7 +250,7 @@ impl World {
         let wall = self.wall.clone_ref(py);
         let mut wall = wall.try_borrow_mut(py).map_err(busy)?;
         let wall: &mut Wall = &mut wall;
-        py.detach(|| self.stepper.soft.settle(wall)).map_err(PyValueError::new_err)
+        detached(py, || self.stepper.soft.settle(wall)).map_err(PyValueError::new_err)
     }
 
     /// Center of mass [m], quaternion wxyz of unit length, velocity and angular velocity.
@@ -357,7 +358,7 @@ impl World {
         }
         let [x, y, z, origin] = [0, 1, 2, 3].map(|k| DVec3::new(t[[0, k]], t[[1, k]], t[[2, k]]));
         let mut flat = vec![0.0; 3 * self.stepper.soft.active_wall.len()];
-        py.detach(|| {
+        detached(py, || {
             let rows = flat.par_chunks_exact_mut(3).with_min_len(4096).enumerate();
             rows.for_each(|(v, row)| {
                 let p = self.stepper.soft.vertex(v as u32).0 + self.center;

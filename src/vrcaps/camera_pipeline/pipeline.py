@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -115,6 +116,7 @@ class CameraPipeline:
         effects = effects or Effects()
         self.renderer, self.camera, self.channels = renderer, camera, tuple(channels)
         self.state = PipelineState()
+        self._effects = effects
         self._fps, self._seed, self._number = fps, seed, number
         self._is_ideal = effects.is_ideal
         self._has_timing = effects.adaptive_frame_rate is not None
@@ -137,6 +139,17 @@ class CameraPipeline:
         self._exposed: tuple[Step, Exposure] | None = None
         self._rendered: SceneRadiance | None = None
         self._neighbor: tuple[SceneRadiance, tuple[Any, ...] | None] | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy goes on to the same frames."""
+        make = partial(
+            CameraPipeline,
+            fps=self._fps,
+            number=self._number,
+            seed=self._seed,
+            channels=self.channels,
+        )
+        return make, (self.renderer, self.camera, self._effects), {"state": self.state}
 
     @property
     def is_active(self) -> bool:

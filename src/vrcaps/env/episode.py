@@ -15,7 +15,9 @@ from vrcaps.errors import InputError, require
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
+    from vrcaps.env.patient import Patients
     from vrcaps.env.settings import EnvSettings
+    from vrcaps.env.snapshot import WorldSnapshot
 
 _PROGRESS = 1e-3
 """Gain of progress below which a world makes none."""
@@ -52,7 +54,7 @@ class Episode:
         from gymnasium import spaces
 
         require(render_mode in (None, "rgb_array"), "render_mode", render_mode, "rgb_array or None")
-        self.settings = settings
+        self.settings, self.render_mode = settings, render_mode
         self.simulation = Simulation(settings, num_worlds, with_textures=render_mode is not None)
         self.rewards = settings.rewards or settings.task.rewards
         memory = self.simulation.memory
@@ -66,6 +68,18 @@ class Episode:
         self.observation_space = spaces.Dict(
             {o.name: o.space(self.simulation) for o in settings.observations}
         )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy continues to the same bytes; it makes its organs again."""
+        s = self.simulation
+        begun = [k for k in range(s.num_worlds) if s.patient_number(k) >= 0]
+        worlds = {k: s.snapshot(k) for k in begun}
+        return _restored, (self.settings, s.num_worlds, self.render_mode, worlds)
+
+    def __deepcopy__(self, memo: object) -> Episode:
+        """A copy that shares what never changes: the settings, and the organs."""
+        _, given = self.__reduce__()
+        return _restored(*given, patients=self.simulation.patients)
 
     def begin(self, index: int, rng: np.random.Generator, patient: int | None = None) -> None:
         """Begin an episode in one world, see `Simulation.reset`."""
@@ -165,3 +179,19 @@ class Episode:
         if any(self.simulation.patient_number(k) < 0 for k in range(self.simulation.num_worlds)):
             raise InputError("No episode has begun, so there is nothing to draw. Call reset first.")
         return [image.copy() for image in self.simulation.views.images(View(), "rgb")]
+
+
+def _restored(
+    settings: EnvSettings,
+    num_worlds: int,
+    render_mode: str | None,
+    worlds: dict[int, WorldSnapshot],
+    *,
+    patients: Patients | None = None,
+) -> Episode:
+    """Episodes as others were, of which `Episode.__reduce__` tells."""
+    episode = Episode(settings, num_worlds, render_mode=render_mode)
+    episode.simulation.patients = patients or episode.simulation.patients
+    for index, saved in worlds.items():
+        episode.simulation.restore(index, saved)
+    return episode

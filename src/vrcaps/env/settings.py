@@ -100,6 +100,10 @@ class EnvSettings:
         if min(self.grid) < 1:
             raise InputError(f"grid is {self.grid}. Allowed: 1 or more cells each way.")
 
+    def __deepcopy__(self, memo: object) -> EnvSettings:
+        """Itself: nothing of it changes, and organs in memory are large."""
+        return self
+
     @property
     def relaxation_time(self) -> float:
         """Time within which what fills the lumen takes a capsule's momentum [s]."""

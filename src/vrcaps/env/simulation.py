@@ -8,11 +8,11 @@ import numpy as np
 
 from vrcaps.capsule.catalog import device_of
 from vrcaps.env.course import Course
-from vrcaps.env.forked import require_threads
 from vrcaps.env.located_capsules import LocatedCapsules
 from vrcaps.env.memory import Memory
 from vrcaps.env.patient import Patient, Patients
 from vrcaps.env.randomization import FACTORS, varied_device, varied_tissue
+from vrcaps.env.snapshot import WorldSnapshot
 from vrcaps.env.views import Views
 from vrcaps.metrics.coverage import CoverageLevel
 from vrcaps.metrics.point_coverage import POINT_LEVELS, mark_points
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
     from vrcaps.env.settings import EnvSettings
-    from vrcaps.env.snapshot import WorldSnapshot
     from vrcaps.world.model import Model
 
 _NEARBY = 3.0 * CM
@@ -146,10 +145,8 @@ class Simulation:
             number: Of the patient; None draws one.
 
         Raises:
-            InputError: If the organ cannot be made, the capsule fits nowhere in it, or this process
-                was forked from one in which a world had begun.
+            InputError: If the organ cannot be made, or the capsule fits nowhere in it.
         """
-        require_threads()
         settings = self.settings
         drawn = rng.integers(len(self.patients))
         model = self._enter(index, int(drawn if number is None else number))
@@ -222,6 +219,23 @@ class Simulation:
         if not self.worlds:
             self.worlds = [world] * self.num_worlds
         self.worlds[index] = world
+
+    def snapshot(self, index: int, generator: str = "", is_over: bool = False) -> WorldSnapshot:
+        """All that changes in one world.
+
+        Args:
+            index: Its number.
+            generator: State of its random generator, as JSON.
+            is_over: Whether its episode is over.
+        """
+        return WorldSnapshot(
+            self.worlds[index].snapshot(),
+            self.memory.row(index),
+            self.flags[index].copy(),
+            self.failure[index],
+            generator,
+            is_over,
+        )
 
     def restore(self, index: int, saved: WorldSnapshot) -> None:
         """Goes back to a snapshot of one world.

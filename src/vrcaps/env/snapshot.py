@@ -81,18 +81,12 @@ def take_snapshot(
         generators: Of all worlds.
         is_over: Whether the episode of each of all worlds is over.
     """
-    s = episode.simulation
-    worlds = tuple(
-        WorldSnapshot(
-            s.worlds[k].snapshot(),
-            s.memory.row(k),
-            s.flags[k].copy(),
-            s.failure[k],
-            json.dumps(generators[k].bit_generator.state),
-            bool(is_over[k]),
-        )
-        for k in numbers
-    )
+
+    def taken(k: int) -> WorldSnapshot:
+        generator = json.dumps(generators[k].bit_generator.state)
+        return episode.simulation.snapshot(k, generator, bool(is_over[k]))
+
+    worlds = tuple(taken(k) for k in numbers)
     return EnvSnapshot(fingerprint(episode.settings), __version__, worlds)
 
 

@@ -44,5 +44,4 @@ def decode_image(data: bytes, suffix: str) -> NDArray:
     """
     if suffix == ".npy":
         return np.load(io.BytesIO(data), allow_pickle=False)
-    # A single image is decoded by the calling thread: this works in forked processes, too.
     return _core.decode_pngs([np.frombuffer(data, np.uint8)])[0]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import threading
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,15 +36,66 @@ def denoise(
 
     Raises:
         MissingExtraError: If the denoiser is not installed.
+        RuntimeError: If it fails.
     """
-    filtered = load_denoiser().denoise(
-        radiance - first,
-        albedo=np.nan_to_num(albedo),
-        normal=np.nan_to_num(normal),
-        hdr=True,
-        clean_aux=True,
-    )
-    return first + filtered
+    images = {
+        "color": radiance - first,
+        "albedo": np.nan_to_num(albedo),
+        "normal": np.nan_to_num(normal),
+    }
+    return first + _Denoiser.of_process().run(images)
+
+
+class _Denoiser:
+    """Device and filter of Open Image Denoise, made once in each process.
+
+    The device that the library's own `denoise` keeps hangs in a forked process, which has none of
+    its threads.
+    """
+
+    _made: _Denoiser | None = None
+    _making = threading.Lock()
+
+    def __init__(self) -> None:
+        library = load_denoiser()
+        self._lock = threading.Lock()
+        self._format = library.OIDN_FORMAT_FLOAT3
+        self._device = library.Device()
+        self._device.commit()
+        self._filter = library.Filter(self._device, library.OIDN_FILTER_TYPE_RT)
+        self._filter.set_bool("hdr", True)
+        self._filter.set_bool("cleanAux", True)
+        self._filter.set_quality(library.OIDN_QUALITY_HIGH)
+
+    @classmethod
+    def of_process(cls) -> _Denoiser:
+        """The one of this process."""
+        with cls._making:
+            cls._made = cls._made or cls()
+            return cls._made
+
+    @classmethod
+    def forget(cls) -> None:
+        """Leave the one of the parent alone, in a forked process."""
+        cls._made, cls._making = None, threading.Lock()
+
+    def run(self, images: dict[str, Float32[np.ndarray, "h w 3"]]) -> Float32[np.ndarray, "h w 3"]:
+        """Filter the image `color`, guided by the others."""
+        images = {name: np.ascontiguousarray(image, np.float32) for name, image in images.items()}
+        output = np.empty_like(images["color"])
+        with self._lock:
+            for name, image in (*images.items(), ("output", output)):
+                self._filter.set_image(name, image, self._format)
+            self._filter.commit()
+            self._filter.execute()
+            error = self._device.get_error()
+        if error is not None:
+            raise RuntimeError(f"Open Image Denoise failed: {error}")
+        return output
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_Denoiser.forget)
 
 
 def load_denoiser() -> Any:

@@ -78,6 +78,10 @@ class Renderer:
         self._tables: dict[tuple[int, int], tuple[Camera, _core.RayTable]] = {}
         self._led_rows: dict[int, tuple[Camera, Float[np.ndarray, "k 10"]]] = {}
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy holds the same model, and a wall of its own."""
+        return Renderer, (self.model, self.settings)
+
     def render(
         self,
         state: State,

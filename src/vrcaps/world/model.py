@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -70,6 +70,14 @@ class Model:
         default_factory=lambda: posture_transform("supine")
     )
     contents: Contents = field(default_factory=Contents)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The fields alone: hierarchies are made again where they are needed."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+    def __deepcopy__(self, memo: object) -> Model:
+        """Itself: nothing of it changes."""
+        return self
 
     def with_device(self, device: Device) -> Model:
         """The same with another capsule; what was made of the organ alone is made only once."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -95,6 +95,7 @@ class World:
         require(0.0 < substep <= longest, "substep", substep, f"above 0 to {longest:.3g} s")
         require(seed >= 0, "seed", seed, "0, 1, 2, …")
         self.model, self.tissue, self.substep, self.seed = model, tissue, substep, seed
+        self._start = start
         self.dynamics: DynamicsKind = dynamics
         self.body = body or homogeneous_body(model.device)
         organ, self._lumen = model.organ, None
@@ -116,6 +117,13 @@ class World:
         if model.lumen_contents is not None:
             self._lumen = LumenDynamics(model, self._wall, self.body, self._core.pose)
         self._state: State | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy steps on to the same bytes."""
+        more = {name: getattr(self, name) for name in ("body", "substep", "seed", "dynamics")}
+        more["sources"] = self.sources
+        given = (self.model, self.tissue, self._start)
+        return _restored, (given, more, self.muscle, self.snapshot())
 
     def _make_muscle(self, motility: Motility) -> Muscle:
         return Muscle(self.model.organ, motility, vrcaps.rng.stream(self.seed, "tissue/muscle"))
@@ -346,3 +354,14 @@ class World:
                 f"The capsule, {2e3 * radius:.1f} mm thick, does not fit: the lumen is "
                 f"{1e3 * narrow:.1f} mm wide where it starts. Start it elsewhere or inflate."
             )
+
+
+def _restored(
+    given: tuple[Any, ...], more: dict[str, Any], muscle: Muscle | None, snapshot: Snapshot
+) -> World:
+    """A world as another one was, of which `World.__reduce__` tells."""
+    world = World(*given, **more)
+    if muscle is not None:
+        world.muscle, world._moves = muscle, True
+    world.restore(snapshot)
+    return world

@@ -9,6 +9,7 @@ pub mod path_segment;
 pub mod refraction;
 
 use crate::lumen::spheres::{BUBBLE, SphereArrays, Spheres};
+use crate::pool::detached;
 use crate::simd::f32x64::Vec3;
 use crate::wall::Wall;
 use bubble::Film;
@@ -112,7 +113,7 @@ impl Contents {
         let points: Vec<Vec3> =
             rows.outer_iter().map(|r| wall.localize([r[0], r[1], r[2]])).collect();
         let (origin, extent) = (wall.localize(origin), wall.extent);
-        py.detach(|| self.chyme.free(origin, &points, extent)).into_pyarray(py)
+        detached(py, || self.chyme.free(origin, &points, extent)).into_pyarray(py)
     }
 
     /// Whether wall and particles leave the straight way from each of `starts` [n 3] to its point
@@ -134,9 +135,8 @@ impl Contents {
             .zip(points.outer_iter())
             .map(|(a, b)| [place(a), place(b)])
             .collect();
-        Ok(py
-            .detach(|| particle_surfaces::segments_unoccluded(&self.chyme, wall, &segments))
-            .into_pyarray(py))
+        let find = || particle_surfaces::segments_unoccluded(&self.chyme, wall, &segments);
+        Ok(detached(py, find).into_pyarray(py))
     }
 }
 

@@ -6,6 +6,7 @@
 //! triangles: light that comes out elsewhere, such as on the far side of a fold, is seen there.
 //! Behind the wall tissue goes on without end.
 
+use crate::pool::detached;
 use crate::render::material::fresnel;
 use crate::render::path::bsdf::{circle, on_circle};
 use crate::render::path::sobol::{hash, point, unit};
@@ -332,7 +333,7 @@ pub fn walk_tissue<'py>(
     let ray =
         TissueRay { origin: wall.localize(origin), direction: normalize(direction), from: MISS };
     let key = hash(seed);
-    let ends: Vec<([f64; 3], Vec3)> = py.detach(|| {
+    let ends: Vec<([f64; 3], Vec3)> = detached(py, || {
         let one = |number: u32| match random_walk(
             wall,
             &medium,

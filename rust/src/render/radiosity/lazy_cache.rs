@@ -62,6 +62,8 @@ pub struct Slots<T> {
 }
 
 /// Rooms that no frame uses now.
+///
+/// Nobody waits for the lock: a forked process may have a copy that is locked forever.
 pub struct CachePool<T = Light> {
     /// Numbers of gather points and vertices.
     counts: (usize, usize),
@@ -76,7 +78,7 @@ impl<T: Copy + Default> CachePool<T> {
 
     /// Room in which nothing is known.
     pub fn lend(&self) -> FrameCache<'_, T> {
-        let kept = self.free.lock().ok().and_then(|mut free| free.pop());
+        let kept = self.free.try_lock().ok().and_then(|mut free| free.pop());
         let slots = |count: usize| (0..count).map(|_| Slot::new()).collect();
         let fresh = || Slots {
             frame: 0,
@@ -107,7 +109,7 @@ impl<T> Deref for FrameCache<'_, T> {
 
 impl<T> Drop for FrameCache<'_, T> {
     fn drop(&mut self) {
-        if let (Ok(mut free), Some(slots)) = (self.pool.free.lock(), self.slots.take()) {
+        if let (Ok(mut free), Some(slots)) = (self.pool.free.try_lock(), self.slots.take()) {
             free.push(slots);
         }
     }

@@ -19,9 +19,11 @@ mod solve;
 mod stratified_lobe;
 mod subsurface;
 
+use crate::pool::detached;
 use form_factors::{FormFactorRow, trace_row};
 use gather_points::GatherPoints;
 use lazy_cache::CachePool;
+use once_cell::race::OnceBox;
 use patch_albedo::PatchAlbedo;
 use reflectance::Reflectance;
 pub use solve::Irradiance;
@@ -32,7 +34,6 @@ use crate::render::scene::{Scene, SceneData};
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
 use pyo3::prelude::*;
-use std::sync::OnceLock;
 
 /// A color with a fourth number, so that it is one vector.
 type Color = [f32; 4];
@@ -47,7 +48,9 @@ pub struct Radiosity {
     /// One over the area of the wall that each gather point stands for at rest [1/m²].
     per_area: Vec<f32>,
     reflectance: Reflectance,
-    rows: Vec<OnceLock<FormFactorRow>>,
+    /// Threads that need a row at once all trace it, to the same bytes; none waits for another,
+    /// which a forked process may not have.
+    rows: Vec<OnceBox<FormFactorRow>>,
     cache: CachePool,
     /// Light through the tissue behind the wall, if it goes there.
     tissue: Option<Transport>,
@@ -62,7 +65,7 @@ impl Radiosity {
         scene.data.check_size(&wall)?;
         let (wall, scene): (&Wall, &SceneData) = (&wall, &scene.data);
         let own = rest.clone_ref(py);
-        Ok(py.detach(move || {
+        Ok(detached(py, move || {
             let gather_points = GatherPoints::choose(wall);
             let look = PatchAlbedo::mean(wall, scene, &gather_points);
             let mut reflectance = Reflectance::integrate(&scene.material, look.roughness);
@@ -71,7 +74,7 @@ impl Radiosity {
             if let Some(tissue) = &tissue {
                 reflectance.set_base(|cosine| tissue.transmittance(cosine));
             }
-            let rows = gather_points.vertex.iter().map(|_| OnceLock::new()).collect();
+            let rows = gather_points.vertex.iter().map(|_| OnceBox::new()).collect();
             let PatchAlbedo { albedo, per_area, .. } = look;
             let cache = CachePool::new((gather_points.vertex.len(), wall.vertices.len()));
             Radiosity {
@@ -95,7 +98,8 @@ impl Radiosity {
     }
 
     fn row(&self, rest: &Wall, gather_point: usize) -> &FormFactorRow {
-        self.rows[gather_point].get_or_init(|| trace_row(rest, &self.gather_points, gather_point))
+        self.rows[gather_point]
+            .get_or_init(|| Box::new(trace_row(rest, &self.gather_points, gather_point)))
     }
 
     /// What a gather point reflects on a wall of such a shape, over what it would on a level one.

@@ -6,6 +6,7 @@ use super::embedding::{CARRIERS, Embedding};
 use super::factor::{Factor, Symbolic};
 use super::minimize::{Objective, minimize};
 use super::sparse::{Pattern, add_scaled, dot};
+use crate::pool::detached;
 use glam::{DMat3, DVec3};
 use numpy::{
     IntoPyArray, PyArray2, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyReadonlyArray4,
@@ -320,7 +321,7 @@ impl FemLayer {
     /// Displacement [m] and velocity [m/s] of the surface's vertices.
     fn wall_displacement<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
         let mut rows = vec![(DVec3::ZERO, DVec3::ZERO); self.embedding.nodes.len()];
-        py.detach(|| self.embedding.carry(&self.displacement, &self.velocity, &mut rows));
+        detached(py, || self.embedding.carry(&self.displacement, &self.velocity, &mut rows));
         rows_of_six(py, &rows)
     }
 

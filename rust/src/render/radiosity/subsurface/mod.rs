@@ -9,6 +9,7 @@ mod frame;
 mod transport_row;
 
 pub use frame::{SubsurfaceFrame, SubsurfaceLight};
+use once_cell::race::OnceBox;
 use transport_row::{Row, trace_row};
 
 use super::gather_points::GatherPoints;
@@ -18,7 +19,6 @@ use crate::render::path::subsurface::Tissue;
 use crate::render::scene::SceneData;
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
-use std::sync::OnceLock;
 
 /// Least distance between nodes, over the longest free path between two scatterings.
 const SPACING: f32 = 0.8;
@@ -31,9 +31,9 @@ pub struct Transport {
     nodes: GatherPoints,
     /// Mean base color of what each node stands for.
     color: Vec<Vec3>,
-    rows: Vec<OnceLock<Row>>,
+    rows: Vec<OnceBox<Row>>,
     /// How much more of light comes out than by a node's own row, which is noisy.
-    better: Vec<OnceLock<Vec3>>,
+    better: Vec<OnceBox<Vec3>>,
     cache: CachePool<frame::Lit>,
 }
 
@@ -44,8 +44,8 @@ impl Transport {
         let spacing = SPACING / min(r, min(g, b));
         let nodes = GatherPoints::apart(wall, &vec![spacing; wall.vertices.len()]);
         let color = PatchAlbedo::mean(wall, scene, &nodes).albedo;
-        let rows = nodes.vertex.iter().map(|_| OnceLock::new()).collect();
-        let better = nodes.vertex.iter().map(|_| OnceLock::new()).collect();
+        let rows = nodes.vertex.iter().map(|_| OnceBox::new()).collect();
+        let better = nodes.vertex.iter().map(|_| OnceBox::new()).collect();
         let cache = CachePool::new((2 * nodes.vertex.len(), wall.vertices.len()));
         Transport { tissue: tissue.clone(), nodes, color, rows, better, cache }
     }
@@ -78,12 +78,12 @@ impl Transport {
                 sum = add(sum, scale(total, part));
                 weight += part;
             }
-            [0, 1, 2].map(|k| sum[k] / (weight * max(own[k], 1e-6)))
+            Box::new([0, 1, 2].map(|k| sum[k] / (weight * max(own[k], 1e-6))))
         })
     }
 
     fn row(&self, rest: &Wall, node: usize) -> &Row {
         let trace = || trace_row(rest, &self.tissue, &self.nodes, (node, self.color[node]));
-        self.rows[node].get_or_init(trace)
+        self.rows[node].get_or_init(|| Box::new(trace()))
     }
 }

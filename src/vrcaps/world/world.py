@@ -95,13 +95,12 @@ class World:
         require(0.0 < substep <= longest, "substep", substep, f"above 0 to {longest:.3g} s")
         require(seed >= 0, "seed", seed, "0, 1, 2, …")
         self.model, self.tissue, self.substep, self.seed = model, tissue, substep, seed
-        self._start = start
         self.dynamics: DynamicsKind = dynamics
         self.body = body or homogeneous_body(model.device)
         organ, self._lumen = model.organ, None
         self._wall = model.wall_in_patient.copy()
         self._center = np.array(self._wall.center)
-        self._time = self._began = start.time
+        self._start, self._time, self._began = start, start.time, start.time
         self._T_world_patient = model.T_world_patient
         pose = core_pose(start, self._T_world_patient, self._center)
         self.layer = make_fem_wall(organ, tissue)

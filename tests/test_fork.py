@@ -25,14 +25,12 @@ from vrcaps.scenario.scenario import Scenario
 from vrcaps.world.control import Control
 from vrcaps.world.model import Model
 from vrcaps.world.world import World
+from waiting import WATCHDOG
 
 pytestmark = [
     pytest.mark.skipif(not hasattr(os, "fork"), reason="Windows does not fork"),
     pytest.mark.filterwarnings("ignore:This process:DeprecationWarning"),
 ]
-
-_HANGS = 60
-"""Time after which a child is ended by the alarm signal [s]."""
 
 MODEL = Model(
     textured(straight_gut({"colon": 0.12}, radius=0.015, edge=4e-3)), read_device("mirocam")
@@ -53,7 +51,7 @@ def _in_child(work: Callable[[], Any]) -> Any:
     child = os.fork()
     if child == 0:
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.alarm(_HANGS)
+        signal.alarm(int(WATCHDOG))
         try:
             answer = work()
         except BaseException as error:
@@ -161,7 +159,7 @@ def test_forked_workers_of_a_data_loader_give_the_frames_of_the_parent() -> None
     frames = Frames()
     expected = [frames[k] for k in range(len(places))]
     loader = data.DataLoader(
-        frames, None, num_workers=4, multiprocessing_context="fork", timeout=_HANGS
+        frames, None, num_workers=4, multiprocessing_context="fork", timeout=WATCHDOG
     )
     for given, own in zip(loader, expected, strict=True):
         np.testing.assert_array_equal(given, own)
@@ -174,7 +172,7 @@ def _frame_of(number: int) -> str:
 def test_a_pool_of_forked_processes_gives_them_too() -> None:
     expected = _frame()
     with multiprocessing.get_context("fork").Pool(2) as pool:
-        assert pool.map_async(_frame_of, range(4)).get(_HANGS) == [expected] * 4
+        assert pool.map_async(_frame_of, range(4)).get(WATCHDOG) == [expected] * 4
 
 
 @pytest.mark.slow

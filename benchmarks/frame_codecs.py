@@ -18,6 +18,7 @@ from PIL import Image
 
 from validation import options, table, write_section
 from vrcaps import _core
+from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.render.channels import CHANNELS
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
@@ -102,7 +103,11 @@ CODECS = (
 def stored_frames(count: int) -> list[dict[str, np.ndarray]]:
     """Stored numbers of the channels of some frames."""
     model, motion = build(
-        Scenario(frames=count, render=RenderSettings(light="direct", shadows=False))
+        Scenario(
+            frames=count,
+            motion=FlyThrough(whole=True),
+            render=RenderSettings(light="direct", shadows=False),
+        )
     )
     renderer, camera = Renderer(model), model.device.cameras[0]
     frames = []

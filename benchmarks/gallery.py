@@ -73,7 +73,7 @@ def flight(organ: OrganSurface, capsule: str, number: int, seed: int = 0) -> tup
     """A flight along the whole organ."""
     model = Model(organ, vrcaps.read_device(capsule))
     rng = np.random.default_rng(seed)
-    path = vrcaps.fly_through(model, vrcaps.FlyThrough(), frames=number, fps=1.0, rng=rng)
+    path = vrcaps.fly_through(model, vrcaps.FlyThrough(whole=True), frames=number, fps=1.0, rng=rng)
     return model, [path.state(k) for k in range(number)]
 
 

@@ -149,7 +149,7 @@ def flight(
     """Evenly along a stretch of the lumen, now and then looking at the wall."""
     model = Model(organ, device)
     low, high = np.clip(stretch, 0.01, 0.99)
-    settings = vrcaps.FlyThrough(start=low, end=high, tilt=0.78, drift=0.6)
+    settings = vrcaps.FlyThrough(start=low, end=high, whole=True, tilt=0.78, drift=0.6)
     path = vrcaps.fly_through(model, settings, frames=frames, fps=1.0, rng=rng)
     return model, [path.state(k) for k in range(frames)]
 

@@ -21,6 +21,7 @@ from PIL import Image
 
 from validation import options, table, write_section
 from vrcaps import _core
+from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.organ import compact_textures
 from vrcaps.organ.compact_textures import (
     ALBEDO_STEP,
@@ -139,7 +140,7 @@ def row(name: str, coding: str, size: int, seconds: float, found: np.ndarray) ->
 def main() -> None:
     """Measure and write the table."""
     given = options(__doc__ or "", 24)
-    model, motion = build(Scenario(frames=given.size))
+    model, motion = build(Scenario(frames=given.size, motion=FlyThrough(whole=True)))
     states = [step.state for step in motion.steps()]
     flight = Flight(model, states, draw(model, states).astype(int))
     look = model.organ.appearance

@@ -88,13 +88,15 @@ def scenes(size: int) -> Iterator[Scene]:
     colon = replace(generate_organ("colon", seed=0), appearance=look)
     model = Model(colon, device)
     rng = np.random.default_rng(0)
-    state = fly_through(model, FlyThrough(), frames=3, fps=1.0, rng=rng).state(1)
+    state = fly_through(model, FlyThrough(whole=True), frames=3, fps=1.0, rng=rng).state(1)
     yield Scene("generated colon", model, camera, state)
     yield Scene("the same, flat faces", Model(_flat(colon), device), camera, state)
     yield Scene("the same, smooth", Model(_smooth(colon), device), camera, state)
     for name in ("stomach", "small-bowel"):
         organ = generate_organ(name, seed=11)
-        state = fly_through(Model(organ, device), FlyThrough(), frames=3, fps=1.0, rng=rng).state(1)
+        state = fly_through(
+            Model(organ, device), FlyThrough(whole=True), frames=3, fps=1.0, rng=rng
+        ).state(1)
         state = replace(state, vertices_world=None)  # nothing that a narrow wall gives way
         organ = _flat(replace(organ, appearance=look))
         yield Scene(f"{name}, held out, flat faces", Model(organ, device), camera, state)

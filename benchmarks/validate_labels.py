@@ -30,7 +30,7 @@ from vrcaps.transforms import invert, rotate_vectors, transform_points
 
 STILL_CHANNELS = ("depth", "ray_distance", "normal", "label", "instance", "arc_length")
 CHANNELS = (*STILL_CHANNELS, "flow_forward", "occlusion")
-MOTIONS = (FlyThrough(), FlyThrough(start=0.4, speed=0.01))
+MOTIONS = (FlyThrough(whole=True), FlyThrough(start=0.4, speed=0.01))
 """Through the whole organ; and slowly, for flow."""
 CAPSULES = ("mirocam", "pillcam-colon2", "panoramic")
 ORGANS = {

@@ -59,7 +59,7 @@ def scenes() -> Iterator[Scene]:
     yield Scene("ring folds", folded, looking((0.004, -0.003, 0.04)), np.eye(4))
     model = Model(generate_organ("colon", seed=0), read_device("mirocam"))
     rng = np.random.default_rng(0)
-    run = fly_through(model, FlyThrough(), frames=3, fps=1.0, rng=rng)
+    run = fly_through(model, FlyThrough(whole=True), frames=3, fps=1.0, rng=rng)
     yield Scene("generated colon", model.organ, run.state(1), model.T_world_patient)
 
 

@@ -37,8 +37,8 @@ from vrcaps.tools.reconstruction.odometry import OdometrySettings, estimated_pos
 from vrcaps.units import MM
 
 RUNS = {
-    "stomach": FlyThrough(),
-    "small-bowel": FlyThrough(start=0.3, end=0.33),
+    "stomach": FlyThrough(whole=True),
+    "small-bowel": FlyThrough(start=0.3, end=0.33, whole=True),
 }
 SEED = 77
 WITHIN = 2.0 * MM

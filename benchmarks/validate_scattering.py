@@ -148,7 +148,7 @@ def views() -> list[View]:
     for name in ("colon", "small-bowel"):
         model = Model(generate_organ(name, seed=0), device)
         rng = np.random.default_rng(0)
-        flight = fly_through(model, FlyThrough(), frames=20, fps=3.0, rng=rng)
+        flight = fly_through(model, FlyThrough(whole=True), frames=20, fps=3.0, rng=rng)
         states = tuple(flight.state(9 + k) for k in range(NUM_VIEWS))
         found.append(View(name, model, states))
     return found

@@ -29,12 +29,12 @@ def main(out: Path, seed: int) -> None:
     # Organ and capsule make a model: what is fixed. A trajectory says where the capsule is.
     model = vrcaps.Model(organ, vrcaps.read_device("mirocam"))
     rng = np.random.default_rng(seed)
-    flight = vrcaps.fly_through(model, vrcaps.FlyThrough(), frames=100, fps=3.0, rng=rng)
+    flight = vrcaps.fly_through(model, vrcaps.FlyThrough(whole=True), frames=100, fps=3.0, rng=rng)
 
-    # A renderer turns a state of the world and a camera into a frame of labeled channels.
-    renderer = vrcaps.Renderer(model)
-    (camera,) = model.device.cameras
-    frame = renderer.render(flight.state(60), camera, channels=CHANNELS)
+    # A renderer gives light and labels of a state of the world; the pipeline of a camera exposes
+    # the light as the capsule does.
+    camera = vrcaps.CameraPipeline(vrcaps.Renderer(model), "front", channels=CHANNELS)
+    frame = camera.capture(vrcaps.Step(60, flight.state(60)))
 
     near, far = 1e3 * np.nanquantile(frame.depth, (0.01, 0.99))
     seen = [organ.label_names[label] for label in np.unique(frame.label) if label > 0]

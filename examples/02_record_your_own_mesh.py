@@ -48,7 +48,7 @@ def main(organ: Path | None, unit: str, frames: int, out: Path) -> None:
     scenario = vrcaps.Scenario(
         organ=vrcaps.OrganFile(str(organ), unit=unit),
         capsule="mirocam",
-        motion=vrcaps.FlyThrough(drift=0.4),
+        motion=vrcaps.FlyThrough(whole=True, drift=0.4),
         frames=frames,
         channels=("rgb", "depth", "normal"),
     )

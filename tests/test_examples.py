@@ -69,7 +69,7 @@ def test_scenario_of_the_quickstart_is_one(tmp_path: Path) -> None:
     (tmp_path / "scenario.toml").write_text(text)
     scenario = read_scenario(tmp_path / "scenario.toml")
     assert scenario.organ == OrganFile("colon.ply", unit="mm")
-    assert scenario.motion == FlyThrough(start=0.1, end=0.5)
+    assert scenario.motion == FlyThrough(start=0.1, end=0.5, whole=True)
 
 
 def test_scenarios_of_the_format_are_some(tmp_path: Path) -> None:

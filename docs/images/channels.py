@@ -42,7 +42,9 @@ def main(path: Path) -> None:
     camera = replace(camera, exposure=BRIGHTER * camera.exposure)
     model = vrcaps.Model(organ, device)
     rng = np.random.default_rng(0)
-    flight = vrcaps.fly_through(model, vrcaps.FlyThrough(), frames=FRAMES, fps=3.0, rng=rng)
+    flight = vrcaps.fly_through(
+        model, vrcaps.FlyThrough(whole=True), frames=FRAMES, fps=3.0, rng=rng
+    )
     renderer = vrcaps.Renderer(
         model, vrcaps.RenderSettings(supersampling=3, shadows=True, light="radiosity")
     )

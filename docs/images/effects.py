@@ -38,7 +38,7 @@ DOCS = Path(__file__).resolve().parents[1]
 def states(organ: OrganSurface, device: Device) -> list[State]:
     """Neighboring frames of a flight."""
     model = Model(organ, device)
-    flight = FlyThrough(start=0.62, end=0.62 + 0.012 * FRAMES / 2, drift=0.45)
+    flight = FlyThrough(start=0.62, end=0.62 + 0.012 * FRAMES / 2, whole=True, drift=0.45)
     rng = np.random.default_rng(4)
     run = fly_through(model, flight, frames=FRAMES, fps=FPS, rng=rng)
     return [run.state(k) for k in range(FRAMES)]

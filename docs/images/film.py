@@ -20,7 +20,7 @@ def main(path: Path) -> None:
     """Thicker from left to right; the whole view above, its middle below."""
     model = vrcaps.Model(vrcaps.generate_organ("colon", seed=0), vrcaps.read_device("mirocam"))
     rng = np.random.default_rng(0)
-    flight = vrcaps.fly_through(model, vrcaps.FlyThrough(), frames=20, fps=3.0, rng=rng)
+    flight = vrcaps.fly_through(model, vrcaps.FlyThrough(whole=True), frames=20, fps=3.0, rng=rng)
     camera, columns = model.device.cameras[0], []
     for film in THICKNESS_UM:
         settings = vrcaps.RenderSettings(

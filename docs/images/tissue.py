@@ -32,7 +32,7 @@ def row(name: str) -> np.ndarray:
     """A generated organ in all ways."""
     model = vrcaps.Model(vrcaps.generate_organ(name, seed=0), vrcaps.read_device("mirocam"))
     rng = np.random.default_rng(0)
-    flight = vrcaps.fly_through(model, vrcaps.FlyThrough(), frames=20, fps=3.0, rng=rng)
+    flight = vrcaps.fly_through(model, vrcaps.FlyThrough(whole=True), frames=20, fps=3.0, rng=rng)
     camera, cells = scaled_camera(model.device.cameras[0], VIEW), []
     for title, settings in WAYS.items():
         renderer = vrcaps.Renderer(model, settings)

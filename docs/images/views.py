@@ -17,7 +17,7 @@ def view_row(model: vrcaps.Model, **settings: object) -> np.ndarray:
     chosen = {"supersampling": 2, "shadows": True, "light": "radiosity", **settings}
     renderer = vrcaps.Renderer(model, vrcaps.RenderSettings(**chosen))  # type: ignore[arg-type]
     rng, camera = np.random.default_rng(0), model.device.cameras[0]
-    flight = vrcaps.fly_through(model, vrcaps.FlyThrough(), frames=20, fps=3.0, rng=rng)
+    flight = vrcaps.fly_through(model, vrcaps.FlyThrough(whole=True), frames=20, fps=3.0, rng=rng)
     images = [renderer.render(flight.state(k), camera, channels=("rgb",)).rgb for k in SHOWN]
     return np.hstack([np.asarray(image) for image in images])
 

@@ -39,10 +39,21 @@ def test_light_comes_before_gain() -> None:
     assert automatic.light_and_gain(10.0) == (2.0, 5.0)
 
 
+@pytest.mark.parametrize("brightness", [0.01, 0.15, 1.0, 7.0])
+def test_settled_exposure_meets_the_target(brightness: float) -> None:
+    """A scene of luminance m at exposure 1 needs target / m; one brighter or darker, a limit."""
+    automatic = AutoExposure(0.0, target=0.15)
+    assert automatic.is_settled
+    found = automatic.settle(lambda exposure: min(brightness * exposure, 1.0))
+    assert found == pytest.approx(min(max(0.15 / brightness, 0.02), 16.0), rel=1e-3)
+    assert automatic.settle(lambda _: 1.0) == pytest.approx(0.02, rel=1e-3)
+    assert automatic.settle(lambda _: 0.0) == pytest.approx(16.0, rel=1e-3)
+
+
 @pytest.mark.parametrize(
     ("given", "match"),
     [
-        ({"time_constant": 0.0}, "time_constant is 0.0"),
+        ({"time_constant": -1.0}, "time_constant is -1.0"),
         ({"time_constant": 1.0, "target": 1.0}, "target is 1.0"),
         ({"time_constant": 1.0, "min_light": 3.0}, "min_light, max_light is"),
         ({"time_constant": 1.0, "max_gain": 0.5}, "max_gain is 0.5"),

@@ -1,9 +1,11 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from vrcaps.camera_pipeline.effect.adaptive_frame_rate import AdaptiveFrameRate
+from vrcaps.camera_pipeline.effect.auto_exposure import AutoExposure
 from vrcaps.camera_pipeline.effect.base import MAX_SEVERITY
 from vrcaps.camera_pipeline.effect.bayer_filter import BayerFilter
 from vrcaps.camera_pipeline.effect.depth_of_field import DepthOfField
@@ -26,6 +28,28 @@ def test_effects_as_a_user_writes_them() -> None:
     )
     assert parse_effects("all=2").bloom == 2
     assert parse_effects("afr=2..6").adaptive_frame_rate == AdaptiveFrameRate(2.0, 6.0)
+    assert parse_effects("ae=settled").auto_exposure == AutoExposure(0.0)
+
+
+def test_an_effect_that_is_not_given_is_the_capsules_own() -> None:
+    """PillCam COLON 2 adapts from 4 to 35 frames a second; the catalog exposes automatically."""
+    device = read_device("pillcam-colon2")
+    own = Effects().of_device(device)
+    assert own.auto_exposure == AutoExposure(0.0)
+    assert own.adaptive_frame_rate == AdaptiveFrameRate(4.0, 35.0)
+    assert own.of_device(device) == own
+    assert own.without_device(device) == Effects()
+    assert replace(own, jpeg=2).without_device(device) == Effects(jpeg=2)
+    assert own.specular is None and own.dome_bubbles is None
+    assert {own.sensor_noise, own.jpeg, own.bayer_filter} == {0}
+    given = parse_effects("ae=2,afr=0,bayer=0,noise=1").of_device(device)
+    assert (given.auto_exposure, given.adaptive_frame_rate, given.bayer_filter) == (2, 0, 0)
+    assert given.sensor_noise == 1
+    assert given.resolve("adaptive_frame_rate") is None
+    assert Effects().of_device(read_device("mirocam")).adaptive_frame_rate == 0
+    fixed = replace(device, auto_exposure=False, lowest_frame_rate=None)
+    assert Effects().of_device(fixed) == parse_effects("none").of_device(fixed)
+    assert parse_effects("none").of_device(device).is_ideal
 
 
 @pytest.mark.parametrize(
@@ -109,7 +133,7 @@ def test_every_field_is_an_effect_that_describes_itself() -> None:
         ({"bloom": (3, 1)}, r"bloom has the severity 3\.\.1"),
         ({"bloom": 0.5}, "bloom has the severity 0.5"),
         ({"bloom": BayerFilter("rggb")}, "bloom has the severity"),
-        ({"bayer_filter": 2}, r"bayer_filter is 2. Allowed: BayerFilter\(…\), or None"),
+        ({"bayer_filter": 2}, r"bayer_filter is 2. Allowed: BayerFilter\(…\), 0 or None"),
     ],
 )
 def test_what_cannot_be(given: dict, match: str) -> None:

@@ -14,6 +14,7 @@ from vrcaps.camera.camera import Camera
 from vrcaps.camera.derive import scaled_camera
 from vrcaps.camera_pipeline.capsule_cameras import CapsuleCameras
 from vrcaps.camera_pipeline.effect.adaptive_frame_rate import AdaptiveFrameRate
+from vrcaps.camera_pipeline.effect.auto_exposure import AutoExposure
 from vrcaps.camera_pipeline.effect.base import CameraSetup, ImageEffect
 from vrcaps.camera_pipeline.effect.bayer_filter import BayerFilter
 from vrcaps.camera_pipeline.effect.depth_of_field import DepthOfField
@@ -475,6 +476,19 @@ def test_exposure_is_a_state_that_can_be_kept_and_set(renderer: Renderer) -> Non
     later.state = kept
     for frame, step in zip(frames[1:], steps[1:], strict=True):
         assert np.array_equal(np.asarray(later.capture(step).rgb), frame.rgb)
+
+
+def test_settled_exposure_depends_on_no_other_frame(renderer: Renderer) -> None:
+    """Frames in any order are the same bytes, and each is metered at the target."""
+    effects = Effects(auto_exposure=AutoExposure(0.0, target=0.2))
+    pipeline = CameraPipeline(renderer, CAMERA, effects, fps=4.0)
+    steps = [around(k) for k in range(3)]
+    frames = [np.asarray(pipeline.capture(step).rgb) for step in steps]
+    for step in steps:
+        exposed = pipeline.expose(step)
+        assert exposed.luminance == pytest.approx(0.2, rel=1e-3)
+    alone = CameraPipeline(renderer, CAMERA, effects, fps=4.0)
+    assert np.array_equal(np.asarray(alone.capture(steps[2]).rgb), frames[2])
 
 
 def test_a_frame_without_neighbors_has_no_flow(renderer: Renderer) -> None:

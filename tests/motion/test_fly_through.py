@@ -5,7 +5,7 @@ import pytest
 
 from vrcaps.capsule.catalog import device_names, read_device
 from vrcaps.errors import InputError
-from vrcaps.motion.fly_through import FlyThrough, fly_through
+from vrcaps.motion.fly_through import FlyThrough, _free_part, fly_through
 from vrcaps.motion.trajectory import camera_clearance, camera_poses
 from vrcaps.transforms import transform_points
 from vrcaps.world.model import Model
@@ -13,7 +13,7 @@ from vrcaps.world.model import Model
 
 def _fly(model, settings=None, *, frames=80, fps=10.0, seed=0):
     rng = np.random.default_rng(seed)
-    return fly_through(model, settings or FlyThrough(), frames=frames, fps=fps, rng=rng)
+    return fly_through(model, settings or FlyThrough(whole=True), frames=frames, fps=fps, rng=rng)
 
 
 def _forward(trajectory):
@@ -25,8 +25,12 @@ def _forward(trajectory):
 def test_every_device_stays_inside(tube, device):
     """Center and cameras of every catalog device keep clear of the wall, whatever the seed."""
     model = Model(tube, read_device(device))
-    wild = FlyThrough(drift=0.95, tilt=0.7, roll=3.0)
-    for seed, settings in ((0, FlyThrough()), (1, wild), (2, replace(wild, start=0.9, end=0.1))):
+    wild = FlyThrough(whole=True, drift=0.95, tilt=0.7, roll=3.0)
+    for seed, settings in (
+        (0, FlyThrough(whole=True)),
+        (1, wild),
+        (2, replace(wild, start=0.9, end=0.1)),
+    ):
         trajectory = _fly(model, settings, seed=seed)
         assert camera_clearance(model, trajectory).min() > 0.0
         assert model.wall.signed_distance(trajectory.Ts_world_capsule[:, :3, 3]).min() > 0.0
@@ -38,14 +42,14 @@ def test_every_device_stays_inside(tube, device):
 
 def test_margin_is_kept_where_there_is_room(model):
     """With a drift of nearly the whole radius the margin still holds away from the ends."""
-    settings = FlyThrough(start=0.2, end=0.8, drift=0.98, tilt=0.6, margin=0.004)
+    settings = FlyThrough(start=0.2, end=0.8, whole=True, drift=0.98, tilt=0.6, margin=0.004)
     trajectory = _fly(model, settings, frames=400)
     assert camera_clearance(model, trajectory).min() > 0.98 * 0.004
 
 
 def test_without_wandering_it_rides_the_centerline(model):
     """Both ends of the follower_offsets are on the curve; on the straight so is the whole axis."""
-    settings = FlyThrough(drift=0.0, tilt=0.0, roll=0.0, speed_variation=0.0)
+    settings = FlyThrough(whole=True, drift=0.0, tilt=0.0, roll=0.0, speed_variation=0.0)
     trajectory = _fly(model, settings, frames=300)
     camera = model.device.cameras[0]
     front = camera_poses(trajectory.Ts_world_capsule, camera.T_capsule_camera)[:, :3, 3]
@@ -58,11 +62,11 @@ def test_without_wandering_it_rides_the_centerline(model):
 
 @pytest.mark.slow
 def test_camera_looks_along_the_travel(model):
-    trajectory = _fly(model, FlyThrough(tilt=0.1, drift=0.2), frames=200)
+    trajectory = _fly(model, FlyThrough(whole=True, tilt=0.1, drift=0.2), frames=200)
     velocity = trajectory.linear_velocities_world
     velocity = velocity / np.linalg.norm(velocity, axis=1, keepdims=True)
     assert (velocity * _forward(trajectory)).sum(axis=1).min() > np.cos(0.5)
-    back = _fly(model, FlyThrough(start=0.9, end=0.1, tilt=0.1, drift=0.2), frames=200)
+    back = _fly(model, FlyThrough(start=0.9, end=0.1, whole=True, tilt=0.1, drift=0.2), frames=200)
     heading = _forward(back) * back.linear_velocities_world
     assert (heading.sum(axis=1) > 0.0).all()
 
@@ -89,7 +93,7 @@ def test_path_does_not_depend_on_the_frame_rate(model):
 
 def test_motion_is_smooth(model):
     """No step of the heading between frames exceeds what the mean turn allows ten times over."""
-    trajectory = _fly(model, FlyThrough(drift=0.9, tilt=0.5), frames=600, fps=20.0)
+    trajectory = _fly(model, FlyThrough(whole=True, drift=0.9, tilt=0.5), frames=600, fps=20.0)
     turn = np.arccos(np.clip((_forward(trajectory)[1:] * _forward(trajectory)[:-1]).sum(1), -1, 1))
     assert turn.max() < 10.0 * max(turn.mean(), 1e-3)
 
@@ -109,6 +113,38 @@ def test_mean_speed_and_variation(model):
     assert speed.mean() == pytest.approx(0.03, rel=0.2)
     assert 0.03 * 0.3 < speed.min() < 0.028
     assert 0.032 < speed.max() < 0.03 * 1.9
+
+
+def test_default_speed_is_a_centimeter_a_second_or_what_the_stretch_allows(model):
+    """9.9 s at 0.01 m/s travel 99 mm; 99 s would need more than the tube, which is covered."""
+    still = {"speed_variation": 0.0, "drift": 0.0, "tilt": 0.0, "roll": 0.0}
+    camera = model.device.cameras[0]
+
+    def traveled(settings: FlyThrough, frames: int) -> float:
+        poses = _fly(model, settings, frames=frames).Ts_world_capsule
+        front = camera_poses(poses, camera.T_capsule_camera)[:, :3, 3]
+        return float(np.linalg.norm(np.diff(front, axis=0), axis=1).sum())
+
+    assert traveled(FlyThrough(**still), 100) == pytest.approx(0.099, rel=0.02)
+    whole = traveled(FlyThrough(whole=True, **still), 100)
+    assert whole > 0.25
+    assert traveled(FlyThrough(**still), 1000) == pytest.approx(whole, rel=0.02)
+
+
+def test_whole_and_a_speed_exclude_each_other():
+    with pytest.raises(InputError, match=r"whole is true and speed is 0\.01 m/s\. Allowed: one of"):
+        FlyThrough(whole=True, speed=0.01)
+
+
+def test_a_bend_that_is_too_narrow_is_avoided_where_the_flight_is_short():
+    """Free from 0 to 4 and 6 to 20 mm at 1 mm spacing: 0.5 s need 5 mm, which only fit behind."""
+    knots = 1e-3 * np.arange(21)
+    is_free = np.abs(np.arange(21) - 5) > 0
+    assert _free_part(FlyThrough(), knots, is_free, 0.5) == pytest.approx((6e-3, 20e-3))
+    assert _free_part(FlyThrough(), knots, is_free, 0.3) == pytest.approx((0.0, 4e-3))
+    back = FlyThrough(start=0.9, end=0.1)
+    assert _free_part(back, knots, is_free, 0.3) == pytest.approx((6e-3, 20e-3))
+    assert _free_part(FlyThrough(), knots, is_free, 2.0) is None
 
 
 def test_one_frame(model):

@@ -9,6 +9,7 @@ from vrcaps.camera_pipeline.effect.adaptive_frame_rate import AdaptiveFrameRate
 from vrcaps.camera_pipeline.effect.auto_exposure import AutoExposure
 from vrcaps.camera_pipeline.effect.bayer_filter import BayerFilter
 from vrcaps.camera_pipeline.effects import SEVERITIES, Effects
+from vrcaps.capsule.catalog import device_of
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.recording.check import check_episode
 from vrcaps.recording.episode import read_episode
@@ -99,7 +100,8 @@ def test_sampled_severities_are_in_the_episode(scenario: Scenario, tmp_path: Pat
     asked = replace(scenario, effects=effects, channels=("rgb",), frames=2)
     record(asked, tmp_path / "out")
     sampled = read_scenario(tmp_path / "out" / "episode.json")
-    assert sampled.effects == effects.sample(asked.seed)
+    device = device_of(asked.capsule)
+    assert sampled.effects == effects.of_device(device).sample(asked.seed)
     record(sampled, tmp_path / "again")
     assert images(tmp_path / "out") == images(tmp_path / "again")
 
@@ -110,7 +112,9 @@ def test_adaptive_frame_rate_captures_more_frames_of_a_faster_image(
 ) -> None:
     speeds = []
     for name, share in (("slow", 0.2), ("fast", 0.85)):
-        motion = FlyThrough(start=0.15, end=share, speed_variation=0.0, tilt=0.0, drift=0.0)
+        motion = FlyThrough(
+            start=0.15, end=share, whole=True, speed_variation=0.0, tilt=0.0, drift=0.0
+        )
         effects = Effects(
             adaptive_frame_rate=AdaptiveFrameRate(1.0, 8.0, low_motion=0.0, high_motion=0.5)
         )

@@ -32,7 +32,7 @@ def plan(organ: OrganSurface, device_file: Path, tmp_path: Path) -> Scenario:
     return Scenario(
         organ=OrganFile(str(tmp_path / "mine.glb")),
         capsule=str(device_file),
-        motion=FlyThrough(start=0.3, end=0.5),
+        motion=FlyThrough(start=0.3, end=0.5, whole=True),
         frames=2,
         channels=("rgb", "label", "instance"),
     )

@@ -35,7 +35,7 @@ def model(organ):
 
 @pytest.fixture(scope="module")
 def trajectory(model):
-    settings = FlyThrough(start=0.2, end=0.8)
+    settings = FlyThrough(start=0.2, end=0.8, whole=True)
     return fly_through(model, settings, frames=30, fps=5.0, rng=np.random.default_rng(0))
 
 

@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vrcaps.camera_pipeline.effects import Effects
+from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.file_ref import FileRef
 from vrcaps.lesion import Location, Polyp
@@ -47,6 +49,25 @@ def test_round_trip_through_json(tmp_path, scenario):
         json.dumps({"format": "vrcaps-episode/1", "scenario": scenario_to_plain(scenario)})
     )
     assert read_scenario(path) == scenario
+
+
+def test_an_episode_from_before_keeps_its_motion_and_frame_rate(tmp_path):
+    """It states no `whole`; a flight without speed covered all, a null rate was constant."""
+    path, plain = tmp_path / "episode.json", scenario_to_plain(resolve(Scenario()))
+    assert read_scenario(_episode(path, plain)) == resolve(Scenario())
+    del plain["motion"]["whole"]
+    plain["effects"] |= {"auto_exposure": 0, "adaptive_frame_rate": None, "bayer_filter": None}
+    before = read_scenario(_episode(path, {**plain, "capsule": "pillcam-colon2"}))
+    assert before.motion == FlyThrough(whole=True)
+    assert resolve(before).effects.adaptive_frame_rate == 0
+    assert resolve(before).effects.auto_exposure == 0
+    plain["motion"]["speed"] = 0.02
+    assert read_scenario(_episode(path, plain)).motion == FlyThrough(speed=0.02)
+
+
+def _episode(path, plain):
+    path.write_text(json.dumps({"format": "vrcaps-episode/1", "scenario": plain}))
+    return path
 
 
 def test_toml_with_few_keys(tmp_path):
@@ -95,6 +116,7 @@ def test_resolve_fills_in_what_is_open(mesh_file, device_file):
     )
     resolved = resolve(scenario)
     assert resolved.fps == 4.0
+    assert resolved.effects == Effects().of_device(read_device(str(device_file)))
     assert resolved.channels == ("rgb", "depth")
     assert isinstance(resolved.organ, OrganFile)
     assert isinstance(resolved.organ.path, FileRef)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tubes import textured
+from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.organ.read_organ import read_organ
@@ -88,14 +89,15 @@ def organ(mesh_file: Path) -> OrganSurface:
 
 @pytest.fixture(scope="session")
 def base_scenario(mesh_file: Path, device_file: Path) -> Scenario:
-    """All channels of a short flight."""
+    """All channels of a short flight, at the exposure that the renderer has."""
     return Scenario(
         organ=OrganFile(str(mesh_file), "m"),
         capsule=str(device_file),
-        motion=FlyThrough(start=0.15, end=0.85),
+        motion=FlyThrough(start=0.15, end=0.85, whole=True),
         frames=5,
         seed=1,
         channels=tuple(CHANNELS),
+        effects=Effects(auto_exposure=0),
     )
 
 

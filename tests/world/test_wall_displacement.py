@@ -24,7 +24,7 @@ def narrow() -> Model:
 
 
 def _flight(model: Model, start: float, end: float, *, rigid_wall: bool = False) -> Trajectory:
-    settings = FlyThrough(start=start, end=end, rigid_wall=rigid_wall)
+    settings = FlyThrough(start=start, end=end, whole=True, rigid_wall=rigid_wall)
     return fly_through(model, settings, frames=12, fps=3.0, rng=np.random.default_rng(3))
 
 

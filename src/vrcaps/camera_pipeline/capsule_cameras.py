@@ -63,7 +63,7 @@ class CapsuleCameras:
             )
             for k, camera in enumerate(renderer.model.device.cameras)
         }
-        self._fps, self._rate = fps, effects.adaptive_frame_rate
+        self._fps, self._rate = fps, effects.resolve("adaptive_frame_rate")
         self._has_auto_exposure = effects.resolve("auto_exposure") is not None
         self._last_captured: int | None = None
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, get_args, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, get_args, get_type_hints
 
 import vrcaps.rng
 from vrcaps.camera_pipeline.effect.adaptive_frame_rate import AdaptiveFrameRate
@@ -47,12 +47,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Effects:
-    """What lens, sensor and recorder do to the images, in this order.
+    """Effects of lens, sensor and recorder on the images, in this order.
 
     Each field is a severity from 0 (off) to 4, a range of severities that a recording samples one
-    of, or the effect with exact parameters; None is off and leaves the scene as it is. The class
-    of a field says what the effect does. An effect is added by its file in
-    `camera_pipeline/effect` and its field here.
+    of, or the effect with exact parameters; None is the capsule's own, see `of_device`, and leaves
+    the scene as it is. The class of a field documents the effect. An effect is added by its file
+    in `camera_pipeline/effect` and its field here.
 
     Example:
         >>> effects = vrcaps.Effects(depth_of_field=2, sensor_noise=(1, 3), jpeg=1)
@@ -61,27 +61,49 @@ class Effects:
 
     specular: Severity | SpecularReflection | None = None
     dome_bubbles: Severity | DomeBubbles | None = None
-    field_of_view: Severity | FieldOfView = 0
-    distortion: Severity | Distortion = 0
-    resolution: Severity | Resolution = 0
-    motion_blur: Severity | MotionBlur = 0
-    rolling_shutter: Severity | RollingShutter = 0
-    depth_of_field: Severity | DepthOfField = 0
-    droplets: Severity | Droplets = 0
-    smears: Severity | Smears = 0
-    chromatic_aberration: Severity | LateralChromaticAberration = 0
-    vignetting: Severity | Vignetting = 0
-    bloom: Severity | Bloom = 0
-    auto_exposure: Severity | AutoExposure = 0
-    sensor_noise: Severity | SensorNoise = 0
-    bayer_filter: BayerFilter | None = None
-    white_balance: Severity | WhiteBalance = 0
-    jpeg: Severity | Jpeg = 0
-    adaptive_frame_rate: AdaptiveFrameRate | None = None
+    field_of_view: Severity | FieldOfView | None = None
+    distortion: Severity | Distortion | None = None
+    resolution: Severity | Resolution | None = None
+    motion_blur: Severity | MotionBlur | None = None
+    rolling_shutter: Severity | RollingShutter | None = None
+    depth_of_field: Severity | DepthOfField | None = None
+    droplets: Severity | Droplets | None = None
+    smears: Severity | Smears | None = None
+    chromatic_aberration: Severity | LateralChromaticAberration | None = None
+    vignetting: Severity | Vignetting | None = None
+    bloom: Severity | Bloom | None = None
+    auto_exposure: Severity | AutoExposure | None = None
+    sensor_noise: Severity | SensorNoise | None = None
+    bayer_filter: Literal[0] | BayerFilter | None = None
+    white_balance: Severity | WhiteBalance | None = None
+    jpeg: Severity | Jpeg | None = None
+    adaptive_frame_rate: Literal[0] | AdaptiveFrameRate | None = None
 
     def __post_init__(self) -> None:
         for name, kind in EFFECTS.items():
             _check(kind, getattr(self, name))
+
+    def of_device(self, device: Device) -> Effects:
+        """The effects with each that is None as a capsule has it.
+
+        A capsule with automatic exposure has it settled in every frame; one that states a lowest
+        frame rate adapts its frame rate. All other effects of the camera are off; the scene stays
+        as it is.
+        """
+        own: dict[str, Any] = dict.fromkeys(_OF_CAMERA, 0)
+        if device.auto_exposure:
+            own["auto_exposure"] = AutoExposure(time_constant=0.0)
+        if device.lowest_frame_rate is not None:
+            own["adaptive_frame_rate"] = AdaptiveFrameRate(
+                device.lowest_frame_rate, device.frame_rate
+            )
+        return replace(self, **{k: v for k, v in own.items() if getattr(self, k) is None})
+
+    def without_device(self, device: Device) -> Effects:
+        """The inverse of `of_device`: None for each effect that is as a capsule has it."""
+        own = Effects().of_device(device)
+        same = [name for name in _OF_CAMERA if getattr(self, name) == getattr(own, name)]
+        return replace(self, **dict.fromkeys(same))
 
     def sample(self, seed: int) -> Effects:
         """The effects with a severity sampled from each range, the same for the same seed.
@@ -107,7 +129,7 @@ class Effects:
             raise InputError(
                 f"Effect {name} is a range of severities. Sample one first: sample(seed)."
             )
-        return EFFECTS[name].at(value) if isinstance(value, int) else value
+        return SEVERITIES.get(name, (None,))[value] if isinstance(value, int) else value
 
     def of_kind(self, kind: type[Kind]) -> tuple[Kind, ...]:
         """Effects of a kind that are on, in their order."""
@@ -147,12 +169,12 @@ def _check(kind: type[Effect], value: Any) -> None:
     Raises:
         InputError: If it is no severity, no range of severities, and no effect of its class.
     """
-    if value is None or isinstance(value, kind):
+    if value is None or value == 0 or isinstance(value, kind):
         return
     ends = value if isinstance(value, tuple) else (value,)
     given = "..".join(map(str, ends))
     if not kind.severities:
-        raise InputError(f"Effect {kind.name} is {given}. Allowed: {kind.__name__}(…), or None.")
+        raise InputError(f"Effect {kind.name} is {given}. Allowed: {kind.__name__}(…), 0 or None.")
     is_range = all(isinstance(end, int) for end in ends)
     is_range = is_range and (not isinstance(value, tuple) or len(ends) == 2)
     if not (is_range and list(ends) == sorted(ends) and 0 <= ends[0] <= ends[-1] <= MAX_SEVERITY):
@@ -180,11 +202,12 @@ SEVERITIES: dict[str, tuple[Any, ...]] = {
 }
 """Each effect at every severity; None where it is off."""
 
+_OF_CAMERA = [name for name, kind in EFFECTS.items() if not issubclass(kind, SceneEffect)]
 
 SHORT_NAMES = {kind.short: name for name, kind in EFFECTS.items() if kind.short}
 """Short names of effects."""
 
-_ALL, _RANDOM = "all", "random"
+_ALL, _RANDOM, _NONE = "all", "random", "none"
 
 
 class _All(Effect):
@@ -196,9 +219,10 @@ class _All(Effect):
 def parse_effects(text: str) -> Effects:
     """Effects from a text such as `specular=3,dof=1`.
 
-    Items are separated by commas, and a later one overrides an earlier: `NAME=SEVERITY`,
-    `NAME=FIRST..LAST` to sample a severity, `all=SEVERITY` for every effect, `random` for
-    `all=0..4`; `bayer=rggb`, and `afr=MIN..MAX` in frames a second.
+    Items are separated by commas, and a later one overrides an earlier: `none` for an ideal camera
+    of fixed exposure, `NAME=SEVERITY`, `NAME=FIRST..LAST` to sample a severity, `all=SEVERITY` for
+    every effect, `random` for `all=0..4`; `ae=settled`, `bayer=rggb`, and `afr=MIN..MAX` in frames
+    a second. An effect that is not named is as the capsule has it.
 
     Raises:
         UnknownNameError: If there is no such effect.
@@ -211,10 +235,12 @@ def parse_effects(text: str) -> Effects:
         name = SHORT_NAMES.get(name, name)
         if name == _RANDOM and not equals:
             chosen |= dict.fromkeys(SEVERITIES, (0, MAX_SEVERITY))
+        elif name == _NONE and not equals:
+            chosen |= dict.fromkeys(_OF_CAMERA, 0)
         elif name == _ALL:
             chosen |= dict.fromkeys(SEVERITIES, _All.parse(value))
         elif name in EFFECTS:
-            chosen[name] = EFFECTS[name].parse(value)
+            chosen[name] = 0 if value == "0" else EFFECTS[name].parse(value)
         else:
-            raise UnknownNameError("effect", name, (*EFFECTS, *SHORT_NAMES, _ALL, _RANDOM))
+            raise UnknownNameError("effect", name, (*EFFECTS, *SHORT_NAMES, _ALL, _RANDOM, _NONE))
     return Effects(**chosen)

@@ -80,9 +80,8 @@ class CameraPipeline:
     value that can be kept and set.
 
     Example:
-        >>> effects = vrcaps.Effects(sensor_noise=2)
-        >>> pipeline = vrcaps.CameraPipeline(renderer, camera, effects, fps=4.0)
-        >>> frame = pipeline.capture(step)
+        >>> pipeline = vrcaps.CameraPipeline(renderer, "front", channels=("rgb", "depth"))
+        >>> frame = pipeline.capture(vrcaps.Step(0, model.place(0.1)))
 
     Attributes:
         state: What the next frame depends on beside its step.
@@ -91,10 +90,10 @@ class CameraPipeline:
     def __init__(
         self,
         renderer: Renderer,
-        camera: Camera,
+        camera: Camera | str,
         effects: Effects | None = None,
         *,
-        fps: float,
+        fps: float | None = None,
         number: int = 0,
         seed: int = 0,
         channels: Sequence[str] = ("rgb",),
@@ -103,28 +102,32 @@ class CameraPipeline:
 
         Args:
             renderer: Of the world.
-            camera: As `Effects.device` has changed it.
-            effects: With each range of severities sampled; None is an ideal camera.
-            fps: Frames per second.
+            camera: As `Effects.device` has changed it; or the name of a camera of the device.
+            effects: With each range of severities sampled; None is the capsule's own.
+            fps: Frames per second; None is the capsule's own.
             number: Which of the capsule's cameras.
             seed: Of all random numbers.
             channels: Channels of the frames.
 
         Raises:
             InputError: If a severity is a range still.
+            UnknownNameError: If there is no such camera.
         """
-        effects = effects or Effects()
+        device = renderer.model.device
+        camera = device.camera(camera) if isinstance(camera, str) else camera
+        effects = Effects().of_device(device) if effects is None else effects
+        fps = device.frame_rate if fps is None else fps
         self.renderer, self.camera, self.channels = renderer, camera, tuple(channels)
         self.state = PipelineState()
         self._effects = effects
         self._fps, self._seed, self._number = fps, seed, number
         self._is_ideal = effects.is_ideal
-        self._has_timing = effects.adaptive_frame_rate is not None
+        self._rate_adapts = effects.resolve("adaptive_frame_rate") is not None
         self._automatic: AutoExposure | None = effects.resolve("auto_exposure")
         chosen = effects.of_kind(ImageEffect)
         setup = CameraSetup(camera, number, fps, seed, chosen)
         self._stages: dict[str, Stage] = {effect.name: effect.stage(setup) for effect in chosen}
-        self._needs_motion = self._has_timing or any(effect.needs_motion for effect in chosen)
+        self._needs_motion = self._rate_adapts or any(effect.needs_motion for effect in chosen)
         self._needs = {name for effect in chosen for name in effect.needs}
         self._needs |= _MOTION_CHANNELS if self._needs_motion else set()
         rays = camera_rays(camera)
@@ -154,7 +157,7 @@ class CameraPipeline:
     @property
     def is_active(self) -> bool:
         """Whether the pipeline changes the image or says which frames are captured."""
-        return self._has_timing or ("rgb" in self.channels and not self._is_ideal)
+        return self._rate_adapts or ("rgb" in self.channels and not self._is_ideal)
 
     def capture(self, step: Step) -> Frame:
         """The frame of a step: rendered, exposed, and sent by the camera.
@@ -172,18 +175,21 @@ class CameraPipeline:
         return _without_neighbor(frame, step)
 
     def expose(self, step: Step) -> Exposure:
-        """How a step is exposed; meters it, and sets the exposure of the next."""
+        """Exposure of a step; meters it, and sets the exposure of the next."""
         if self._exposed is None or self._exposed[0] is not step:
             exposure, luminance = self.state.exposure, float("nan")
             if self._automatic is not None and self.is_active:
-                luminance = self.meter(self.render(step), exposure)
+                radiance = self.render(step)
+                if self._automatic.is_settled:
+                    exposure = self._automatic.settle(partial(self.meter, radiance))
+                luminance = self.meter(radiance, exposure)
                 self.resume(Exposure(exposure, luminance))
             self._exposed = (step, Exposure(exposure, luminance))
         return self._exposed[1]
 
     def resume(self, last: Exposure) -> None:
         """Sets the state that follows a frame."""
-        if self._automatic is not None:
+        if self._automatic is not None and not self._automatic.is_settled:
             interval = 1.0 / self._fps
             after = self._automatic.next_exposure(last.exposure, last.luminance, interval)
             self.state = replace(self.state, exposure=after)

@@ -30,7 +30,11 @@ class Device:
         cameras: Its cameras, one or more, inside the body.
         name: Catalog name.
         title: Full name for people.
-        frame_rate: Frames per second of each camera.
+        frame_rate: Frames per second of each camera; the highest where it adapts.
+        lowest_frame_rate: Lowest frames per second of a camera that adapts its frame rate to the
+            motion of the image; None is a constant frame rate.
+        auto_exposure: Whether the cameras expose automatically; a fixed exposure is each camera's
+            own.
         magnets: Magnets in it.
         led_spectrum: Wavelengths [nm], rising, and relative power of its white LEDs; linear between
             them, nothing beyond. None is a blue LED under a yellow phosphor.
@@ -45,6 +49,8 @@ class Device:
     name: str = "custom"
     title: str = ""
     frame_rate: float = field(default=2.0, metadata={"unit": "hz"})
+    lowest_frame_rate: float | None = field(default=None, metadata={"unit": "hz"})
+    auto_exposure: bool = True
     magnets: tuple[InternalMagnet, ...] = ()
     led_spectrum: tuple[tuple[float, float], ...] | None = None
     source: str = ""
@@ -54,6 +60,10 @@ class Device:
         for name, unit in (("length", "m"), ("radius", "m"), ("mass", "kg"), ("frame_rate", "1/s")):
             value = getattr(self, name)
             require(0.0 < value < np.inf, f"{name} of the capsule", value, f"above 0 {unit}")
+        if (lowest := self.lowest_frame_rate) is not None:
+            allowed = f"above 0 to frame_rate, {self.frame_rate:g} 1/s"
+            is_valid = 0.0 < lowest <= self.frame_rate
+            require(is_valid, "lowest_frame_rate of the capsule", lowest, allowed)
         straight = 0.5 * self.length - self.radius
         if straight < 0.0:
             raise InputError(

@@ -22,10 +22,11 @@ class Demo:
 
     def run(self) -> None:
         """Record and report."""
+        from vrcaps.motion.fly_through import FlyThrough
         from vrcaps.scenario.scenario import Scenario
 
         channels = ("rgb", "depth", "normal", "label", "arc_length")
-        scenario = Scenario(frames=150, fps=10.0, channels=channels)
+        scenario = Scenario(frames=150, fps=10.0, channels=channels, motion=FlyThrough(whole=True))
         run_recording(scenario, self.out or _free_folder(Path("runs/demo")))
 
 

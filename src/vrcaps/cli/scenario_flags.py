@@ -22,6 +22,7 @@ _PATHS = {
     "start": "motion.start",
     "end": "motion.end",
     "speed": "motion.speed",
+    "whole": "motion.whole",
     "pose": "motion.magnet.pose",
     "steer": "motion.magnet.command_file",
     "frames": "frames",
@@ -71,7 +72,8 @@ def _entry(flag: str, setting: Setting) -> tuple[str, Any, Any]:
 _LESION = """Lesion to put into the organ; repeat for more. A kind, then what differs from its
 defaults: polyp-Ip:size=12mm,segment=sigmoid, colitis-2, bleeding-3. vrcaps organ list has all."""
 _EFFECTS = """Camera effects by severity 0 to 4, such as dof=1,noise=2, noise=1..3 (a range, sampled
-by the seed), all=2, random, bayer=rggb, afr=4..35. vrcaps organ list has all effects."""
+by the seed), all=2, random, ae=settled, bayer=rggb, afr=4..35; none is an ideal camera of fixed
+exposure. An effect that is not named is the capsule's own. vrcaps organ list has all effects."""
 
 OrganFlags = _flags(
     "Organ",
@@ -99,7 +101,7 @@ OrganFlags = _flags(
 MotionFlags = _flags(
     "Motion",
     "Capsule and motion.",
-    *("capsule", "start", "end", "speed", "pose", "steer"),
+    *("capsule", "start", "end", "speed", "whole", "pose", "steer"),
     motion=(
         _MOTIONS | None,
         None,
@@ -169,7 +171,6 @@ def _effect_changes(text: str) -> Iterator[tuple[str, Any]]:
     from vrcaps.camera_pipeline.effects import Effects, parse_effects
     from vrcaps.serialization import to_plain
 
-    default = to_plain(Effects(), Effects)
     for name, value in to_plain(parse_effects(text), Effects).items():
-        if value != default[name]:
+        if value is not None:
             yield f"effects.{name}", value

@@ -74,8 +74,10 @@ def chosen_scenario(scenario: Scenario, choice: Choice) -> Scenario:
         changed["lesions"] = _lesions(choice.lesions, changed["organ"], scenario.seed)
     if choice.capsule is not None:
         changed["capsule"] = read_device(choice.capsule)
-        if scenario.fps == device_of(scenario.capsule).frame_rate:
+        before = device_of(scenario.capsule)
+        if scenario.fps == before.frame_rate:
             changed["fps"] = None  # the capsule's own
+        changed["effects"] = changed["effects"].without_device(before)
     return replace(scenario, **changed)
 
 

@@ -34,6 +34,9 @@ _LIGHTS = {
     "path": "Light is path traced: images carry the noise of their samples.",
 }
 
+_TIMES = {"auto_exposure", "adaptive_frame_rate"}
+"""Effects that say when and how long a camera exposes, and degrade no image."""
+
 
 def limits_text(rows: Sequence[Row]) -> str:
     """The section of a card.
@@ -44,7 +47,7 @@ def limits_text(rows: Sequence[Row]) -> str:
     found = [*_ALWAYS]
     found += [_MOTIONS[m] for m in _MOTIONS if any(row.about["motion"] == m for row in rows)]
     found += [_LIGHTS[k] for k in _LIGHTS if any(row.about["light"] == k for row in rows)]
-    clean = sum(not row.about["effects"] for row in rows)
+    clean = sum(not set(row.about["effects"]) - _TIMES for row in rows)
     if clean:
         found.append(
             f"{clean:,} of {len(rows):,} recordings have no effects of lens and sensor: no noise, "

@@ -32,27 +32,32 @@ from vrcaps.world.model import Model
 from vrcaps.world.wall_displacement import WallDisplacement
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float
+
+DEFAULT_SPEED = 0.01
+"""Mean speed of a flight that states none [m/s], as by peristalsis."""
 
 _KNOT_SPACING = 1.0 * MM  # of the places where the path is checked against the wall
-_PUSH_BLUR = 3.0 * MM
+_PUSH_BLURS = (3.0 * MM, 1.5 * MM, 0.75 * MM)
+"""Blurs of the push off the wall [m], tried in turn: a narrow bend needs a less smooth path."""
 
 
 @dataclass(frozen=True)
 class FlyThrough:
-    """Fly along the centerline.
+    """Fly along the centerline at a steady speed, or along all of it in the frames given.
 
     Example:
-        >>> motion = vrcaps.FlyThrough(start=0.2, end=0.6, speed=0.01)
+        >>> motion = vrcaps.FlyThrough(start=0.2, end=0.6, speed=0.005)
         >>> vrcaps.record(vrcaps.Scenario(motion=motion), "runs/flight")
 
     Attributes:
         start: Where the first frame is, as a fraction of the centerline from the oral end.
-        end: Where the last frame is; less than `start` to travel towards the oral end. With a
-            `speed`, where the capsule must not go beyond. Both are moved inwards to where the
-            capsule fits.
-        speed: Mean speed along the centerline [m/s]; None covers the whole stretch in the
-            frames given.
+        end: Farthest place that the capsule reaches; less than `start` to travel towards the oral
+            end. Both are moved inwards to where the capsule fits.
+        speed: Mean speed along the centerline [m/s]; None is 0.01 m/s, or less if the frames last
+            longer than the stretch from start to end.
+        whole: Whether the frames cover the whole stretch from start to end, at any speed that
+            takes. Many frames or a high frame rate keep the distance between frames small.
         speed_variation: Largest deviation of the speed from its mean, as a share, below 1.
         drift: Largest distance from the centerline, as a fraction of the local radius, below 1.
         tilt: Largest angle between the capsule's axis and its direction of travel [rad].
@@ -68,6 +73,7 @@ class FlyThrough:
     start: Annotated[float, Range(0.0, 1.0)] = 0.03
     end: Annotated[float, Range(0.0, 1.0)] = 0.97
     speed: Annotated[float | None, Range(above=0.0, unit="m/s")] = None
+    whole: bool = False
     speed_variation: Annotated[float, Range(least=0.0, below=1.0)] = 0.3
     drift: Annotated[float, Range(least=0.0, below=1.0)] = 0.3
     tilt: Annotated[float, Range(0.0, math.pi / 4, unit="rad")] = 0.15
@@ -82,6 +88,11 @@ class FlyThrough:
     def __post_init__(self) -> None:
         check_fields(self)
         require(self.end != self.start, "end", self.end, "0 to 1, not start")
+        if self.whole and self.speed is not None:
+            raise InputError(
+                f"whole is true and speed is {self.speed:g} m/s. Allowed: one of them, because the "
+                "frames and the frame rate give the speed at which the whole stretch is covered."
+            )
 
     def begin(
         self, model: Model, *, frames: int, fps: float, seed: int, shown: Model | None = None
@@ -114,15 +125,11 @@ def fly_through(
         InputError: If a setting is out of range, the frames at `speed` need more than the
             stretch, or the capsule does not fit through a bend.
     """
-    follower, low, high, notes = _fitted(model, settings, _make_follower(model, settings, rng))
     duration = (frames - 1) / fps
-    distance = high - low if settings.speed is None else settings.speed * duration
-    if settings.speed is not None and distance > (high - low) * (1.0 + 1e-9):
-        raise InputError(
-            f"{frames} frames at {fps:g} per second and {settings.speed:g} m/s travel "
-            f"{distance:.3g} m, but the stretch is {high - low:.3g} m. Allowed: up to "
-            f"{int((high - low) / settings.speed * fps) + 1} frames, or a lower speed."
-        )
+    follower, low, high, notes = _fitted(
+        model, settings, _make_follower(model, settings, rng), duration
+    )
+    distance = _distance(settings, high - low, frames, fps)
     follower = _eased(model, settings, follower, low, high)
     rate = distance / duration if frames > 1 else 0.0
     noise = make_noise(settings.smoothness, rng, count=1)
@@ -139,6 +146,27 @@ def fly_through(
     trajectory = Trajectory(times, pose_at(times), *velocities, notes, wall_displacement)
     require_inside(model, trajectory)
     return trajectory
+
+
+def _distance(settings: FlyThrough, stretch: float, frames: int, fps: float) -> float:
+    """Distance along the centerline from the first frame to the last [m].
+
+    Raises:
+        InputError: If the frames at the speed that was asked for need more than the stretch.
+    """
+    if settings.whole:
+        return stretch
+    duration = (frames - 1) / fps
+    if settings.speed is None:
+        return min(DEFAULT_SPEED * duration, stretch)
+    distance = settings.speed * duration
+    if distance > stretch * (1.0 + 1e-9):
+        raise InputError(
+            f"{frames} frames at {fps:g} per second and {settings.speed:g} m/s travel "
+            f"{distance:.3g} m, but the stretch is {stretch:.3g} m. Allowed: up to "
+            f"{int(stretch / settings.speed * fps) + 1} frames, or a lower speed."
+        )
+    return distance
 
 
 def _traveled(
@@ -176,7 +204,7 @@ def _make_follower(
 
 
 def _fitted(
-    model: Model, settings: FlyThrough, follower: CenterlineFollower
+    model: Model, settings: FlyThrough, follower: CenterlineFollower, duration: float
 ) -> tuple[CenterlineFollower, float, float, tuple[str, ...]]:
     """The follower with its poses pushed into the lumen, and the stretch where it fits [m].
 
@@ -185,18 +213,44 @@ def _fitted(
     """
     knots, notes = _stretch(model, settings, follower)
     poses, need = follower.poses(knots), _least_clearance(model, settings)
-    push = push_inside(model, poses, need=need, blur=_PUSH_BLUR / _KNOT_SPACING)
-    follower = replace(follower, correction=_linear(knots, push))
-    clearance = vital_clearance(model, follower.poses(knots))
-    blocked = np.flatnonzero(~(clearance > 0.0))
-    if len(blocked):
-        fraction = knots[blocked[0]] / model.organ.centerline.length
+    fitted, clearance = follower, np.full(len(knots), -np.inf)
+    for blur in _PUSH_BLURS:
+        push = push_inside(model, poses, need=need, blur=blur / _KNOT_SPACING)
+        fitted = replace(follower, correction=_linear(knots, push))
+        clearance = vital_clearance(model, fitted.poses(knots))
+        if (clearance > 0.0).all():
+            return fitted, float(knots[0]), float(knots[-1]), notes
+    is_free = np.asarray(clearance > 0.0)
+    part = None if settings.whole else _free_part(settings, knots, is_free, duration)
+    if part is None:
+        blocked = int(np.flatnonzero(~is_free)[0])
         raise InputError(
             f"{model.device.name} in {model.organ.name}: a camera leaves the lumen "
-            f"{fraction:.3f} of the way along (by {-clearance[blocked[0]] / MM:.1f} mm). "
-            "Choose start and end on one side of it."
+            f"{knots[blocked] / model.organ.centerline.length:.3f} of the way along (by "
+            f"{max(-clearance[blocked] / MM, 0.01):.2f} mm). Choose start and end on one side of "
+            "it, a smaller capsule or a wider organ."
         )
-    return follower, float(knots[0]), float(knots[-1]), notes
+    note = (
+        f"Moved the stretch to {part[0] / MM:.0f} to {part[1] / MM:.0f} mm along the centerline, "
+        "because the capsule does not fit through a bend outside it."
+    )
+    return fitted, *part, (*notes, note)
+
+
+def _free_part(
+    settings: FlyThrough,
+    knots: Float[np.ndarray, " k"],
+    is_free: Bool[np.ndarray, " k"],
+    duration: float,
+) -> tuple[float, float] | None:
+    """First part of a stretch [m] in which the capsule fits for as long as it flies, if any."""
+    speed = DEFAULT_SPEED if settings.speed is None else settings.speed
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], is_free, [False]]).astype(int)))
+    parts = [(float(knots[a]), float(knots[b - 1])) for a, b in ends.reshape(-1, 2)]
+    long_enough = [part for part in parts if part[1] - part[0] >= speed * duration]
+    if not long_enough:
+        return None
+    return long_enough[0] if settings.end > settings.start else long_enough[-1]
 
 
 def _stretch(

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 def resolve(scenario: Scenario) -> Scenario:
     """The scenario with nothing left open; resolving it again changes nothing.
 
-    Fills in the frame rate and the checksums of files, draws the severities of effects, and puts
-    the channels in the order of `Frame`.
+    Fills in the frame rate, the capsule's own effects and the checksums of files, draws the
+    severities of effects, and puts the channels in the order of `Frame`.
 
     Raises:
         InputError: If a file is not the one that a checksum names, a mesh file has no unit, or the
@@ -46,7 +46,7 @@ def resolve(scenario: Scenario) -> Scenario:
         motion=with_checksums(scenario.motion),
         fps=device.frame_rate if scenario.fps is None else scenario.fps,
         channels=tuple(channel for channel in CHANNELS if channel in scenario.channels),
-        effects=scenario.effects.sample(scenario.seed),
+        effects=scenario.effects.of_device(device).sample(scenario.seed),
     )
 
 

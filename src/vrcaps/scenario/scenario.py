@@ -128,7 +128,8 @@ class Scenario:
         lesions: Lesions to put into the organ; number k becomes instance k, counted from 1.
         clean_twin: Show the same patient without the lesions; the motion stays as with them.
         contents: What floats in the lumen.
-        effects: What lens and sensor do; a severity is drawn from each range by the seed.
+        effects: Effects of lens and sensor; one that is None is the capsule's own, and a severity
+            is drawn from each range by the seed.
         sensors: What else is measured in each frame: motion, field and place of the capsule.
     """
 
@@ -193,6 +194,23 @@ def read_plain_scenario(path: str | Path) -> Any:
     file = organ.get("path") if isinstance(organ, dict) else None
     if isinstance(file, dict) and Path(str(file.get("path"))).name == SOURCE_ORGAN:
         file["path"] = str(path.with_name(SOURCE_ORGAN))
+    return _with_former_defaults(plain)
+
+
+def _with_former_defaults(plain: Any) -> Any:
+    """The scenario of an episode, with the defaults of the version that recorded it.
+
+    Formerly a flight without a speed covered the whole stretch, and an adaptive frame rate was off
+    where it was null in an episode, which states its exposure.
+    """
+    if not isinstance(plain, dict):
+        return plain
+    motion, effects = plain.get("motion"), plain.get("effects")
+    if isinstance(motion, dict) and motion.get("kind") == FlyThrough.kind:
+        plain = {**plain, "motion": {"whole": motion.get("speed") is None, **motion}}
+    if isinstance(effects, dict) and effects.get("auto_exposure") is not None:
+        rate = effects.get("adaptive_frame_rate") or 0
+        plain = {**plain, "effects": {**effects, "adaptive_frame_rate": rate}}
     return plain
 
 

@@ -3,25 +3,41 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Self
 
-from vrcaps.camera_pipeline.effect.base import CameraSetup, FrameContext, ImageEffect, Stage
+from vrcaps.camera_pipeline.effect.base import (
+    CameraSetup,
+    FrameContext,
+    ImageEffect,
+    Severity,
+    Stage,
+)
 from vrcaps.errors import require
+
+_HALVINGS = 16
+"""Bisection steps of `AutoExposure.settle`: 1e-4 of the exposure over three decades."""
 
 
 @dataclass(frozen=True)
 class AutoExposure(ImageEffect):
-    """Automatic exposure that lags: LED light, then gain, follow the brightness of earlier frames.
+    """Automatic exposure: LED light, then gain, follow the brightness of the image.
 
-    It is a control loop over frames, an integrator in the logarithm of the exposure E. The camera
-    meters the mean linear luminance m of a frame, each pixel clipped at white, and takes for the
-    next, Δt later, ``ln E += (1 − exp(−Δt/τ)) ln(target / m)`` within the limits: in a static
-    scene, and far from white, the error ``ln(target / m)`` shrinks by exp(−Δt/τ) a frame. The
-    LEDs deliver E until they are at their brightest; the rest is gain, which makes no photons and
-    so adds noise.
+    With a time constant it is a control loop over frames, an integrator in the logarithm of the
+    exposure E. The camera meters the mean linear luminance m of a frame, each pixel clipped at
+    white, and takes for the next, Δt later, ``ln E += (1 − exp(−Δt/τ)) ln(target / m)`` within the
+    limits: in a static scene, and far from white, the error ``ln(target / m)`` shrinks by
+    exp(−Δt/τ) a frame. The loop starts at the camera's own exposure.
+
+    With a time constant of 0 the loop has settled in every frame: m is the target, within the
+    limits, and no frame depends on another. This is the default of a capsule.
+
+    The LEDs deliver E until they are at their brightest; the rest is gain, which adds noise because
+    it adds no photons.
 
     Attributes:
-        time_constant: τ [s].
+        time_constant: τ [s]; 0 has settled in every frame.
         target: Mean linear luminance to reach, 1 = white. Real capsule frames have some 0.15.
         min_light: Least light, relative to the camera's own fixed exposure.
         max_light: Most light, relative to the same.
@@ -45,12 +61,41 @@ class AutoExposure(ImageEffect):
 
     def __post_init__(self) -> None:
         time, target, gain = self.time_constant, self.target, self.max_gain
-        require(0.0 < time < math.inf, "AutoExposure's time_constant", time, "above 0 s")
+        require(0.0 <= time < math.inf, "AutoExposure's time_constant", time, "0 s or more")
         require(0.0 < target < 1.0, "AutoExposure's target", target, "above 0 to below 1")
         limits = (self.min_light, self.max_light)
         is_valid = 0.0 < self.min_light <= self.max_light < math.inf
         require(is_valid, "AutoExposure's min_light, max_light", limits, "above 0 and rising")
         require(1.0 <= gain < math.inf, "AutoExposure's max_gain", gain, "1 or more")
+
+    @classmethod
+    def parse(cls, text: str) -> Severity | Self:
+        """A severity, a range of severities, or `settled`.
+
+        Raises:
+            InputError: If the text is none of these.
+        """
+        return cls(time_constant=0.0) if text == "settled" else super().parse(text)
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether each frame is exposed by itself."""
+        return self.time_constant == 0.0
+
+    def settle(self, meter: Callable[[float], float]) -> float:
+        """Exposure at which a frame has the target luminance, within the limits.
+
+        Args:
+            meter: Mean luminance of the frame at an exposure; must not fall with it.
+        """
+        low, high = math.log(self.min_light), math.log(self.max_light * self.max_gain)
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            if meter(math.exp(middle)) < self.target:
+                low = middle
+            else:
+                high = middle
+        return math.exp(0.5 * (low + high))
 
     def next_exposure(self, exposure: float, metered: float, interval: float) -> float:
         """Exposure of the next frame.

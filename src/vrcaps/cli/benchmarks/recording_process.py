@@ -33,11 +33,12 @@ def main(folder: Path, num_frames: int, *, quick_light: bool = False) -> dict[st
         quick_light: Direct light without shadows rather than the default.
     """
     started = time.perf_counter()
+    from vrcaps.motion.fly_through import FlyThrough
     from vrcaps.recording.recorder import record
     from vrcaps.render.settings import RenderSettings
     from vrcaps.scenario.scenario import Scenario
 
-    scenario = Scenario(frames=num_frames)
+    scenario = Scenario(frames=num_frames, motion=FlyThrough(whole=True))
     if quick_light:
         scenario = replace(scenario, render=RenderSettings(light="direct", shadows=False))
     done: list[tuple[int, float]] = []

@@ -15,7 +15,7 @@ LAYERS = (
     ("_core",),
     ("units", "errors", "rng", "transforms", "color"),
     ("catalog_folder", "files", "geometry", "locks", "processes", "temporary_files"),
-    ("decimals", "limits", "plain_files", "file_ref", "made_with"),
+    ("decimals", "limits", "narrow", "plain_files", "file_ref", "made_with"),
     ("serialization", "torch_threads", "training_folder"),
     ("mesh",),
     ("organ",),

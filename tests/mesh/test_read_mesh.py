@@ -11,7 +11,7 @@ import trimesh
 
 from vrcaps.errors import InputError, UnknownNameError, VrcapsError
 from vrcaps.mesh.mesh import Mesh
-from vrcaps.mesh.ply import triangulate_fans
+from vrcaps.mesh.triangulate import triangulate_fans
 from vrcaps.mesh.read_mesh import read_label_names, read_mesh
 from write_ply import write_ply
 

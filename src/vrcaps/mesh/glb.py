@@ -110,12 +110,26 @@ def read_glb(path: Path) -> tuple[dict[str, Any], memoryview]:
     Raises:
         ValueError, struct.error: If the file is no GLB or is cut short.
     """
+    document, binary = read_chunks(path)
+    if binary is None:
+        raise ValueError("it has no whole binary chunk")
+    return document, binary
+
+
+def read_chunks(path: Path) -> tuple[dict[str, Any], memoryview | None]:
+    """The JSON document of a GLB file, and its binary chunk if it has one.
+
+    Raises:
+        ValueError, struct.error: If the file is no GLB or is cut short.
+    """
     document = read_document(path)
     data = memoryview(path.read_bytes())
     _, _, total = _HEADER.unpack_from(data)
-    if total != len(data):
+    if total > len(data):
         raise ValueError(f"it has {len(data)} bytes of {total}")
     start = _HEADER.size + _CHUNK.size + _CHUNK.unpack_from(data, _HEADER.size)[0]
+    if start >= total:
+        return document, None
     size, kind = _CHUNK.unpack_from(data, start)
     if kind != b"BIN\0" or start + _CHUNK.size + size > total:
         raise ValueError("it has no whole binary chunk")

@@ -1,4 +1,4 @@
-"""What a glTF document may ask for before anything of it is read: files beside it, sizes it has."""
+"""Checks of a glTF document before its data are read: paths, sizes, required extensions."""
 
 from __future__ import annotations
 
@@ -11,23 +11,32 @@ from vrcaps.mesh.glb import read_document
 
 _MOST_VALUES = 200_000_000  # rows of an accessor, which hold more than any wall
 _MOST_EXPANSION = 1040  # bytes that one byte of a compressed buffer can stand for
-_LISTS = ("accessors", "buffers", "bufferViews", "images", "meshes", "nodes")
+_LISTS = ("accessors", "buffers", "bufferViews", "images", "meshes", "nodes", "scenes", "skins")
+DRACO = "KHR_draco_mesh_compression"
+_COMPRESSIONS = (DRACO, "EXT_meshopt_compression", "KHR_meshopt_compression")
+_KNOWN = ("KHR_mesh_quantization", "EXT_mesh_gpu_instancing")
+_NOT_GEOMETRY = (  # beginnings of the names of extensions that leave the surface as it is
+    *("KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_xmp", "KHR_animation_"),
+    *("EXT_texture_", "EXT_lights_", "MSFT_texture_", "ADOBE_materials_"),
+)
 
 
 def require_safe_gltf(path: Path) -> None:
-    """Check that a GLB or glTF file names no file outside its folder and no size beyond its own.
+    """Check the paths, sizes and required extensions that a GLB or glTF file states.
 
     Raises:
-        ValueError, struct.error: If it does, or is no glTF of UTF-8 text.
+        ValueError, struct.error: If it names a file outside its folder, a size beyond its own or
+            an extension that is not supported, or is no glTF of UTF-8 text.
     """
     is_binary = path.suffix.lower() == ".glb"
-    document = read_document(path) if is_binary else json.loads(path.read_text("utf-8"))
+    document = read_document(path) if is_binary else json.loads(path.read_text("utf-8-sig"))
     if not isinstance(document, dict):
         raise ValueError("its document is no object")
     for name in _LISTS:
         entries = document.get(name, [])
         if not (isinstance(entries, list) and all(isinstance(entry, dict) for entry in entries)):
             raise ValueError(f"{name} is no list of objects")
+    _require_extensions(document.get("extensionsRequired", []))
     size = path.stat().st_size
     for entry in [*document.get("buffers", []), *document.get("images", [])]:
         size += _external_size(entry.get("uri"), path.parent)
@@ -37,6 +46,25 @@ def require_safe_gltf(path: Path) -> None:
     for number, entry in enumerate(document.get("accessors", [])):
         most = min(size * _MOST_EXPANSION, _MOST_VALUES)
         _require_number(entry.get("count"), most, f"accessors[{number}].count")
+
+
+def _require_extensions(names: list[str]) -> None:
+    for name in names:
+        if name in _COMPRESSIONS:
+            raise ValueError(compression_text(name))
+        if name not in _KNOWN and not name.startswith(_NOT_GEOMETRY):
+            raise ValueError(
+                f"it requires the extension {name}, which is not supported; export it without "
+                "this extension, or as PLY"
+            )
+
+
+def compression_text(extension: str) -> str:
+    """Reason why a compressed mesh is refused, and the way out."""
+    return (
+        f"its mesh is compressed ({extension}), which is not supported; "
+        "export it without compression, or as PLY"
+    )
 
 
 def _external_size(uri: Any, folder: Path) -> int:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vrcaps.mesh.mesh import Mesh
+from vrcaps.mesh.triangulate import triangulate_fans, triangulate_strips
+from vrcaps.narrow import narrow
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -20,6 +23,8 @@ _DTYPES = {
     **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
 }
 _BYTE_ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
+# After a carriage return alone the body begins, unless a line feed follows.
+_END = re.compile(rb"[\r\n][ \t]*end_header[ \t]*(?:\r\n|\n|\r)")
 _VERTEX_UV = (("texture_u", "texture_v"), ("u", "v"), ("s", "t"))
 
 
@@ -41,21 +46,26 @@ class _Lists:
 def read_ply(path: Path) -> Mesh:
     """Mesh of a PLY file in the file's own unit; polygons become fans of triangles.
 
-    Reads ASCII and both binary byte orders, texture coordinates per corner (face list
-    `texcoord`) or per vertex, and an integer vertex property `label`.
+    Reads ASCII and both binary byte orders, triangle strips, texture coordinates per corner (face
+    list `texcoord`) or per vertex, and labels: an integer property `label` of the vertices or, if
+    they have none, of the faces. A vertex between faces of two labels gets the more frequent one.
 
     Raises:
         ValueError, KeyError, IndexError: If the file is not a whole PLY with vertices.
+        InputError: If a label or index is not a whole number in the range of its type.
     """
     elements = _read_elements(path.read_bytes())
     vertex, face = elements["vertex"], elements.get("face", {})
     vertices = np.stack([np.asarray(vertex[axis], float) for axis in "xyz"], axis=1)
     polygons = face.get("vertex_indices", face.get("vertex_index"))
     if polygons is None:
-        return Mesh(vertices, np.zeros((0, 3), np.int64))
+        return Mesh(vertices, _strip_faces(elements.get("tristrips", {})), None, _labels(vertex))
     corners = triangulate_fans(polygons.counts)
-    faces = polygons.values.astype(np.int64)[corners]
-    label = np.asarray(vertex["label"]).astype(np.uint8) if "label" in vertex else None
+    indices = narrow(polygons.values, np.int64, "face indices")
+    faces = indices[corners]
+    label = _labels(vertex)
+    if label is None and "label" in face:
+        label = _vertex_labels(_labels(face), polygons, indices, len(vertices))
     uv = None
     if "texcoord" in face:
         if not np.array_equal(face["texcoord"].counts, 2 * polygons.counts):
@@ -67,20 +77,52 @@ def read_ply(path: Path) -> Mesh:
     return Mesh(vertices, faces, uv, label)
 
 
+def _labels(columns: dict) -> np.ndarray | None:
+    return narrow(columns["label"], np.uint8, "labels") if "label" in columns else None
+
+
+def _vertex_labels(
+    label: Int[np.ndarray, " m"], polygons: _Lists, indices: Int[np.ndarray, " k"], count: int
+) -> np.ndarray:
+    """Most frequent label of the faces around each vertex; 0 where there is none."""
+    if len(indices) and not 0 <= indices.min() <= indices.max() < count:
+        return np.zeros(count, np.uint8)  # refused with the faces, see `read_mesh`
+    size = int(label.max(initial=0)) + 1
+    of_corner = np.repeat(label, polygons.counts).astype(np.int64)
+    found, times = np.unique(indices * size + of_corner, return_counts=True)
+    order = np.argsort(times, kind="stable")
+    most = np.zeros(count, np.uint8)
+    most[found[order] // size] = found[order] % size  # of several the last, the most frequent
+    return most
+
+
+def _strip_faces(strips: dict) -> Int[np.ndarray, "m 3"]:
+    """Triangles of strips, each ended by an index of -1."""
+    lists = strips.get("vertex_indices", strips.get("vertex_index"))
+    if lists is None:
+        return np.zeros((0, 3), np.int64)
+    indices = narrow(lists.values, np.int64, "indices of strips")
+    ends = np.union1d(np.cumsum(lists.counts), np.flatnonzero(indices == -1) + 1)
+    faces = indices[triangulate_strips(np.diff(ends, prepend=0))]
+    return faces[(faces != -1).all(axis=1)]
+
+
 def _read_elements(data: bytes) -> dict[str, dict]:
     """Columns of each element: arrays, or `_Lists` for list properties."""
-    end = data.index(b"end_header")
-    body = data.index(b"\n", end) + 1
-    header = [line.split() for line in data[:end].decode("ascii", "replace").splitlines()]
-    if header[0] != ["ply"] or header[1][0] != "format":
+    end = _END.search(data)
+    if end is None or not data.startswith(b"ply"):
         raise ValueError("no PLY header")
-    is_ascii, order = header[1][1] == "ascii", _BYTE_ORDERS[header[1][1]]
-    stream = data[body:]
+    lines = [line.split() for line in data[: end.start()].decode("ascii", "replace").splitlines()]
+    header = [line for line in lines[1:] if line and line[0] not in ("comment", "obj_info")]
+    if lines[0] != ["ply"] or not header or header[0][0] != "format":
+        raise ValueError("no PLY header")
+    is_ascii, order = header[0][1] == "ascii", _BYTE_ORDERS[header[0][1]]
+    stream = data[end.end() :]
     if is_ascii:  # from here on as a binary file of doubles
         stream = np.array(stream.split(), "<f8").tobytes()
     elements: dict[str, dict] = {}
     position = 0
-    for name, count, properties in _parse_header(header[2:], order, is_ascii):
+    for name, count, properties in _parse_header(header[1:], order, is_ascii):
         elements[name], position = _read_rows(stream, position, count, properties)
     return elements
 
@@ -140,11 +182,18 @@ def _first_row_sizes(stream: bytes, position: int, properties: list[_Property]) 
     for prop in properties:
         size = 1
         if prop.count_dtype is not None:
-            size = int(np.frombuffer(stream, prop.count_dtype, 1, position)[0])
+            size = _list_size(stream, position, prop.count_dtype)
             position += prop.count_dtype.itemsize
         sizes.append(size)
         position += size * prop.dtype.itemsize
     return sizes
+
+
+def _list_size(stream: bytes, position: int, dtype: np.dtype) -> int:
+    size = float(np.frombuffer(stream, dtype, 1, position)[0])
+    if not (size.is_integer() and size >= 0.0):
+        raise ValueError(f"a list says that it has {size:g} values")
+    return int(size)
 
 
 def _read_ragged_rows(
@@ -157,7 +206,7 @@ def _read_ragged_rows(
         for prop in properties:
             size = 1
             if prop.count_dtype is not None:
-                size = int(np.frombuffer(stream, prop.count_dtype, 1, position)[0])
+                size = _list_size(stream, position, prop.count_dtype)
                 position += prop.count_dtype.itemsize
             counts[prop.name].append(size)
             if size:
@@ -169,22 +218,3 @@ def _read_ragged_rows(
         is_list = prop.count_dtype is not None
         columns[prop.name] = _Lists(np.array(counts[prop.name]), flat) if is_list else flat
     return columns, position
-
-
-def triangulate_fans(counts: Int[np.ndarray, " n"]) -> Int[np.ndarray, "m 3"]:
-    """Triangles of polygons stored one after the other, as a fan about each first corner.
-
-    Args:
-        counts: Number of corners of each polygon; one with fewer than 3 gives no triangle.
-
-    Returns:
-        Positions of each triangle's corners in the concatenated corner list.
-    """
-    counts = np.asarray(counts, np.int64)
-    num_triangles = np.maximum(counts - 2, 0)
-    starts = np.cumsum(counts) - counts
-    first = np.repeat(starts, num_triangles)
-    step = np.arange(len(first)) - np.repeat(
-        np.cumsum(num_triangles) - num_triangles, num_triangles
-    )
-    return np.stack([first, first + step + 1, first + step + 2], axis=1)

@@ -11,7 +11,6 @@ import scipy
 from vrcaps.errors import InputError
 from vrcaps.mesh.edges import (
     Edges,
-    drop_unused_vertices,
     face_areas,
     find_edges,
     flip_faces,
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 _FIN_AREA = 0.01  # of the whole; an open patch smaller than this is a fin, not wall
-_PART_AREA = 1e-3  # of the whole; below this a stray component is not worth its own mention
 _NUDGE = 1e-3  # of the way to a vertex's neighbors; parts sheets that were cut
 _MAX_PASSES = 10
 _MOST_WORK = 300_000  # of pairing the faces of nonmanifold edges, in steps of some 20 µs
@@ -138,40 +136,6 @@ def separate_copies(mesh: Mesh, origin: Int[np.ndarray, " n"]) -> Mesh:
     mean = np.stack(sums, axis=1) / np.maximum(degree, 1)[:, None]
     step = np.where(copies[:, None], _NUDGE * (mean - mesh.vertices), 0.0)
     return replace(mesh, vertices=mesh.vertices + step)
-
-
-def keep_largest_component(
-    mesh: Mesh, origin: Int[np.ndarray, " n"]
-) -> tuple[Mesh, Int[np.ndarray, " n"], list[Repair]]:
-    """Keep the connected part of largest area.
-
-    Args:
-        mesh: A surface without non-manifold vertices.
-        origin: A number for each vertex, to be carried along.
-    """
-    ends = find_edges(mesh.faces).ends
-    size = len(mesh.vertices)
-    graph = scipy.sparse.coo_matrix(
-        (np.ones(len(ends), bool), (ends[:, 0], ends[:, 1])), (size, size)
-    )
-    num_parts, vertex_part = scipy.sparse.csgraph.connected_components(graph, directed=False)
-    if num_parts == 1:
-        return mesh, origin, []
-    face_part = vertex_part[mesh.faces[:, 0]]
-    areas = face_areas(mesh)
-    part_areas = np.bincount(face_part, areas, num_parts)
-    largest = int(np.argmax(part_areas))
-    strays = np.argsort(-part_areas)[1:]
-    fractions = part_areas[strays] / part_areas.sum()
-    sums = [np.bincount(vertex_part, mesh.vertices[:, axis], num_parts) for axis in range(3)]
-    centers = np.stack(sums, axis=1) / np.bincount(vertex_part, minlength=num_parts)[:, None]
-    named = [f"{100 * fraction:.2g} %" for fraction in fractions if fraction >= _PART_AREA][:5]
-    sizes = f"areas {', '.join(named)}" if named else f"all below {100 * _PART_AREA:g} %"
-    action = f"removed ({sizes} of the whole)"
-    kept = keep_faces(mesh, face_part == largest)
-    kept_origin = origin[np.unique(kept.faces)]
-    repair = Repair("stray component", len(strays), action, centers[strays])
-    return drop_unused_vertices(kept), kept_origin, [repair]
 
 
 def orient_consistently(mesh: Mesh) -> tuple[Mesh, list[Repair]]:

@@ -13,12 +13,8 @@ from vrcaps.mesh.edges import (
     flip_faces,
 )
 from vrcaps.mesh.repair.cap import Loop, close_loops, enclosed_volume, find_loops, mean_diameter
-from vrcaps.mesh.repair.manifold import (
-    keep_largest_component,
-    orient_consistently,
-    separate_copies,
-    split_nonmanifold,
-)
+from vrcaps.mesh.repair.components import keep_lumen_component
+from vrcaps.mesh.repair.manifold import orient_consistently, separate_copies, split_nonmanifold
 from vrcaps.mesh.repair.repair_report import Repair, RepairReport, format_point
 from vrcaps.mesh.repair.weld import (
     merge_vertices,
@@ -39,8 +35,8 @@ def repair(mesh: Mesh, *, open_ends: Literal["cap", "keep"] = "cap") -> tuple[Me
     """Repair a mesh until it is one oriented surface around a lumen, and report how.
 
     Merged vertices, removed triangles and the rest keep texture coordinates and labels in
-    step. A border wider than a quarter of the mean diameter is an open end of the lumen;
-    narrower ones are holes and always filled.
+    step. Of a wall with a thickness the inner surface is kept. A border wider than a quarter
+    of the mean diameter is an open end of the lumen; narrower ones are holes and always filled.
 
     Args:
         mesh: Triangles with finite vertices [m].
@@ -79,7 +75,7 @@ def _make_manifold(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
             raise InputError("No triangle of the mesh has an area, so it encloses no lumen.")
     mesh, origin, done = split_nonmanifold(mesh)
     repairs += done
-    mesh, origin, done = keep_largest_component(mesh, origin)
+    mesh, origin, done = keep_lumen_component(mesh, origin)
     repairs += done
     return separate_copies(mesh, origin), repairs
 

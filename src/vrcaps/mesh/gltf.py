@@ -1,0 +1,237 @@
+"""Triangles of a glTF 2.0 scene (Khronos 2021): nodes, instances, skins and morph targets."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps.mesh.gltf_accessors import (
+    GltfFile,
+    local_transform,
+    read_gltf_file,
+    translation_rotation_scale,
+)
+from vrcaps.mesh.gltf_limits import DRACO, compression_text, require_safe_gltf
+from vrcaps.mesh.mesh import Mesh
+from vrcaps.mesh.triangulate import triangulate_fans, triangulate_strips
+from vrcaps.narrow import narrow
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from jaxtyping import Float, Int
+
+_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+_NO_SURFACE = (0, 1, 2, 3)  # modes of points and lines
+_INSTANCING = "EXT_mesh_gpu_instancing"
+_MOST_TRIANGLES = 50_000_000  # of a whole scene, some 100 times those of a fine wall
+
+
+def read_gltf(path: Path) -> Mesh:
+    """Every mesh of the default scene in the frame of the scene, as one mesh.
+
+    Raises:
+        OSError, ValueError, LookupError, TypeError, struct.error: If the file is damaged, or its
+            mesh is compressed.
+        InputError: If labels or lesion numbers are out of range.
+    """
+    require_safe_gltf(path)
+    file = read_gltf_file(path)
+    places = dict(_world_transforms(file))
+    parts, count = [], 0
+    for node, transform in places.items():
+        entry = file.entry("nodes", node)
+        if "mesh" not in entry:
+            continue
+        mesh = file.entry("meshes", entry["mesh"])
+        for primitive in mesh["primitives"]:
+            for part in _parts(file, entry, mesh, primitive, (transform, places)):
+                parts.append(part)
+                count += len(part.faces)
+                if count > _MOST_TRIANGLES:
+                    raise ValueError(f"its scene has more than {_MOST_TRIANGLES} triangles")
+    return _concatenate(parts)
+
+
+def _world_transforms(file: GltfFile) -> Iterator[tuple[int, np.ndarray]]:
+    """Number and transform into the scene of each node of the default scene, parents first."""
+    document = file.document
+    if document.get("scenes"):
+        roots = file.entry("scenes", document.get("scene", 0)).get("nodes", [])
+    else:
+        nodes = document.get("nodes", [])
+        children = {child for node in nodes for child in node.get("children", [])}
+        roots = [number for number in range(len(nodes)) if number not in children]
+    waiting, seen = [(root, np.eye(4)) for root in reversed(roots)], set()
+    while waiting:
+        number, parent = waiting.pop()
+        node = file.entry("nodes", number)
+        if number in seen:
+            raise ValueError(f"nodes[{number}] has several parents")
+        seen.add(number)
+        transform = parent @ local_transform(node)
+        yield number, transform
+        waiting += [(child, transform) for child in reversed(node.get("children", []))]
+
+
+def _parts(
+    file: GltfFile,
+    node: dict[str, Any],
+    mesh: dict[str, Any],
+    primitive: dict[str, Any],
+    places: tuple[np.ndarray, dict[int, np.ndarray]],
+) -> Iterator[Mesh]:
+    """Copies of one primitive in the scene: one, or one for each instance of the node.
+
+    Args:
+        file: The file.
+        node: The node.
+        mesh: Its mesh.
+        primitive: One of the mesh's.
+        places: Transform of the node into the scene, and those of all nodes by number.
+    """
+    if primitive.get("mode", _TRIANGLES) in _NO_SURFACE:
+        return
+    attributes = primitive["attributes"]
+    _require_data(file, primitive)
+    points = _morphed(file, node, mesh, primitive)
+    faces = _faces(file, primitive, len(points))
+    if len(faces) and not 0 <= faces.min() <= faces.max() < len(points):
+        raise ValueError(f"an index is out of range, allowed are 0 to {len(points) - 1}")
+    uv = _attribute(file, attributes, "TEXCOORD_0", len(points))
+    if uv is not None:
+        uv[:, 1] = 1.0 - uv[:, 1]  # glTF counts rows of a texture from the top
+        uv = uv.astype(float)[faces]
+    label = _attribute(file, attributes, "_LABEL", len(points))
+    instance = _attribute(file, attributes, "_INSTANCE", len(points))
+    if label is not None:
+        label = narrow(label.reshape(-1), np.uint8, "labels (_LABEL)")
+    if instance is not None:
+        instance = narrow(instance.reshape(-1), np.uint16, "lesion numbers (_INSTANCE)")
+    for moved, is_mirrored in _moved(file, node, attributes, points, places):
+        turn = slice(None, None, -1 if is_mirrored else 1)
+        yield Mesh(moved, faces[:, turn], None if uv is None else uv[:, turn], label, instance)
+
+
+def _require_data(file: GltfFile, primitive: dict[str, Any]) -> None:
+    """Check that positions are in the file, not in a compressed form of them alone."""
+    entry = file.entry("accessors", primitive["attributes"]["POSITION"])
+    if DRACO in primitive.get("extensions", {}) and "bufferView" not in entry:
+        raise ValueError(compression_text(DRACO))
+
+
+def _morphed(
+    file: GltfFile, node: dict[str, Any], mesh: dict[str, Any], primitive: dict[str, Any]
+) -> Float[np.ndarray, "n 3"]:
+    """Positions in the frame of the node, moved by the morph targets at their default weights."""
+    points = file.array(primitive["attributes"]["POSITION"]).astype(float)
+    targets = primitive.get("targets", [])
+    weights = node.get("weights", mesh.get("weights", [0.0] * len(targets)))
+    for weight, target in zip(weights, targets, strict=True):
+        if "POSITION" in target and weight != 0.0:
+            points = points + weight * file.array(target["POSITION"])
+    return points
+
+
+def _faces(file: GltfFile, primitive: dict[str, Any], count: int) -> Int[np.ndarray, "m 3"]:
+    """Triangles of a primitive."""
+    corners = np.arange(count)
+    if "indices" in primitive:
+        corners = narrow(file.array(primitive["indices"]), np.int64, "indices")
+    mode = primitive.get("mode", _TRIANGLES)
+    if mode == _TRIANGLES:
+        return corners.reshape(-1, 3)
+    if mode == _STRIP:
+        return corners[triangulate_strips(np.array([len(corners)]))]
+    if mode == _FAN:
+        return corners[triangulate_fans(np.array([len(corners)]))]
+    raise ValueError(f"the mode of a primitive is {mode!r}, allowed are 0 to 6")
+
+
+def _attribute(
+    file: GltfFile, attributes: dict[str, Any], key: str, count: int
+) -> np.ndarray[Any, Any] | None:
+    """Value of each vertex, if the primitive has them."""
+    if key not in attributes:
+        return None
+    values = file.array(attributes[key])
+    if len(values) != count:
+        raise ValueError(f"{key} has {len(values)} values for {count} vertices")
+    return values
+
+
+def _moved(
+    file: GltfFile,
+    node: dict[str, Any],
+    attributes: dict[str, Any],
+    points: Float[np.ndarray, "n 3"],
+    places: tuple[np.ndarray, dict[int, np.ndarray]],
+) -> Iterator[tuple[Float[np.ndarray, "n 3"], bool]]:
+    """Positions in the scene, and whether they are mirrored; once for each instance."""
+    if "skin" in node:  # the transform of its own node does not count
+        yield _skinned(file, file.entry("skins", node["skin"]), attributes, points, places[1])
+        return
+    for transform in places[0] @ _instances(file, node):
+        matrix = transform[:3, :3]
+        yield points @ matrix.T + transform[:3, 3], bool(np.linalg.det(matrix) < 0.0)
+
+
+def _instances(file: GltfFile, node: dict[str, Any]) -> Float[np.ndarray, "n 4 4"]:
+    """Transforms of the copies of a node's mesh in the frame of the node."""
+    extension = node.get("extensions", {}).get(_INSTANCING)
+    if extension is None:
+        return np.eye(4)[None]
+    found = {key: file.array(number) for key, number in extension["attributes"].items()}
+    lengths = {len(values) for values in found.values()}
+    if len(lengths) != 1:
+        raise ValueError(f"the attributes of {_INSTANCING} differ in length")
+    (count,) = lengths
+    return translation_rotation_scale(
+        found.get("TRANSLATION", np.zeros((count, 3))),
+        found.get("ROTATION", np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))),
+        found.get("SCALE", np.ones((count, 3))),
+    )
+
+
+def _skinned(
+    file: GltfFile,
+    skin: dict[str, Any],
+    attributes: dict[str, Any],
+    points: Float[np.ndarray, "n 3"],
+    places: dict[int, np.ndarray],
+) -> tuple[Float[np.ndarray, "n 3"], bool]:
+    """Positions in the scene by linear blend skinning, and whether they are mirrored."""
+    joints = skin["joints"]
+    outside = [number for number in joints if number not in places]
+    if outside:
+        raise ValueError(f"nodes[{outside[0]}] is a joint outside the scene")
+    transforms = np.array([places[number] for number in joints])
+    if "inverseBindMatrices" in skin:
+        inverse = file.array(skin["inverseBindMatrices"]).reshape(-1, 4, 4).transpose(0, 2, 1)
+        transforms = transforms @ inverse[: len(joints)]
+    blended = np.zeros((len(points), 3, 4))
+    for number in range(sum(key.startswith("JOINTS_") for key in attributes)):
+        chosen = narrow(file.array(attributes[f"JOINTS_{number}"]), np.int64, "joints")
+        weights = file.array(attributes[f"WEIGHTS_{number}"])
+        for joint, weight in zip(chosen.T, weights.T, strict=True):
+            blended += weight[:, None, None] * transforms[joint, :3]
+    moved = np.einsum("nij,nj->ni", blended[..., :3], points) + blended[..., 3]
+    return moved, bool(np.median(np.linalg.det(blended[..., :3])) < 0.0)
+
+
+def _concatenate(parts: list[Mesh]) -> Mesh:
+    if not parts:
+        return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
+    offsets = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
+    uvs = [part.uv for part in parts if part.uv is not None]
+    labels = [part.label for part in parts if part.label is not None]
+    instances = [part.instance for part in parts if part.instance is not None]
+    return Mesh(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate([part.faces + offset for part, offset in zip(parts, offsets, strict=True)]),
+        np.concatenate(uvs) if len(uvs) == len(parts) else None,
+        np.concatenate(labels) if len(labels) == len(parts) else None,
+        np.concatenate(instances) if len(instances) == len(parts) else None,
+    )

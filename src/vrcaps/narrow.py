@@ -1,0 +1,49 @@
+"""Conversion of numbers from files and users to a narrower type, with a check of their range."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps.errors import InputError
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, DTypeLike
+
+
+def narrow(values: ArrayLike, dtype: DTypeLike, name: str) -> np.ndarray[Any, Any]:
+    """Array of an integer type that holds the same numbers.
+
+    NumPy's `astype` wraps what is out of range and cuts off fractions without a word.
+
+    Args:
+        values: Numbers of any type.
+        dtype: Integer type.
+        name: Subject of the message, in the plural, for example ``labels of colon.ply``.
+
+    Raises:
+        InputError: If a number is not finite, not whole, or out of the range of the type.
+    """
+    found, wanted = np.asarray(values), np.iinfo(dtype)
+    if found.dtype == np.dtype(dtype):
+        return found
+    if found.dtype.kind not in "biuf":
+        raise InputError(f"The {name} are of type {found.dtype}. Give whole numbers.")
+    if found.size == 0:
+        return found.astype(dtype)
+    low, high = found.min(), found.max()  # NaN, if there is one
+    if found.dtype.kind == "f":
+        # Not `wanted.max` itself: as a float, that of 64 bits lies just beyond the range.
+        bad = ~((found >= float(wanted.min)) & (found < float(wanted.max) + 1.0))
+        bad |= found != np.floor(found)
+    else:
+        is_inside = int(low) >= wanted.min and int(high) <= wanted.max
+        bad = np.zeros(0, bool) if is_inside else (found < wanted.min) | (found > wanted.max)
+    if bad.any():
+        first = found[bad].flat[0]
+        raise InputError(
+            f"{np.count_nonzero(bad)} of the {name} are not allowed, the first is {first:.12g}. "
+            f"Allowed: whole numbers from {wanted.min} to {wanted.max}."
+        )
+    return found.astype(dtype)

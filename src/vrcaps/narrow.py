@@ -43,7 +43,7 @@ def narrow(values: ArrayLike, dtype: DTypeLike, name: str) -> np.ndarray[Any, An
     if bad.any():
         first = found[bad].flat[0]
         raise InputError(
-            f"{np.count_nonzero(bad)} of the {name} are not allowed, the first is {first:.12g}. "
+            f"{np.count_nonzero(bad)} of the {name} are not allowed, the first is {first!s}. "
             f"Allowed: whole numbers from {wanted.min} to {wanted.max}."
         )
     return found.astype(dtype)

@@ -99,7 +99,8 @@ class FromCt:
             raise InputError("--labels needs --label: which of them, e.g. --label colon.")
         if self.label and (self.seed_mm or self.all_pieces or self.tagged_fluid):
             raise InputError("--seed-mm, --all-pieces and --tagged-fluid are for gas, not labels.")
-        scan = _read(self.scan, self.series)
+        is_label_map = bool(self.label) and self.labels is None
+        scan = _read(self.scan, self.series, is_label_map=is_label_map)
         organs = self._from_labels(scan) if self.label else self._from_gas(scan)
         for path, organ in organs:
             _write(path, organ)
@@ -150,7 +151,7 @@ class FromCt:
 
         wall, labels = self._wall(), scan
         if self.labels is not None:
-            scan, labels = common_part(scan, read_volume(self.labels))
+            scan, labels = common_part(scan, read_volume(self.labels, is_label_map=True))
         numbers = [check_label(labels, label) for label in self.label]
         for label, number in zip(self.label, numbers, strict=True):
             path = self._path(label, len(numbers))
@@ -168,11 +169,13 @@ class FromCt:
         return self.out if num == 1 else self.out.with_name(f"{self.out.stem}-{which}.glb")
 
 
-def _read(path: Path, series: str | None) -> Volume:
+def _read(path: Path, series: str | None, *, is_label_map: bool) -> Volume:
     from vrcaps.tools.ct.read_volume import read_volume
 
     with progress_bar("reading slices") as progress:
-        return read_volume(path, series=series, progress=progress)
+        return read_volume(
+            path, series=series, is_label_map=is_label_map, progress=progress
+        )
 
 
 @contextmanager

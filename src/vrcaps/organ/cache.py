@@ -32,8 +32,8 @@ _MAKERS = ("mesh", "organ", "mucosa", "anatomy", "lesion")
 """Packages whose code decides what an organ is."""
 
 _MAKER_MODULES = (
-    *("color", "errors", "files", "geometry", "limits", "locks", "made_with", "rng"),
-    *("scenario/build", "temporary_files", "transforms", "units"),
+    *("color", "errors", "files", "geometry", "limits", "locks", "made_with", "narrow"),
+    *("rng", "scenario/build", "temporary_files", "transforms", "units"),
 )
 """Other modules that they use, and the one that calls them."""
 

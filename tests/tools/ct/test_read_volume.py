@@ -12,6 +12,7 @@ import SimpleITK as sitk
 from phantom import write_dicom
 from vrcaps.errors import InputError, MissingExtraError
 from vrcaps.tools.ct import read_dicom, volume
+from vrcaps.tools.ct.lumen import choose_gas, find_gas
 from vrcaps.tools.ct.read_volume import read_volume
 from vrcaps.tools.ct.volume import Volume
 
@@ -68,8 +69,13 @@ def test_missing_slices_are_named(tmp_path) -> None:
 
 
 def test_duplicate_slices_are_named(tmp_path) -> None:
-    paths = write_dicom(tmp_path, small())
-    shutil.copy(paths[2], tmp_path / "again.dcm")
+    write_dicom(tmp_path, small())
+    other = small()
+    write_dicom(tmp_path / "other", replace(other, values=other.values + 1), first=50)
+    again = sorted((tmp_path / "other").iterdir())[2]
+    data = again.read_bytes().replace(b"9999.1.", b"9999.7.")  # instances of their own
+    (tmp_path / "again.dcm").write_bytes(data)
+    shutil.rmtree(tmp_path / "other")
     with pytest.raises(InputError, match="lie at one place"):
         read_volume(tmp_path)
 
@@ -169,10 +175,11 @@ def test_a_slice_of_too_many_pixels_is_refused_unread(tmp_path, monkeypatch) -> 
 
 def test_files_of_several_images_are_refused_unread(tmp_path, monkeypatch) -> None:
     write_dicom(tmp_path, small())
-    found = [replace(one, frames=500) for one in read_dicom.list_series(tmp_path)]
+    found = read_dicom.list_series(tmp_path)
+    found = replace(found, series=tuple(replace(one, frames=500) for one in found.series))
     monkeypatch.setattr(read_dicom, "list_series", lambda folder: found)
     monkeypatch.setattr(read_dicom, "_read_pixels", lambda path: pytest.fail("read"))
-    with pytest.raises(InputError, match=r"hold 500 images each\. Allowed: 1"):
+    with pytest.raises(InputError, match=r"multi-frame DICOM of 500 images"):
         read_volume(tmp_path)
 
 
@@ -181,3 +188,120 @@ def test_a_series_of_too_many_voxels_is_refused(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(volume, "_MOST_VOXELS", 1000)
     with pytest.raises(InputError, match=r"says that it holds 1\.15e\+03 voxels"):
         read_volume(tmp_path)
+
+
+def write_values(path, values) -> None:
+    image = sitk.GetImageFromArray(values)
+    image.SetSpacing((1.5, 1.5, 2.0))
+    sitk.WriteImage(image, str(path))
+
+
+@pytest.mark.parametrize(
+    ("kind", "given", "expected"),
+    [
+        (np.float32, [40_000.0, -950.4, 32_767.6], [32_767, -950, 32_767]),
+        (np.float64, [1e20, -1e20, 0.6], [32_767, -32_768, 1]),
+        (np.int32, [65_536, -65_536, 7], [32_767, -32_768, 7]),
+        (np.uint16, [65_535, 40_000, 0], [32_767, 32_767, 0]),
+        (np.uint8, [255, 128, 0], [255, 128, 0]),
+    ],
+)
+def test_hounsfield_units_never_wrap(tmp_path, kind, given, expected) -> None:
+    values = np.zeros((4, 4, 4), kind)
+    values[0, 0, :3] = given
+    write_values(tmp_path / "scan.nii", values)
+    assert read_volume(tmp_path / "scan.nii").values[0, 0, :3].tolist() == expected
+
+
+@pytest.mark.parametrize("bad", [np.nan, -np.inf])
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+@pytest.mark.parametrize("suffix", [".nii", ".nii.gz", ".nrrd", ".mha"])
+def test_voxels_that_are_not_finite_are_counted(tmp_path, bad, kind, suffix) -> None:
+    """Also in NIfTI, where the library that reads it makes them 0, which is water."""
+    values = np.zeros((4, 4, 4), kind)
+    values[1, 2, 1:3] = bad
+    write_values(tmp_path / f"scan{suffix}", values)
+    for is_label_map in (False, True):
+        with pytest.raises(InputError, match=r"2 (voxels|of the label numbers).* not (fin|all)"):
+            read_volume(tmp_path / f"scan{suffix}", is_label_map=is_label_map)
+
+
+def test_voxels_of_a_big_endian_nifti_are_checked(tmp_path) -> None:
+    write_values(tmp_path / "scan.nii", np.zeros((4, 4, 4), np.float32))
+    data = (tmp_path / "scan.nii").read_bytes()
+    header = bytearray(data[:352])
+    for start, size, count in [(0, 4, 1), (40, 2, 8), (68, 2, 4), (76, 4, 11), (252, 2, 2)]:
+        part = np.frombuffer(bytes(header[start : start + size * count]), f"<i{size}")
+        header[start : start + size * count] = part.astype(f">i{size}").tobytes()
+    for start, count in [(256, 18)]:
+        part = np.frombuffer(bytes(header[start : start + 4 * count]), "<i4")
+        header[start : start + 4 * count] = part.astype(">i4").tobytes()
+    values = np.zeros((4, 4, 4), ">f4")
+    (tmp_path / "big.nii").write_bytes(bytes(header) + values.tobytes())
+    assert (read_volume(tmp_path / "big.nii").values == 0).all()
+    values[0, 0, 0] = np.nan
+    (tmp_path / "big.nii").write_bytes(bytes(header) + values.tobytes())
+    with pytest.raises(InputError, match="has 1 voxels that are not finite"):
+        read_volume(tmp_path / "big.nii")
+
+
+@pytest.mark.parametrize(
+    ("kind", "given", "shown"),
+    [
+        (np.int32, 65_556, "65556"),
+        (np.uint16, 40_000, "40000"),
+        (np.float32, 1.6, "1.6"),
+    ],
+)
+def test_label_numbers_are_whole_and_in_range(tmp_path, kind, given, shown) -> None:
+    values = np.zeros((4, 4, 4), kind)
+    values[0, 0, 0] = given
+    write_values(tmp_path / "labels.nii", values)
+    with pytest.raises(InputError, match=rf"label numbers of .* the first is {shown}\. Allowed"):
+        read_volume(tmp_path / "labels.nii", is_label_map=True)
+    values[0, 0, 0] = 20
+    write_values(tmp_path / "labels.nii", values)
+    assert read_volume(tmp_path / "labels.nii", is_label_map=True).values[0, 0, 0] == 20
+
+
+def test_a_nifti_without_a_start_of_its_voxels_is_refused(tmp_path) -> None:
+    write_values(tmp_path / "scan.nii", np.zeros((4, 4, 4), np.float32))
+    data = bytearray((tmp_path / "scan.nii").read_bytes())
+    data[108:112] = np.array([np.nan], "<f4").tobytes()
+    (tmp_path / "scan.nii").write_bytes(data)
+    with pytest.raises(InputError, match=r"Cannot read .*scan\.nii"):
+        read_volume(tmp_path / "scan.nii")
+
+
+def test_complex_values_are_no_scan(tmp_path) -> None:
+    write_values(tmp_path / "scan.nii", np.zeros((4, 4, 4), np.complex64))
+    with pytest.raises(InputError, match="4 × 4 × 4 voxels of 2 values"):
+        read_volume(tmp_path / "scan.nii")
+    with pytest.raises(InputError, match="values of type complex64"):
+        volume.hounsfield(np.zeros(3, np.complex64), "made")
+
+
+def test_a_prosthesis_is_no_gas() -> None:
+    """A water cylinder with gas, and a rod of 40,000 HU: one piece of gas, the rod as metal."""
+    k, j, i = np.mgrid[:40, :64, :64]
+    values = np.full(k.shape, -1000.0)
+    values[(j - 31.5) ** 2 + (i - 31.5) ** 2 < 28**2] = 40.0
+    values[((j - 31.5) ** 2 + (i - 24) ** 2 < 8**2) & (k > 4) & (k < 35)] = -950.0
+    values[((j - 31.5) ** 2 + (i - 50) ** 2 < 3**2) & (k > 5) & (k < 35)] = 40_000.0
+    transform = np.diag([2e-3, 1.5e-3, 1.5e-3, 1.0])
+    scan = Volume(volume.hounsfield(values, "made"), transform, "made")
+    (piece,) = find_gas(scan).pieces
+    assert piece.kind == "gut"
+    count = np.count_nonzero(values == -950.0)
+    assert piece.volume == pytest.approx(count * 4.5e-9)
+
+
+def test_no_gas_states_the_range_of_values() -> None:
+    k, j, i = np.mgrid[:20, :64, :64]
+    values = np.where((j - 31.5) ** 2 + (i - 31.5) ** 2 < 28**2, 1064, 24).astype(np.int16)
+    scan = Volume(values, np.diag([2e-3, 1.5e-3, 1.5e-3, 1.0]), "made")
+    with pytest.raises(InputError, match=r"The values go from 24 to 1064 HU\. Air has -1000 HU"):
+        choose_gas(find_gas(scan), scan)
+    scan = Volume(values - np.int16(1024), scan.T_patient_index, "made")
+    with pytest.raises(InputError, match=r"from -1000 to 40 HU\. Change --threshold"):
+        choose_gas(find_gas(scan), scan)

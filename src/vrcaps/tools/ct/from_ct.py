@@ -101,6 +101,7 @@ def organ_from_gas(
         pieces, pools = fluid.reached(piece.number)
     report("looking for collapsed stretches")
     gaps, notes = _gaps_of_gas(gas, scan, pieces, piece.number, wall.bridge)
+    notes = [*scan.notes, *notes]
     for gap in gaps:
         pieces |= set(gap.parts)
     if fluid is not None:
@@ -149,6 +150,7 @@ def organ_from_label(
         )
     parts = Volume(part, lumen.T_patient_index, labels.source)
     gaps, notes = _choose_gaps(parts, 1, wall.bridge, volumes)
+    notes = [*labels.notes, *notes]
     blur = 0.7 if wall.blur is None else wall.blur
     source = {"source": labels.source, "input_mode": "label", "label": number}
     wall = replace(wall, blur=blur)

@@ -200,9 +200,15 @@ def choose_gas(
             "to the air outside. Lower --threshold, or give a mask with --labels."
         )
     if not gas.gut:
+        low, high = int(scan.values.min()), int(scan.values.max())
+        hint = (
+            "Air has -1000 HU in a CT: check that the values are in Hounsfield units"
+            if low > _TISSUE
+            else "Change --threshold, or give a mask with --labels"
+        )
         raise InputError(
             f"No lumen in {scan.source}: no gas of 1 ml or more enclosed by the body at that "
-            "threshold. Change --threshold, or give a mask with --labels."
+            f"threshold. The values go from {low} to {high} HU. {hint}."
         )
     return gas.gut
 

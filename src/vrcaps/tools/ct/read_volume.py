@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.errors import InputError
+from vrcaps.narrow import narrow
 from vrcaps.tools.ct.itk import grid_transform, import_sitk, itk_reason
+from vrcaps.tools.ct.nifti import require_finite_nifti
 from vrcaps.tools.ct.read_dicom import read_dicom
-from vrcaps.tools.ct.volume import Volume, require_voxels, upright
+from vrcaps.tools.ct.volume import Volume, hounsfield, require_voxels, upright
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -20,18 +22,27 @@ FILE_TYPES = (".nii", ".nii.gz", ".nrrd", ".mha", ".mhd")
 
 
 def read_volume(
-    path: Path, *, series: str | None = None, progress: Callable[[int, int], None] | None = None
+    path: Path,
+    *,
+    series: str | None = None,
+    is_label_map: bool = False,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Volume:
-    """A scan or label map, 16-bit, in the patient frame (LPS, meters).
+    """Read a scan or label map, 16-bit, in the patient frame (LPS, meters).
+
+    Hounsfield units are rounded, and those beyond 16 bits cut off (see `hounsfield`); label numbers
+    must be whole and fit.
 
     Args:
         path: A folder of DICOM slices, or a file of `FILE_TYPES`.
         series: Which series of a folder that holds several, see `choose_series`.
+        is_label_map: Whether the values of a file are label numbers.
         progress: Told the number of slices read and their total.
 
     Raises:
         InputError: If there is no scan, it has fewer or more than three dimensions, or (DICOM)
-            several series, missing or duplicate slices.
+            several series, missing or duplicate slices; if a value is not finite, or a label
+            number not whole or not below 32,768.
         MissingExtraError: If SimpleITK is not installed.
     """
     if path.is_dir():
@@ -43,7 +54,7 @@ def read_volume(
             f"Unknown type of scan {path.name!r}. Allowed: a folder of DICOM slices, or a file "
             f"that ends in {', '.join(FILE_TYPES)}."
         )
-    return upright(_read_file(path))
+    return upright(_read_file(path, is_label_map=is_label_map))
 
 
 def _require_bytes(path: Path, voxels: int) -> None:
@@ -60,7 +71,7 @@ def _require_bytes(path: Path, voxels: int) -> None:
         )
 
 
-def _read_file(path: Path) -> Volume:
+def _read_file(path: Path, *, is_label_map: bool) -> Volume:
     sitk = import_sitk()
     reader = sitk.ImageFileReader()
     reader.SetFileName(str(path))
@@ -75,9 +86,13 @@ def _read_file(path: Path) -> Volume:
         require_voxels(math.prod(size), path)
         if path.suffix.lower() != ".mhd":
             _require_bytes(path, math.prod(size))
-        reader.SetOutputPixelType(sitk.sitkInt16)
         image = reader.Execute()
     except RuntimeError as error:
         raise InputError(f"Cannot read {path}: {itk_reason(error)}.") from error
-    values = np.array(sitk.GetArrayViewFromImage(image))
+    if path.name.lower().endswith((".nii", ".nii.gz")):
+        require_finite_nifti(path)
+    stored = sitk.GetArrayViewFromImage(image)
+    values, name = np.empty(stored.shape, np.int16), f"label numbers of {path}"
+    for layer, own in zip(values, stored, strict=True):  # one by one, to hold no copy of the scan
+        layer[:] = narrow(own, np.int16, name) if is_label_map else hounsfield(own, path)
     return Volume(values, grid_transform(image), str(path))

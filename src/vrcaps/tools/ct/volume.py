@@ -11,7 +11,7 @@ from vrcaps.errors import InputError
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Float, Int, Int16
 
 _SAME_GRID = 0.02  # of a voxel, by which the nodes of two aligned grids may differ
 
@@ -30,6 +30,40 @@ def require_voxels(count: int, source: object) -> None:
             f"{source} says that it holds {count:.3g} voxels. Allowed: up to {_MOST_VOXELS:.3g}. "
             "Crop or coarsen the scan."
         )
+
+
+def require_finite(num_bad: int, source: object) -> None:
+    """Check that no voxel is NaN or infinite.
+
+    Raises:
+        InputError: If there are some.
+    """
+    if num_bad:
+        raise InputError(
+            f"{source} has {num_bad} voxels that are not finite (NaN or infinite). Replace them, "
+            "for example by -1024 HU (air)."
+        )
+
+
+def hounsfield(values: np.ndarray, source: object) -> Int16[np.ndarray, "*shape"]:
+    """Hounsfield units as 16-bit integers: rounded, and cut off at the ends of the range.
+
+    Only metal on the extended scale exceeds 32,767 HU, and only padding lies below -32,768 HU.
+
+    Args:
+        values: Numbers of any type.
+        source: File, for the message.
+
+    Raises:
+        InputError: If a value is not finite, or they are no numbers of one component.
+    """
+    limits = np.iinfo(np.int16)
+    if values.dtype.kind not in "iuf":
+        raise InputError(f"{source} has values of type {values.dtype}. Give Hounsfield units.")
+    if values.dtype.kind == "f":
+        require_finite(np.count_nonzero(~np.isfinite(values)), source)
+        values = np.rint(values)
+    return np.clip(values, limits.min, limits.max).astype(np.int16)
 
 
 class PatientGrid:
@@ -68,11 +102,13 @@ class Volume(PatientGrid):
         T_patient_index: Maps the array index (k, j, i) of a voxel to its center in the patient
             frame (DICOM LPS) [m].
         source: File or folder it was read from.
+        notes: What a user should know of how it was read, one line each.
     """
 
     values: Int[np.ndarray, "k j i"]
     T_patient_index: Float[np.ndarray, "4 4"]
     source: str
+    notes: tuple[str, ...] = ()
 
     def index(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
         """Array indices (k, j, i) of positions [m]."""

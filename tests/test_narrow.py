@@ -9,7 +9,9 @@ from vrcaps.errors import InputError
 from vrcaps.narrow import narrow
 
 
-@pytest.mark.parametrize("given", [[0, 255], [0.0, 255.0], np.array([0, 255], np.uint64), [True], []])
+@pytest.mark.parametrize(
+    "given", [[0, 255], [0.0, 255.0], np.array([0, 255], np.uint64), [True], []]
+)
 def test_what_fits_is_kept(given):
     found = narrow(given, np.uint8, "labels")
     assert found.dtype == np.uint8
@@ -24,7 +26,11 @@ def test_an_array_of_the_type_is_not_copied():
 @pytest.mark.parametrize(
     ("given", "dtype", "text"),
     [
-        ([1, 256, 300], np.uint8, "2 of the labels are not allowed, the first is 256. Allowed: whole"),
+        (
+            [1, 256, 300],
+            np.uint8,
+            "2 of the labels are not allowed, the first is 256. Allowed: whole",
+        ),
         ([-1], np.uint8, "the first is -1. Allowed: whole numbers from 0 to 255."),
         ([1.6], np.uint8, "the first is 1.6."),
         ([np.nan], np.int16, "the first is nan."),

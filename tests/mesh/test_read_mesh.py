@@ -11,8 +11,8 @@ import trimesh
 
 from vrcaps.errors import InputError, UnknownNameError, VrcapsError
 from vrcaps.mesh.mesh import Mesh
-from vrcaps.mesh.triangulate import triangulate_fans
 from vrcaps.mesh.read_mesh import read_label_names, read_mesh
+from vrcaps.mesh.triangulate import triangulate_fans
 from write_ply import write_ply
 
 QUAD_AND_TRIANGLE = """ply

@@ -15,7 +15,7 @@ from vrcaps.errors import InputError
 from vrcaps.mesh.edges import flip_faces, signed_volume
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.read_mesh import read_mesh
-from vrcaps.mesh.repair import Repair, RepairReport, manifold, repair
+from vrcaps.mesh.repair import Repair, RepairReport, manifold, repair, require_lumen_surface
 from vrcaps.organ.measure import triangle_quality
 from write_ply import write_ply
 
@@ -535,3 +535,65 @@ def test_texture_coordinates_follow_their_corners(shared_data):
     repaired, _ = repair(replace(dirty, faces=dirty.faces[order], uv=dirty.uv[order]))
     expected, found = uv_of_corners(mesh), uv_of_corners(repaired)
     assert expected.items() <= found.items()
+
+
+def thick_wall(*, rims: int, bend: float = 0.0) -> Mesh:
+    """A tube of 20 mm radius in a tube of 23 mm, joined at so many ends; bent about the y axis.
+
+    Args:
+        rims: Ends at which a ring joins the two, 0 to 2.
+        bend: Radius of the bend [m], 0 for none.
+    """
+    inner = tube()
+    outer = replace(inner, vertices=inner.vertices * [1.15, 1.15, 1.0])
+    mesh = join(inner, flip_faces(outer, np.ones(len(outer.faces), bool)))
+    j, count = np.arange(NUM_AROUND), len(inner.vertices)
+    k, faces = (j + 1) % NUM_AROUND, [mesh.faces]
+    for row in [0, NUM_ALONG * NUM_AROUND][:rims]:
+        a, b, c, d = row + j, row + k, count + row + j, count + row + k
+        faces += [np.stack([a, c, b], 1), np.stack([b, c, d], 1)]
+    points = mesh.vertices
+    if bend:
+        x, y, z = points.T
+        points = np.stack([(bend + x) * np.cos(z / bend), y, (bend + x) * np.sin(z / bend)], axis=1)
+    return Mesh(points, np.concatenate(faces))
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.05])
+def test_of_a_thick_wall_the_inner_surface_is_the_lumen(bend):
+    mesh, report = repair(thick_wall(rims=0, bend=bend))
+    check_wall(mesh)
+    assert -signed_volume(mesh) == pytest.approx(RING_AREA * LENGTH, rel=0.01)
+    assert report.count("outer surface of the wall") == 1
+    assert report.count("stray component") == 0
+    assert "removed, the surface 3.0 mm inside it is taken as the lumen" in report.lines()[0]
+    require_lumen_surface(mesh)
+
+
+def test_of_three_nested_spheres_the_innermost_is_the_lumen():
+    mesh, report = repair(join(sphere(0.023), sphere(0.020), sphere(0.022), sphere(0.002)))
+    assert report.count("outer surface of the wall") == 2
+    assert report.count("stray component") == 1
+    assert np.allclose(np.linalg.norm(mesh.vertices, axis=1), 0.020)
+
+
+def test_a_body_in_the_lumen_is_no_inner_surface():
+    mesh, report = repair(join(sphere(0.020), sphere(0.012)))
+    assert np.allclose(np.linalg.norm(mesh.vertices, axis=1), 0.020)
+    assert report.count("stray component") == 1
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.05])
+@pytest.mark.parametrize("rims", [1, 2])
+def test_a_thick_wall_in_one_piece_is_refused(rims, bend):
+    mesh, _ = repair(thick_wall(rims=rims, bend=bend))
+    with pytest.raises(InputError, match=r"a wall about 2\.9 mm thick.*Give the inner surface"):
+        require_lumen_surface(mesh)
+
+
+@pytest.mark.parametrize("flat", [0.15, 1.0])
+@pytest.mark.parametrize("open_ends", ["cap", "keep"])
+def test_a_lumen_is_no_wall_however_flat(flat, open_ends):
+    mesh = tube()
+    mesh = replace(mesh, vertices=mesh.vertices * [flat, 1.0, 1.0])
+    require_lumen_surface(repair(mesh, open_ends=open_ends)[0])

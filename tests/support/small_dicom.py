@@ -67,10 +67,16 @@ def write_elements(path: Path, elements: Elements) -> Path:
 def _packed(elements: Elements) -> bytes:
     data = b""
     for tag, (kind, value) in sorted(elements.items()):
-        if isinstance(value, int):
-            value = struct.pack("<I" if kind == "UL" else "<H", value)
-        elif isinstance(value, str):
-            value = value.encode() + (b"\0" if kind == "UI" else b" ") * (len(value) % 2)
+        content = _content(kind, value)
         size = "<2xI" if kind in _LONG else "<H"
-        data += struct.pack("<HH2s", *tag, kind.encode()) + struct.pack(size, len(value)) + value
+        data += struct.pack("<HH2s", *tag, kind.encode())
+        data += struct.pack(size, len(content)) + content
     return data
+
+
+def _content(kind: str, value: str | int | bytes) -> bytes:
+    if isinstance(value, int):
+        return struct.pack("<I" if kind == "UL" else "<H", value)
+    if isinstance(value, str):
+        return value.encode() + (b"\0" if kind == "UI" else b" ") * (len(value) % 2)
+    return value

@@ -173,9 +173,7 @@ def _read(path: Path, series: str | None, *, is_label_map: bool) -> Volume:
     from vrcaps.tools.ct.read_volume import read_volume
 
     with progress_bar("reading slices") as progress:
-        return read_volume(
-            path, series=series, is_label_map=is_label_map, progress=progress
-        )
+        return read_volume(path, series=series, is_label_map=is_label_map, progress=progress)
 
 
 @contextmanager

@@ -24,6 +24,7 @@ from vrcaps.formats.format import Needs
 from vrcaps.formats.frame_files import image_loader
 from vrcaps.formats.stored_images import IMAGES, read_plane, read_rgb
 from vrcaps.limits import Range, check_fields
+from vrcaps.narrow import narrow
 from vrcaps.recording.frame_sequence import TIME, FrameSequence
 from vrcaps.recording.image_files import write_images
 from vrcaps.recording.shown_lesion import lesion_instances, shown_lesion
@@ -222,6 +223,4 @@ def _read_mask(kind: Masks, path: Path) -> NDArray:
         is_binary = path.suffix.lower() in _JPEG or bool(stored.max() > 127)
     if is_binary:
         return (stored > 127).astype(np.uint8)
-    if stored.max() > 255:
-        raise InputError(f"{path} has a class {stored.max()}. Allowed: 0 to 255.")
-    return stored.astype(np.uint8)
+    return narrow(stored, np.uint8, f"classes of {path}")

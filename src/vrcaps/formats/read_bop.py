@@ -15,6 +15,7 @@ from vrcaps.formats.folders import found_folders, with_names
 from vrcaps.formats.frame_files import by_number, matched, read_times
 from vrcaps.formats.intrinsics import camera_of
 from vrcaps.formats.stored_images import read_plane, read_rgb
+from vrcaps.narrow import narrow
 from vrcaps.plain_files import read_plain
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.transforms import invert, transform_from
@@ -97,5 +98,6 @@ def _read_instance(
     instance = np.zeros(read_rgb(images[index]).shape[:2], np.uint16)
     for place, row in enumerate(truths[index]):
         mask = read_plane(masks / f"{images[index].stem}_{place:06d}.png")
-        instance[mask > 0] = row.get("instance", place + 1)
+        number = row.get("instance", place + 1)
+        instance[mask > 0] = narrow([number], np.uint16, f"instance numbers in {masks.parent}")
     return instance

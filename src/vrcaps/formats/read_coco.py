@@ -13,6 +13,7 @@ from vrcaps.data.plan import SPLITS
 from vrcaps.errors import InputError
 from vrcaps.formats.mask_outlines import mask_of
 from vrcaps.formats.stored_images import read_rgb
+from vrcaps.narrow import narrow
 from vrcaps.plain_files import read_plain
 from vrcaps.recording.frame_sequence import TIME, FrameSequence
 
@@ -90,5 +91,6 @@ def _load(
     for place, (label, row) in sorted(rows, key=lambda each: -each[1][1].get("iscrowd", 0)):
         where = f"annotation {row.get('id')}"
         mask = mask_of(row["segmentation"], height, width, where)
-        values[mask] = label if channel == "label" else row.get("instance", place)
+        number = label if channel == "label" else row.get("instance", place)
+        values[mask] = narrow([number], values.dtype, f"{channel} numbers of {folder}")
     return values

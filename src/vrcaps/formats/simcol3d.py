@@ -33,6 +33,7 @@ from vrcaps.formats.intrinsics import matrix_text, nearest_file, plain_pinhole, 
 from vrcaps.formats.stored_images import read_plane, read_rgb
 from vrcaps.formats.unity import poses_from_unity, unity_from_poses
 from vrcaps.limits import Range, check_fields
+from vrcaps.narrow import narrow
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.recording.image_files import write_images
 from vrcaps.render.encoding import fixed_point
@@ -160,4 +161,4 @@ def _rows(values: NDArray) -> bytes:
 
 
 def _read_depth(path: Path) -> NDArray:
-    return _DEPTH.decode(read_plane(path).astype(np.uint16))
+    return _DEPTH.decode(narrow(read_plane(path), np.uint16, f"depths of {path}"))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.errors import InputError
+from vrcaps.narrow import narrow
 from vrcaps.transforms import matrix_from_quaternion, quaternion_from_matrix, transform_from
 
 if TYPE_CHECKING:
@@ -22,8 +23,13 @@ NEAR = 0.02
 
 
 def nanoseconds(sequence: FrameSequence) -> list[int]:
-    """Times of the frames [ns]."""
-    return np.rint(sequence.times / NANOSECOND).astype(np.int64).tolist()
+    """Times of the frames [ns].
+
+    Raises:
+        InputError: If a time is not finite, or beyond 64 bits.
+    """
+    steps = np.rint(sequence.times / NANOSECOND)
+    return narrow(steps, np.int64, f"times [ns] of {sequence.name}").tolist()
 
 
 def frames_per_second(sequence: FrameSequence) -> float:

@@ -98,7 +98,9 @@ def split_face(
 def take_vertices(mesh: Mesh, source: Int[np.ndarray, " k"], faces: Int[np.ndarray, "m 3"]) -> Mesh:
     """The mesh with vertices drawn from the old ones by number, and faces over the new ones."""
     label = None if mesh.label is None else mesh.label[source]
-    return replace(mesh, vertices=mesh.vertices[source], faces=faces, label=label)
+    instance = None if mesh.instance is None else mesh.instance[source]
+    vertices = mesh.vertices[source]
+    return replace(mesh, vertices=vertices, faces=faces, label=label, instance=instance)
 
 
 def drop_unused_vertices(mesh: Mesh) -> Mesh:

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vrcaps.narrow import narrow
+
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -36,7 +38,7 @@ class Glb:
         accessor = {"componentType": _FLOAT, "count": len(values), "type": kind}
         if np.issubdtype(values.dtype, np.integer):
             padded = np.zeros((len(values), 2), "<u2")
-            padded[:, 0] = values
+            padded[:, 0] = narrow(values, np.uint16, "integers of a vertex attribute")
             view["byteStride"], accessor["componentType"] = 4, _UINT16
             data = padded.tobytes()
         else:

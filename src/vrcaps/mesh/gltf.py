@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vrcaps.mesh.edges import drop_unused_vertices
 from vrcaps.mesh.gltf_accessors import (
     GltfFile,
     local_transform,
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _NO_SURFACE = (0, 1, 2, 3)  # modes of points and lines
 _INSTANCING = "EXT_mesh_gpu_instancing"
-_MOST_TRIANGLES = 50_000_000  # of a whole scene, some 100 times those of a fine wall
+_MOST_VALUES = 50_000_000  # vertices and triangles of a scene, some 100 times a fine wall
 
 
 def read_gltf(path: Path) -> Mesh:
@@ -48,10 +49,12 @@ def read_gltf(path: Path) -> Mesh:
         mesh = file.entry("meshes", entry["mesh"])
         for primitive in mesh["primitives"]:
             for part in _parts(file, entry, mesh, primitive, (transform, places)):
-                parts.append(part)
-                count += len(part.faces)
-                if count > _MOST_TRIANGLES:
-                    raise ValueError(f"its scene has more than {_MOST_TRIANGLES} triangles")
+                count += len(part.vertices) + len(part.faces)
+                if count > _MOST_VALUES:
+                    raise ValueError(
+                        f"its scene has more than {_MOST_VALUES} vertices and triangles"
+                    )
+                parts.append(drop_unused_vertices(part))
     return _concatenate(parts)
 
 
@@ -139,7 +142,10 @@ def _faces(file: GltfFile, primitive: dict[str, Any], count: int) -> Int[np.ndar
     """Triangles of a primitive."""
     corners = np.arange(count)
     if "indices" in primitive:
-        corners = narrow(file.array(primitive["indices"]), np.int64, "indices")
+        corners = file.array(primitive["indices"])
+        if corners.ndim != 1 or corners.dtype.kind != "u":
+            raise ValueError("indices are no whole numbers")
+        corners = corners.astype(np.int64)
     mode = primitive.get("mode", _TRIANGLES)
     if mode == _TRIANGLES:
         return corners.reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""Arrays of a glTF 2.0 document: buffers, buffer views, strided, normalized and sparse accessors."""
+"""Arrays of a glTF 2.0 document: buffers, strided, normalized and sparse accessors."""
 
 from __future__ import annotations
 
@@ -55,8 +55,10 @@ class GltfFile:
         count = entry["count"]
         if "bufferView" in entry:
             values = self._rows(entry, count, dtype, width)
-        else:
+        elif "sparse" in entry:
             values = np.zeros((count, width), dtype)
+        else:
+            raise ValueError(f"accessors[{accessor}] has no data")
         if "sparse" in entry:
             values = self._with_sparse(values, entry["sparse"])
         if entry.get("normalized") and dtype.kind != "f":
@@ -115,8 +117,9 @@ def read_gltf_file(path: Path) -> GltfFile:
     else:
         document = json.loads(path.read_text("utf-8-sig"))
     entries = document.get("buffers", [])
-    buffers = tuple(_buffer(entry, path.parent, binary if n == 0 else None)
-                    for n, entry in enumerate(entries))
+    buffers = tuple(
+        _buffer(entry, path.parent, binary if n == 0 else None) for n, entry in enumerate(entries)
+    )
     return GltfFile(document, buffers)
 
 

@@ -23,8 +23,8 @@ _DTYPES = {
     **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
 }
 _BYTE_ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
-# After a carriage return alone the body begins, unless a line feed follows.
-_END = re.compile(rb"[\r\n][ \t]*end_header[ \t]*(?:\r\n|\n|\r)")
+_FIRST_LINE = re.compile(rb"ply[ \t]*(\r\n|\n|\r)")
+_END = rb"[\r\n][ \t]*end_header[ \t]*%b"  # and the line end of the file: the body begins
 _VERTEX_UV = (("texture_u", "texture_v"), ("u", "v"), ("s", "t"))
 
 
@@ -109,12 +109,13 @@ def _strip_faces(strips: dict) -> Int[np.ndarray, "m 3"]:
 
 def _read_elements(data: bytes) -> dict[str, dict]:
     """Columns of each element: arrays, or `_Lists` for list properties."""
-    end = _END.search(data)
-    if end is None or not data.startswith(b"ply"):
+    first = _FIRST_LINE.match(data)
+    end = re.search(_END % first[1], data) if first else None
+    if end is None:
         raise ValueError("no PLY header")
     lines = [line.split() for line in data[: end.start()].decode("ascii", "replace").splitlines()]
     header = [line for line in lines[1:] if line and line[0] not in ("comment", "obj_info")]
-    if lines[0] != ["ply"] or not header or header[0][0] != "format":
+    if not header or header[0][0] != "format":
         raise ValueError("no PLY header")
     is_ascii, order = header[0][1] == "ascii", _BYTE_ORDERS[header[0][1]]
     stream = data[end.end() :]

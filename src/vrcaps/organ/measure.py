@@ -13,12 +13,15 @@ from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.repair.cap import enclosed_volume, find_loops
 from vrcaps.mesh.repair.repair_report import format_points
 from vrcaps.mesh.self_intersection import cluster_intersections, self_intersections
+from vrcaps.units import LENGTH_UNITS, MM, parse_length
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
     from vrcaps.organ.surface import Centerline, OrganSurface
 
+_USUAL = (8 * MM, 120 * MM)  # median diameters of guts, from a collapsed small bowel to a stomach
+_TYPICAL = 30 * MM
 _THIN_QUALITY = 0.1  # a triangle with angles of about 3°, 3° and 174°
 
 
@@ -62,8 +65,8 @@ class OrganMeasures:
 def measure_organ(organ: OrganSurface) -> OrganMeasures:
     """Measure an organ."""
     mesh = Mesh(organ.vertices, organ.faces)
-    diameter = 2.0 * organ.centerline.radius
     inner = _is_inner(organ.centerline)
+    diameter_min, diameter_median, diameter_max = lumen_diameters(organ.centerline)
     quality = triangle_quality(mesh)
     x, y, z = np.ptp(organ.vertices, axis=0).tolist()
     return OrganMeasures(
@@ -72,9 +75,9 @@ def measure_organ(organ: OrganSurface) -> OrganMeasures:
         volume=abs(enclosed_volume(mesh, find_loops(mesh))),
         area=float(face_areas(mesh).sum()),
         length=organ.centerline.length,
-        diameter_min=float(diameter[inner].min()),
-        diameter_median=float(np.median(diameter[inner])),
-        diameter_max=float(diameter.max()),
+        diameter_min=diameter_min,
+        diameter_median=diameter_median,
+        diameter_max=diameter_max,
         diameter_by_segment=_diameter_by_segment(organ, inner),
         num_vertices=len(organ.vertices),
         num_faces=len(organ.faces),
@@ -82,6 +85,27 @@ def measure_organ(organ: OrganSurface) -> OrganMeasures:
         quality_p5=float(np.percentile(quality, 5.0)),
         defects=tuple(_find_defects(mesh, quality)),
     )
+
+
+def lumen_diameters(centerline: Centerline) -> tuple[float, float, float]:
+    """Least and median diameter of a lumen between its ends, and the largest of all [m]."""
+    diameter, inner = 2.0 * centerline.radius, _is_inner(centerline)
+    return float(diameter[inner].min()), float(np.median(diameter[inner])), float(diameter.max())
+
+
+def unit_question(unit: str, diameter: float) -> str:
+    """Question after the unit that was probably meant, with a space before it; empty if none.
+
+    Args:
+        unit: Unit in which a mesh file was read.
+        diameter: Median diameter of its lumen, so read [m].
+    """
+    if _USUAL[0] <= diameter <= _USUAL[1]:
+        return ""
+    length = diameter / parse_length(unit)
+    likely = min(LENGTH_UNITS, key=lambda name: abs(np.log(length * LENGTH_UNITS[name] / _TYPICAL)))
+    is_usual = _USUAL[0] <= length * LENGTH_UNITS[likely] <= _USUAL[1]
+    return f" Is the unit {likely}, not {unit}?" if is_usual else ""
 
 
 def arc_length_bins(organ: OrganSurface) -> int:

@@ -11,6 +11,7 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.errors import InputError
 from vrcaps.mesh.glb import array_of, read_document, read_glb, vertices_of, view_of
+from vrcaps.narrow import narrow
 from vrcaps.organ.arrays import organ_from_arrays
 from vrcaps.organ.compact_textures import decode_webps, relief_from_image
 from vrcaps.organ.write_organ import GENERATOR, ORGAN_FORMAT
@@ -120,7 +121,7 @@ def _of_vertices(
     T_patient_world = invert(np.array(own["T_world_patient"]))
     values["vertices"] = transform_points(T_patient_world, values["vertices"])
     values["normals"] = rotate_vectors(T_patient_world, values["normals"])
-    values["label"] = values["label"].astype(np.uint8)
+    values["label"] = narrow(values["label"], np.uint8, "labels")
     return {**values, "uv": np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=1)}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -12,13 +13,15 @@ from vrcaps.errors import InputError
 from vrcaps.files import file_sha256
 from vrcaps.mesh.mesh import Mesh, vertex_normals
 from vrcaps.mesh.read_mesh import read_label_names, read_mesh
+from vrcaps.mesh.repair.repair_report import RepairReport, format_points
 from vrcaps.organ.organ_file import is_organ_file, read_organ_file
 from vrcaps.organ.surface import Centerline, OrganSurface
-from vrcaps.units import LENGTH_UNITS, parse_length
+from vrcaps.units import LENGTH_UNITS, MM, parse_length
 
 if TYPE_CHECKING:
     from vrcaps.organ.surface import OrganSurface
 
+_log = logging.getLogger(__name__)
 _UNCHANGED = (1.0, None, "cap", False, False)
 
 
@@ -46,9 +49,9 @@ def read_organ(
         reverse: Whether the narrower end of the lumen is the oral one.
 
     Raises:
-        InputError: If the file cannot be read or repaired, or has no lumen (`read_mesh`,
-            `repair`, `compute_centerline`), or has no texture coordinates to keep; if it states
-            no unit, or is an organ file and something is to be changed in it.
+        InputError: If the file cannot be read or repaired, or has no lumen (`read_mesh`, `repair`,
+            `require_lumen_surface`, `compute_centerline`), or has no texture coordinates to keep;
+            if it states no unit, or is an organ file and something is to be changed in it.
     """
     path = Path(path)
     if not path.is_file():
@@ -77,7 +80,7 @@ def _organ_of_mesh_file(
     keep_uv: bool,
     reverse: bool,
 ) -> OrganSurface:
-    from vrcaps.mesh.repair import repair
+    from vrcaps.mesh.repair import repair, require_lumen_surface
     from vrcaps.organ.centerline import compute_centerline
 
     mesh = read_mesh(path, unit=unit)
@@ -86,7 +89,9 @@ def _organ_of_mesh_file(
     if not keep_uv:
         mesh = replace(mesh, uv=None)
     mesh, report = repair(mesh, open_ends=open_ends)
+    require_lumen_surface(mesh)
     centerline = compute_centerline(mesh, reverse=reverse)
+    _warn(path, unit, report, centerline)
     label, label_names = _labels(mesh, path)
     metadata = {
         "source": str(path),
@@ -101,6 +106,25 @@ def _organ_of_mesh_file(
         label_names=label_names,
     )
     return replace(organ, metadata=metadata)
+
+
+def _warn(path: Path, unit: str, report: RepairReport, centerline: Centerline) -> None:
+    """Say where a lumen is of an unusual width, or has more than two ends."""
+    from vrcaps.organ.measure import lumen_diameters, unit_question
+
+    diameter = lumen_diameters(centerline)[1]
+    question = unit_question(unit, diameter)
+    if question:
+        _log.warning("%s: the lumen is %.3g mm wide.%s", path, diameter / MM, question)
+    ends = next((r.places for r in report.repairs if r.kind == "open end"), report.open_ends)
+    if len(ends) > 2:
+        _log.warning(
+            "%s has %d openings as wide as a lumen, %s: a gut has two. The centerline joins the "
+            "two that are farthest apart; close the others in the mesh if they are no lumen",
+            path,
+            len(ends),
+            format_points(ends),
+        )
 
 
 def _labels(mesh: Mesh, path: Path) -> tuple[np.ndarray, tuple[str, ...]]:

@@ -8,10 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps import _core
+from vrcaps.errors import require
+from vrcaps.narrow import narrow
 from vrcaps.units import UM
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+_MOST_PACKED = 2**24 - 2
 
 
 @dataclass(frozen=True)
@@ -53,13 +57,20 @@ class Encoding:
     def encode(self, values: NDArray) -> NDArray:
         """Stored numbers [h w] or [h w 3] of a channel's values, C-contiguous.
 
-        Values that are NaN or outside the range are stored as invalid.
+        Values that are NaN or outside the range of a fixed-point scale are stored as invalid.
+
+        Raises:
+            InputError: If a whole number is outside the range of the stored type.
         """
         if self.is_mask:
             return np.where(values, np.uint8(255), np.uint8(0))
         if self.is_packed:
+            is_valid = -1 <= values.min() <= values.max() <= _MOST_PACKED
+            require(is_valid, "A number of a channel", values.max(), f"-1 to {_MOST_PACKED}")
             return np.stack([(values + 1) >> shift for shift in (0, 8, 16)], -1).astype(np.uint8)
         if self.scale is None:
+            if np.dtype(self.dtype).kind == "u":
+                values = narrow(values, self.dtype, "values of a channel")
             return np.ascontiguousarray(values, self.dtype)
         steps = _core.quantize(np.ascontiguousarray(values), self.scale, self.offset)
         if self.components != 2:

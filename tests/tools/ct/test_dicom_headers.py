@@ -86,7 +86,9 @@ def test_files_that_are_no_slices_are_passed_over_or_skipped(tmp_path: Path) -> 
     color |= {tag.BITS: ("US", 8), tag.STORED: ("US", 8), tag.HIGH_BIT: ("US", 7)}
     color[tag.PIXELS] = ("OW", bytes(8 * 6 * 3))
     write_elements(tmp_path / "50.dcm", color)
-    report = slice_elements(HOUNSFIELD[0], 98) | {tag.SOP_CLASS: ("UI", "1.2.840.10008.5.1.4.1.1.88.11")}
+    report = slice_elements(HOUNSFIELD[0], 98) | {
+        tag.SOP_CLASS: ("UI", "1.2.840.10008.5.1.4.1.1.88.11")
+    }
     del report[tag.PIXELS]
     write_elements(tmp_path / "60.dcm", report)
     found = read_volume(tmp_path)
@@ -167,7 +169,9 @@ def test_a_multiframe_file_names_a_converter(tmp_path: Path) -> None:
     elements[tag.SOP_CLASS] = ("UI", "1.2.840.10008.5.1.4.1.1.2.1")
     del elements[tag.POSITION], elements[tag.ORIENTATION]
     write_elements(tmp_path / "one.dcm", elements)
-    with pytest.raises(InputError, match=r"one\.dcm in .* multi-frame DICOM of 12 images.*dcm2niix"):
+    with pytest.raises(
+        InputError, match=r"one\.dcm in .* multi-frame DICOM of 12 images.*dcm2niix"
+    ):
         read_volume(tmp_path)
 
 
@@ -191,7 +195,10 @@ def test_each_slice_has_its_own_rescale(tmp_path: Path) -> None:
     def change(elements: Elements, number: int) -> None:
         slope = 0.5 * (1 + number % 3)
         stored = np.rint((HOUNSFIELD[number] + 1024) / slope)
-        elements |= {tag.SLOPE: ("DS", f"{slope}"), tag.PIXELS: ("OW", stored.astype("<u2").tobytes())}
+        elements |= {
+            tag.SLOPE: ("DS", f"{slope}"),
+            tag.PIXELS: ("OW", stored.astype("<u2").tobytes()),
+        }
 
     series(tmp_path, change)
     assert np.abs(read_volume(tmp_path).values - HOUNSFIELD).max() <= 1

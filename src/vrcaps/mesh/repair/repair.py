@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -35,8 +36,9 @@ def repair(mesh: Mesh, *, open_ends: Literal["cap", "keep"] = "cap") -> tuple[Me
     """Repair a mesh until it is one oriented surface around a lumen, and report how.
 
     Merged vertices, removed triangles and the rest keep texture coordinates and labels in
-    step. Of a wall with a thickness the inner surface is kept. A border wider than a quarter
-    of the mean diameter is an open end of the lumen; narrower ones are holes and always filled.
+    step; lesion numbers are dropped. Of a wall with a thickness the inner surface is kept. A border
+    wider than a quarter of the mean diameter is an open end of the lumen; narrower ones are holes
+    and always filled.
 
     Args:
         mesh: Triangles with finite vertices [m].
@@ -50,7 +52,7 @@ def repair(mesh: Mesh, *, open_ends: Literal["cap", "keep"] = "cap") -> tuple[Me
     """
     if open_ends not in ("cap", "keep"):
         raise InputError(f"open_ends is {open_ends!r}. Allowed: 'cap', 'keep'.")
-    mesh, repairs = _make_manifold(mesh)
+    mesh, repairs = _make_manifold(replace(mesh, instance=None))
     mesh, done = orient_consistently(mesh)
     loops = find_loops(mesh)
     repairs += done

@@ -254,7 +254,7 @@ def inverted_sum(path: Path) -> float | None:
     """Sum of a value as GDCM reads it and the true one, if GDCM inverts them; else None.
 
     MONOCHROME1 states how values are shown, not what they mean. GDCM complements the stored
-    numbers v of such a file to m - v, in which m is the largest of their bits, or -1 for signed ones.
+    numbers v of such a file to m - v. Here m is the largest of their bits, or -1 for signed ones.
     """
     sitk = import_sitk()
     reader = sitk.ImageFileReader()

@@ -1,6 +1,7 @@
 """BOP: the rules of its toolkit, from the written files alone, give the written masks and boxes."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -132,6 +133,21 @@ def test_what_was_written_is_read(sequence, tmp_path):
     assert_same_depth(found, sequence, 1e-5)
     same = [found.image("instance", k) == sequence.image("instance", k) for k in range(5)]
     assert np.mean(same) > 0.998
+
+
+@pytest.mark.parametrize("number", [70_000, -1, 1.5])
+def test_instance_numbers_are_whole_and_in_range(written, tmp_path, number):
+    shutil.copytree(written, tmp_path / "out")
+    path = tmp_path / "out/test/000000/scene_gt.json"
+    truths = json.loads(path.read_text())
+    for rows in truths.values():
+        for row in rows:
+            row["instance"] = number
+    path.write_text(json.dumps(truths))
+    (found,) = Bop().read(tmp_path / "out")
+    with pytest.raises(InputError, match=rf"instance numbers in .* first is {number}\. Allowed"):
+        for k in range(len(found)):
+            found.image("instance", k)
 
 
 def test_cameras_share_the_models_of_their_episode(sequence, tmp_path):

@@ -164,6 +164,22 @@ def test_images_of_others(tmp_path):
     assert set(np.unique(found.image("label", 0))) == {0, 3}
 
 
+def test_numbers_beyond_their_type_are_refused(tmp_path):
+    """The 300th category is no label of 8 bits, an instance of 70,000 none of 16."""
+    out = export(Coco(), [sequence_of()], tmp_path / "out")
+    path = out / "annotations/instances_all.json"
+    content = json.loads(path.read_text())
+    content["categories"] = [{"id": k, "name": f"kind {k}"} for k in range(1, 301)]
+    square = [1.2, 1.2, 1.2, 4.2, 5.2, 4.2, 5.2, 1.2]
+    row = {"id": 9, "image_id": 1, "category_id": 300, "segmentation": [square]}
+    content["annotations"] = [row | {"instance": 70_000}]
+    path.write_text(json.dumps(content))
+    (found,) = Coco().read(out)
+    for channel, number in (("label", 300), ("instance", 70_000)):
+        with pytest.raises(InputError, match=rf"{channel} numbers of .* the first is {number}\."):
+            found.image(channel, 0)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -5,12 +5,14 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+import tifffile
 from scipy.spatial.transform import Rotation
 
 from ellipsoid_sequence import ellipsoid_sequence, off_the_wall
 from exported import assert_same_depth, assert_same_images, round_trip
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.errors import InputError
+from vrcaps.formats import simcol3d
 from vrcaps.formats.export import export
 from vrcaps.formats.simcol3d import SimCol3D
 from vrcaps.transforms import transform_points
@@ -160,3 +162,10 @@ def test_damaged_image_is_one_clear_line(sequence, tmp_path):
         found.image("depth", 1)
     with pytest.raises(InputError, match=r"Depth_0002.png is a color image"):
         found.image("depth", 2)
+
+
+@pytest.mark.parametrize("values", [np.full((2, 2), 70_000, np.uint32), np.full((2, 2), -1, "i2")])
+def test_depth_never_wraps(tmp_path, values):
+    tifffile.imwrite(tmp_path / "a.tif", values)
+    with pytest.raises(InputError, match=r"depths of .*a\.tif .* Allowed: whole numbers from 0"):
+        simcol3d._read_depth(tmp_path / "a.tif")

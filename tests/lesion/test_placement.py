@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,8 @@ from vrcaps.lesion import (
     Ulcer,
     add_lesions,
 )
+from vrcaps.lesion.placement import require_room
+from vrcaps.mesh.mesh import wall_of
 from vrcaps.units import MM
 
 
@@ -68,3 +71,32 @@ def test_overlap(tube):
 def test_unknown_segment(tube):
     with pytest.raises(UnknownNameError, match=r"No segment named 'sigmoid'\. Known: lower"):
         add(tube, Polyp(location=Location(segment="sigmoid")))
+
+
+@pytest.mark.parametrize("arc_length", [80 * MM, None])
+def test_the_largest_size_that_fits_is_stated_and_fits(tube, arc_length):
+    """In steps of 0.5 mm: the size stated is placed there, the next one is not."""
+    location = Location(arc_length=arc_length, theta=None if arc_length is None else 0.5)
+    lesion = Polyp(shape="Ip", size=30 * MM, location=location)
+    with pytest.raises(InputError, match="Largest size that fits there: ") as error:
+        add(tube, lesion)
+    size = float(re.search(r"fits there: ([0-9.]+) mm\.$", str(error.value))[1]) * MM
+    wall = wall_of(tube.vertices, tube.faces)
+    fits, does_not = (replace(lesion, size=size + more) for more in (0.0, 0.5 * MM))
+    require_room(tube, wall, [fits], [np.random.default_rng(0)])
+    if arc_length is not None:
+        with pytest.raises(InputError, match="No location for polyp Ip"):
+            require_room(tube, wall, [does_not], [np.random.default_rng(0)])
+
+
+def test_no_size_is_stated_where_none_fits_or_lesions_have_none(tube):
+    location = Location(arc_length=0.5 * MM, theta=0.0)
+    for lesion in (Polyp(location=location), Ulcer(size=20 * MM, location=location)):
+        with pytest.raises(InputError, match=r"\(length 16\.0 cm\)\.$"):
+            add(tube, lesion)
+
+
+def test_all_focal_lesions_are_checked_before_any_work(tube, monkeypatch):
+    monkeypatch.setattr("vrcaps.lesion.add._Work", lambda *args: pytest.fail("work"))
+    with pytest.raises(InputError, match="No location for tumor"):
+        add(tube, Stricture(), Polyp(size=4 * MM), Tumor(size=50 * MM))

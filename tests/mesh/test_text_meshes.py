@@ -135,7 +135,7 @@ def test_obj_with_the_liberties_of_exporters(tmp_path: Path, text: str, encoding
 
 def test_obj_with_a_short_vertex(tmp_path: Path) -> None:
     (tmp_path / "a.obj").write_text(V + "v 1 2\n" + faces("{0}"))
-    with pytest.raises(InputError, match="Cannot read .* as OBJ: "):
+    with pytest.raises(InputError, match=r"Cannot read .* as OBJ: "):
         read(tmp_path / "a.obj")
 
 
@@ -163,7 +163,8 @@ def ply(
         ply().replace("\n", "\r"),
         ply(after="\n\n"),
         ply(
-            properties="property double z\nproperty uchar red\nproperty double x\nproperty double y\n",
+            properties="property double z\nproperty uchar red\nproperty double x\n"
+            "property double y\n",
             point=lambda k: "{} 255 {} {}".format(*np.roll(POINTS[k], 1)),
         ),
         ply(
@@ -195,7 +196,7 @@ def test_binary_ply_whose_body_begins_like_a_line_end(
 def test_ply_strips(tmp_path: Path) -> None:
     text = ply(
         face_properties="property list int int vertex_indices\n",
-        face=lambda k: "6 0 1 3 2 -1 0\n2 2 1\n4 1 2 3 -1\n0".split("\n")[k],
+        face=lambda k: ["6 0 1 3 2 -1 0", "2 2 1", "4 1 2 3 -1", "0"][k],
     )
     (tmp_path / "a.ply").write_text(text.replace("element face", "element tristrips"))
     assert read(tmp_path / "a.ply").faces.tolist() == [[0, 1, 3], [1, 2, 3], [1, 2, 3]]

@@ -163,8 +163,11 @@ def test_capsule_that_fits_nowhere(model):
     mount = camera.T_capsule_camera.copy()
     mount[0, 3] = 0.5
     device = replace(model.device, length=1.2, radius=0.6, cameras=(camera.at(mount),))
-    with pytest.raises(InputError, match="the capsule fits nowhere between start"):
+    with pytest.raises(InputError, match=r"nowhere between start .* capsule 1200\.0 mm thick\. Ch"):
         _fly(Model(model.organ, device))
+    organ = replace(model.organ, metadata={"unit": "m"})
+    with pytest.raises(InputError, match=r"mm thick\. Choose"):
+        _fly(Model(organ, device))
 
 
 @pytest.mark.slow

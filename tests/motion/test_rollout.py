@@ -208,7 +208,10 @@ def test_it_is_set_further_in_where_it_does_not_fit(lying: Model) -> None:
 
 def test_it_fits_nowhere() -> None:
     narrow = Model(straight_gut({"jejunum": 0.1}, radius=2.5 * MM), read_device("mirocam"))
-    with pytest.raises(InputError, match=r"fits nowhere from start 0.5 on. Check the organ's"):
+    with pytest.raises(
+        InputError,
+        match=r"start 0.5 on: the lumen is 5\.0 to 5\.0 mm wide, the capsule 10\.8 mm thick\. St",
+    ):
         Rollout(narrow, RIGID, frames=1, fps=1.0, seed=0)
 
 

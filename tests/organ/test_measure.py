@@ -8,7 +8,12 @@ import pytest
 import trimesh
 
 from vrcaps.mesh.mesh import Mesh, vertex_normals
-from vrcaps.organ.measure import measure_organ, segment_spans, triangle_quality
+from vrcaps.organ.measure import (
+    measure_organ,
+    segment_spans,
+    triangle_quality,
+    unit_question,
+)
 from vrcaps.organ.surface import Centerline, OrganSurface
 from vrcaps.units import MM
 
@@ -131,3 +136,21 @@ def test_segments_follow_each_other_along_the_way():
     assert spans[1][2] == pytest.approx(LENGTH)
     one = replace(organ, label=np.ones_like(organ.label))
     assert segment_spans(one) == [(1, 0.0, pytest.approx(LENGTH))]
+
+
+@pytest.mark.parametrize(
+    ("unit", "diameter", "question"),
+    [
+        ("mm", 3.0 * MM, " Is the unit cm, not mm?"),
+        ("m", 30.0, " Is the unit mm, not m?"),
+        ("cm", 0.3, " Is the unit mm, not cm?"),
+        ("mm", 30e-6, " Is the unit m, not mm?"),
+        ("5cm", 1.5, " Is the unit mm, not 5cm?"),
+        ("mm", 10.0 * MM, ""),
+        ("mm", 100.0 * MM, ""),
+        ("mm", 1e3, ""),
+    ],
+)
+def test_the_unit_that_was_meant(unit, diameter, question):
+    """A lumen is some 30 mm wide: 3 in the file are cm, 30 are mm."""
+    assert unit_question(unit, diameter) == question

@@ -1,6 +1,7 @@
 """A mesh file becomes an organ with every field in step."""
 
 import hashlib
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -110,3 +111,31 @@ def test_real_organs(shared_data, name, unit, length_mm):
     facts = measure_organ(organ)
     assert 5.0 < facts.diameter_min * 1e3 < facts.diameter_median * 1e3 < facts.diameter_max * 1e3
     assert list(facts.diameter_by_segment) == ["wall"]
+
+
+@pytest.mark.slow
+def test_an_unlikely_width_asks_for_the_unit(tube_path, caplog):
+    read_organ(tube_path, unit="dm")
+    assert re.search(r"the lumen is 3\.96e\+03 mm wide. Is the unit mm, not dm\?", caplog.text)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("open_ends", ["cap", "keep"])
+def test_a_third_opening_is_named_with_its_place(tmp_path, caplog, open_ends):
+    """A hole of 30 mm in the side of an open tube of 40 mm."""
+    judge = trimesh.creation.cylinder(RADIUS, LENGTH, sections=32).subdivide_to_size(4e-3)
+    points, faces = np.array(judge.vertices), np.array(judge.faces)
+    middle = points[faces].mean(axis=1)
+    is_end = np.abs(middle[:, 2]) > LENGTH / 2 - 1e-6
+    is_hole = np.linalg.norm(middle - [RADIUS, 0, 0], axis=1) < 0.015
+    write_ply(tmp_path / "a.ply", Mesh(points, faces[~is_end & ~is_hole]))
+    read_organ(tmp_path / "a.ply", unit="m", open_ends=open_ends)
+    assert "has 3 openings as wide as a lumen, at (" in caplog.text
+    assert "a gut has two" in caplog.text
+
+
+def test_a_wall_with_a_thickness_in_one_piece_is_refused(tmp_path):
+    judge = trimesh.creation.annulus(RADIUS, RADIUS + 3e-3, LENGTH)
+    write_ply(tmp_path / "a.ply", Mesh(np.array(judge.vertices), np.array(judge.faces)))
+    with pytest.raises(InputError, match=r"a wall about 2\.9 mm thick"):
+        read_organ(tmp_path / "a.ply", unit="m")

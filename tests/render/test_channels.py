@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from shapes import DIRECT, looking, make_camera, make_model, pinhole, sphere
+from vrcaps.errors import InputError
 from vrcaps.render.channels import CHANNELS, Frame
 from vrcaps.render.renderer import Renderer
 
@@ -115,3 +116,12 @@ def test_the_core_fills_every_channel_of_its_stage():
     for name in names:
         assert getattr(frame, name) is getattr(given, name)
         assert not np.array_equal(getattr(frame, name), before[name]), name
+
+
+@pytest.mark.parametrize(
+    ("channel", "value"),
+    [("label", 256), ("instance", 65_536), ("instance", -1), ("face", 2**24 - 1)],
+)
+def test_whole_numbers_beyond_the_stored_type_are_refused(channel, value):
+    with pytest.raises(InputError, match=rf"{value}\. Allowed"):
+        ENCODINGS[channel].encode(np.full((2, 3), value))

@@ -13,9 +13,10 @@ from vrcaps.errors import InputError
 from vrcaps.lesion import paint
 from vrcaps.lesion.base import Form, Lesion
 from vrcaps.lesion.mesh_patch import ExtractedPatch, as_organ, insert, whole_wall
-from vrcaps.lesion.placement import PlacedLesion, describe
+from vrcaps.lesion.placement import PlacedLesion, describe, require_room
 from vrcaps.lesion.sites import SITES, PlacementContext, samples
 from vrcaps.mesh.log_map import ThinTrianglesError
+from vrcaps.mesh.mesh import wall_of
 from vrcaps.mesh.refine import Patch, refine, renewed_normals
 from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.surface import OrganSurface
@@ -53,8 +54,8 @@ def add_lesions(
 ) -> LesionPair:
     """Place, shape and paint lesions on an organ's wall.
 
-    Circumferential lesions are placed first, then focal ones, so that a polyp may lie in
-    colitis; focal lesions keep apart.
+    Each focal lesion is checked to fit before any work. Circumferential lesions are placed first,
+    then focal ones, so that a polyp may lie in colitis; focal lesions keep apart.
 
     Args:
         organ: Without lesions. Where it has an appearance, that is painted.
@@ -68,13 +69,15 @@ def add_lesions(
     """
     if len(lesions) > _MAX_LESIONS:
         raise InputError(f"{len(lesions)} lesions. Allowed: up to {_MAX_LESIONS}.")
+    rngs = [
+        vrcaps.rng.stream(int(seed.integers(2**31)), "lesions/shape", lesion.variant)
+        for seed, lesion in zip(rng.spawn(len(lesions)), lesions, strict=True)
+    ]
+    require_room(organ, wall_of(organ.vertices, organ.faces), lesions, rngs)
     work = _Work(organ, np.asarray(down, float) / np.linalg.norm(down))
     order = {"circumferential": 0, "flow": 1, "focal": 2}
-    seeds = rng.spawn(len(lesions))
     for index in sorted(range(len(lesions)), key=lambda k: order[lesions[k].extent]):
-        lesion = lesions[index]
-        own = vrcaps.rng.stream(int(seeds[index].integers(2**31)), "lesions/shape", lesion.variant)
-        work.add(lesion, index + 1, own)
+        work.add(lesions[index], index + 1, rngs[index])
     return work.finished()
 
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+import math
+from collections.abc import Iterator, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vrcaps._core import Wall
 from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.lesion.base import Lesion, Location
+from vrcaps.lesion.base import Lesion, Location, SizedLesion
 from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
@@ -24,6 +26,7 @@ _MAX_FILL = 0.8  # fraction of the free distance across the lumen that a lesion 
 _BESIDE = 1.05  # free distance beside what stands in the lumen, in its radii
 _WIDEST = 1.3  # footprint's radius in radii of the lumen up to which the log map holds
 _BEHIND = 0.3 * MM
+_SIZE_STEP = 0.5 * MM  # of the largest size that fits
 _UNEVEN = 0.35  # height of the wall around a pouch, in radii of its footprint
 
 
@@ -62,17 +65,65 @@ def place_focal(
         num_vertices: How many of the first vertices are evenly spread over the wall.
 
     Raises:
-        InputError: If it does not fit there, or nowhere in so many tries.
+        InputError: If it does not fit there, or nowhere in so many tries; states the largest of
+            its kind that does.
         UnknownNameError: If the organ has no such segment.
     """
-    reasons: list[str] = []
+    vertices, reason = [], ""
     for vertex in candidates(organ, lesion.location, rng, num_vertices):
-        reasons.append(_misfit(organ, wall, lesion, others, vertex))
-        if not reasons[-1]:
+        vertices.append(vertex)
+        reason = _misfit(organ, wall, lesion, others, vertex)
+        if not reason:
             return PlacedLesion(lesion, vertex, organ.vertices[vertex])
-    drawn = f"none of {len(reasons)} locations drawn will do; at the last, "
-    which = drawn if len(reasons) > 1 else ""
-    raise InputError(f"No location for {describe(lesion)}: {which}{reasons[-1]}.")
+    is_one = len(vertices) == 1
+    drawn = "" if is_one else f"none of {len(vertices)} locations drawn will do; at the last, "
+    size = _largest_size(organ, wall, lesion, others, vertices)
+    largest = f" Largest size that fits there: {size / MM:.1f} mm."
+    raise InputError(
+        f"No location for {describe(lesion)}: {drawn}{reason}.{largest if size else ''}"
+    )
+
+
+def require_room(
+    organ: OrganSurface, wall: Wall, lesions: Sequence[Lesion], rngs: Sequence[np.random.Generator]
+) -> None:
+    """Check that each focal lesion fits in a healthy organ, before any is made.
+
+    Args:
+        organ: Without lesions.
+        wall: The organ's, for clearance.
+        lesions: What to place.
+        rngs: Source of each, left as it is.
+
+    Raises:
+        InputError: As `place_focal`.
+        UnknownNameError: As `place_focal`.
+    """
+    for lesion, rng in zip(lesions, rngs, strict=True):
+        if lesion.extent == "focal":
+            count = len(organ.vertices)
+            place_focal(organ, wall, lesion, [], deepcopy(rng), num_vertices=count)
+
+
+def _largest_size(
+    organ: OrganSurface,
+    wall: Wall,
+    lesion: Lesion,
+    others: list[PlacedLesion],
+    vertices: list[int],
+) -> float:
+    """Largest size [m] of a lesion of that kind that fits at one of some vertices; 0 if none."""
+    if not isinstance(lesion, SizedLesion):
+        return 0.0
+    steps = np.arange(math.floor(lesion.size / _SIZE_STEP), 0, -1)
+    for size in (float(step) * _SIZE_STEP for step in steps):
+        try:
+            smaller = replace(lesion, size=size)
+        except InputError:  # smaller than any of its kind
+            return 0.0
+        if any(not _misfit(organ, wall, smaller, others, vertex) for vertex in vertices):
+            return size
+    return 0.0
 
 
 def candidates(

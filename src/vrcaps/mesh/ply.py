@@ -64,8 +64,9 @@ def read_ply(path: Path) -> Mesh:
     indices = narrow(polygons.values, np.int64, "face indices")
     faces = indices[corners]
     label = _labels(vertex)
-    if label is None and "label" in face:
-        label = _vertex_labels(_labels(face), polygons, indices, len(vertices))
+    of_faces = _labels(face)
+    if label is None and of_faces is not None:
+        label = _vertex_labels(of_faces, polygons, indices, len(vertices))
     uv = None
     if "texcoord" in face:
         if not np.array_equal(face["texcoord"].counts, 2 * polygons.counts):

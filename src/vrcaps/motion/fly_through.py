@@ -27,7 +27,7 @@ from vrcaps.motion.centerline_follower import (
 from vrcaps.motion.trajectory import Trajectory, require_inside, velocities_between
 from vrcaps.transforms import transform_points
 from vrcaps.units import MM
-from vrcaps.world.clearance import capsule_clearance, push_inside, vital_clearance
+from vrcaps.world.clearance import capsule_clearance, fit_text, push_inside, vital_clearance
 from vrcaps.world.model import Model
 from vrcaps.world.wall_displacement import WallDisplacement
 
@@ -270,8 +270,8 @@ def _stretch(
     if len(inside) < 2:
         raise InputError(
             f"{model.device.name} in {model.organ.name}: the capsule fits nowhere between start "
-            f"{settings.start:g} and end {settings.end:g}. Check the organ's unit, or take a "
-            "smaller capsule."
+            f"{settings.start:g} and end {settings.end:g}: {fit_text(model)} Choose another "
+            "stretch, inflate the gut, or take a smaller capsule."
         )
     knots = knots[inside[0] : inside[-1] + 1]
     notes = tuple(

@@ -15,7 +15,7 @@ from vrcaps.limits import Range, check_fields
 from vrcaps.motion.trajectory import Trajectory, capsule_poses
 from vrcaps.transforms import look_along, rotation_from_vector, transform_from
 from vrcaps.units import DEG, MM
-from vrcaps.world.clearance import capsule_clearance, vital_clearance
+from vrcaps.world.clearance import capsule_clearance, fit_text, vital_clearance
 from vrcaps.world.model import Model
 from vrcaps.world.wall_displacement import WallDisplacement
 
@@ -111,7 +111,8 @@ def random_views(
     raise InputError(
         f"{model.device.name} in {model.organ.name}: {len(left)} of {frames} views find no place, "
         f"in {_MOST_DRAWS} draws each, with nearest {settings.nearest:g} m and margin "
-        f"{settings.margin:g} m. Allow less of both, inflate the organ, or take a smaller capsule."
+        f"{settings.margin:g} m: {fit_text(model)} Allow less of both, inflate the organ, or take "
+        "a smaller capsule."
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.units import MM
-from vrcaps.world.clearance import capsule_clearance
+from vrcaps.world.clearance import capsule_clearance, fit_text
 from vrcaps.world.model import Model
 
 if TYPE_CHECKING:
@@ -46,8 +46,8 @@ def start_pose(
     if len(fitting) == 0:
         raise InputError(
             f"{model.device.name} in {model.organ.name}: the capsule fits nowhere from start "
-            f"{start:g} on. Check the organ's unit, start elsewhere, inflate the gut, or "
-            "take a smaller capsule."
+            f"{start:g} on: {fit_text(model)} Start elsewhere, inflate the gut, or take a smaller "
+            "capsule."
         )
     place = float(places[fitting[0]])
     moved = abs(place - wanted)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.organ.measure import lumen_diameters, unit_question
 from vrcaps.transforms import rotation_from_vector, transform_from, transform_points
 from vrcaps.units import MM
 from vrcaps.world.model import Model
@@ -33,6 +34,18 @@ def capsule_clearance(model: Model, poses: Float[np.ndarray, "n 4 4"]) -> Float[
 def vital_clearance(model: Model, poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, " n"]:
     """Least distance to the wall [m] of the origin and the cameras, which must be positive."""
     return capsule_clearance(model, poses)[:, : 1 + len(model.device.cameras)].min(axis=1)
+
+
+def fit_text(model: Model) -> str:
+    """Sentence about the widths of lumen and capsule, and about the unit of the organ's file."""
+    organ = model.organ
+    least, median, most = lumen_diameters(organ.centerline)
+    unit = organ.metadata.get("unit")
+    question = unit_question(unit, median) if isinstance(unit, str) else ""
+    return (
+        f"the lumen is {least / MM:.1f} to {most / MM:.1f} mm wide, the capsule "
+        f"{2.0 * model.device.radius / MM:.1f} mm thick.{question}"
+    )
 
 
 def corrected(

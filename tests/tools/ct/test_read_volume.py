@@ -297,8 +297,10 @@ def test_a_prosthesis_is_no_gas() -> None:
 
 
 def test_no_gas_states_the_range_of_values() -> None:
-    k, j, i = np.mgrid[:20, :64, :64]
-    values = np.where((j - 31.5) ** 2 + (i - 31.5) ** 2 < 28**2, 1064, 24).astype(np.int16)
+    j, i = np.mgrid[:64, :64]
+    values = np.tile(
+        np.where((j - 31.5) ** 2 + (i - 31.5) ** 2 < 28**2, 1064, 24), (20, 1, 1)
+    ).astype(np.int16)
     scan = Volume(values, np.diag([2e-3, 1.5e-3, 1.5e-3, 1.0]), "made")
     with pytest.raises(InputError, match=r"The values go from 24 to 1064 HU\. Air has -1000 HU"):
         choose_gas(find_gas(scan), scan)

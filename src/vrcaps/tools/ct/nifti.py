@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gzip
 import zlib
-from typing import TYPE_CHECKING, BinaryIO
+from typing import IO, TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -38,10 +38,11 @@ def require_finite_nifti(path: Path) -> None:
     require_finite(count, path)
 
 
-def _num_bad(file: BinaryIO) -> int:
+def _num_bad(file: IO[bytes] | gzip.GzipFile) -> int:
     """Number of voxels that are not finite; 0 where they are integers."""
     head = file.read(max(_HEADERS))
-    for order in "<>":
+    orders: tuple[Literal["<", ">"], ...] = ("<", ">")
+    for order in orders:
         size = int(np.frombuffer(head, f"{order}i4", 1)[0])
         if size in _HEADERS:
             fields = np.frombuffer(head, _HEADERS[size].newbyteorder(order), 1)[0]
@@ -50,7 +51,7 @@ def _num_bad(file: BinaryIO) -> int:
     return 0
 
 
-def _count(file: BinaryIO, start: int, dtype: str) -> int:
+def _count(file: IO[bytes] | gzip.GzipFile, start: int, dtype: str) -> int:
     """Number of values that are not finite from a byte to the end of a file."""
     file.seek(start)
     count = 0

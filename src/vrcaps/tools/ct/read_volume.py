@@ -93,6 +93,6 @@ def _read_file(path: Path, *, is_label_map: bool) -> Volume:
         require_finite_nifti(path)
     stored = sitk.GetArrayViewFromImage(image)
     values, name = np.empty(stored.shape, np.int16), f"label numbers of {path}"
-    for layer, own in zip(values, stored, strict=True):  # one by one, to hold no copy of the scan
-        layer[:] = narrow(own, np.int16, name) if is_label_map else hounsfield(own, path)
+    for k, own in enumerate(stored):  # one by one, to hold no copy of the scan
+        values[k] = narrow(own, np.int16, name) if is_label_map else hounsfield(own, path)
     return Volume(values, grid_transform(image), str(path))

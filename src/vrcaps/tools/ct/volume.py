@@ -61,7 +61,7 @@ def hounsfield(values: np.ndarray, source: object) -> Int16[np.ndarray, "*shape"
     if values.dtype.kind not in "iuf":
         raise InputError(f"{source} has values of type {values.dtype}. Give Hounsfield units.")
     if values.dtype.kind == "f":
-        require_finite(np.count_nonzero(~np.isfinite(values)), source)
+        require_finite(int(np.count_nonzero(~np.isfinite(values))), source)
         values = np.rint(values)
     return np.clip(values, limits.min, limits.max).astype(np.int16)
 

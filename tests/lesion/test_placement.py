@@ -15,7 +15,7 @@ from vrcaps.lesion import (
     Ulcer,
     add_lesions,
 )
-from vrcaps.lesion.placement import require_room
+from vrcaps.lesion.placement import require_locations, require_possible
 from vrcaps.mesh.mesh import wall_of
 from vrcaps.units import MM
 
@@ -83,10 +83,10 @@ def test_the_largest_size_that_fits_is_stated_and_fits(tube, arc_length):
     size = float(re.search(r"fits there: ([0-9.]+) mm\.$", str(error.value))[1]) * MM
     wall = wall_of(tube.vertices, tube.faces)
     fits, does_not = (replace(lesion, size=size + more) for more in (0.0, 0.5 * MM))
-    require_room(tube, wall, [fits], [np.random.default_rng(0)])
+    require_locations(tube, wall, [fits], [np.random.default_rng(0)])
     if arc_length is not None:
         with pytest.raises(InputError, match="No location for polyp Ip"):
-            require_room(tube, wall, [does_not], [np.random.default_rng(0)])
+            require_locations(tube, wall, [does_not], [np.random.default_rng(0)])
 
 
 def test_no_size_is_stated_where_none_fits_or_lesions_have_none(tube):
@@ -100,3 +100,17 @@ def test_all_focal_lesions_are_checked_before_any_work(tube, monkeypatch):
     monkeypatch.setattr("vrcaps.lesion.add._Work", lambda *args: pytest.fail("work"))
     with pytest.raises(InputError, match="No location for tumor"):
         add(tube, Stricture(), Polyp(size=4 * MM), Tumor(size=50 * MM))
+
+
+def test_lesions_larger_than_a_lumen_are_refused_before_it_is_made():
+    """In a lumen of 20 mm, 30 mm where it bulges: 1.3 radii along the wall are 39 mm for a tumor."""
+    require_possible([Tumor(size=39 * MM), Stricture(), Polyp(size=8 * MM)], 20 * MM)
+    require_possible([Diverticulum(size=15 * MM)], 10 * MM)  # out of the lumen
+    with pytest.raises(
+        InputError,
+        match=r"tumor.* of 45 mm: it is 45\.0 mm wide and 18\.0 mm high, but the lumen is 20\.0 mm "
+        r"wide at most\. Largest size that may fit: 39\.0 mm\.$",
+    ):
+        require_possible([Tumor(size=45 * MM)], 20 * MM)
+    with pytest.raises(InputError, match=r"the lumen is 1\.0 mm wide at most\.$"):
+        require_possible([Polyp(size=8 * MM)], 1 * MM)

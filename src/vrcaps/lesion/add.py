@@ -13,7 +13,7 @@ from vrcaps.errors import InputError
 from vrcaps.lesion import paint
 from vrcaps.lesion.base import Form, Lesion
 from vrcaps.lesion.mesh_patch import ExtractedPatch, as_organ, insert, whole_wall
-from vrcaps.lesion.placement import PlacedLesion, describe, require_room
+from vrcaps.lesion.placement import PlacedLesion, describe, require_locations
 from vrcaps.lesion.sites import SITES, PlacementContext, samples
 from vrcaps.mesh.log_map import ThinTrianglesError
 from vrcaps.mesh.mesh import wall_of
@@ -73,7 +73,7 @@ def add_lesions(
         vrcaps.rng.stream(int(seed.integers(2**31)), "lesions/shape", lesion.variant)
         for seed, lesion in zip(rng.spawn(len(lesions)), lesions, strict=True)
     ]
-    require_room(organ, wall_of(organ.vertices, organ.faces), lesions, rngs)
+    require_locations(organ, wall_of(organ.vertices, organ.faces), lesions, rngs)
     work = _Work(organ, np.asarray(down, float) / np.linalg.norm(down))
     order = {"circumferential": 0, "flow": 1, "focal": 2}
     for index in sorted(range(len(lesions)), key=lambda k: order[lesions[k].extent]):

@@ -26,6 +26,7 @@ _MAX_FILL = 0.8  # fraction of the free distance across the lumen that a lesion 
 _BESIDE = 1.05  # free distance beside what stands in the lumen, in its radii
 _WIDEST = 1.3  # footprint's radius in radii of the lumen up to which the log map holds
 _BEHIND = 0.3 * MM
+_BULGE = 1.5  # of the diameter between folds, beyond which no lumen reaches from wall to wall
 _SIZE_STEP = 0.5 * MM  # of the largest size that fits
 _UNEVEN = 0.35  # height of the wall around a pouch, in radii of its footprint
 
@@ -84,7 +85,7 @@ def place_focal(
     )
 
 
-def require_room(
+def require_locations(
     organ: OrganSurface, wall: Wall, lesions: Sequence[Lesion], rngs: Sequence[np.random.Generator]
 ) -> None:
     """Check that each focal lesion fits in a healthy organ, before any is made.
@@ -113,17 +114,51 @@ def _largest_size(
     vertices: list[int],
 ) -> float:
     """Largest size [m] of a lesion of that kind that fits at one of some vertices; 0 if none."""
+
+    def fits(smaller: Lesion) -> bool:
+        return any(not _misfit(organ, wall, smaller, others, vertex) for vertex in vertices)
+
+    return next((smaller.size for smaller in _smaller(lesion) if fits(smaller)), 0.0)
+
+
+def _smaller(lesion: Lesion) -> Iterator[SizedLesion]:
+    """The same lesion in all sizes below its own that its kind allows, the largest first."""
     if not isinstance(lesion, SizedLesion):
-        return 0.0
-    steps = np.arange(math.floor(lesion.size / _SIZE_STEP), 0, -1)
-    for size in (float(step) * _SIZE_STEP for step in steps):
+        return
+    for step in range(math.floor(lesion.size / _SIZE_STEP), 0, -1):
         try:
-            smaller = replace(lesion, size=size)
+            smaller = replace(lesion, size=step * _SIZE_STEP)
         except InputError:  # smaller than any of its kind
-            return 0.0
-        if any(not _misfit(organ, wall, smaller, others, vertex) for vertex in vertices):
-            return size
-    return 0.0
+            return
+        yield smaller
+
+
+def require_possible(lesions: Sequence[Lesion], diameter: float) -> None:
+    """Check that focal lesions are not larger than any place in a lumen that is not yet made.
+
+    Args:
+        lesions: What to place.
+        diameter: Of the lumen at its widest [m], by the parameters it is made of.
+
+    Raises:
+        InputError: If one is; states the largest size that may fit.
+    """
+
+    def is_possible(lesion: Lesion) -> bool:
+        radius = 0.5 * _BULGE * diameter
+        is_low = lesion.protrusion <= 2.0 * _MAX_FILL * radius
+        return is_low and lesion.footprint_radius <= _WIDEST * radius
+
+    for lesion in lesions:
+        if lesion.extent == "focal" and not is_possible(lesion):
+            sizes = (smaller.size for smaller in _smaller(lesion) if is_possible(smaller))
+            size = next(sizes, 0.0)
+            largest = f" Largest size that may fit: {size / MM:.1f} mm." if size else ""
+            raise InputError(
+                f"No location for {describe(lesion)}: it is {2e3 * lesion.footprint_radius:.1f} mm "
+                f"wide and {abs(lesion.protrusion) / MM:.1f} mm high, but the lumen is "
+                f"{diameter / MM:.1f} mm wide at most.{largest}"
+            )
 
 
 def candidates(

@@ -12,6 +12,7 @@ from vrcaps.capsule.catalog import device_of
 from vrcaps.errors import InputError
 from vrcaps.file_ref import FileRef, path_of, with_checksums
 from vrcaps.lesion import AnyLesion, add_lesions, lesion_rng
+from vrcaps.lesion.placement import require_possible
 from vrcaps.organ.organ_file import is_organ_file
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.channels import CHANNELS
@@ -109,6 +110,8 @@ def make_organ(scenario: Scenario, *, clean: bool = False) -> OrganSurface:
                 "of the clean twin, which `vrcaps organ make --clean-twin` writes."
             )
         return organ
+    if isinstance(scenario.organ, OrganGenerated):  # before minutes of making it
+        require_possible(scenario.lesions, _widest(scenario.organ))
     gravity_world = np.array([0.0, 0.0, -1.0])
     down = posture_transform(scenario.posture)[:3, :3].T @ gravity_world
     seed = getattr(scenario.organ, "seed", scenario.seed)
@@ -125,6 +128,12 @@ def make_organ(scenario: Scenario, *, clean: bool = False) -> OrganSurface:
     plain = to_plain(scenario.lesions, tuple[AnyLesion, ...])
     key = {"lesions": plain, "organ": _key(scenario), "down": down.tolist(), "seed": seed}
     return cached_organ(f"lesions-{fingerprint({**key, 'clean': clean})}", make)
+
+
+def _widest(organ: OrganGenerated) -> float:
+    from vrcaps.anatomy.full_tract.patient import draw_patient_anatomy, widest_diameter
+
+    return widest_diameter(draw_patient_anatomy(organ.seed, organ.distension), organ.name)
 
 
 def _load_organ(scenario: Scenario) -> OrganSurface:

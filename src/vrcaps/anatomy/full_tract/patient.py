@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import vrcaps.rng
 from vrcaps.anatomy.colon.parameters import SEGMENTS, ColonParameters
@@ -60,6 +60,16 @@ def draw_patient_anatomy(seed: int, distension: str | None = None) -> PatientAna
         SmallBowelParameters.draw(vrcaps.rng.stream(seed, "small-bowel/dimensions")).at(upper),
         colon_at(ColonParameters.draw(vrcaps.rng.stream(seed, "colon/dimensions")), lower),
     )
+
+
+def widest_diameter(patient: PatientAnatomy, organ: str) -> float:
+    """Largest diameter of an organ of `ORGANS` between its folds [m]."""
+    colon = [getattr(patient.colon, name).diameter for name in SEGMENTS]
+    found = {"colon": max(colon)}
+    for name, part in (("stomach", patient.stomach), ("small-bowel", patient.small_bowel)):
+        names = [field.name for field in fields(part) if field.name.endswith("_diameter")]
+        found[name] = max(getattr(part, name) for name in names)
+    return found.get(organ, max(found.values()))
 
 
 def colon_at(parameters: ColonParameters, distension: str) -> ColonParameters:

@@ -1,4 +1,4 @@
-"""Non-manifold edges and vertices, stray components and windings."""
+"""Non-manifold edges and vertices, and windings."""
 
 from __future__ import annotations
 

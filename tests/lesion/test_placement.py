@@ -103,14 +103,14 @@ def test_all_focal_lesions_are_checked_before_any_work(tube, monkeypatch):
 
 
 def test_lesions_larger_than_a_lumen_are_refused_before_it_is_made():
-    """In a lumen of 20 mm, 30 mm where it bulges: 1.3 radii along the wall are 39 mm for a tumor."""
+    """In a lumen of 20 mm, 30 mm where it bulges, a tumor spans up to 1.3 radii of the wall."""
     require_possible([Tumor(size=39 * MM), Stricture(), Polyp(size=8 * MM)], 20 * MM)
-    require_possible([Diverticulum(size=15 * MM)], 10 * MM)  # out of the lumen
+    require_possible([Diverticulum(size=15 * MM)], 15 * MM)  # out of the lumen
     with pytest.raises(
         InputError,
         match=r"tumor.* of 45 mm: it is 45\.0 mm wide and 18\.0 mm high, but the lumen is 20\.0 mm "
         r"wide at most\. Largest size that may fit: 39\.0 mm\.$",
     ):
         require_possible([Tumor(size=45 * MM)], 20 * MM)
-    with pytest.raises(InputError, match=r"the lumen is 1\.0 mm wide at most\.$"):
-        require_possible([Polyp(size=8 * MM)], 1 * MM)
+    with pytest.raises(InputError, match=r"the lumen is 0\.5 mm wide at most\.$"):
+        require_possible([Polyp(size=8 * MM)], 0.5 * MM)

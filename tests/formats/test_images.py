@@ -12,6 +12,7 @@ from vrcaps.camera.lens import LensPinhole
 from vrcaps.errors import InputError
 from vrcaps.formats.export import export
 from vrcaps.formats.images import Images
+from vrcaps.formats.stored_images import stored_steps
 from write_any import write_image
 
 LENS = LensPinhole(fx=25.0, fy=24.0, cx=20.25, cy=17.5)
@@ -176,3 +177,16 @@ def test_damage_is_one_clear_line(sequence, tmp_path):
     (out / "masks/ball_front_000003.png").unlink()
     with pytest.raises(InputError, match=r"no mask of ball_front_000003.png, nor of 0 more"):
         Images().read(out)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "given", "stored"),
+    [
+        (np.uint16, [0.4, 1.5, 65_535.4, 65_536.0, -1.0], [0, 2, 65_535, 0, 0]),
+        (np.uint16, [np.nan, np.inf, -np.inf, 1e30, -0.4], [0, 0, 0, 0, 0]),
+        (np.uint8, [254.6, 255.0, 256.0], [255, 255, 0]),
+    ],
+)
+def test_steps_beyond_a_type_are_no_value(dtype, given, stored):
+    found = stored_steps(np.array(given), dtype)
+    assert (found.dtype, found.tolist()) == (dtype, stored)

@@ -28,6 +28,7 @@ from vrcaps.formats.frame_files import write_times
 from vrcaps.formats.intrinsics import matrix_of, plain_pinhole
 from vrcaps.formats.lesion_models import LesionModel, lesion_models
 from vrcaps.formats.read_bop import SCENE_CAMERA, SCENE_GT, read_bop
+from vrcaps.formats.stored_images import stored_steps
 from vrcaps.limits import Range, check_fields
 from vrcaps.recording.image_files import write_images
 from vrcaps.recording.stored_organ import organ_name
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
     from vrcaps.formats.format import Advance
     from vrcaps.recording.frame_sequence import FrameSequence
 
-_LARGEST = 65535
 _SAME_WALL = 0.2 * MM
 """By how much a lesion's surface may lie beside its model, in the median of its pixels."""
 
@@ -108,8 +108,7 @@ class Bop:
         infos: dict[str, Rows] = {}
         for k in range(len(sequence)):
             depth = sequence.image("depth", k)
-            steps = np.rint(np.nan_to_num(depth) / MM / self.depth_step_mm)
-            stored = np.where(steps <= _LARGEST, steps, 0).astype(np.uint16)
+            stored = stored_steps(depth / MM / self.depth_step_mm)
             images = [
                 (place / f"rgb/{k:06d}.png", sequence.image("rgb", k)),
                 (place / f"depth/{k:06d}.png", stored),

@@ -24,7 +24,13 @@ from vrcaps.formats.folders import each_folder, folder_name, found_folders
 from vrcaps.formats.format import Needs
 from vrcaps.formats.frame_files import by_number, image_loader, matched, read_times
 from vrcaps.formats.intrinsics import matrix_of, nearest_file, plain_pinhole, read_matrix_camera
-from vrcaps.formats.stored_images import IMAGES, read_plane, read_rgb, write_rgba
+from vrcaps.formats.stored_images import (
+    IMAGES,
+    read_plane,
+    read_rgb,
+    stored_steps,
+    write_rgba,
+)
 from vrcaps.formats.unity import frames_with_poses, recorder_text
 from vrcaps.limits import Range, check_fields
 from vrcaps.recording.frame_sequence import TIME, FrameSequence
@@ -97,7 +103,7 @@ class EndoSlam:
 
     def _stored_depth(self, depth: NDArray) -> NDArray:
         steps = fixed_point("m", self.depth_step_mm * MM).encode(depth)
-        return np.where(steps <= 255, steps, 0).astype(np.uint8)
+        return stored_steps(steps, np.uint8)
 
     def _read_one(self, place: Path, folder: Path, split: str | None) -> FrameSequence:
         images = (place / _FRAMES).iterdir()

@@ -13,7 +13,7 @@ from vrcaps.files import write_bytes
 from vrcaps.recording.image_files import read_image
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from numpy.typing import DTypeLike, NDArray
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 """Suffixes of color images that are read."""
@@ -70,6 +70,13 @@ def read_plane(path: Path) -> NDArray:
     if (planes != planes[..., :1]).any():
         raise InputError(f"{path} is a color image. Allowed: one number for each pixel.")
     return planes[..., 0]
+
+
+def stored_steps(steps: NDArray, dtype: DTypeLike = np.uint16) -> NDArray:
+    """Whole steps of an unsigned type; 0, no value, where they are NaN or out of its range."""
+    whole = np.rint(steps)
+    is_valid = (whole >= 0) & (whole <= np.iinfo(dtype).max)
+    return np.where(is_valid, whole, 0).astype(dtype)
 
 
 def image_size(path: Path) -> tuple[int, int]:

@@ -20,6 +20,7 @@ from vrcaps.errors import InputError
 from vrcaps.files import write_bytes
 from vrcaps.formats.folders import each_folder, found_folders, read_rows
 from vrcaps.formats.format import Needs
+from vrcaps.formats.stored_images import stored_steps
 from vrcaps.formats.timed_rows import nearest_rows
 from vrcaps.limits import Range, check_fields
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
     from vrcaps.formats.format import Advance
 
 _TRUTH, _CALIBRATION = "groundtruth.txt", "calibration.txt"
-_LARGEST = 65535
 
 
 @dataclass(frozen=True)
@@ -85,8 +85,7 @@ class Tum:
         return tuple(self._read_one(place, split) for place, split in found_folders(folder, _TRUTH))
 
     def _stored_depth(self, depth: NDArray) -> NDArray:
-        steps = np.rint(np.nan_to_num(depth) * self.depth_scale)
-        return np.where(steps <= _LARGEST, steps, 0).astype(np.uint16)
+        return stored_steps(depth * self.depth_scale)
 
     def _read_one(self, place: Path, split: str | None) -> FrameSequence:
         lists = {n: _read_list(place / f"{n}.txt") for n in ("rgb", "depth")}

@@ -374,6 +374,18 @@ def test_a_document_with_a_byte_order_mark_and_a_buffer_beside_it(tmp_path: Path
     check_box(read(tmp_path / "a.gltf"))
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e38])
+def test_values_that_overflow_are_counted_without_a_warning(tmp_path: Path, value: float) -> None:
+    glb, points = SmallGlb(), POINTS.copy()
+    points[3] = value
+    glb.add(points, "VEC3")
+    glb.add(FACES.reshape(-1), "SCALAR")
+    nodes = [{"mesh": 0, "scale": [1e300] * 3}]
+    path = glb.write(tmp_path / "a.glb", [PRIMITIVE], nodes=nodes)
+    with pytest.raises(InputError, match="1 vertices that are not finite"):
+        read(path)
+
+
 def test_a_glb_may_have_bytes_after_its_end(tmp_path: Path) -> None:
     path = box().write(tmp_path / "a.glb", [PRIMITIVE])
     path.write_bytes(path.read_bytes() + b"\n\n")

@@ -39,7 +39,13 @@ def read_gltf(path: Path) -> Mesh:
         InputError: If labels or lesion numbers are out of range.
     """
     require_safe_gltf(path)
-    file = read_gltf_file(path)
+    # What overflows is found in the vertices, see `read_mesh`.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _concatenate(_all_parts(read_gltf_file(path)))
+
+
+def _all_parts(file: GltfFile) -> list[Mesh]:
+    """Each primitive of the default scene, once for each time that it is in it."""
     places = dict(_world_transforms(file))
     parts, count = [], 0
     for node, transform in places.items():
@@ -55,7 +61,7 @@ def read_gltf(path: Path) -> Mesh:
                         f"its scene has more than {_MOST_VALUES} vertices and triangles"
                     )
                 parts.append(drop_unused_vertices(part))
-    return _concatenate(parts)
+    return parts
 
 
 def _world_transforms(file: GltfFile) -> Iterator[tuple[int, np.ndarray]]:

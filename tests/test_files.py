@@ -5,6 +5,7 @@ import hashlib
 import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -26,7 +27,7 @@ from vrcaps.files import (
     write_json,
 )
 from vrcaps.locks import FolderInUseError
-from vrcaps.temporary_files import is_temporary, remove_stale
+from vrcaps.temporary_files import is_temporary, remove_stale, scratch_folder
 
 
 def test_a_failed_write_leaves_what_was_there(tmp_path):
@@ -237,3 +238,36 @@ def test_a_link_in_the_place_of_a_temporary_folder_is_not_followed(tmp_path):
     (tmp_path / ".other.partial").touch()
     with pytest.raises(StorageError, match=r"Cannot write .*other\.partial: Not a directory"):
         atomic_folder(tmp_path / "other").__enter__()
+
+
+SCRATCH = """
+import sys
+from vrcaps.temporary_files import scratch_folder
+with scratch_folder() as folder:
+    (folder / "part").touch()
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name == "nt", reason="Windows does not say who owns a folder")
+def test_the_scratch_folder_of_a_killed_process_is_removed_and_of_a_running_one_stays(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    other = tmp_path / "vrcaps-scratch-without-lock"
+    other.mkdir()
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    command, pipe = [sys.executable, "-c", SCRATCH], subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, env=environment) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"held\n"
+        with scratch_folder() as folder:
+            assert list(folder.iterdir()) == []
+            assert len({*tmp_path.iterdir()} - {other, folder.parent}) == 1
+        process.kill()
+    assert len(list(tmp_path.iterdir())) == 2
+    with scratch_folder() as folder:
+        assert {*tmp_path.iterdir()} == {other, folder.parent}
+    assert [*tmp_path.iterdir()] == [other]

@@ -5,16 +5,20 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import shutil
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
+from tempfile import TemporaryDirectory, gettempdir
 
 from vrcaps.locks import try_lock
 
 TEMPORARY = ".tmp"
 """End of the names of files that are still being written; they start with a dot."""
+
+_SCRATCH, _HELD = "vrcaps-scratch-", ".lock"
 
 _NAME = re.compile(rf"\..+\.[0-9a-f]{{32}}{re.escape(TEMPORARY)}")
 
@@ -52,6 +56,38 @@ def temporary_beside(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
         if os.name != "nt":
             os.close(file)
+
+
+@contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """Empty folder below the system's folder of temporary files, removed after the block.
+
+    Those that killed processes of the same user left behind are removed first.
+    """
+    _remove_stale_scratch()
+    with (
+        TemporaryDirectory(prefix=_SCRATCH) as name,
+        temporary_beside(Path(name) / "new") as lock,
+    ):
+        lock.rename(lock.with_name(_HELD))  # seen by others when it is locked
+        (Path(name) / "files").mkdir()
+        yield Path(name) / "files"
+
+
+def _remove_stale_scratch() -> None:
+    """Remove scratch folders whose processes have ended."""
+    if os.name == "nt":  # who owns them is not known
+        return
+    for folder in Path(gettempdir()).glob(f"{_SCRATCH}*"):
+        with contextlib.suppress(OSError):  # held, or removed by another process meanwhile
+            if folder.lstat().st_uid != os.getuid():
+                continue
+            file = os.open(folder / _HELD, os.O_RDWR | os.O_NOFOLLOW)
+            try:
+                if try_lock(file):
+                    shutil.rmtree(folder)
+            finally:
+                os.close(file)
 
 
 def remove_stale(folder: Path) -> None:

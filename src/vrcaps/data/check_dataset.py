@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import multiprocessing
-import tempfile
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -23,6 +22,7 @@ from vrcaps.data.units import Units
 from vrcaps.files import files_in
 from vrcaps.processes import end_with_parent
 from vrcaps.recording.check import check_episode
+from vrcaps.temporary_files import scratch_folder
 
 _Entry = Mapping[str, Any]
 
@@ -108,11 +108,11 @@ def _check_unit(job: _Job) -> list[str]:
     store = open_store(job.url)
     if isinstance(store, LocalStore):
         return _faults_of_folder(store.folder / EPISODES / job.name, job)
-    with tempfile.TemporaryDirectory(prefix="vrcaps-check-") as scratch:
+    with scratch_folder() as scratch:
         names = [f"{EPISODES}/{job.name}/{file}" for file in job.files]
         names += [job.organ] if job.organ and not job.checksums_only else []
-        read_at_once(partial(_fetch, store, Path(scratch)), names)
-        return _faults_of_folder(Path(scratch) / EPISODES / job.name, job)
+        read_at_once(partial(_fetch, store, scratch), names)
+        return _faults_of_folder(scratch / EPISODES / job.name, job)
 
 
 def _fetch(store: Store, folder: Path, name: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,6 +12,7 @@ from vrcaps.data.units import Unit, Units
 from vrcaps.files import files_in
 from vrcaps.organ.cache import cache_in, passing_organs
 from vrcaps.scenario.scenario import OrganGenerated, Scenario
+from vrcaps.temporary_files import scratch_folder
 
 _FRAMES = 6
 _PATIENTS = 25
@@ -72,8 +72,8 @@ def estimate(units: Units, numbers: Sequence[int]) -> Estimate:
     for unit in sample:
         kinds.setdefault(_kind(unit.scenario), []).append(unit)
     chosen = sorted(kinds, key=lambda kind: (-len(kinds[kind]), kind))[:_KINDS]
-    with tempfile.TemporaryDirectory(prefix="vrcaps-estimate-") as scratch, passing_organs():
-        costs = _measured({kind: kinds[kind][0] for kind in chosen}, Path(scratch))
+    with scratch_folder() as scratch, passing_organs():
+        costs = _measured({kind: kinds[kind][0] for kind in chosen}, scratch)
     share = len(numbers) / sum(len(kinds[kind]) for kind in chosen)
     seconds = num_bytes = 0.0
     for kind in chosen:

@@ -181,5 +181,5 @@ def _read_checkpoint(out: Path, learner: Ppo) -> Progress:
 
 def _write_checkpoint(out: Path, learner: Ppo, progress: Progress) -> None:
     stated = {"num_rounds": progress.num_rounds, "rows": progress.rows, "best": progress.best}
+    write_csv(out / PROGRESS, progress.rows)  # first: what is killed after the last is whole
     write_arrays(out / CHECKPOINT, {**learner.state(), "progress": np.array(json.dumps(stated))})
-    write_csv(out / PROGRESS, progress.rows)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Protocol
+
+from vrcaps.temporary_files import scratch_folder
 
 
 class EpisodeFiles(Protocol):
@@ -53,7 +54,7 @@ def file_here(files: EpisodeFiles, name: str) -> Iterator[Path]:
     if isinstance(files, LocalFiles):
         yield files.folder / name
         return
-    with tempfile.TemporaryDirectory(prefix="vrcaps-") as folder:
-        path = Path(folder) / PurePosixPath(name).name
+    with scratch_folder() as folder:
+        path = folder / PurePosixPath(name).name
         path.write_bytes(files.read(name))
         yield path

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from vrcaps.errors import InputError
 from vrcaps.files import file_sha256
@@ -12,6 +11,7 @@ from vrcaps.organ.surface import OrganSurface
 from vrcaps.organ.write_organ import write_organ
 from vrcaps.recording.layout import EPISODE_JSON
 from vrcaps.scenario.scenario import SOURCE_ORGAN, OrganFile, Scenario
+from vrcaps.temporary_files import scratch_folder
 
 
 def with_stored_organ(scenario: Scenario, out: Path) -> Scenario:
@@ -30,8 +30,8 @@ def with_stored_organ(scenario: Scenario, out: Path) -> Scenario:
     if not (out / EPISODE_JSON).exists():
         write_organ(path, scenario.organ)
         return replace(scenario, organ=OrganFile(str(path)))
-    with TemporaryDirectory() as folder:
-        written = Path(folder) / SOURCE_ORGAN
+    with scratch_folder() as folder:
+        written = folder / SOURCE_ORGAN
         write_organ(written, scenario.organ)
         if not path.exists() or file_sha256(written) != file_sha256(path):
             raise InputError(f"{out} holds an episode of another organ. Give an empty folder.")

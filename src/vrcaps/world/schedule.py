@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -157,14 +158,21 @@ def read_numbers(
 ) -> tuple[tuple[str, ...], list[list[float]]]:
     """Read a CSV of numbers with one of some headers: which, and its rows.
 
+    A last line that is cut off, by a kill of the process that added it, is left out with a warning.
+
     Raises:
         InputError: If the file cannot be read, its header is none of them, a line is wrong or there
             is none.
     """
     try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines()
+        text = Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"Cannot read the {what} {path}: {error}.") from error
+    lines = text.splitlines()
+    is_cut_off = len(lines) > 2 and not text.endswith("\n")
+    if is_cut_off and not _is_row(lines[-1], len(lines[0].split(","))):
+        warnings.warn(f"{path}: the last line is cut off, and left out.", stacklevel=2)
+        del lines[-1]
     header = tuple(cell.strip() for cell in lines[0].split(",")) if lines else ()
     if header not in headers:
         known = " or ".join(",".join(names) for names in headers)
@@ -185,6 +193,14 @@ def read_numbers(
     if not rows:
         raise InputError(f"{path} holds no row of {what}. Give at least one.")
     return header, rows
+
+
+def _is_row(line: str, count: int) -> bool:
+    """Whether a line holds some numbers."""
+    try:
+        return len([float(cell) for cell in line.split(",")]) == count
+    except ValueError:
+        return False
 
 
 def check_wrenches(wrenches: tuple[Wrench, ...], where: str) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from vrcaps.cli.benchmarks.report import Report, Row, Table, check_out, machine_
 from vrcaps.cli.benchmarks.timing import Spread
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.errors import InputError
+from vrcaps.temporary_files import scratch_folder
 
 
 def run(*, out: Path | None = None, quick: bool = False) -> Report:
@@ -79,9 +79,9 @@ def _recorded(num_frames: int, *words: str) -> dict[str, Any]:
     Raises:
         InputError: If it fails.
     """
-    with tempfile.TemporaryDirectory(prefix="vrcaps-bench-") as folder:
+    with scratch_folder() as folder:
         module = "vrcaps.cli.benchmarks.recording_process"
-        command = [sys.executable, "-m", module, folder, str(num_frames), *words]
+        command = [sys.executable, "-m", module, str(folder), str(num_frames), *words]
         answer = subprocess.run(command, capture_output=True, text=True, check=False)
     if answer.returncode:
         last = (answer.stderr.strip() or "no message").splitlines()[-1]

@@ -100,10 +100,10 @@ class Client:
         return there - began
 
 
-def open_client(port: int, image: str, keys: str) -> Client:
+def open_client(address: str, image: str, keys: str) -> Client:
     """A client that counts as a browser."""
     version: Any = f"viser-v{viser.__version__}"
-    socket = connect(f"ws://127.0.0.1:{port}", subprotocols=[version], max_size=None)
+    socket = connect(address.replace("http:", "ws:"), subprotocols=[version], max_size=None)
     client, corner = Client(socket, image, keys), (0.0, 0.0, 1.0)
     camera = {"wxyz": (1.0, 0.0, 0.0, 0.0), "position": corner, "fov": 1.0, "near": 0.1}
     camera |= {"far": 9.0, "look_at": corner, "up_direction": corner}
@@ -111,18 +111,18 @@ def open_client(port: int, image: str, keys: str) -> Client:
     return client
 
 
-def measure(port: int, image: str, keys: str, seconds: float, presses: int, out: Any) -> None:
+def measure(address: str, image: str, keys: str, seconds: float, presses: int, out: Any) -> None:
     """Measures, and puts what it finds into a queue.
 
     Args:
-        port: Of the page's server.
+        address: Of the page, with its token.
         image: Name of the element of the live image.
         keys: Name of the element that takes held axes.
         seconds: Length of a window.
         presses: How often a key is pressed.
         out: Takes "begin" and times of images [s], at rest and driving, then latencies [s].
     """
-    client = open_client(port, image, keys)
+    client = open_client(address, image, keys)
     end = time.perf_counter() + 2.0
     while time.perf_counter() < end or len(client.times) < 5:
         client.take(0.1)

@@ -125,7 +125,7 @@ def without_browser(cockpit: Cockpit, seconds: float, presses: int) -> tuple[str
     context = multiprocessing.get_context("spawn")
     told = context.Queue()
     image, keys = panel._image._impl.uuid, cockpit.page.bridge.field._impl.uuid
-    given = (cockpit.gate.port, image, keys, seconds, presses, told)
+    given = (cockpit.gate.address, image, keys, seconds, presses, told)
     process = context.Process(target=measure, args=given)
     process.start()
     windows = []

@@ -1,10 +1,11 @@
 """Claim: `import vrcaps` costs 50 ms of processor time beyond NumPy, and `vrcaps --help` 0.5 s.
 
-Prints the least of some runs: ``python benchmarks/speed_start.py [RUNS]``.
+Prints the least of some runs: ``python benchmarks/speed_start.py [--size RUNS]``.
 """
 
 from __future__ import annotations
 
+import argparse
 import subprocess
 import sys
 
@@ -18,8 +19,11 @@ STARTS = {
 }
 
 
-def main(runs: int) -> None:
+def main() -> None:
     """Print the processor time of each start."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--size", type=int, default=5, help="runs")
+    runs = parser.parse_args().size
     for name, code in STARTS.items():
         command = [sys.executable, "-c", f"{code}\nprint(time.process_time() - t)"]
         found = [float(subprocess.check_output(command, text=True)) for _ in range(runs)]
@@ -27,4 +31,4 @@ def main(runs: int) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 5)
+    main()

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.names import listed
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,7 @@ class CatalogFolder:
 
     def names(self) -> tuple[str, ...]:
         """Names of the catalog, sorted."""
-        return tuple(sorted(path.stem for path in self.path.glob("*.toml")))
+        return tuple(path.stem for path in listed(self.path, "*.toml"))
 
     def find(self, name_or_path: str | Path) -> Path:
         """The file of a name, or a user's own by its path.

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 
@@ -16,6 +17,39 @@ class InputError(VrcapsError, ValueError):
 
 class StorageError(InputError):
     """A place that cannot be written or reached: a full disk, no permission, a lost network."""
+
+
+@contextmanager
+def reading(what: object) -> Iterator[None]:
+    """Turn whatever a library raises for damaged data into one InputError.
+
+    Libraries raise more types than a reader can list: Pillow SyntaxError, NumPy TokenError, PyAV
+    UnicodeDecodeError, JSON RecursionError. Errors of vrcaps pass unchanged.
+
+    Args:
+        what: The file or folder that is read, for the message.
+
+    Raises:
+        InputError: If the block raises any other Exception.
+    """
+    try:
+        yield
+    except VrcapsError:
+        raise
+    except Exception as error:
+        raise InputError(f"Cannot read {what}: {_reason(error)}.") from error
+
+
+def _reason(error: Exception) -> str:
+    """One line that says what a library found."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    if isinstance(error, KeyError):
+        return f"{error} is missing"
+    if isinstance(error, MemoryError):
+        return "it does not fit into memory"
+    text = " ".join(str(error).split()).rstrip(".")
+    return text[:200] if text else type(error).__name__
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

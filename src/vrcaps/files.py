@@ -7,10 +7,10 @@ import errno
 import hashlib
 import io
 import json
+import math
 import os
 import shutil
 import zipfile
-import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,11 +22,8 @@ from vrcaps.errors import InputError, StorageError
 from vrcaps.locks import file_lock
 from vrcaps.temporary_files import is_temporary, remove_stale, temporary_beside
 
-_DAMAGED = (
-    *(EOFError, LookupError, TypeError, AttributeError, MemoryError, RuntimeError),
-    *(zipfile.BadZipFile, zlib.error),
-)
-"""What NumPy raises for a damaged archive, beside OSError and ValueError."""
+MOST_BYTES = 2**32
+"""Largest size of the arrays of one archive: a header may state any."""
 
 
 @contextmanager
@@ -114,18 +111,61 @@ def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
         np.savez_compressed(file, **arrays)  # pyright: ignore[reportArgumentType]
 
 
-def read_arrays(path: Path) -> dict[str, np.ndarray]:
+def read_arrays(path: Path, most_bytes: int = MOST_BYTES) -> dict[str, np.ndarray]:
     """Read the arrays of a NumPy archive.
+
+    Args:
+        path: The file.
+        most_bytes: Largest size of all arrays together.
 
     Raises:
         OSError: If the file cannot be read.
-        ValueError: If it is no archive, or is cut short or damaged.
+        ValueError: If it is no archive, is cut short or damaged, or its arrays are larger.
     """
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            return {name: stored[name] for name in stored.files}
-    except _DAMAGED as error:
+        with path.open("rb") as file, zipfile.ZipFile(file) as archive:
+            total = sum(member.file_size for member in archive.infolist())
+            if total > most_bytes:
+                raise ValueError(f"its arrays take {total} bytes, more than {most_bytes}")
+            return {
+                member.filename.removesuffix(".npy"): decode_array(_member(archive, member))
+                for member in archive.infolist()
+            }
+    except OSError:
+        raise
+    except Exception as error:  # what zipfile and NumPy raise for damaged data has no common base
         raise ValueError(f"no whole NumPy archive: {error}") from error
+
+
+def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
+    """Bytes of a member; no more are decompressed than its header states."""
+    with archive.open(member) as file:
+        return file.read(member.file_size)
+
+
+def decode_array(data: bytes) -> np.ndarray:
+    """Array of the bytes of a NumPy file (.npy); its size is checked before it is allocated.
+
+    Raises:
+        ValueError: If they are no such file, hold objects, or are fewer than the header states.
+    """
+    file = io.BytesIO(data)
+    try:
+        major, _ = np.lib.format.read_magic(file)
+        read_header = {
+            1: np.lib.format.read_array_header_1_0,
+            2: np.lib.format.read_array_header_2_0,
+        }[major]
+        shape, is_fortran, dtype = read_header(file)
+    except Exception as error:  # NumPy raises SyntaxError, TokenError and others
+        raise ValueError(f"no whole NumPy array: {error}") from error
+    if dtype.hasobject or dtype.itemsize == 0:
+        raise ValueError(f"it holds {dtype}, not numbers")
+    size, rest = math.prod(shape) * dtype.itemsize, len(data) - file.tell()
+    if min(shape, default=0) < 0 or size > rest:
+        raise ValueError(f"its header states {size} bytes, and it has {rest}")
+    values = np.frombuffer(data, dtype, math.prod(shape), file.tell())
+    return values.reshape(shape, order="F" if is_fortran else "C").copy(order="K")
 
 
 def write_json(path: Path, value: Any) -> None:

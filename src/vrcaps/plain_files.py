@@ -24,7 +24,7 @@ def read_plain(path: Path, noun: str) -> Any:
     """
     kind = "TOML" if path.suffix == ".toml" else "JSON"
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
         if kind == "TOML":
             return tomllib.loads(text, parse_float=Decimal)
         return json.loads(text)
@@ -32,6 +32,22 @@ def read_plain(path: Path, noun: str) -> Any:
         raise InputError(f"Cannot read the {noun} file {path}: {error.strerror}.") from error
     except (ValueError, ArithmeticError, RecursionError) as error:
         raise InputError(f"The {noun} file {path} is not {kind}: {error}.") from error
+
+
+def decode_json(data: bytes | str, what: object) -> Any:
+    """Value of a JSON text.
+
+    Args:
+        data: The text, UTF-8 where it is given as bytes.
+        what: Where it is from, for messages.
+
+    Raises:
+        InputError: If it is not JSON.
+    """
+    try:
+        return json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{what} is not JSON: {error}.") from error
 
 
 def write_toml(path: Path, plain: dict[str, Any], noun: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ from vrcaps import __version__
 from vrcaps.errors import InputError
 from vrcaps.files import is_new_folder, write_json
 from vrcaps.made_with import core_sha256, versions
+from vrcaps.plain_files import decode_json
 
 SETTINGS = "settings.json"
 
@@ -37,9 +37,9 @@ def begin_training(
         write_json(path, {"made_with": made_with, "settings": plain})
         return
     try:
-        found = json.loads(path.read_text())
+        found = decode_json(path.read_bytes(), path)
         before, versions_before = found["settings"], found["made_with"]
-    except (ValueError, LookupError, TypeError) as error:
+    except (InputError, LookupError, TypeError) as error:
         raise InputError(f"{path} is damaged. Give a new folder.") from error
     changed = _differences(before, plain)
     if changed:

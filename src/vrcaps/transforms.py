@@ -16,6 +16,9 @@ from vrcaps.errors import InputError
 if TYPE_CHECKING:
     from jaxtyping import Float
 
+_UNIT = 0.01
+"""Largest deviation of a stored quaternion's length from 1."""
+
 
 def transform_from(
     rotation: Float[np.ndarray, "*batch 3 3"], translation: Float[np.ndarray, "*batch 3"]
@@ -75,6 +78,63 @@ def matrix_from_quaternion(
     ]
     rotation = np.array(rows)
     return np.ascontiguousarray(rotation.transpose(*range(2, rotation.ndim), 0, 1))
+
+
+def matrix_from_unit_quaternion(
+    wxyz: Float[np.ndarray, "*batch 4"], what: object
+) -> Float[np.ndarray, "*batch 3 3"]:
+    """Rotation matrix of a quaternion that a file holds, of unit length but for rounding.
+
+    Args:
+        wxyz: The quaternion.
+        what: The file, for messages.
+
+    Raises:
+        InputError: If a quaternion is not finite, or its length is not 1 within 1 %.
+    """
+    length = np.linalg.norm(np.asarray(wxyz, float), axis=-1).ravel()
+    wrong = np.flatnonzero(~(np.abs(length - 1.0) <= _UNIT))
+    if len(wrong):
+        raise InputError(
+            f"{what} holds a quaternion of length {length[wrong[0]]:.4g} (pose {wrong[0]}). "
+            "Allowed: 1."
+        )
+    return matrix_from_quaternion(wxyz)
+
+
+def require_rigid(
+    transforms: Float[np.ndarray, "*batch 4 4"], what: object, tolerance: float = 1e-3
+) -> None:
+    """Check that matrices that data hold are rigid transforms.
+
+    Args:
+        transforms: The matrices.
+        what: Where they are from, for messages.
+        tolerance: Largest deviation of ``R Rᵀ`` from the identity; files round.
+
+    Raises:
+        InputError: If one is not finite, its rotation not orthonormal and right-handed, or its last
+            row not 0 0 0 1.
+    """
+    matrices = np.asarray(transforms, float)
+    if matrices.shape[-2:] != (4, 4):
+        raise InputError(
+            f"{what} is no rigid transform, but of shape {matrices.shape}. Allowed: 4×4."
+        )
+    matrices = matrices.reshape(-1, 4, 4)
+    finite = np.isfinite(matrices).all(axis=(1, 2))
+    safe = np.where(finite[:, None, None], matrices, np.eye(4))
+    rotation = np.clip(safe[:, :3, :3], -2.0, 2.0)
+    off = np.abs(rotation @ np.swapaxes(rotation, 1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0)
+    rigid = finite & (off <= tolerance) & (np.linalg.det(rotation) > 0.0)
+    rigid &= np.abs(safe[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1, initial=0.0) <= tolerance
+    wrong = np.flatnonzero(~rigid)
+    if len(wrong):
+        problem = "is no rigid transform" if finite[wrong[0]] else "is not finite"
+        raise InputError(
+            f"{what} {problem} (matrix {wrong[0]}). Allowed: a rotation with determinant 1, a "
+            "position in finite numbers, and a last row 0 0 0 1."
+        )
 
 
 def quaternion_from_matrix(

@@ -64,7 +64,7 @@ def test_mistakes_end_in_one_line(frames, tmp_path, capsys) -> None:
     rest = ["--mm-per-pixel", "0.1", "--out", str(out)]
     assert "holds no photograph" in fail([str(empty), *rest], capsys)
     assert "holds no photograph" in fail([str(other), *rest], capsys)
-    assert "is not a picture" in fail([str(tmp_path / "broken.png"), *rest], capsys)
+    assert "Cannot read" in fail([str(tmp_path / "broken.png"), *rest], capsys)
     assert "There is no file" in fail([str(tmp_path / "gone.png"), *rest], capsys)
     small = [str(tmp_path / "small.png"), *rest]
     assert "too few to make a texture from" in fail(small, capsys)

@@ -115,5 +115,5 @@ def test_bad_snapshots_say_so(tmp_path):
     with pytest.raises(InputError, match="The snapshot is of another environment"):
         env.restore(replace(snapshot, worlds=(replace(snapshot.worlds[0], memory=torn),)))
     (tmp_path / "text.npz").write_text("no archive")
-    with pytest.raises(InputError, match="is no snapshot of an environment"):
+    with pytest.raises(InputError, match="Cannot read the snapshot of an environment"):
         read_env_snapshot(tmp_path / "text.npz")

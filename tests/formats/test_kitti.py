@@ -83,7 +83,7 @@ def test_distortion_is_one_clear_line(sequence, tmp_path):
         ("sequences/00/times.txt", None, r"has no times.txt"),
         ("sequences/00/times.txt", "0.0\n1.0\n", "has 2 rows, but there is a frame 4"),
         ("poses/00.txt", "1 2 3\n", "3 columns"),
-        ("sequences.json", "[", "Cannot read"),
+        ("sequences.json", "[", "is not JSON"),
     ],
 )
 def test_damage_is_one_clear_line(sequence, tmp_path, path, text, match):

@@ -170,7 +170,7 @@ def test_bad_input_is_one_clear_line(sequences, exported, tmp_path):
     with pytest.raises(InputError, match="no features"):
         LeRobot().read(broken)
     (broken / "meta/info.json").write_text("no json")
-    with pytest.raises(InputError, match="Cannot read"):
+    with pytest.raises(InputError, match="is not JSON"):
         LeRobot().read(broken)
 
 

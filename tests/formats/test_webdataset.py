@@ -82,7 +82,7 @@ def test_bad_folders_are_one_clear_line(fisheye_episode, tmp_path):
         WebDataset().read(tmp_path)
     for files, message in (
         ({"a.png": b""}, r"sample a has no \.json"),
-        ({"a.json": b"{"}, r"a\.json is damaged"),
+        ({"a.json": b"{"}, r"a\.json is not JSON"),
         ({"a.json": b"{}"}, "lacks 'sequence'"),
     ):
         with tarfile.open(tmp_path / "0.tar", "w") as tar:

@@ -202,8 +202,8 @@ def _estimate(plan: Plan, units: Units, numbers: Sequence[int], out: str) -> Non
     from vrcaps.data.check_plan import check_plan
     from vrcaps.data.estimate import estimate
     from vrcaps.data.ledger import require_target, whole_units
-    from vrcaps.data.plan import SPLITS
     from vrcaps.data.store import open_store
+    from vrcaps.recording.frame_sequence import SPLITS
 
     check_plan(units)
     store = open_store(out)

@@ -11,10 +11,10 @@ from tyro.conf import Positional
 
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.cli.parts import command_of, part_of
-from vrcaps.data.plan import SPLITS
 from vrcaps.errors import UnknownNameError
 from vrcaps.formats.format import Format
 from vrcaps.formats.registry import FORMATS, format_named
+from vrcaps.recording.frame_sequence import SPLITS
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,14 +7,18 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
+from vrcaps.errors import InputError, require
 from vrcaps.recording.episode import Episode, read_episode
+from vrcaps.scenario.scenario import MOST_FRAMES
 
 ABOUT = "about"
 """Key of an entry of the ledger."""
+
 
 _CONTENTS = ("bubbles", "chyme", "liquid")
 
@@ -54,3 +58,19 @@ def _organ_sha256(episode: Episode) -> str:
     """A checksum of how the organ was made: equal for the same anatomy in any posture."""
     plain = json.dumps(episode.head["scenario"]["organ"], sort_keys=True)
     return hashlib.sha256(plain.encode()).hexdigest()
+
+
+def require_about(about: dict[str, Any]) -> None:
+    """Check the values that are counted of what an entry says of its recording.
+
+    Raises:
+        InputError: If a number is out of range, or no table is where one is due.
+    """
+    frames, seconds = about.get("frames"), about.get("seconds")
+    is_count = type(frames) is int and 0 < frames <= MOST_FRAMES
+    require(is_count, "about.frames", repr(frames), f"1 to {MOST_FRAMES}")
+    is_time = type(seconds) in (int, float) and 0.0 < seconds < math.inf
+    require(is_time, "about.seconds", repr(seconds), "a finite number above 0")
+    for key in ("cameras", "segments", "versions"):
+        if not isinstance(about.get(key, {}), dict):
+            raise InputError(f"about.{key} is {about[key]!r}. Allowed: a table.")

@@ -12,7 +12,8 @@ from collections.abc import Iterator, Sequence
 
 from vrcaps.data.counts import Row
 from vrcaps.data.ledger import EPISODES
-from vrcaps.data.plan import SPLITS, DatasetSettings
+from vrcaps.data.plan import DatasetSettings
+from vrcaps.recording.frame_sequence import SPLITS
 from vrcaps.recording.layout import FRAMES_PARQUET
 
 _SIZES = (

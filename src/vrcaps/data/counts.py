@@ -9,10 +9,10 @@ from typing import Any
 
 from vrcaps.data.about import ABOUT
 from vrcaps.data.ledger import read_entry, whole_units
-from vrcaps.data.plan import SPLITS
 from vrcaps.data.store import Store
 from vrcaps.data.stored_files import read_at_once
 from vrcaps.errors import InputError
+from vrcaps.recording.frame_sequence import SPLITS
 
 
 @dataclass(frozen=True)

@@ -130,9 +130,9 @@ class FrameWindows:
 
     def _read(self, wanted: list[tuple[FrameSequence, str, int]]) -> list[NDArray]:
         if not self.threads:
-            return [sequence.load(channel, frame) for sequence, channel, frame in wanted]
+            return [sequence.image(channel, frame) for sequence, channel, frame in wanted]
         with ThreadPoolExecutor(self.threads) as pool:
-            return list(pool.map(lambda item: item[0].load(*item[1:]), wanted))
+            return list(pool.map(lambda item: item[0].image(*item[1:]), wanted))
 
     def _sample(self, number: int, frames: NDArray, images: Any) -> Sample:
         """Arrays of a window; takes its images from an iterator."""

@@ -7,16 +7,22 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from vrcaps.data.about import ABOUT, about_recording
+from vrcaps.data.about import ABOUT, about_recording, require_about
+from vrcaps.data.organs import StoredOrgan
 from vrcaps.data.plan import Plan, plan_to_plain
 from vrcaps.data.store import Store
 from vrcaps.data.units import Unit
-from vrcaps.errors import InputError
+from vrcaps.errors import InputError, require
 from vrcaps.files import file_sha256, files_in
+from vrcaps.limits import Range, check_fields
 from vrcaps.made_with import made_here
+from vrcaps.names import require_name
+from vrcaps.plain_files import decode_json
+from vrcaps.serialization import from_plain
 
 PLAN = "plan.json"
 MADE_WITH = "made_with"
@@ -26,6 +32,52 @@ FAILED = "failed"
 
 _FEW = 128
 """Units that are asked for one by one; a listing gives a thousand at once."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Entry of a whole unit, as its file in the ledger states it.
+
+    Attributes:
+        number: Of the unit.
+        patient: Number of the patient.
+        split: Split that the patient is in.
+        files: Checksum of each file of the recording by its path.
+        bytes: Size of these files.
+        about: Content of the recording; entries of earlier versions have none.
+        organ: Organ that is stored beside the recordings, if there is one.
+    """
+
+    number: Annotated[int, Range(0)]
+    patient: Annotated[int, Range(0)]
+    split: Literal["train", "val", "test"]
+    files: dict
+    bytes: Annotated[int, Range(0)]
+    about: dict = field(default_factory=dict)
+    organ: StoredOrgan | None = None
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        for name, checksum in self.files.items():
+            require_name("file", name)
+            require(isinstance(checksum, str), f"Checksum of {name}", checksum, "a text")
+        if self.about:
+            require_about(self.about)
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Note of a unit that could not be made.
+
+    Attributes:
+        number: Of the unit.
+        error: Message of the error.
+        reproduce: Command that makes the unit again.
+    """
+
+    number: int
+    error: str
+    reproduce: str
 
 
 def entry_of(unit: Unit, folder: Path) -> dict[str, Any]:
@@ -97,25 +149,37 @@ def failures(store: Store) -> dict[str, dict[str, Any]]:
     names = [name.removesuffix(".json") for name in store.names(FAILED)]
     whole = set(whole_units(store, names))
     return {
-        name: json.loads(store.read(f"{FAILED}/{name}.json")) for name in names if name not in whole
+        name: _checked(store, f"{FAILED}/{name}.json", Failure)
+        for name in names
+        if name not in whole
     }
 
 
 def read_entry(store: Store, name: str) -> dict[str, Any]:
-    """Entry of one unit.
+    """Entry of one unit, with the keys of `Entry`.
 
     Raises:
         InputError: If it is damaged.
     """
-    where = f"{LEDGER}/{name}.json"
-    text = store.read(where)
+    return _checked(store, f"{LEDGER}/{name}.json", Entry)
+
+
+def _checked(store: Store, where: str, kind: type) -> dict[str, Any]:
+    """Table of a file in a store that fits a dataclass.
+
+    Raises:
+        InputError: If it does not.
+    """
+    place = f"{store.url}/{where}"
     try:
-        return json.loads(text)
-    except ValueError as error:
+        plain = decode_json(store.read(where), place)
+        from_plain(kind, plain, at=f"{place}:")
+    except InputError as error:
         raise InputError(
-            f"{store.url}/{where} is damaged ({error}). Delete it and make the data "
-            "set again: the unit is made anew."
+            f"{place} is damaged ({error}) Delete it and make the data set again: only its unit is "
+            "made."
         ) from error
+    return plain
 
 
 def read_plain_plan(store: Store) -> dict[str, Any]:
@@ -191,13 +255,16 @@ def _stored_plan(store: Store) -> Any:
         text = store.read(PLAN)
     except (FileNotFoundError, NotADirectoryError):
         return None
+    place = f"{store.url}/{PLAN}"
     try:
-        return json.loads(text)
-    except ValueError as error:
+        plain = decode_json(text, place)
+        require(isinstance(plain, dict), place, type(plain).__name__, "a table")
+    except InputError as error:
         raise InputError(
-            f"{store.url}/{PLAN} is damaged ({error}). Give another --out, or delete that file to "
-            "go on with the plan that made the data set."
+            f"{place} is damaged ({error}) Give another --out, or delete that file to go on with "
+            "the plan that made the data set."
         ) from error
+    return plain
 
 
 def _difference(a: Any, b: Any, path: str = "") -> str | None:

@@ -8,15 +8,43 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Annotated, Any
 
 from vrcaps.data.store import Store
+from vrcaps.errors import InputError, require
+from vrcaps.limits import Range, check_fields
 from vrcaps.organ.arrays import organ_sha256
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.organ.write_organ import organ_glb
+from vrcaps.plain_files import decode_json
 from vrcaps.recording.episode_files import LocalFiles
 from vrcaps.recording.layout import SHARED_ORGANS, read_head
+from vrcaps.serialization import from_plain
+
+_ORGAN_FILE = re.compile(rf"{SHARED_ORGANS}/[0-9a-f]{{64}}\.glb")
+
+
+@dataclass(frozen=True)
+class StoredOrgan:
+    """Entry of an organ that recordings of a data set share.
+
+    Attributes:
+        path: Name of its file in the data set.
+        sha256: Checksum of the file.
+        bytes: Size of the file.
+    """
+
+    path: str
+    sha256: str
+    bytes: Annotated[int, Range(0)]
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        is_organ = bool(_ORGAN_FILE.fullmatch(self.path))
+        require(is_organ, "path", repr(self.path), f"{SHARED_ORGANS}/ and the name of an organ")
 
 
 def store_organ(store: Store, organ: OrganSurface) -> str:
@@ -47,7 +75,10 @@ def _entry_name(name: str) -> str:
 
 def _read_entry(store: Store, name: str) -> dict[str, Any] | None:
     """What was entered of a stored organ; None if it is not there, or that is damaged."""
+    where = _entry_name(name)
     try:
-        return json.loads(store.read(_entry_name(name)))
-    except (FileNotFoundError, ValueError):
+        plain = decode_json(store.read(where), where)
+        from_plain(StoredOrgan, plain, at=where)
+    except (FileNotFoundError, InputError):
         return None
+    return plain

@@ -22,8 +22,6 @@ from vrcaps.serialization import from_plain, to_plain
 PATIENT_SLOTS = ("organ", "lesions")
 """Keys of a scenario that belong to the patient."""
 
-SPLITS = ("train", "val", "test")
-
 LICENSES = (
     *("apache-2.0", "bsd-3-clause", "cc0-1.0", "cc-by-4.0", "cc-by-nc-4.0", "cc-by-nc-nd-4.0"),
     *("cc-by-nc-sa-4.0", "cc-by-nd-4.0", "cc-by-sa-4.0", "cdla-permissive-2.0", "mit", "odbl"),

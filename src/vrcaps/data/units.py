@@ -12,8 +12,9 @@ from typing import Any
 from vrcaps import rng
 from vrcaps.anatomy.catalog import ORGANS, organ_segments
 from vrcaps.data.distribution import PROBABILITY, Each, Prevalence, slots
-from vrcaps.data.plan import PATIENT_SLOTS, SPLITS, Plan
+from vrcaps.data.plan import PATIENT_SLOTS, Plan
 from vrcaps.errors import InputError, UnknownNameError, VrcapsError
+from vrcaps.recording.frame_sequence import SPLITS
 from vrcaps.scenario.scenario import OrganGenerated, Scenario, scenario_from_plain
 
 _SEEDS = 2**31

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps._core import __version__
-from vrcaps.errors import InputError, require
+from vrcaps.errors import InputError, reading, require
 from vrcaps.files import read_arrays, write_arrays
 from vrcaps.world.snapshot import Snapshot, snapshot_arrays, snapshot_from_arrays
 
@@ -118,7 +118,8 @@ def restore_snapshot(
     given = len(snapshot.worlds)
     require(given == len(numbers), "The snapshot's number of worlds", given, f"{len(numbers)}")
     for k, saved in zip(numbers, snapshot.worlds, strict=True):
-        generators[k].bit_generator.state = json.loads(saved.generator)
+        with reading(f"the random generator of world {k} of the snapshot"):
+            generators[k].bit_generator.state = json.loads(saved.generator)
         episode.simulation.restore(k, saved)
 
 
@@ -139,7 +140,7 @@ def read_env_snapshot(path: Path) -> EnvSnapshot:
     Raises:
         InputError: If the file is no snapshot of an environment.
     """
-    try:
+    with reading(f"the snapshot of an environment {path}"):
         arrays = read_arrays(path)
         worlds = {name.partition("/")[0] for name in arrays if "/" in name}
         return EnvSnapshot(
@@ -147,8 +148,6 @@ def read_env_snapshot(path: Path) -> EnvSnapshot:
             str(arrays["version"]),
             tuple(_world_of(arrays, f"{k}/") for k in range(len(worlds))),
         )
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(f"{path} is no snapshot of an environment: {error}.") from error
 
 
 def _world_of(arrays: dict[str, np.ndarray], start: str) -> WorldSnapshot:

@@ -24,7 +24,7 @@ from vrcaps.camera.lens import LensPinhole, LensScaramuzza
 from vrcaps.errors import InputError
 from vrcaps.files import write_bytes
 from vrcaps.formats import c3vd_cameras as cameras
-from vrcaps.formats.folders import each_folder, folder_name, found_folders
+from vrcaps.formats.folders import each_folder, folder_name, found_folders, new_folder
 from vrcaps.formats.format import Needs
 from vrcaps.formats.frame_files import (
     by_number,
@@ -37,6 +37,7 @@ from vrcaps.formats.frame_files import (
 from vrcaps.formats.intrinsics import plain_pinhole
 from vrcaps.formats.stored_images import read_numbers, read_plane, read_rgb, write_tiff
 from vrcaps.limits import Range, check_fields
+from vrcaps.names import listed
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.recording.image_files import write_images
 from vrcaps.render.encoding import fixed_point
@@ -139,7 +140,7 @@ class C3vd:
         try:
             places = [*found_folders(folder, self._pattern("rgb"))]
         except InputError as error:
-            fits = [k for k, files in _FILES.items() if any(folder.rglob(_glob(files["rgb"])))]
+            fits = [k for k, files in _FILES.items() if listed(folder, f"**/{_glob(files['rgb'])}")]
             hint = f" It fits the layout {fits[0]!r}." if fits else ""
             raise InputError(f"{error}{hint}") from None
         return tuple(self._read_one(place, folder, split) for place, split in places)
@@ -151,9 +152,7 @@ class C3vd:
             yield from each_folder(sequences, folder)
             return
         for sequence in sequences:  # its loader has the splits itself, and looks for no folders
-            place = folder / "cv3d" / folder_name(sequence)
-            place.mkdir(parents=True)
-            yield sequence, place
+            yield sequence, new_folder(folder, "cv3d", folder_name(sequence))
 
     def _path(self, place: Path, channel: str, index: int) -> Path:
         return place / _FILES[self.layout][channel].format(f"{index:04d}")
@@ -186,7 +185,9 @@ class C3vd:
         write_bytes(place / _POSES.get(self.layout, "pose.txt"), "".join(rows).encode())
 
     def _read_one(self, place: Path, folder: Path, split: str | None) -> FrameSequence:
-        found = {name: by_number(place.glob(self._pattern(name))) for name in _FILES[self.layout]}
+        found = {
+            name: by_number(listed(place, self._pattern(name))) for name in _FILES[self.layout]
+        }
         paths = matched(found)
         values = {TIME: read_times(place, found["rgb"], self.fps)}
         poses = place / _POSES.get(self.layout, "pose.txt")
@@ -231,7 +232,7 @@ def _read_poses(path: Path) -> NDArray:
     """
     columns = 17 if path.name == _POSES["ppsnet"] else 16
     try:
-        lines = path.read_text().replace(",", " ").splitlines()
+        lines = path.read_text("utf-8-sig").replace(",", " ").splitlines()
         rows = np.array([line.split() for line in lines if line.strip()], float)
         return rows.reshape(-1, columns)[:, -16:].reshape(-1, 4, 4)
     except (OSError, ValueError) as error:

@@ -25,11 +25,12 @@ from vrcaps.formats.opencv_lens import HALF, MODELS, OPENCV_LENSES, lens_of, ope
 from vrcaps.formats.seen_points import SeenPoints, seen_points
 from vrcaps.formats.stored_images import read_rgb
 from vrcaps.limits import Range, check_fields
+from vrcaps.names import inside
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.recording.image_files import write_images
 from vrcaps.transforms import (
     invert,
-    matrix_from_quaternion,
+    matrix_from_unit_quaternion,
     quaternion_from_matrix,
     transform_from,
 )
@@ -190,7 +191,7 @@ def _points_text(points: SeenPoints) -> str:
 def _read_model(place: Path, split: str | None) -> list[FrameSequence]:
     cameras = {int(row[0]): row for row in _rows(place / _CAMERAS)}
     mounts = _read_mounts(place / _RIGS)
-    root, images = _image_folder(place)
+    root = _image_root(place)
     rows = _rows(place / _IMAGES, every=2)
     sequences = []
     for number, row in cameras.items():
@@ -202,28 +203,31 @@ def _read_model(place: Path, split: str | None) -> list[FrameSequence]:
         name = folder.name if folder.parts[:1] == ("rig1",) else f"camera{number}"
         camera = _read_camera(row, name, place).at(mounts.get(number, np.eye(4)))
         poses = np.array([each[1:8] for each in mine], float)
-        Ts_camera_world = transform_from(matrix_from_quaternion(poses[:, :4]), poses[:, 4:])
+        rotations = matrix_from_unit_quaternion(poses[:, :4], place / _IMAGES)
+        Ts_camera_world = transform_from(rotations, poses[:, 4:])
         times = read_times(root, range(len(mine)), 1.0)
         values = {TIME: times, CAMERA_POSE: invert(Ts_camera_world)}
-        load = image_loader({"rgb": [images / each for each in names]}, {"rgb": read_rgb})
+        load = image_loader(
+            {"rgb": [inside(root, f"images/{each}") for each in names]}, {"rgb": read_rgb}
+        )
         sequences.append(
             FrameSequence(f"{root.name}/{name}", ("rgb",), values, load, camera, split=split)
         )
     return sequences
 
 
-def _image_folder(place: Path) -> tuple[Path, Path]:
-    """Folder of a model's scene, and of its images."""
+def _image_root(place: Path) -> Path:
+    """Folder of a model's scene, which has the folder of its images."""
     for root in (place.parent.parent, place.parent, place):
         if (root / "images").is_dir():
-            return root, root / "images"
+            return root
     raise InputError(f"There is no folder images beside {place} or above it.")
 
 
 def _rows(path: Path, every: int = 1) -> list[list[str]]:
     """Words of the lines that are no comments; of each second one where `every` is 2."""
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, ValueError) as error:
         raise InputError(f"Cannot read {path}: {error}.") from error
     rows = [line.split() for line in lines if not line.startswith("#")]
@@ -250,7 +254,8 @@ def _read_mounts(path: Path) -> dict[int, np.ndarray]:
             has_pose = words[2] == "1"
             if has_pose:
                 pose = np.array(words[3:10], float)
-                T_camera_rig = transform_from(matrix_from_quaternion(pose[:4]), pose[4:])
+                rotation = matrix_from_unit_quaternion(pose[:4], path)
+                T_camera_rig = transform_from(rotation, pose[4:])
                 mounts[int(words[1])] = invert(T_camera_rig)
             words = words[10 if has_pose else 3 :]
     return mounts

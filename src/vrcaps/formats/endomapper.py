@@ -33,6 +33,7 @@ from vrcaps.formats.intrinsics import plain_pinhole
 from vrcaps.formats.stored_images import read_rgb
 from vrcaps.formats.unity import frames_with_poses, recorder_text
 from vrcaps.limits import check_fields
+from vrcaps.names import listed
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.recording.image_files import write_images
 from vrcaps.units import DM
@@ -108,9 +109,9 @@ class EndoMapper:
         return tuple(self._read_one(place, split) for place, split in places)
 
     def _read_one(self, place: Path, split: str | None) -> FrameSequence:
-        frames = by_number((place / "rgb").glob("*.png"))
+        frames = by_number(listed(place, "rgb/*.png"))
         frames, values = frames_with_poses(place / _TRAJECTORY, DM, frames)
-        paths = matched({"rgb": frames, "depth": by_number((place / "depth").glob("*.exr"))})
+        paths = matched({"rgb": frames, "depth": by_number(listed(place, "depth/*.exr"))})
         return FrameSequence(
             place.name,
             tuple(paths),
@@ -139,7 +140,7 @@ def _read_depth(kind: Depth, path: Path) -> NDArray:
 def _read_camera(path: Path) -> Camera:
     found = {}
     try:
-        for line in path.read_text().splitlines():
+        for line in path.read_text("utf-8-sig").splitlines():
             key, _, value = line.partition(":")
             if key.strip() in _KEYS:
                 found[key.strip()] = float(value)

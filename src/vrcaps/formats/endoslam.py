@@ -22,7 +22,7 @@ from vrcaps.errors import InputError
 from vrcaps.files import write_bytes
 from vrcaps.formats.folders import each_folder, folder_name, found_folders
 from vrcaps.formats.format import Needs
-from vrcaps.formats.frame_files import by_number, image_loader, matched, read_times
+from vrcaps.formats.frame_files import by_number, image_loader, images_in, matched, read_times
 from vrcaps.formats.intrinsics import matrix_of, nearest_file, plain_pinhole, read_matrix_camera
 from vrcaps.formats.stored_images import (
     IMAGES,
@@ -33,6 +33,7 @@ from vrcaps.formats.stored_images import (
 )
 from vrcaps.formats.unity import frames_with_poses, recorder_text
 from vrcaps.limits import Range, check_fields
+from vrcaps.names import listed
 from vrcaps.recording.frame_sequence import TIME, FrameSequence
 from vrcaps.recording.image_files import write_images
 from vrcaps.render.encoding import fixed_point
@@ -106,16 +107,15 @@ class EndoSlam:
         return stored_steps(steps, np.uint8)
 
     def _read_one(self, place: Path, folder: Path, split: str | None) -> FrameSequence:
-        images = (place / _FRAMES).iterdir()
-        frames = by_number(path for path in images if path.suffix.lower() in IMAGES)
+        frames = by_number(images_in(place / _FRAMES))
         if not frames:
             raise InputError(f"{place / _FRAMES} holds no image. Allowed: {', '.join(IMAGES)}.")
-        recorders = sorted([*place.glob(_RECORDER), *(place / _POSES).glob("*.csv")])
+        recorders = sorted([*listed(place, _RECORDER), *listed(place, f"{_POSES}/*.csv")])
         if recorders:
             frames, values = frames_with_poses(recorders[0], DM, frames)
         else:
             values = {TIME: read_times(place, frames, self.fps)}
-        depths = by_number((place / _DEPTHS).glob("*.png"))
+        depths = by_number(listed(place, f"{_DEPTHS}/*.png"))
         paths = matched({"rgb": frames, "depth": depths})
         intrinsics = nearest_file(place, folder, f"{_CALIBRATION}/cam.txt", "cam.txt")
         return FrameSequence(

@@ -35,6 +35,7 @@ from vrcaps.formats.timed_rows import (
     read_table,
 )
 from vrcaps.formats.yaml_files import numbers_of, read_yaml, yaml_list
+from vrcaps.names import inside, listed
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.recording.image_files import write_images
 
@@ -99,7 +100,7 @@ class Euroc:
 
 def _read_all(folder: Path) -> Iterator[FrameSequence]:
     for place, split in found_folders(folder, "mav0/cam*/data.csv"):
-        cameras = sorted(path.parent for path in place.glob("mav0/cam*/data.csv"))
+        cameras = [path.parent for path in listed(place, "mav0/cam*/data.csv")]
         for camera in cameras:
             name = place.name if len(cameras) == 1 else f"{place.name}/{camera.name}"
             yield _read_one(camera, name, split)
@@ -109,7 +110,7 @@ def _read_one(place: Path, name: str, split: str | None) -> FrameSequence:
     rows = read_table(place / "data.csv")
     try:
         times = np.array([int(row[0]) * NANOSECOND for row in rows])
-        paths = [place / "data" / row[1] for row in rows]
+        paths = [inside(place, f"data/{row[1]}") for row in rows]
     except IndexError as error:
         raise InputError(f"{place / 'data.csv'} has a row without the name of an image.") from error
     camera, T_body_camera = _read_sensor(place / "sensor.yaml")

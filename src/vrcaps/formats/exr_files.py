@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.errors import InputError, import_extra
+from vrcaps.errors import InputError, import_extra, reading
 from vrcaps.files import atomic_write
+from vrcaps.recording.image_files import require_pixels
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -31,16 +32,18 @@ def read_exr(path: Path) -> Float[np.ndarray, "h w"]:
     """The red channel of an image.
 
     Raises:
-        InputError: If the file cannot be read or has none.
+        InputError: If the file cannot be read, has none, or is larger than `MOST_PIXELS`.
         MissingExtraError: If OpenEXR is not installed.
     """
     exr = _openexr()
-    try:
+    with reading(path):
+        with exr.File(str(path), header_only=True) as file:
+            low, high = (np.asarray(corner, int) for corner in file.header()["dataWindow"])
+        width, height = (high - low + 1).tolist()
+        require_pixels(width, height)
         with exr.File(str(path), separate_channels=True) as file:
             channels = file.channels()
             pixels = channels["R"].pixels if "R" in channels else None
-    except RuntimeError as error:
-        raise InputError(f"Cannot read {path}: {error}.") from error
     if not isinstance(pixels, np.ndarray) or pixels.ndim != 2:
         raise InputError(f"{path} has no whole red channel.")
     return pixels.astype(np.float32)

@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from vrcaps.data.plan import SPLITS
 from vrcaps.errors import InputError
 from vrcaps.files import write_json
-from vrcaps.recording.frame_sequence import FrameSequence
+from vrcaps.names import inside, listed
+from vrcaps.plain_files import read_plain
+from vrcaps.recording.frame_sequence import SPLITS, FrameSequence
+from vrcaps.serialization import from_plain
 
 _NAMES = "sequences.json"
+
+
+@dataclass(frozen=True)
+class _Named:
+    """What a row of `sequences.json` says of a sequence."""
+
+    name: str
+    patient: str | None = None
+    split: str | None = None
 
 
 def folder_name(sequence: FrameSequence) -> str:
@@ -27,9 +37,7 @@ def each_folder(
 ) -> Iterator[tuple[FrameSequence, Path]]:
     """Sequences with a new folder for each: by splits, where there are splits."""
     for sequence in sequences:
-        place = folder / (sequence.split or "") / folder_name(sequence)
-        place.mkdir(parents=True)
-        yield sequence, place
+        yield sequence, new_folder(folder, sequence.split, folder_name(sequence))
 
 
 def each_rig(
@@ -40,9 +48,22 @@ def each_rig(
     A sequence of no episode is by itself.
     """
     for split, name, rig in recordings(sequences):
-        place = folder / (split or "") / name
-        place.mkdir(parents=True)
-        yield rig, place
+        yield rig, new_folder(folder, split, name)
+
+
+def new_folder(folder: Path, split: str | None, name: str) -> Path:
+    """Make the folder of a sequence, in that of its split if it has one.
+
+    Raises:
+        InputError: If two sequences have the same, or it would lie outside.
+    """
+    place = inside(folder, f"{split}/{name}" if split else name)
+    if place.exists():
+        raise InputError(
+            f"Two sequences would have the folder {place.name}. Export them one by one."
+        )
+    place.mkdir(parents=True)
+    return place
 
 
 def recordings(
@@ -66,9 +87,10 @@ def found_folders(folder: Path, mark: str) -> Iterator[tuple[Path, str | None]]:
         mark: Path or pattern, from the sequence's folder, of a file that every sequence has.
 
     Raises:
-        InputError: If there is none.
+        InputError: If there is none, or a link leads out of the folder.
     """
-    places = sorted({path.parents[mark.count("/")] for path in folder.rglob(mark)})
+    found = listed(folder, f"**/{mark}")
+    places = sorted({path.parents[mark.count("/")] for path in found})
     if not places:
         raise InputError(f"{folder} holds no {mark}, so no sequence in this layout.")
     for place in places:
@@ -88,7 +110,7 @@ def read_rows(path: Path, columns: int) -> np.ndarray:
         InputError: If the file cannot be read or a row has another number of columns.
     """
     try:
-        rows = np.loadtxt(path, ndmin=2)
+        rows = np.loadtxt(path, ndmin=2, encoding="utf-8-sig")
     except (OSError, ValueError) as error:
         raise InputError(f"Cannot read {path}: {error}.") from error
     if rows.shape[1] != columns:
@@ -99,8 +121,7 @@ def read_rows(path: Path, columns: int) -> np.ndarray:
 def write_names(folder: Path, places: Mapping[str, FrameSequence]) -> None:
     """Note what the sequences of a layout that numbers them are called; others do not look."""
     rows = {
-        place: {"name": one.name, "patient": one.patient, "split": one.split}
-        for place, one in places.items()
+        place: asdict(_Named(one.name, one.patient, one.split)) for place, one in places.items()
     }
     write_json(folder / _NAMES, rows)
 
@@ -111,18 +132,17 @@ def with_names(
     """Sequences with the names, patients and splits that `write_names` noted for their places.
 
     Raises:
-        InputError: If the file of names is damaged.
+        InputError: If the file of names is damaged; remove it to read without names.
     """
     path = folder / _NAMES
     if not path.exists():
         return tuple(sequence for _, sequence in found)
-    try:
-        rows = json.loads(path.read_text())
-        return tuple(
-            replace(sequence, **rows[place]) if place in rows else sequence
-            for place, sequence in found
-        )
-    except (OSError, ValueError, TypeError) as error:
-        raise InputError(
-            f"Cannot read {path}: {error}. Remove it to read without names."
-        ) from error
+    rows = read_plain(path, "names")
+    if not isinstance(rows, dict):
+        raise InputError(f"{path} holds no table of names. Remove it to read without names.")
+    return tuple(
+        replace(sequence, **asdict(from_plain(_Named, rows[place], at=f"{path}: {place}")))
+        if place in rows
+        else sequence
+        for place, sequence in found
+    )

@@ -13,6 +13,8 @@ import numpy as np
 from vrcaps.errors import InputError
 from vrcaps.files import write_bytes
 from vrcaps.formats.folders import read_rows
+from vrcaps.formats.stored_images import IMAGES
+from vrcaps.names import listed
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -42,6 +44,11 @@ def by_number(paths: Iterable[Path]) -> dict[int, Path]:
         if found.setdefault(int(numbers[-1]), path) != path:
             raise InputError(f"{path} and {found[int(numbers[-1])].name} have the same number.")
     return dict(sorted(found.items()))
+
+
+def images_in(folder: Path) -> list[Path]:
+    """Images in a folder, sorted by name, without hidden files."""
+    return [path for path in listed(folder, "*") if path.suffix.lower() in IMAGES]
 
 
 def matched(channels: Mapping[str, Mapping[int, Path]]) -> dict[str, list[Path]]:

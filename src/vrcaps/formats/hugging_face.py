@@ -32,6 +32,8 @@ from vrcaps.formats.samples import (
     suffix,
 )
 from vrcaps.limits import Range, check_fields
+from vrcaps.names import listed
+from vrcaps.recording.parquet_files import open_parquet
 from vrcaps.render.channels import CHANNELS
 
 if TYPE_CHECKING:
@@ -88,7 +90,7 @@ class HuggingFace:
         Raises:
             InputError: If there are no such files, or one is damaged or of others.
         """
-        paths = sorted(folder.glob("data/*.parquet"))
+        paths = listed(folder, "data/*.parquet")
         if not paths:
             raise InputError(f"{folder} holds no data/*.parquet, so no Hugging Face data set.")
         samples = (sample for path in paths for sample in _samples(path))
@@ -200,19 +202,13 @@ def _write_rows(path: Path, columns: _Columns, groups: Iterator[list[dict[str, A
 
 def _samples(path: Path) -> Iterator[Sample]:
     """Samples of a file, without their images."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     split = path.name.rpartition("-of-")[0].rpartition("-")[0] or path.stem
-    try:
-        with pq.ParquetFile(path) as file:
-            names = [name for name in file.schema_arrow.names if name not in CHANNELS]
-            for group in range(file.num_row_groups):
-                for k, row in enumerate(file.read_row_group(group, names).to_pylist()):
-                    images = {n: (path, group, k, n) for n in row.get("channels", ())}
-                    yield Sample(_plain(row, split), images)
-    except (OSError, ValueError, pa.ArrowException) as error:
-        raise InputError(f"Cannot read {path}: {error}.") from error
+    with open_parquet(path, path) as file:
+        names = [name for name in file.schema_arrow.names if name not in CHANNELS]
+        for group in range(file.num_row_groups):
+            for k, row in enumerate(file.read_row_group(group, names).to_pylist()):
+                images = {n: (path, group, k, n) for n in row.get("channels", ())}
+                yield Sample(_plain(row, split), images)
 
 
 def _plain(row: dict[str, Any], split: str) -> dict[str, Any]:
@@ -232,15 +228,8 @@ def _read(place: tuple[Path, int, int, str]) -> bytes:
 @lru_cache(maxsize=16)
 def _column(path: Path, group: int, name: str) -> Any:
     """A column of the rows that are stored together."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        with pq.ParquetFile(path) as file:
-            column = file.read_row_group(group, [name]).column(0)
-    except pa.ArrowException as error:
-        raise ValueError(str(error)) from error
-    return column
+    with open_parquet(path, path) as file:
+        return file.read_row_group(group, [name]).column(0)
 
 
 def _readme(splits: list[str], columns: _Columns) -> str:

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.data.plan import SPLITS
 from vrcaps.errors import InputError
 from vrcaps.files import write_bytes
 from vrcaps.formats.folders import folder_name
@@ -24,8 +23,9 @@ from vrcaps.formats.format import Needs
 from vrcaps.formats.frame_files import image_loader
 from vrcaps.formats.stored_images import IMAGES, read_plane, read_rgb
 from vrcaps.limits import Range, check_fields
+from vrcaps.names import inside, listed
 from vrcaps.narrow import narrow
-from vrcaps.recording.frame_sequence import TIME, FrameSequence
+from vrcaps.recording.frame_sequence import SPLITS, TIME, FrameSequence
 from vrcaps.recording.image_files import write_images
 from vrcaps.recording.shown_lesion import lesion_instances, shown_lesion
 
@@ -103,7 +103,7 @@ class Images:
             InputError: If there is no image, or a mask is missing.
         """
         files: dict[Path, list[Path]] = {}
-        for path in folder.rglob("*"):
+        for path in listed(folder, "**/*"):
             if path.suffix.lower() in IMAGES:
                 files.setdefault(path.parent, []).append(path)
         masks = {place: _masks_beside(place, files) for place in files}
@@ -112,7 +112,7 @@ class Images:
         if not places:
             raise InputError(f"{folder} holds no images. Allowed: {', '.join(IMAGES)}.")
         path = folder / _CLASSES
-        names = tuple(path.read_text().split("\n")[:-1]) if path.exists() else ()
+        names = tuple(path.read_text("utf-8").split("\n")[:-1]) if path.exists() else ()
         return tuple(
             self._read_one(folder, sorted(files[place], key=_natural), masks[place], files, names)
             for place in places
@@ -140,7 +140,7 @@ class Images:
             assert sequence.episode is not None
             lesions = sequence.episode.head["organ"]["lesions"]
             kind = shown_lesion(sequence.image("instance", index), lesions, self.min_fraction)
-            files = [] if kind is None else [(place / kind / name, image)]
+            files = [] if kind is None else [(inside(place, f"{kind}/{name}"), image)]
         else:
             channel = self._channel(sequence)
             mask = sequence.image(channel, index)

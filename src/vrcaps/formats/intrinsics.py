@@ -16,6 +16,7 @@ from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.errors import InputError
 from vrcaps.formats.stored_images import image_size
+from vrcaps.names import listed
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -62,7 +63,9 @@ def read_text_numbers(path: Path) -> list[float]:
         InputError: If the file cannot be read or holds anything else.
     """
     try:
-        return [float(cell) for cell in _SEPARATOR.split(path.read_text().strip()) if cell]
+        return [
+            float(cell) for cell in _SEPARATOR.split(path.read_text("utf-8-sig").strip()) if cell
+        ]
     except (OSError, ValueError) as error:
         raise InputError(f"Cannot read {path}: {error}.") from error
 
@@ -92,7 +95,7 @@ def nearest_file(folder: Path, top: Path, *patterns: str) -> Path | None:
     last = top.resolve().parent
     while True:
         for pattern in patterns:
-            found = sorted(place.glob(pattern))
+            found = listed(place, pattern)
             if found:
                 return found[0]
         if place in (last, place.parent):

@@ -32,6 +32,7 @@ from vrcaps.formats.frame_files import (
 )
 from vrcaps.formats.intrinsics import camera_of, matrix_of, plain_pinhole
 from vrcaps.formats.stored_images import read_rgb
+from vrcaps.names import listed
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.recording.image_files import write_images
 from vrcaps.transforms import transform_from
@@ -96,7 +97,7 @@ def _row(matrix: NDArray) -> str:
 
 
 def _read_one(place: Path) -> FrameSequence:
-    images = {k: by_number((place / f"image_{k}").glob("*.png")) for k in _CAMERAS}
+    images = {k: by_number(listed(place, f"image_{k}/*.png")) for k in _CAMERAS}
     number = next((k for k in _CAMERAS if images[k]), None)
     if number is None:
         raise InputError(f"{place} has neither image_2/*.png nor image_0/*.png.")
@@ -123,7 +124,7 @@ def _projections(path: Path) -> dict[str, NDArray]:
     """Matrices [3 4] of a calibration by their names."""
     found = {}
     try:
-        for line in filter(None, path.read_text().splitlines()):
+        for line in filter(None, path.read_text("utf-8-sig").splitlines()):
             name, _, numbers = line.partition(":")
             found[name] = np.array(numbers.split(), float).reshape(3, 4)
     except (OSError, ValueError) as error:

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.data.plan import SPLITS
 from vrcaps.errors import InputError
 from vrcaps.files import write_bytes, write_json
 from vrcaps.formats.folders import recordings
@@ -37,6 +36,8 @@ from vrcaps.formats.lerobot_rows import (
 )
 from vrcaps.formats.lerobot_tables import write_episodes, write_frames, write_tasks
 from vrcaps.limits import Range, check_fields
+from vrcaps.names import inside, listed
+from vrcaps.recording.frame_sequence import SPLITS
 from vrcaps.recording.layout import camera_to_plain
 from vrcaps.recording.preview import Preview
 
@@ -89,7 +90,7 @@ class LeRobot:
             stem = _episode(group[0][1]).head["capsule"]["name"]
             number = sum(name.startswith(stem) for name in names)
             names.append(f"{stem}-{number + 1}" if number else stem)
-            place = folder / names[-1] if len(groups) > 1 else folder
+            place = inside(folder, names[-1]) if len(groups) > 1 else folder
             self._write_group(place, group, advance)
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
@@ -100,7 +101,7 @@ class LeRobot:
         """
         from vrcaps.formats.lerobot_read import read_dataset
 
-        places = sorted(path.parent.parent for path in folder.rglob(INFO))
+        places = [path.parent.parent for path in listed(folder, f"**/{INFO}")]
         if not places:
             raise InputError(f"{folder} holds no {INFO}, so no LeRobot data set.")
         return tuple(sequence for place in places for sequence in read_dataset(place))

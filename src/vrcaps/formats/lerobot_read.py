@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import re
 from collections.abc import Iterator, Mapping
 from functools import lru_cache, partial
 from pathlib import Path
@@ -10,19 +10,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.errors import InputError
+from vrcaps.errors import InputError, reading
 from vrcaps.formats.lerobot import DEPTH, EPISODES, IMAGES, INFO, NAMES
 from vrcaps.formats.lerobot_rows import STATE
 from vrcaps.formats.lerobot_tables import read_rows
 from vrcaps.formats.stored_images import decoded_rgb
-from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
+from vrcaps.names import inside, listed
+from vrcaps.plain_files import read_plain
+from vrcaps.recording.frame_sequence import CAMERA_POSE, SPLITS, TIME, FrameSequence
+from vrcaps.recording.image_files import require_pixels
 from vrcaps.recording.layout import camera_from_plain
+from vrcaps.recording.parquet_files import open_parquet
 from vrcaps.recording.table import POSE_COLUMNS
-from vrcaps.transforms import matrix_from_quaternion, transform_from
+from vrcaps.transforms import matrix_from_unit_quaternion, transform_from
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+_FIELD = re.compile(r"\{(\w+)(?::(0?\d?d))?\}")
+"""Field of a template: a name, and how wide its number is."""
 _CAPSULE = tuple(f"capsule_{name}" for name in POSE_COLUMNS)
 
 
@@ -32,9 +38,9 @@ def read_dataset(folder: Path) -> Iterator[FrameSequence]:
     Raises:
         InputError: If a file is damaged.
     """
-    info = _read_json(folder / INFO)
-    names = _read_json(folder / NAMES) if (folder / NAMES).exists() else None
-    paths = sorted((folder / EPISODES).rglob("*.parquet"))
+    info = read_plain(folder / INFO, "LeRobot")
+    names = read_plain(folder / NAMES, "LeRobot") if (folder / NAMES).exists() else None
+    paths = listed(folder, f"{EPISODES}/**/*.parquet")
     rows = [row for path in paths for row in read_rows(path)]
     if not rows or "features" not in info:
         raise InputError(f"{folder} has no episodes in {EPISODES} or no features in {INFO}.")
@@ -51,9 +57,8 @@ def _sequences_of(
     folder: Path, info: Mapping[str, Any], row: Mapping[str, Any], own: Mapping[str, Any] | None
 ) -> Iterator[FrameSequence]:
     features = info["features"]
-    table = folder / info["data_path"].format(
-        chunk_index=row["data/chunk_index"], file_index=row["data/file_index"]
-    )
+    place = {name: row[f"data/{name}"] for name in ("chunk_index", "file_index")}
+    table = _file(folder, info["data_path"], place)
     columns = ["episode_index", "timestamp", *([STATE] if STATE in features else [])]
     frames = [
         {**frame, "row": k}
@@ -92,15 +97,16 @@ def _capsule_poses(features: Mapping[str, Any], frames: list[dict[str, Any]]) ->
         return np.zeros((0, 4, 4))
     places = [names.index(name) for name in _CAPSULE]
     rows = np.array([[frame[STATE][k] for k in places] for frame in frames], float)
-    wxyz = rows[:, 3:] / np.linalg.norm(rows[:, 3:], axis=1, keepdims=True)
-    return transform_from(matrix_from_quaternion(wxyz), rows[:, :3])
+    rotations = matrix_from_unit_quaternion(rows[:, 3:], STATE)
+    return transform_from(rotations, rows[:, :3])
 
 
 def _split_of(info: Mapping[str, Any], number: int) -> str | None:
     """Split that an episode is in: `splits` has ranges such as ``0:3``."""
     for name, text in info.get("splits", {}).items():
         first, _, end = str(text).partition(":")
-        if first.isdigit() and end.isdigit() and int(first) <= number < int(end):
+        is_range = first.isdigit() and end.isdigit()
+        if name in SPLITS and is_range and int(first) <= number < int(end):
             return name
     return None
 
@@ -121,46 +127,43 @@ def _load(
     if info["features"][key]["dtype"] == "image":
         try:
             return decoded_rgb(_column(table, key)[places[index]]["bytes"].as_py())
-        except OSError as error:
+        except InputError as error:
             raise InputError(f"Cannot read image {index} of {key} in {table}: {error}.") from error
     place = {name: row[f"videos/{key}/{name}"] for name in ("chunk_index", "file_index")}
-    path = folder / info["video_path"].format(video_key=key, **place)
+    path = _file(folder, info["video_path"], {"video_key": key, **place})
     return _film_frame(path, row[f"videos/{key}/from_timestamp"] + index / info["fps"])
+
+
+def _file(folder: Path, template: str, values: Mapping[str, Any]) -> Path:
+    """File that a template such as ``data/chunk-{chunk_index:03d}.parquet`` names.
+
+    Raises:
+        InputError: If it is another template, or leads out of the folder.
+    """
+    try:
+        name = _FIELD.sub(lambda field: f"{values[field[1]]:{field[2] or ''}}", template)
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{folder / INFO} has the path {template!r}: {error}.") from error
+    return inside(folder, name)
 
 
 @lru_cache(maxsize=4)
 def _column(path: Path, name: str) -> Any:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        with pq.ParquetFile(path) as file:
-            return file.read([name]).column(0)
-    except (OSError, pa.ArrowException) as error:
-        raise InputError(f"Cannot read {path}: {error}.") from error
+    with open_parquet(path, path) as file:
+        return file.read([name]).column(0)
 
 
 def _film_frame(path: Path, time: float) -> NDArray:
     """The frame of a film that is nearest to a time [s]."""
     import av
-    from av.error import FFmpegError
 
-    try:
-        with av.open(str(path)) as container:
-            stream = container.streams.video[0]
-            assert stream.time_base is not None
-            step = 0.5 / float(stream.average_rate or 1)
-            container.seek(int(time / stream.time_base), stream=stream)
-            for frame in container.decode(stream):
-                if frame.time is not None and frame.time > time - step:
-                    return frame.to_ndarray(format="rgb24")
-    except (FFmpegError, OSError, IndexError) as error:
-        raise InputError(f"Cannot read {path}: {error}.") from error
+    with reading(path), av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        require_pixels(stream.width, stream.height)
+        assert stream.time_base is not None
+        step = 0.5 / float(stream.average_rate or 1)
+        container.seek(int(time / stream.time_base), stream=stream)
+        for frame in container.decode(stream):
+            if frame.time is not None and frame.time > time - step:
+                return frame.to_ndarray(format="rgb24")
     raise InputError(f"{path} has no frame at {time:.4f} s.")
-
-
-def _read_json(path: Path) -> Any:
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"Cannot read {path}: {error}.") from error

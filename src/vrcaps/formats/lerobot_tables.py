@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.errors import InputError
 from vrcaps.files import write_bytes
+from vrcaps.recording.parquet_files import open_parquet
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -102,14 +102,8 @@ def read_rows(path: Path, names: Sequence[str] | None = None) -> list[dict[str, 
     Raises:
         InputError: If it cannot be read.
     """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        with pq.ParquetFile(path) as file:
-            return file.read(names).to_pylist()
-    except (OSError, ValueError, KeyError, pa.ArrowException) as error:
-        raise InputError(f"Cannot read {path}: {error}.") from error
+    with open_parquet(path, path) as file:
+        return file.read(names).to_pylist()
 
 
 def _array(values: Any, kind: pa.DataType) -> pa.Array:

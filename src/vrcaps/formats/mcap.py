@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import base64
 import json
-import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -24,7 +23,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.errors import InputError, import_extra
+from vrcaps.errors import InputError, import_extra, reading
 from vrcaps.formats import foxglove_schemas as foxglove
 from vrcaps.formats.folders import recordings, split_of
 from vrcaps.formats.format import Needs
@@ -32,12 +31,14 @@ from vrcaps.formats.opencv_lens import OPENCV_LENSES
 from vrcaps.formats.stored_images import decoded_rgb, jpeg_bytes
 from vrcaps.limits import Range, check_fields
 from vrcaps.motion.dynamics_columns import MAGNET_COLUMNS
+from vrcaps.names import inside, listed
 from vrcaps.organ.arrays import json_safe
+from vrcaps.plain_files import decode_json
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.recording.layout import camera_from_plain, camera_to_plain
 from vrcaps.recording.table import POSE_COLUMNS
 from vrcaps.render.channels import CHANNELS
-from vrcaps.transforms import matrix_from_quaternion, transform_from
+from vrcaps.transforms import matrix_from_unit_quaternion, transform_from
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -73,7 +74,7 @@ class Mcap:
     def write(self, sequences: Sequence[FrameSequence], folder: Path, advance: Advance) -> None:
         """Write a file for each recording, with all its cameras."""
         for split, name, cameras in recordings(sequences):
-            path = folder / (split or "") / f"{name}.mcap"
+            path = inside(folder, f"{split or '.'}/{name}.mcap")
             path.parent.mkdir(exist_ok=True)
             with path.open("wb") as file, _writing(file) as writer:
                 topics = _Topics(writer)
@@ -88,7 +89,7 @@ class Mcap:
         Raises:
             InputError: If there is none, or one is damaged or of others.
         """
-        paths = sorted(folder.rglob("*.mcap")) if folder.is_dir() else [folder]
+        paths = listed(folder, "**/*.mcap") if folder.is_dir() else [folder]
         if not paths:
             raise InputError(f"{folder} holds no *.mcap.")
         return tuple(one for path in paths for one in _read_file(path, split_of(path, folder)))
@@ -275,11 +276,8 @@ def _plain(sequence: FrameSequence) -> dict[str, Any]:
 @contextmanager
 def _reading(path: Path) -> Iterator[Any]:
     mcap = import_extra("mcap.reader", "formats", package="mcap")
-    try:
-        with path.open("rb") as file:
-            yield mcap.make_reader(file)
-    except (mcap.McapError, OSError, ValueError, LookupError, struct.error) as error:
-        raise InputError(f"Cannot read {path}: {error}.") from error
+    with reading(path), path.open("rb") as file:
+        yield mcap.make_reader(file, validate_crcs=True)
 
 
 def _read_file(path: Path, split: str | None) -> tuple[FrameSequence, ...]:
@@ -287,7 +285,7 @@ def _read_file(path: Path, split: str | None) -> tuple[FrameSequence, ...]:
         own = [record for record in reader.iter_metadata() if record.name == _METADATA]
         if not own:
             raise ValueError("it has no metadata of vrcaps")
-        plain = json.loads(own[0].metadata["sequences"])
+        plain = decode_json(own[0].metadata["sequences"], path)
         poses: dict[str, dict[int, NDArray]] = {}
         for _, _, message in reader.iter_messages(["/tf"]):
             for one in json.loads(message.data)["transforms"]:
@@ -305,7 +303,8 @@ def _sequence(
     for name, frame in ((CAMERA_POSE, f"camera_{camera.name}"), ("T_world_capsule", "capsule")):
         if frame in poses:
             rows = np.stack([poses[frame][ns] for ns in times])
-            values[name] = transform_from(matrix_from_quaternion(rows[:, :4]), rows[:, 4:])
+            rotations = matrix_from_unit_quaternion(rows[:, :4], path)
+            values[name] = transform_from(rotations, rows[:, 4:])
     return FrameSequence(
         plain["name"],
         tuple(plain["channels"]),

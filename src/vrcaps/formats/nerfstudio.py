@@ -27,6 +27,7 @@ from vrcaps.formats.format import Needs
 from vrcaps.formats.frame_files import image_loader, read_times, write_times
 from vrcaps.formats.opencv_lens import OPENCV_LENSES, lens_of, opencv_model
 from vrcaps.formats.stored_images import read_numbers, read_rgb
+from vrcaps.names import inside
 from vrcaps.plain_files import read_plain
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.recording.image_files import write_images
@@ -175,10 +176,10 @@ def _read_group(
 ) -> FrameSequence:
     name = folder.name if len(folder.parts) > 1 else "camera"
     camera = _read_camera({**content, **frames[0]}, name, str(place / _FILE))
-    paths = {"rgb": [place / frame["file_path"] for frame in frames]}
+    paths = {"rgb": [inside(place, frame["file_path"]) for frame in frames]}
     readers: dict[str, Callable[[Path], NDArray]] = {"rgb": read_rgb}
     if all("depth_file_path" in frame for frame in frames):
-        paths["depth"] = [place / frame["depth_file_path"] for frame in frames]
+        paths["depth"] = [inside(place, frame["depth_file_path"]) for frame in frames]
         readers["depth"] = partial(_read_depth, _depth_scale(camera))
     poses = np.array([frame["transform_matrix"] for frame in frames], float) @ _R_CAMERA_GL
     return FrameSequence(

@@ -12,7 +12,7 @@ import numpy as np
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.errors import InputError
 from vrcaps.formats.folders import found_folders, with_names
-from vrcaps.formats.frame_files import by_number, matched, read_times
+from vrcaps.formats.frame_files import by_number, images_in, matched, read_times
 from vrcaps.formats.intrinsics import camera_of
 from vrcaps.formats.stored_images import read_plane, read_rgb
 from vrcaps.narrow import narrow
@@ -48,9 +48,9 @@ def _read_scene(place: Path, split: str | None) -> FrameSequence:
     color = next((place / name for name in ("rgb", "gray") if (place / name).is_dir()), None)
     if color is None:
         raise InputError(f"{place} has no folder rgb, so it is no scene of BOP.")
-    channels = {"rgb": by_number(color.iterdir())}
+    channels = {"rgb": by_number(images_in(color))}
     if (place / "depth").is_dir():
-        channels["depth"] = by_number((place / "depth").iterdir())
+        channels["depth"] = by_number(images_in(place / "depth"))
     numbers = list(channels["rgb"])
     paths = matched(channels)
     try:

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.data.plan import SPLITS
 from vrcaps.errors import InputError
 from vrcaps.formats.mask_outlines import mask_of
 from vrcaps.formats.stored_images import read_rgb
+from vrcaps.names import inside, listed
 from vrcaps.narrow import narrow
 from vrcaps.plain_files import read_plain
-from vrcaps.recording.frame_sequence import TIME, FrameSequence
+from vrcaps.recording.frame_sequence import SPLITS, TIME, FrameSequence
+from vrcaps.recording.image_files import require_pixels
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -30,7 +31,7 @@ def read_coco(folder: Path) -> tuple[FrameSequence, ...]:
     Raises:
         InputError: If there is no such file, or one cannot be read.
     """
-    files = sorted((folder / "annotations").glob(_FILES))
+    files = listed(folder, f"annotations/{_FILES}")
     if not files:
         raise InputError(f"{folder} holds no annotations/{_FILES}, so it is no COCO data set.")
     return tuple(sequence for path in files for sequence in _read_file(path, folder))
@@ -83,8 +84,9 @@ def _load(
 ) -> NDArray:
     image = images[index]
     if channel == "rgb":
-        return read_rgb(folder / image["file_name"])
+        return read_rgb(inside(folder, image["file_name"]))
     height, width = int(image["height"]), int(image["width"])
+    require_pixels(width, height)
     values = np.zeros((height, width), np.uint8 if channel == "label" else np.uint16)
     rows = list(enumerate(annotations.get(image["id"], []), 1))
     # Single lesions lie over crowds.

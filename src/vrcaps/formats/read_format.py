@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from vrcaps.errors import InputError, UnknownNameError
+import numpy as np
+
+from vrcaps.errors import InputError, UnknownNameError, reading
 from vrcaps.formats.registry import format_named
+from vrcaps.names import require_links_inside
 from vrcaps.recording.frame_sequence import FrameSequence
 
 
@@ -27,7 +31,8 @@ def read_format(kind: str, folder: str | Path, **options: Any) -> tuple[FrameSeq
 
     Raises:
         UnknownNameError: If there is no such layout or option.
-        InputError: If the folder is not in this layout.
+        InputError: If the folder is not in this layout, a file in it is damaged, a file that it
+            names lies outside, or a value is impossible (see `FrameSequence`).
     """
     form = format_named(kind)
     known = [f.name for f in fields(form)]  # type: ignore[arg-type]
@@ -36,4 +41,26 @@ def read_format(kind: str, folder: str | Path, **options: Any) -> tuple[FrameSeq
             raise UnknownNameError(f"option of {kind}", name, known)
     if not Path(folder).is_dir():
         raise InputError(f"There is no folder {folder}.")
-    return form(**options).read(Path(folder))
+    folder = Path(os.path.abspath(folder))  # "." has no name
+    with reading(folder):
+        require_links_inside(folder)
+        sequences = form(**options).read(folder)
+        for sequence in sequences:
+            _require_rising(sequence)
+    return sequences
+
+
+def _require_rising(sequence: FrameSequence) -> None:
+    """Check that each frame comes after the one before.
+
+    Raises:
+        InputError: If one does not; names it.
+    """
+    times = sequence.times
+    wrong = np.flatnonzero(np.diff(times) <= 0.0)
+    if len(wrong):
+        k = int(wrong[0])
+        raise InputError(
+            f"{sequence.name}: frame {k + 1} at {times[k + 1]:.9g} s does not come after frame {k} "
+            f"at {times[k]:.9g} s. Times must increase."
+        )

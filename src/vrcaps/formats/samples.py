@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.errors import InputError
+from vrcaps.errors import InputError, reading
 from vrcaps.formats.folders import folder_name
 from vrcaps.organ.arrays import json_safe
 from vrcaps.recording.frame_sequence import FrameSequence
@@ -131,7 +131,7 @@ def sequences_from(
     """
     found: dict[str, list[Sample]] = {}
     for sample in samples:
-        missing = [key for key in (*_OTHER, "time") if key not in sample.plain]
+        missing = [key for key in (*_OTHER, "time") if key not in dict(sample.plain)]
         if missing:
             raise InputError(
                 f"A sample in {where} lacks {missing[0]!r}. Allowed: what vrcaps export writes."
@@ -139,10 +139,8 @@ def sequences_from(
         found.setdefault(sample.plain["sequence"], []).append(sample)
     if not found:
         raise InputError(f"{where} holds no samples.")
-    try:
+    with reading(f"the samples in {where}, which do not fit together"):
         return tuple(_sequence(name, rows, read) for name, rows in found.items())
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"The samples in {where} do not fit together: {error}.") from error
 
 
 def frames_of(sequences: Iterable[FrameSequence]) -> Iterator[tuple[FrameSequence, int]]:
@@ -151,7 +149,7 @@ def frames_of(sequences: Iterable[FrameSequence]) -> Iterator[tuple[FrameSequenc
 
 
 def _sequence(name: str, rows: list[Sample], read: Callable[[Place], bytes]) -> FrameSequence:
-    rows = sorted(rows, key=lambda row: row.plain["index"])
+    rows = sorted(rows, key=lambda row: int(row.plain["index"]))
     first = rows[0].plain
     names = [key for key in first if key not in _OTHER]
     channels = tuple(channel for channel in CHANNELS if channel in rows[0].images)

@@ -20,10 +20,9 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import numpy as np
 
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.data.plan import SPLITS
 from vrcaps.errors import InputError
 from vrcaps.files import write_bytes
-from vrcaps.formats.folders import folder_name, found_folders, read_rows
+from vrcaps.formats.folders import folder_name, found_folders, new_folder, read_rows
 from vrcaps.formats.format import Needs
 from vrcaps.formats.frame_files import (
     by_number,
@@ -36,7 +35,8 @@ from vrcaps.formats.frame_files import (
 from vrcaps.formats.intrinsics import matrix_text, plain_pinhole, read_matrix_camera
 from vrcaps.formats.stored_images import read_numbers, read_rgb, write_jpeg
 from vrcaps.limits import Range, check_fields
-from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
+from vrcaps.names import listed
+from vrcaps.recording.frame_sequence import CAMERA_POSE, SPLITS, TIME, FrameSequence
 from vrcaps.recording.image_files import write_images
 from vrcaps.render.encoding import fixed_point
 from vrcaps.transforms import transform_from
@@ -84,8 +84,7 @@ class SfmLearner:
         lists: dict[str, str] = {}
         for sequence in sequences:
             text = matrix_text(plain_pinhole(self, sequence))
-            place = folder / folder_name(sequence)
-            place.mkdir()
+            place = new_folder(folder, None, folder_name(sequence))
             write_bytes(place / "cam.txt", text.encode())
             for index in range(len(sequence)):
                 write_jpeg(place / f"{index:07d}.jpg", sequence.image("rgb", index), self.quality)
@@ -111,7 +110,10 @@ class SfmLearner:
         for part in SPLITS:
             path = folder / f"{part}.txt"
             if path.exists():
-                splits |= {name.strip().rstrip("/"): part for name in path.read_text().splitlines()}
+                splits |= {
+                    name.strip().rstrip("/"): part
+                    for name in path.read_text("utf-8-sig").splitlines()
+                }
         places = (place for place, _ in found_folders(folder, "cam.txt"))
         return tuple(
             self._read_one(place, splits.get(place.relative_to(folder).as_posix()))
@@ -132,12 +134,12 @@ class SfmLearner:
         write_images([(place / "depth" / f"{index:07d}.png", stored)])
 
     def _read_one(self, place: Path, split: str | None) -> FrameSequence:
-        frames = by_number(place.glob("*.jpg"))
+        frames = by_number(listed(place, "*.jpg"))
         if not frames:
             raise InputError(
                 f"{place} holds no *.jpg; the loaders of this layout read nothing else."
             )
-        depths = by_number(place.glob("*.npy")) or by_number((place / "depth").glob("*.png"))
+        depths = by_number(listed(place, "*.npy") or listed(place, "depth/*.png"))
         paths = matched({"rgb": frames, "depth": {} if self.depth == "none" else depths})
         values = {TIME: read_times(place, frames, self.fps)}
         poses = place / _POSES

@@ -33,6 +33,7 @@ from vrcaps.formats.intrinsics import matrix_text, nearest_file, plain_pinhole, 
 from vrcaps.formats.stored_images import read_plane, read_rgb
 from vrcaps.formats.unity import poses_from_unity, unity_from_poses
 from vrcaps.limits import Range, check_fields
+from vrcaps.names import listed
 from vrcaps.narrow import narrow
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.recording.image_files import write_images
@@ -111,8 +112,8 @@ class SimCol3D:
         return {_numeral(k): group for k, group in enumerate(groups.values())}
 
     def _read_one(self, place: Path, folder: Path) -> FrameSequence:
-        frames = by_number(place.glob("FrameBuffer_*.png"))
-        paths = matched({"rgb": frames, "depth": by_number(place.glob("Depth_*.png"))})
+        frames = by_number(listed(place, "FrameBuffer_*.png"))
+        paths = matched({"rgb": frames, "depth": by_number(listed(place, "Depth_*.png"))})
         values = {TIME: read_times(place, frames, self.fps)}
         name = place.name.removeprefix("Frames_").removesuffix("_OP")
         positions = nearest_file(place, folder, f"SavedPosition_{name}.txt")

@@ -12,6 +12,7 @@ from vrcaps.formats.images import Images
 from vrcaps.formats.read_format import read_format
 from vrcaps.formats.registry import FORMATS
 from vrcaps.formats.stored_images import IMAGES
+from vrcaps.names import listed
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.recording.layout import EPISODE_JSON
 
@@ -36,7 +37,7 @@ def _holds_images(folder: Path) -> bool:
     """Whether a folder is neither an episode nor a data set, and has images or folders of them."""
     if not folder.is_dir() or any((folder / name).exists() for name in (EPISODE_JSON, PLAN)):
         return False
-    paths = (path for depth in ("*", "*/*") for path in folder.glob(depth))
+    paths = (path for depth in ("*", "*/*") for path in listed(folder, depth))
     return any(path.suffix.lower() in IMAGES for path in paths)
 
 

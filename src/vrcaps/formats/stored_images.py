@@ -1,16 +1,22 @@
-"""Image files of others: read as the numbers that they hold, and written as they expect them."""
+"""Image files of others: read as the numbers that they hold, and written as they expect them.
+
+All of them pass through one decoder, whoever reads them: the size is checked before pixels are
+decoded, the orientation that EXIF states is applied, and inks (CMYK) and palettes become colors.
+"""
 
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.errors import InputError, MissingExtraError
+from vrcaps.errors import InputError, MissingExtraError, reading
 from vrcaps.files import write_bytes
-from vrcaps.recording.image_files import read_image
+from vrcaps.recording.image_files import MOST_PIXELS, decode_image, require_pixels
 
 if TYPE_CHECKING:
     from numpy.typing import DTypeLike, NDArray
@@ -18,34 +24,49 @@ if TYPE_CHECKING:
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 """Suffixes of color images that are read."""
 _TIFF = (".tif", ".tiff")
+_ORIENTATION = 274
+"""Tag of EXIF and TIFF: how stored rows and columns lie in the picture, 1 to 8."""
+_TURNS: dict[int, Callable[[NDArray], NDArray]] = {
+    2: lambda stored: stored[:, ::-1],
+    3: lambda stored: stored[::-1, ::-1],
+    4: lambda stored: stored[::-1],
+    5: lambda stored: stored.swapaxes(0, 1),
+    6: lambda stored: np.rot90(stored, -1),
+    7: lambda stored: stored[::-1, ::-1].swapaxes(0, 1),
+    8: np.rot90,
+}
+_PLAIN_MODES = ("L", "I", "F", "I;16", "I;16B", "RGB", "RGBA")
+"""Modes of Pillow whose numbers are gray or red, green, blue."""
 
 
 def read_rgb(path: Path) -> NDArray:
     """Color image [h w 3] of 8 bits: of more bits the highest, gray as three equal planes.
 
     Raises:
-        InputError: If the file cannot be read.
+        InputError: If the file cannot be read, or is larger than `MOST_PIXELS`.
     """
-    stored = _stored(path, as_color=True)
-    if stored.ndim == 2:
-        stored = np.repeat(stored[..., None], 3, axis=-1)
-    if stored.dtype == np.uint16:
-        stored = (stored >> 8).astype(np.uint8)
-    if stored.dtype != np.uint8 or stored.shape[-1] < 3:
-        raise InputError(f"{path} is no color image of 8 or 16 bits, but {stored.dtype}.")
-    return np.ascontiguousarray(stored[..., :3])
+    with reading(path):
+        return _as_rgb(_stored(path, as_color=True))
 
 
 def decoded_rgb(data: bytes) -> NDArray:
     """Color image [h w 3] of 8 bits, given as the bytes of a PNG or JPEG.
 
     Raises:
-        OSError: If they are no such file.
+        InputError: If they are no such file.
     """
-    from PIL import Image
+    with reading("an image"):
+        return _as_rgb(_decoded(data, as_color=True))
 
-    with Image.open(io.BytesIO(data)) as image:
-        return np.asarray(image.convert("RGB"))
+
+def _as_rgb(stored: NDArray) -> NDArray:
+    if stored.ndim == 2:
+        stored = np.repeat(stored[..., None], 3, axis=-1)
+    if stored.dtype == np.uint16:
+        stored = (stored >> 8).astype(np.uint8)
+    if stored.dtype != np.uint8 or stored.ndim != 3 or stored.shape[-1] < 3:
+        raise ValueError(f"it is no color image of 8 or 16 bits, but {stored.dtype}")
+    return np.ascontiguousarray(stored[..., :3])
 
 
 def read_numbers(path: Path) -> NDArray:
@@ -54,7 +75,8 @@ def read_numbers(path: Path) -> NDArray:
     Raises:
         InputError: If the file cannot be read.
     """
-    return _stored(path, as_color=False)
+    with reading(path):
+        return _stored(path, as_color=False)
 
 
 def read_plane(path: Path) -> NDArray:
@@ -63,7 +85,7 @@ def read_plane(path: Path) -> NDArray:
     Raises:
         InputError: If the file cannot be read, or its planes differ.
     """
-    stored = _stored(path, as_color=False)
+    stored = read_numbers(path)
     if stored.ndim == 2:
         return stored
     planes = stored[..., :3]
@@ -80,7 +102,7 @@ def stored_steps(steps: NDArray, dtype: DTypeLike = np.uint16) -> NDArray:
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """Height and width of an image; of PNG, JPEG and BMP only the header is read.
+    """Height and width of an image as it is shown; of PNG, JPEG and BMP only the header is read.
 
     Raises:
         InputError: If the file cannot be read.
@@ -90,11 +112,9 @@ def image_size(path: Path) -> tuple[int, int]:
         return height, width
     from PIL import Image
 
-    try:
-        with Image.open(path) as image:
-            return image.height, image.width
-    except (OSError, ValueError) as error:
-        raise InputError(f"Cannot read {path}: {error}.") from error
+    with reading(path), Image.open(path) as image:
+        is_turned = _orientation(image) >= 5
+        return (image.width, image.height) if is_turned else (image.height, image.width)
 
 
 def write_jpeg(path: Path, rgb: NDArray, quality: int) -> None:
@@ -131,40 +151,70 @@ def write_tiff(path: Path, array: NDArray) -> None:
 
 
 def _stored(path: Path, *, as_color: bool) -> NDArray:
-    try:
-        if path.suffix.lower() in _TIFF:
-            return _read_tiff(path)
-        if path.suffix.lower() in (".png", ".npy"):
-            try:
-                return read_image(path)
-            except ValueError:
-                if path.suffix == ".npy":
-                    raise
-        return _read_by_pillow(path, as_color)
-    except (OSError, ValueError) as error:
-        raise InputError(f"Cannot read {path}: {error}.") from error
+    suffix = path.suffix.lower()
+    if suffix in _TIFF:
+        return _read_tiff(path, as_color)
+    data = path.read_bytes()
+    return decode_image(data, suffix) if suffix == ".npy" else _decoded(data, as_color=as_color)
 
 
-def _read_by_pillow(path: Path, as_color: bool) -> NDArray:
-    """What the core does not read: JPEG, BMP, and PNG with a palette or transparency."""
+def _decoded(data: bytes, *, as_color: bool) -> NDArray:
+    """Numbers of an image: by the core where it is a plain PNG, which may have 16 bits."""
     from PIL import Image
 
-    with Image.open(path) as image:
-        if image.mode == "1":
-            return np.asarray(image.convert("L"))
-        if image.mode == "P" and as_color:
-            return np.asarray(image.convert("RGB"))
-        return np.asarray(image)
+    with Image.open(io.BytesIO(data)) as image:
+        require_pixels(image.width, image.height)
+        stored = None
+        if image.format == "PNG":
+            with suppress(ValueError):  # a palette or transparency
+                stored = decode_image(data, ".png")
+        stored = _by_pillow(image, as_color) if stored is None else stored
+        return _turned(stored, _orientation(image))
 
 
-def _read_tiff(path: Path) -> NDArray:
+def _by_pillow(image: Any, as_color: bool) -> NDArray:
+    if image.mode == "1":
+        return np.asarray(image.convert("L"))
+    if as_color and image.mode not in _PLAIN_MODES:
+        return np.asarray(image.convert("RGB"))
+    return np.asarray(image)
+
+
+def _orientation(image: Any) -> int:
+    """Orientation that the EXIF data of an image state; 1 without such data."""
+    from PIL import Image
+
+    exif = Image.Exif()
+    with suppress(Exception):  # damaged EXIF data do not harm the image
+        exif.load(image.info.get("exif"))
+    return exif.get(_ORIENTATION, 1)
+
+
+def _turned(stored: NDArray, orientation: Any) -> NDArray:
+    return _TURNS[orientation](stored) if orientation in _TURNS else stored
+
+
+def _read_tiff(path: Path, as_color: bool) -> NDArray:
     import tifffile
 
     try:
-        return tifffile.imread(path)
+        with tifffile.TiffFile(path) as file:
+            page = file.series[0].keyframe
+            if file.series[0].size > 4 * MOST_PIXELS:
+                raise ValueError(f"it states an array of shape {file.series[0].shape}")
+            require_pixels(page.imagewidth, page.imagelength)
+            if as_color and page.photometric.name not in ("MINISBLACK", "RGB"):
+                return _decoded(path.read_bytes(), as_color=True)
+            tag = page.tags.get(_ORIENTATION)
+            return _turned(file.asarray(), 1 if tag is None else tag.value)
     except (ValueError, tifffile.TiffFileError) as error:
         if "imagecodecs" not in str(error):
-            raise ValueError(str(error)) from error
+            raise
+    return _read_tiff_by_opencv(path)
+
+
+def _read_tiff_by_opencv(path: Path) -> NDArray:
+    """A TIFF of a compression that needs a codec; OpenCV applies the orientation itself."""
     try:
         import cv2
     except ImportError as error:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.errors import InputError
+from vrcaps.motion.trajectory_files import quaternion_order
 from vrcaps.narrow import narrow
-from vrcaps.transforms import matrix_from_quaternion, quaternion_from_matrix, transform_from
+from vrcaps.transforms import matrix_from_unit_quaternion, quaternion_from_matrix, transform_from
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -47,11 +48,17 @@ def pose_rows(
     return list(zip(nanoseconds(sequence), rows, strict=True))
 
 
-def read_table(path: Path) -> list[list[str]]:
+def read_table(path: Path, order: str = "") -> list[list[str]]:
     """Cells of the rows of a CSV file, without its header and comments.
 
+    Args:
+        path: The file.
+        order: Order of the components of quaternions, such as ``wxyz``; a header must not name
+            another. Empty takes any.
+
     Raises:
-        InputError: If the file cannot be read or a row does not begin with a whole number.
+        InputError: If the file cannot be read, a row does not begin with a whole number, or the
+            header names quaternions in another order.
     """
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
@@ -59,6 +66,9 @@ def read_table(path: Path) -> list[list[str]]:
         raise InputError(f"Cannot read {path}: {error}.") from error
     rows = [[cell.strip() for cell in row] for row in csv.reader(lines) if row]
     if rows and not rows[0][0].isdigit():
+        named = quaternion_order(" ".join(rows[0]))
+        if order and named not in ("", order):
+            raise InputError(f"{path} has quaternions in the order {named}. Allowed: {order}.")
         rows = rows[1:]
     for number, row in enumerate(rows):
         if not row[0].isdigit():
@@ -78,10 +88,11 @@ def read_poses(
     Raises:
         InputError: If the file cannot be read or a row has less.
     """
-    rows = [row[:8] for row in read_table(path)]
+    named = "".join(sorted("wxyz", key=lambda axis: order["wxyz".index(axis)]))
+    rows = [row[:8] for row in read_table(path, named)]
     try:
         values = np.array(rows, float).reshape(-1, 8)
-        turns = matrix_from_quaternion(values[:, 4:][:, order])
+        turns = matrix_from_unit_quaternion(values[:, 4:][:, order], path)
     except ValueError as error:
         raise InputError(f"Cannot read {path}: {error}.") from error
     return values[:, 0] * NANOSECOND, transform_from(turns, values[:, 1:4])

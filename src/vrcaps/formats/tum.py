@@ -20,12 +20,18 @@ from vrcaps.errors import InputError
 from vrcaps.files import write_bytes
 from vrcaps.formats.folders import each_folder, found_folders, read_rows
 from vrcaps.formats.format import Needs
-from vrcaps.formats.stored_images import stored_steps
+from vrcaps.formats.stored_images import image_size, read_plane, read_rgb, stored_steps
 from vrcaps.formats.timed_rows import nearest_rows
 from vrcaps.limits import Range, check_fields
+from vrcaps.motion.trajectory_files import tum_rows
+from vrcaps.names import inside
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
-from vrcaps.recording.image_files import read_image, write_images
-from vrcaps.transforms import matrix_from_quaternion, quaternion_from_matrix, transform_from
+from vrcaps.recording.image_files import write_images
+from vrcaps.transforms import (
+    matrix_from_unit_quaternion,
+    quaternion_from_matrix,
+    transform_from,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -93,14 +99,14 @@ class Tum:
         if "rgb" not in lists:
             raise InputError(f"{place} has no rgb.txt, so it is no TUM RGB-D sequence.")
         times = {name: np.array([time for time, _ in rows]) for name, rows in lists.items()}
-        rows = read_rows(place / _TRUTH, 8)
+        _, rows = tum_rows(place / _TRUTH)
         nearest = {name: nearest_rows(times["rgb"], found) for name, found in times.items()}
         nearest["pose"] = nearest_rows(times["rgb"], rows[:, 0])
         kept = np.flatnonzero(np.min(list(nearest.values()), axis=0) >= 0)
         if len(kept) == 0:
             raise InputError(f"{place} has no image with depth and pose within 20 ms of it.")
         paths = {
-            name: [place / found[k][1] for k in nearest[name][kept]]
+            name: [inside(place, found[k][1]) for k in nearest[name][kept]]
             for name, found in lists.items()
         }
         poses = poses_of(rows[nearest["pose"][kept]])
@@ -127,7 +133,8 @@ def trajectory_text(sequence: FrameSequence) -> str:
 
 def poses_of(rows: NDArray) -> NDArray:
     """``T_world_camera`` [n 4 4] of rows ``timestamp tx ty tz qx qy qz qw``."""
-    return transform_from(matrix_from_quaternion(rows[:, [7, 4, 5, 6]]), rows[:, 1:4])
+    rotations = matrix_from_unit_quaternion(rows[:, [7, 4, 5, 6]], "A TUM trajectory")
+    return transform_from(rotations, rows[:, 1:4])
 
 
 def _calibration_text(sequence: FrameSequence) -> str:
@@ -143,7 +150,7 @@ def _read_camera(path: Path, image: Path) -> Camera | None:
     """The camera of a sequence; None without a file of its calibration."""
     if not path.exists():
         return None
-    height, width = read_image(image).shape[:2]
+    height, width = image_size(image)
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = read_rows(path, 9)[0].tolist()
     lens = LensPinhole(fx=fx, fy=fy, cx=cx, cy=cy, k1=k1, k2=k2, p1=p1, p2=p2, k3=k3)
     return Camera("camera", lens, width, height)
@@ -153,7 +160,7 @@ def _read_list(path: Path) -> list[tuple[float, str]]:
     """Times [s] and paths of images; none where there is no list."""
     if not path.exists():
         return []
-    lines = [line for line in path.read_text().splitlines() if line and line[0] != "#"]
+    lines = [line for line in path.read_text("utf-8-sig").splitlines() if line and line[0] != "#"]
     try:
         return [(float(time), name) for time, name in (line.split(maxsplit=1) for line in lines)]
     except ValueError as error:
@@ -161,10 +168,8 @@ def _read_list(path: Path) -> list[tuple[float, str]]:
 
 
 def _load(paths: dict[str, list[Path]], scale: float, channel: str, index: int) -> NDArray:
-    try:
-        stored = read_image(paths[channel][index])
-    except (OSError, ValueError) as error:
-        raise InputError(f"Cannot read {paths[channel][index]}: {error}.") from error
+    path = paths[channel][index]
     if channel == "rgb":
-        return stored
+        return read_rgb(path)
+    stored = read_plane(path)
     return np.where(stored > 0, stored / scale, np.nan).astype(np.float32)

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.errors import InputError
-from vrcaps.motion.replay import WORLD_FROM_Y_UP, Y_UP_CAMERA_FROM_CAMERA
+from vrcaps.motion.trajectory_files import WORLD_FROM_Y_UP, Y_UP_CAMERA_FROM_CAMERA
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME
-from vrcaps.transforms import matrix_from_quaternion, quaternion_from_matrix, transform_from
+from vrcaps.transforms import matrix_from_unit_quaternion, quaternion_from_matrix, transform_from
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -26,13 +26,17 @@ if TYPE_CHECKING:
 
 _WORLD, _CAMERA = WORLD_FROM_Y_UP["left"], Y_UP_CAMERA_FROM_CAMERA["left"]
 _HEADER = ("tX", "tY", "tZ", "rX", "rY", "rZ", "rW", "time(s)")
+_UNIT = 0.01
+"""Largest deviation of a quaternion's length from 1 in a row that is not damaged."""
 
 
 def poses_from_unity(
     positions: Float[np.ndarray, "n 3"], xyzw: Float[np.ndarray, "n 4"]
 ) -> Float[np.ndarray, "n 4 4"]:
     """``T_world_camera`` of positions [m] and quaternions of Unity."""
-    rotations = _WORLD @ matrix_from_quaternion(np.roll(xyzw, 1, axis=1)) @ _CAMERA
+    rotations = (
+        _WORLD @ matrix_from_unit_quaternion(np.roll(xyzw, 1, axis=1), "a file of Unity") @ _CAMERA
+    )
     return transform_from(rotations, positions @ _WORLD.T)
 
 
@@ -82,7 +86,8 @@ def read_recorder(path: Path, unit: float) -> tuple[Float[np.ndarray, " n"], np.
     while rows and len(rows[-1]) < len(_HEADER):
         rows.pop()
     values = np.array([_numbers(row) for row in rows]).reshape(-1, len(_HEADER))
-    known = np.isfinite(values).all(axis=1) & (np.abs(values[:, 3:7]).max(axis=1, initial=0.0) > 0)
+    length = np.linalg.norm(values[:, 3:7], axis=1)
+    known = np.isfinite(values).all(axis=1) & (np.abs(length - 1.0) <= _UNIT)
     poses = np.full((len(values), 4, 4), np.nan)
     poses[known] = poses_from_unity(unit * values[known, :3], values[known, 3:7])
     return values[:, 7], poses

@@ -35,6 +35,7 @@ from vrcaps.formats.timed_rows import (
 )
 from vrcaps.formats.yaml_files import numbers_of, read_yaml, yaml_list
 from vrcaps.limits import Range, check_fields
+from vrcaps.names import inside
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.recording.image_files import write_images
 from vrcaps.render.encoding import fixed_point
@@ -139,7 +140,7 @@ def _read_one(place: Path, split: str | None) -> FrameSequence:
     names = ("rgb", "depth") if rows and len(rows[0]) >= 4 else ("rgb",)
     if not rows or any(len(row) < 2 * len(names) for row in rows):
         raise InputError(f"{path} has no images, or a row without the path of one.")
-    paths = {name: [place / row[2 * k + 1] for row in rows] for k, name in enumerate(names)}
+    paths = {name: [inside(place, row[2 * k + 1]) for row in rows] for k, name in enumerate(names)}
     values = {TIME: np.array([int(row[0]) * NANOSECOND for row in rows])}
     entry = _first_camera(place / _CALIBRATION)
     if (place / _TRUTH).exists() and read_table(place / _TRUTH):

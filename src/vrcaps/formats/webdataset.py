@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from vrcaps import rng
-from vrcaps.errors import InputError
+from vrcaps.errors import InputError, reading
 from vrcaps.files import atomic_write
 from vrcaps.formats.format import Needs
 from vrcaps.formats.samples import (
@@ -32,6 +32,8 @@ from vrcaps.formats.samples import (
     suffix,
 )
 from vrcaps.limits import Range, check_fields
+from vrcaps.names import listed
+from vrcaps.plain_files import decode_json
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -84,7 +86,7 @@ class WebDataset:
         Raises:
             InputError: If there are no shards, or one is damaged or of others.
         """
-        paths = sorted(folder.rglob("*.tar"))
+        paths = listed(folder, "**/*.tar")
         if not paths:
             raise InputError(f"{folder} holds no .tar, so no WebDataset.")
         samples = (sample for path in paths for sample in _samples(path))
@@ -123,22 +125,18 @@ class _Shards:
 def _samples(path: Path) -> Iterator[Sample]:
     """Samples of a shard; the files of one lie side by side."""
     places: dict[str, dict[str, tuple[Path, int, int]]] = {}
-    try:
-        with tarfile.open(path) as tar:
-            for member in tar:
-                key, _, kind = member.name.partition(".")
-                place = (path, member.offset_data, member.size)
-                places.setdefault(key, {})[kind.partition(".")[0]] = place
-    except (OSError, tarfile.TarError) as error:
-        raise InputError(f"Cannot read {path}: {error}.") from error
+    whole = path.stat().st_size
+    with reading(path), tarfile.open(path, "r:") as tar:
+        for member in tar:
+            if not member.isreg() or member.offset_data + member.size > whole:
+                raise ValueError(f"{member.name} is no whole file")
+            key, _, kind = member.name.partition(".")
+            place = (path, member.offset_data, member.size)
+            places.setdefault(key, {})[kind.partition(".")[0]] = place
     for key, kinds in places.items():
         if "json" not in kinds:
             raise InputError(f"{path}: the sample {key} has no .json. Allowed: what vrcaps writes.")
-        try:
-            plain = json.loads(_read(kinds.pop("json")))
-        except ValueError as error:
-            raise InputError(f"{path}: {key}.json is damaged ({error}).") from error
-        yield Sample(plain, kinds)
+        yield Sample(decode_json(_read(kinds.pop("json")), f"{path}: {key}.json"), kinds)
 
 
 def _read(place: tuple[Path, int, int]) -> bytes:

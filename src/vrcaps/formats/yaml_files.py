@@ -18,7 +18,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     """
     yaml = import_extra("yaml", "formats", package="PyYAML")
     try:
-        plain = yaml.safe_load(path.read_text())
+        plain = yaml.safe_load(path.read_text("utf-8-sig"))
     except (OSError, ValueError, yaml.YAMLError) as error:
         raise InputError(f"Cannot read {path}: {' '.join(str(error).split())}.") from error
     if not isinstance(plain, dict):

@@ -7,7 +7,6 @@ such a folder lies; what is read from there is kept in the cache folder.
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from vrcaps.data.store import open_store
 from vrcaps.errors import InputError, StorageError, UnknownNameError, require
 from vrcaps.files import file_sha256, write_bytes, write_json
 from vrcaps.organ.cache import cache_folder
+from vrcaps.plain_files import decode_json
 from vrcaps.serialization import from_plain, to_plain
 
 INDEX, VARIABLE, SUFFIX = "index.json", "VRCAPS_WEIGHTS", ".safetensors"
@@ -102,11 +102,8 @@ def read_index(place: str) -> dict[str, PublishedWeights]:
         StorageError: If the place cannot be reached.
     """
     at, text = f"{place}/{INDEX}", _read(place, INDEX)
-    try:
-        plain = json.loads(text)
-    except ValueError as error:
-        raise InputError(f"{at} is not JSON: {error}.") from error
-    return {one.name: one for one in from_plain(Index, plain, at=at).weights}
+    found = from_plain(Index, decode_json(text, at), at=at)
+    return {one.name: one for one in found.weights}
 
 
 def find_weights(given: str, task: str = "") -> Path:

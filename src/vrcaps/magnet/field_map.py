@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.errors import InputError, UnknownNameError, reading
+from vrcaps.files import read_arrays
 from vrcaps.magnet.sources import FieldMap
 from vrcaps.units import parse_length
 
@@ -41,12 +42,12 @@ def read_field_map(path: str | Path, *, length_unit: str, flux_unit: str) -> Fie
     readers = {".npz": _read_npz, ".csv": _read_csv}
     if path.suffix.lower() not in readers:
         raise InputError(f"{path}: unknown kind of field map. Allowed: {', '.join(readers)}.")
-    try:
+    with reading(f"the field map {path}"):
         axes, values = readers[path.suffix.lower()](path)
-    except OSError as error:
-        raise InputError(f"Cannot read the field map {path}: {error.strerror}.") from error
     for name, axis in zip("xyz", axes, strict=True):
         _check_axis(path, name, axis)
+    if not np.isfinite(values).all():
+        raise InputError(f"{path} holds a flux density that is not finite.")
     return FieldMap(
         tuple(length * axis[0] for axis in axes),
         tuple(length * (axis[-1] - axis[0]) / (len(axis) - 1) for axis in axes),
@@ -69,12 +70,12 @@ def _check_axis(path: Path, name: str, axis: np.ndarray) -> None:
 
 def _read_npz(path: Path) -> tuple[list[np.ndarray], np.ndarray]:
     try:
-        with np.load(path, allow_pickle=False) as file:
-            axes = [np.asarray(file[name], float) for name in "xyz"]
-            values = np.asarray(file["flux_density"], float)
+        arrays = read_arrays(path)
+        axes = [np.asarray(arrays[name], float) for name in "xyz"]
+        values = np.asarray(arrays["flux_density"], float)
     except KeyError as error:
         raise InputError(
-            f"{path}: {error.args[0]}. Allowed: arrays x, y, z and flux_density."
+            f"{path} has no array {error}. Allowed: arrays x, y, z and flux_density."
         ) from error
     except ValueError as error:
         raise InputError(f"{path} is no NPZ file of numbers: {error}.") from error

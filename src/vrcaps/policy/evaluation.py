@@ -14,6 +14,7 @@ from vrcaps.errors import InputError
 from vrcaps.files import write_bytes, write_csv
 from vrcaps.metrics.coverage import CoverageLevel
 from vrcaps.metrics.point_coverage import POINT_LEVELS
+from vrcaps.plain_files import decode_json
 from vrcaps.recording.table import FrameTable, read_table, write_table
 
 if TYPE_CHECKING:
@@ -235,10 +236,9 @@ def _value(text: str) -> Any:
 
 
 def _require_same(path: Path, settings: dict[str, Any]) -> None:
-    try:
-        before = json.loads(path.read_text())
-    except ValueError as error:
-        raise InputError(f"{path} cannot be read. Give a new folder.") from error
+    before = decode_json(path.read_bytes(), path)
+    if not isinstance(before, dict):
+        raise InputError(f"{path} holds no table. Give a new folder.")
     plain = json.loads(json.dumps(settings))
     changed = [k for k in {**before, **plain} if before.get(k) != plain.get(k)]
     if changed:

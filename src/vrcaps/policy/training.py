@@ -174,8 +174,8 @@ def _read_checkpoint(out: Path, learner: Ppo) -> Progress:
         return Progress(
             stated["num_rounds"], learner.num_rounds, tuple(stated["rows"]), stated["best"]
         )
-    except (OSError, ValueError, LookupError, RuntimeError) as error:
-        reason = str(error).splitlines()[0]
+    except Exception as error:  # what PyTorch raises for damaged states has no common base
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"{path} is damaged ({reason}). Give a new folder.") from error
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 from vrcaps.errors import InputError
 from vrcaps.files import read_arrays, sync_folder, write_arrays, write_json
 from vrcaps.motion.motion import MotionState
+from vrcaps.plain_files import decode_json
 from vrcaps.recording.table import FrameTable, read_table, write_table
 
 _FOLDER = ".resume"
@@ -53,7 +53,7 @@ def read_checkpoint(episode: Path) -> Checkpoint | None:
     if not (folder / _INDEX).exists():
         return None
     try:
-        frame = int(json.loads((folder / _INDEX).read_text(encoding="utf-8"))["frame"])
+        frame = int(decode_json((folder / _INDEX).read_bytes(), _INDEX)["frame"])
         path, table = _paths(folder, frame)
         return Checkpoint(MotionState(frame, read_arrays(path)), read_table(table))
     except (OSError, ValueError, LookupError, TypeError) as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -66,7 +67,8 @@ class Episode:
     @property
     def name(self) -> str:
         """Name of its folder."""
-        return Path(self.url).name
+        is_here = isinstance(self.files, LocalFiles)
+        return Path(os.path.abspath(self.url) if is_here else self.url).name  # "." has no name
 
     @property
     def path(self) -> Path:

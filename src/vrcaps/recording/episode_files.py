@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Protocol
 
+from vrcaps.names import inside
 from vrcaps.temporary_files import scratch_folder
 
 
@@ -40,8 +41,13 @@ class LocalFiles:
         return str(self.folder)
 
     def read(self, name: str) -> bytes:
-        """A file's bytes."""
-        return (self.folder / name).read_bytes()
+        """A file's bytes; one that a link places outside the folder cannot be read.
+
+        Raises:
+            OSError: If it cannot be read.
+            InputError: If it lies outside.
+        """
+        return inside(self.folder, name).read_bytes()
 
 
 @contextmanager
@@ -52,7 +58,8 @@ def file_here(files: EpisodeFiles, name: str) -> Iterator[Path]:
         OSError: If it cannot be read.
     """
     if isinstance(files, LocalFiles):
-        yield files.folder / name
+        is_shared = name.startswith("../")  # an organ of its data set
+        yield files.folder / name if is_shared else inside(files.folder, name)
         return
     with scratch_folder() as folder:
         path = folder / PurePosixPath(name).name

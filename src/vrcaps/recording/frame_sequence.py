@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.camera.camera import Camera
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.errors import InputError, UnknownNameError, reading
+from vrcaps.names import require_name
 from vrcaps.render.channels import CHANNELS, Frame
+from vrcaps.transforms import require_rigid
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -18,6 +20,8 @@ if TYPE_CHECKING:
 
     from vrcaps.recording.episode import Episode
 
+SPLITS = ("train", "val", "test")
+"""Splits of a data set."""
 TIME, CAMERA_POSE = "time", "T_world_camera"
 """Names of values that sequences of all sources use."""
 
@@ -35,8 +39,11 @@ class FrameSequence:
         >>> sequence[0]["depth"], sequence[0]["T_world_camera"]
         >>> loader = torch.utils.data.DataLoader(sequence)
 
+    This is the border at which data of others are checked: names become paths of what is written,
+    and networks learn from values.
+
     Attributes:
-        name: What its source calls it.
+        name: Name in its source, a relative path.
         channels: Image channels that a frame has, in the order of `Frame`.
         values: An array with a row per frame for each number that is known. `time` [s] is always
             there; `T_world_camera` [m] where poses are known; an episode has `T_world_capsule` and
@@ -47,6 +54,11 @@ class FrameSequence:
         patient: Whose organ it is; None if not known. Data sets are split by it.
         split: `train`, `val` or `test`; None if the source has no splits.
         episode: The episode that it is of; None for data of others.
+
+    Raises:
+        InputError: If the name is no relative path, there is not one value for each frame, a time
+            is not finite, or a transform `T_…` is not rigid.
+        UnknownNameError: If there is no such channel or split.
     """
 
     name: str
@@ -59,6 +71,15 @@ class FrameSequence:
     split: str | None = None
     episode: Episode | None = field(default=None, repr=False)
 
+    def __post_init__(self) -> None:
+        require_name("sequence", self.name)
+        if self.split not in (None, *SPLITS):
+            raise UnknownNameError(f"split of {self.name}", str(self.split), SPLITS)
+        for channel in self.channels:
+            if channel not in CHANNELS:
+                raise UnknownNameError("channel", str(channel), CHANNELS)
+        _require_values(self)
+
     def __len__(self) -> int:
         return len(self.values[TIME])
 
@@ -70,11 +91,12 @@ class FrameSequence:
 
         Raises:
             IndexError: If there is no such frame, so that a loop over the sequence ends.
+            InputError: If a file cannot be read or holds an impossible value.
         """
         if not -len(self) <= index < len(self):
             raise IndexError(f"No frame {index}. Allowed: 0 to {len(self) - 1}.")
         k = index % len(self)
-        images = {channel: self.load(channel, k) for channel in self.channels}
+        images = {channel: self._loaded(channel, k) for channel in self.channels}
         values = {name: np.asarray(rows[k]) for name, rows in self.values.items()}
         return images | values | {"index": np.asarray(k)}
 
@@ -99,12 +121,13 @@ class FrameSequence:
 
         Raises:
             UnknownNameError: If the sequence has no such channel.
-            InputError: If there is no such frame or its file cannot be read.
+            InputError: If there is no such frame, or its file cannot be read or holds an infinite
+                value or a negative distance.
         """
         self._require_channels((channel,))
         if not 0 <= index < len(self):
             raise InputError(f"No frame {index} in {self.name}. Allowed: 0 to {len(self) - 1}.")
-        return self.load(channel, index)
+        return self._loaded(channel, index)
 
     def frame(self, index: int) -> Frame:
         """All channels of one frame."""
@@ -129,7 +152,51 @@ class FrameSequence:
         self._require_channels(chosen)
         return replace(self, channels=tuple(name for name in CHANNELS if name in chosen))
 
+    def _loaded(self, channel: str, index: int) -> NDArray:
+        what = f"{channel} of frame {index} of {self.name}"
+        with reading(what):
+            image = self.load(channel, index)
+            _require_possible(channel, image, what)
+        return image
+
     def _require_channels(self, channels: Sequence[str]) -> None:
         for channel in channels:
             if channel not in self.channels:
                 raise UnknownNameError("channel", channel, self.channels)
+
+
+def _require_values(sequence: FrameSequence) -> None:
+    """Check times and transforms of a sequence.
+
+    Raises:
+        InputError: If one is impossible; names the sequence and the frame.
+    """
+    times = np.asarray(sequence.values[TIME])
+    for name, rows in sequence.values.items():
+        if len(rows) != len(times):
+            raise InputError(
+                f"{sequence.name} has {len(rows)} values of {name} for {len(times)} frames."
+            )
+        if name.startswith("T_"):
+            require_rigid(rows, f"{name} of {sequence.name}")
+    wrong = np.flatnonzero(~np.isfinite(times.astype(float)))
+    if len(wrong):
+        raise InputError(
+            f"The time of frame {wrong[0]} of {sequence.name} is {times[wrong[0]]}. Allowed: a "
+            "finite number of seconds."
+        )
+
+
+def _require_possible(channel: str, image: NDArray, what: str) -> None:
+    """Check an image that was read: floats are finite or NaN, distances not negative.
+
+    Raises:
+        InputError: If a pixel is neither.
+    """
+    if image.dtype.kind != "f":
+        return
+    if np.isinf(image).any():
+        raise InputError(f"{what} holds an infinite value. Allowed: finite ones, NaN for none.")
+    encoding = CHANNELS[channel].encoding
+    if encoding.unit == "m" and encoding.components == 1 and (image < 0.0).any():
+        raise InputError(f"{what} holds a negative distance. Allowed: 0 or more, NaN for none.")

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-import io
+import struct
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.files import atomic_write
+from vrcaps.files import atomic_write, decode_array
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+MOST_PIXELS = 2**26
+"""Most pixels of an image that is read, 8192 × 8192: a file of a few bytes may state any size."""
+
+_PNG_HEADER = struct.Struct(">16xII")
 
 
 def write_images(items: list[tuple[Path, NDArray]]) -> None:
@@ -31,17 +36,28 @@ def read_image(path: Path) -> NDArray:
         OSError: If the file cannot be read.
         ValueError: If it is no such image.
     """
-    if path.suffix == ".npy":
-        return np.load(path, allow_pickle=False)
-    return _core.read_png(str(path))
+    return decode_image(path.read_bytes(), path.suffix)
 
 
 def decode_image(data: bytes, suffix: str) -> NDArray:
     """Numbers stored in an image, given as the bytes of a file with this suffix.
 
     Raises:
-        ValueError: If they are no such image.
+        ValueError: If they are no such image, or one of more than `MOST_PIXELS`.
     """
     if suffix == ".npy":
-        return np.load(io.BytesIO(data), allow_pickle=False)
+        return decode_array(data)
+    if len(data) >= _PNG_HEADER.size:
+        require_pixels(*_PNG_HEADER.unpack_from(data))
+    # A single image is decoded by the calling thread: this works in forked processes, too.
     return _core.decode_pngs([np.frombuffer(data, np.uint8)])[0]
+
+
+def require_pixels(width: int, height: int) -> None:
+    """Check the size that the header of an image states, before its pixels are decoded.
+
+    Raises:
+        ValueError: If it has no pixels, or more than `MOST_PIXELS`.
+    """
+    if not 0 < width * height <= MOST_PIXELS:
+        raise ValueError(f"it states {width} x {height} pixels; allowed are 1 to {MOST_PIXELS}")

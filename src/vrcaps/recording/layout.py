@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import fields
 from typing import Any
 
@@ -12,6 +11,7 @@ from vrcaps.capsule.device import Device
 from vrcaps.errors import InputError
 from vrcaps.made_with import EPISODE_PACKAGES, core_sha256, versions
 from vrcaps.organ.arrays import json_safe
+from vrcaps.plain_files import decode_json
 from vrcaps.recording.episode_files import EpisodeFiles
 from vrcaps.recording.walls import wall_to_plain
 from vrcaps.render.channels import CHANNELS
@@ -157,8 +157,8 @@ def read_head(files: EpisodeFiles) -> dict[str, Any]:
     """
     path = f"{files.url}/{EPISODE_JSON}"
     try:
-        head = json.loads(files.read(EPISODE_JSON))
-    except (OSError, ValueError, RecursionError) as error:
+        head = decode_json(files.read(EPISODE_JSON), EPISODE_JSON)
+    except (OSError, InputError) as error:
         raise InputError(f"{files.url} is no episode: cannot read {path} ({error}).") from error
     if not isinstance(head, dict) or head.get("format") != FORMAT:
         given = head.get("format") if isinstance(head, dict) else None

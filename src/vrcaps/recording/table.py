@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps._core import Wall
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.errors import InputError, UnknownNameError, reading
 from vrcaps.files import write_bytes
 from vrcaps.geometry import barycentric
 from vrcaps.motion.dynamics_columns import SPEED_ALONG_GUT
 from vrcaps.motion.motion import Motion
 from vrcaps.motion.step import Step
 from vrcaps.organ.surface import face_label
+from vrcaps.recording.parquet_files import open_parquet
 from vrcaps.transforms import (
     matrix_from_quaternion,
     quaternion_from_matrix,
@@ -244,10 +245,8 @@ def read_table(path: Path) -> FrameTable:
     Raises:
         InputError: If the file cannot be read or is no Parquet file.
     """
-    try:
+    with reading(path.name):
         return decode_table(path.read_bytes(), path.name)
-    except OSError as error:
-        raise InputError(f"{path.name} cannot be read ({error}).") from error
 
 
 def decode_table(data: bytes, name: str) -> FrameTable:
@@ -260,17 +259,9 @@ def decode_table(data: bytes, name: str) -> FrameTable:
     Raises:
         InputError: If they are no Parquet file.
     """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        with pq.ParquetFile(pa.BufferReader(data)) as file:
-            table = file.read(use_threads=False)  # a small file: threads would cost more
-        columns = {name: _numpy_array(table[name]) for name in table.column_names}
-    except (OSError, ValueError, pa.ArrowException) as error:
-        lines = str(error).splitlines() or [type(error).__name__]
-        raise InputError(f"{name} cannot be read ({lines[0]}).") from error
-    return FrameTable(columns)
+    with open_parquet(data, name) as file:
+        table = file.read(use_threads=False)  # a small file: threads would cost more
+        return FrameTable({column: _numpy_array(table[column]) for column in table.column_names})
 
 
 def _numpy_array(column: pa.ChunkedArray) -> NDArray:

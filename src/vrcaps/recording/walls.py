@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import io
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vrcaps.files import decode_array
 from vrcaps.organ.write_organ import split_at_seams
 
 if TYPE_CHECKING:
@@ -57,4 +57,4 @@ def decode_wall(data: bytes) -> Float32[np.ndarray, "k 3"]:
     Raises:
         ValueError: If they are no such file.
     """
-    return np.load(io.BytesIO(data), allow_pickle=False)
+    return decode_array(data)

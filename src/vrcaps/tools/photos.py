@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError
+from vrcaps.errors import InputError, reading
 from vrcaps.files import file_sha256
+from vrcaps.formats.stored_images import read_rgb
+from vrcaps.names import listed
 
 if TYPE_CHECKING:
     from jaxtyping import UInt8
@@ -59,7 +61,7 @@ def _files(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
     known = IMAGES + VIDEOS
-    files = sorted(file for file in path.iterdir() if file.suffix.lower() in known)
+    files = [file for file in listed(path, "*") if file.suffix.lower() in known]
     if not files:
         raise InputError(f"Folder {path} holds no photograph. Allowed: {', '.join(known)}.")
     return files
@@ -70,25 +72,15 @@ def _read(path: Path, num_frames: int) -> list[Photo]:
         raise InputError(f"There is no file {path}. Give pictures, videos or folders of them.")
     if path.suffix.lower() in VIDEOS:
         return _read_video(path, num_frames)
-    from PIL import Image, ImageOps, UnidentifiedImageError
-
-    try:
-        with Image.open(path) as image:
-            rgb = np.asarray(ImageOps.exif_transpose(image).convert("RGB"))
-    except UnidentifiedImageError as error:
-        raise InputError(
-            f"{path} is not a picture. Allowed: {', '.join(IMAGES + VIDEOS)}."
-        ) from error
-    except (OSError, ValueError, Image.DecompressionBombError) as error:
-        raise InputError(f"Cannot read the picture {path}: {error}.") from error
-    return [Photo(path.name, rgb, file_sha256(path))]
+    if path.suffix.lower() not in IMAGES:
+        raise InputError(f"{path} is not a picture. Allowed: {', '.join(IMAGES + VIDEOS)}.")
+    return [Photo(path.name, read_rgb(path), file_sha256(path))]
 
 
 def _read_video(path: Path, num_frames: int) -> list[Photo]:
     import av
-    from av.error import FFmpegError
 
-    try:
+    with reading(f"the video {path}"):
         with av.open(str(path)) as container:
             total = sum(1 for _ in container.decode(video=0))
         wanted = set(np.unique(np.linspace(0, total - 1, num_frames).astype(int)).tolist())
@@ -98,8 +90,6 @@ def _read_video(path: Path, num_frames: int) -> list[Photo]:
                 for index, frame in enumerate(container.decode(video=0))
                 if index in wanted
             ]
-    except (FFmpegError, IndexError) as error:
-        raise InputError(f"Cannot read the video {path}: {error}.") from error
     if not frames:
         raise InputError(f"The video {path} has no frame. Give another.")
     digest = file_sha256(path)

@@ -165,7 +165,7 @@ def test_what_cannot_be_read(tmp_path: Path) -> None:
         ([], "No photograph was given"),
         ([tmp_path / "empty"], "holds no photograph"),
         ([tmp_path / "gone.png"], "There is no file"),
-        ([tmp_path / "text.png"], "is not a picture"),
+        ([tmp_path / "text.png"], "Cannot read"),
         ([tmp_path / "text.mp4"], "Cannot read the video"),
     ):
         with pytest.raises(InputError, match=match):

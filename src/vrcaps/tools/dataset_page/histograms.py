@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.data.plan import SPLITS
+from vrcaps.recording.frame_sequence import SPLITS
 from vrcaps.tools.dataset_page.sample import Sample
 from vrcaps.units import MM
 

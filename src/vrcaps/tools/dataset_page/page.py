@@ -21,9 +21,10 @@ from vrcaps.data.counts import (
     segment_counts,
     shared_organs,
 )
-from vrcaps.data.plan import SPLITS, DatasetSettings
+from vrcaps.data.plan import DatasetSettings
 from vrcaps.data.stored_files import read_at_once
 from vrcaps.files import write_bytes
+from vrcaps.recording.frame_sequence import SPLITS
 from vrcaps.recording.pictures import legend, limits_of, picture
 from vrcaps.render.channels import CHANNELS
 from vrcaps.tools.dataset_page.histograms import SPLIT_COLORS, histogram_picture

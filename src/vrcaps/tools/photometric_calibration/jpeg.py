@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.errors import reading
+from vrcaps.names import listed
+
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
@@ -38,12 +41,12 @@ def jpeg_quality(paths: Sequence[Path]) -> int | None:
     from PIL import Image
 
     tables = quality_tables()
-    files = [file for path in paths for file in (path.iterdir() if path.is_dir() else (path,))]
+    files = [file for path in paths for file in (listed(path, "*") if path.is_dir() else (path,))]
     found = []
     for file in files:
         if file.suffix.lower() not in (".jpg", ".jpeg"):
             continue
-        with Image.open(file) as image:
+        with reading(file), Image.open(file) as image:
             own = getattr(image, "quantization", {}).get(0)
         if own is not None:
             found.append(1 + int(np.abs(tables - np.sort(own)).sum(axis=1).argmin()))

@@ -11,10 +11,10 @@ import numpy as np
 
 from vrcaps.camera.camera import Camera, pixel_grid
 from vrcaps.errors import InputError
-from vrcaps.formats.folders import read_rows
 from vrcaps.formats.images import file_name
 from vrcaps.formats.tum import poses_of
 from vrcaps.metrics.trajectory import TrajectoryAlignment, aligned_poses, fit_similarity
+from vrcaps.motion.trajectory_files import tum_rows
 from vrcaps.recording.frame_sequence import CAMERA_POSE, FrameSequence
 from vrcaps.recording.image_files import read_image
 from vrcaps.render.channels import CHANNELS
@@ -190,7 +190,7 @@ def read_poses(
     Raises:
         InputError: If a frame has no pose of its time, or the file cannot be read.
     """
-    rows = read_rows(path, 8)
+    _, rows = tum_rows(path)
     apart = np.abs(rows[:, 0][None] - sequence.times[:, None])
     nearest = apart.argmin(axis=1)
     step = np.median(np.diff(sequence.times)) if len(sequence) > 1 else np.inf

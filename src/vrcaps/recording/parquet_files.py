@@ -1,0 +1,40 @@
+"""Parquet files, opened with their sizes checked before anything is decompressed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from vrcaps.errors import reading
+from vrcaps.files import MOST_BYTES
+
+if TYPE_CHECKING:
+    import pyarrow.parquet as pq
+
+
+@contextmanager
+def open_parquet(source: Path | bytes, name: object) -> Iterator[pq.ParquetFile]:
+    """A Parquet file, open during the block.
+
+    Args:
+        source: Path of the file, or its bytes.
+        name: Of the file, for messages.
+
+    Raises:
+        InputError: If it is damaged or the block cannot read it, or if a row group states more than
+            `MOST_BYTES`.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    with (
+        reading(name),
+        pq.ParquetFile(pa.BufferReader(source) if isinstance(source, bytes) else source) as file,
+    ):
+        about = file.metadata
+        sizes = [about.row_group(k).total_byte_size for k in range(about.num_row_groups)]
+        if not all(0 <= size <= MOST_BYTES for size in sizes):
+            raise ValueError(f"a group of rows states {max(sizes)} bytes; {MOST_BYTES} are allowed")
+        yield file

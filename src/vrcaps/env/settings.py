@@ -15,7 +15,7 @@ from vrcaps.env.rewards import Reward
 from vrcaps.env.start import Start
 from vrcaps.env.tasks.coverage import CoverageTask
 from vrcaps.env.tasks.registry import AnyTask
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.errors import InputError, UnknownNameError, require
 from vrcaps.lesion import AnyLesion
 from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.coverage import CoverageCriteria
@@ -25,6 +25,9 @@ from vrcaps.tissue.tissue import Tissue
 from vrcaps.world.dynamics import RELAXATION_TIME
 from vrcaps.world.model import posture_transform
 
+_LONGEST = 7 * 86400.0
+"""Longest episode [s], a week; files of policies may state any."""
+_MOST_CELLS = 1024
 Organ = OrganGenerated | OrganFile | OrganSurface | str
 
 
@@ -75,11 +78,11 @@ class EnvSettings:
     randomization: Randomization = field(default_factory=Randomization)
     start: Start = field(default_factory=Start)
     control_period: Annotated[float, Range(above=0.0, most=1.0, unit="s")] = 5.0 / 30.0
-    episode_time: Annotated[float, Range(above=0.0, unit="s")] = 60.0
-    stuck_time: Annotated[float, Range(above=0.0, unit="s")] = 20.0
-    max_speed: Annotated[float, Range(above=0.0, unit="m/s")] = 1.5
+    episode_time: Annotated[float, Range(above=0.0, most=_LONGEST, unit="s")] = 60.0
+    stuck_time: Annotated[float, Range(above=0.0, most=_LONGEST, unit="s")] = 20.0
+    max_speed: Annotated[float, Range(above=0.0, most=1e3, unit="m/s")] = 1.5
     criteria: CoverageCriteria = field(default_factory=CoverageCriteria)
-    num_points: Annotated[int, Range(least=64)] = 4096
+    num_points: Annotated[int, Range(least=64, most=2**20)] = 4096
     grid: tuple[int, int] = (32, 16)
 
     def __post_init__(self) -> None:
@@ -97,8 +100,8 @@ class EnvSettings:
             raise InputError(
                 f"observations are {', '.join(names) or 'empty'}. Allowed: at least one, each once."
             )
-        if min(self.grid) < 1:
-            raise InputError(f"grid is {self.grid}. Allowed: 1 or more cells each way.")
+        is_grid = min(self.grid) >= 1 and max(self.grid) <= _MOST_CELLS
+        require(is_grid, "grid", self.grid, f"1 to {_MOST_CELLS} cells each way")
 
     def __deepcopy__(self, memo: object) -> EnvSettings:
         """Itself: nothing of it changes, and organs in memory are large."""

@@ -11,7 +11,17 @@ import numpy as np
 
 from vrcaps.errors import InputError, require
 from vrcaps.learn.fit import Fit
-from vrcaps.learn.learner import Batch, Figure, Sample, mirrored, outputs_of, recolored, zoomed
+from vrcaps.learn.learner import (
+    MOST_CLASSES,
+    MOST_SIZE,
+    Batch,
+    Figure,
+    Sample,
+    mirrored,
+    outputs_of,
+    recolored,
+    zoomed,
+)
 from vrcaps.learn.networks import ENCODER, classifier, require_torch
 from vrcaps.learn.overlays import Overlay, tissue_mask
 from vrcaps.limits import Range, check_fields
@@ -49,13 +59,13 @@ class ClassLearner:
     """
 
     classes: tuple[str, ...] = (NORMAL, "polyp", "ulcer")
-    size: Annotated[int, Range(32)] = 192
+    size: Annotated[int, Range(32, MOST_SIZE)] = 192
     encoder: str = ENCODER
     hides: tuple[Overlay, ...] = ("corners", "insert")
     min_fraction: Annotated[float, Range(0.0, 1.0)] = 0.005
     dropout: Annotated[float, Range(0.0, below=1.0)] = 0.2
-    brightness: Annotated[float, Range(1.0)] = 1.3
-    tint: Annotated[float, Range(1.0)] = 1.25
+    brightness: Annotated[float, Range(1.0, 10.0)] = 1.3
+    tint: Annotated[float, Range(1.0, 10.0)] = 1.25
     zoom: Annotated[float, Range(above=0.0, most=1.0)] = 0.7
 
     kind: ClassVar[str] = "classes"
@@ -65,7 +75,8 @@ class ClassLearner:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        require(len(set(self.classes)) > 1, "classes of images", self.classes, "two names or more")
+        is_few = 1 < len(set(self.classes)) <= MOST_CLASSES
+        require(is_few, "classes of images", self.classes[:9], f"2 to {MOST_CLASSES} names")
 
     def items(self, sequence: FrameSequence) -> Iterable[int]:
         """Frames that have one of the classes.

@@ -21,6 +21,8 @@ import numpy as np
 from vrcaps.errors import InputError
 from vrcaps.learn.fit import Fit, require_size
 from vrcaps.learn.learner import (
+    MOST_SIZE,
+    MOST_WEIGHT,
     Batch,
     Figure,
     Sample,
@@ -65,13 +67,13 @@ class DepthLearner:
         zoom: Least side of the random part of a frame that is learned from; 1 is all of it.
     """
 
-    size: Annotated[int, Range(32)] = 192
+    size: Annotated[int, Range(32, MOST_SIZE)] = 192
     encoder: str = ENCODER
     has_light_cue: bool = True
-    gradient_weight: Annotated[float, Range(0.0)] = 0.5
-    brightness: Annotated[float, Range(1.0)] = 1.2
-    tint: Annotated[float, Range(1.0)] = 1.2
-    gamma: Annotated[float, Range(1.0)] = 1.15
+    gradient_weight: Annotated[float, Range(0.0, MOST_WEIGHT)] = 0.5
+    brightness: Annotated[float, Range(1.0, 10.0)] = 1.2
+    tint: Annotated[float, Range(1.0, 10.0)] = 1.2
+    gamma: Annotated[float, Range(1.0, 10.0)] = 1.15
     zoom: Annotated[float, Range(above=0.0, most=1.0)] = 0.6
 
     kind: ClassVar[str] = "depth"

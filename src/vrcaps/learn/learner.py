@@ -16,6 +16,12 @@ if TYPE_CHECKING:
 
     from vrcaps.learn.fit import Fit
 
+MOST_SIZE = 2048
+"""Largest side of a network's images [px]; files of weights may state any."""
+MOST_CLASSES = 1000
+"""Largest number of classes of a network."""
+MOST_WEIGHT = 1e6
+"""Largest weight of a term of a loss."""
 Sample = dict[str, Any]
 """Arrays of one frame at the network's size; `image` is uint8 [s s 3]. What is no array is for the
 loss only."""

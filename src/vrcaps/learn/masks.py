@@ -14,7 +14,17 @@ import numpy as np
 
 from vrcaps.errors import InputError, require
 from vrcaps.learn.fit import Fit, require_size
-from vrcaps.learn.learner import Batch, Figure, Sample, mirrored, outputs_of, recolored, zoomed
+from vrcaps.learn.learner import (
+    MOST_CLASSES,
+    MOST_SIZE,
+    Batch,
+    Figure,
+    Sample,
+    mirrored,
+    outputs_of,
+    recolored,
+    zoomed,
+)
 from vrcaps.learn.networks import ENCODER, dense_network, require_torch
 from vrcaps.lesion.registry import LESIONS
 from vrcaps.limits import Range, check_fields
@@ -48,10 +58,10 @@ class MaskLearner:
     """
 
     classes: tuple[str, ...] = (LESION,)
-    size: Annotated[int, Range(32)] = 192
+    size: Annotated[int, Range(32, MOST_SIZE)] = 192
     encoder: str = ENCODER
-    brightness: Annotated[float, Range(1.0)] = 1.3
-    tint: Annotated[float, Range(1.0)] = 1.25
+    brightness: Annotated[float, Range(1.0, 10.0)] = 1.3
+    tint: Annotated[float, Range(1.0, 10.0)] = 1.25
     zoom: Annotated[float, Range(above=0.0, most=1.0)] = 0.6
 
     kind: ClassVar[str] = "masks"
@@ -62,7 +72,8 @@ class MaskLearner:
     def __post_init__(self) -> None:
         check_fields(self)
         require_size(self.size)
-        require(len(self.classes) > 0, "classes of masks", self.classes, "one name or more")
+        is_few = 0 < len(self.classes) <= MOST_CLASSES
+        require(is_few, "number of classes of masks", len(self.classes), f"1 to {MOST_CLASSES}")
 
     def items(self, sequence: FrameSequence) -> Iterable[int]:
         """All frames of a sequence with images and masks.

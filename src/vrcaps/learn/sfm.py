@@ -31,7 +31,7 @@ import numpy as np
 from vrcaps.errors import InputError
 from vrcaps.learn.depth import MIDDLE, DepthLearner, depth_of, depth_picture, image_and_rays
 from vrcaps.learn.fit import Fit, require_size
-from vrcaps.learn.learner import Batch, Figure, Sample, with_gain
+from vrcaps.learn.learner import MOST_SIZE, MOST_WEIGHT, Batch, Figure, Sample, with_gain
 from vrcaps.learn.networks import ENCODER, dense_network, motion_network, require_torch
 from vrcaps.learn.samples import batch_of
 from vrcaps.learn.view_synthesis import (
@@ -75,14 +75,14 @@ class SfmLearner:
         supervision: Weight of the loss of true distances and motions; 0 needs no labels.
     """
 
-    size: Annotated[int, Range(32)] = 192
+    size: Annotated[int, Range(32, MOST_SIZE)] = 192
     encoder: str = ENCODER
-    step: Annotated[int, Range(1)] = 1
-    photometric_weight: Annotated[float, Range(0.0)] = 1.0
-    smoothness_weight: Annotated[float, Range(0.0)] = 0.1
-    geometry_weight: Annotated[float, Range(0.0)] = 0.5
+    step: Annotated[int, Range(1, 1000)] = 1
+    photometric_weight: Annotated[float, Range(0.0, MOST_WEIGHT)] = 1.0
+    smoothness_weight: Annotated[float, Range(0.0, MOST_WEIGHT)] = 0.1
+    geometry_weight: Annotated[float, Range(0.0, MOST_WEIGHT)] = 0.5
     matches_brightness: bool = True
-    supervision: Annotated[float, Range(0.0)] = 0.0
+    supervision: Annotated[float, Range(0.0, MOST_WEIGHT)] = 0.0
 
     kind: ClassVar[str] = "sfm"
     input_names: ClassVar[tuple[str, ...]] = ("image", "ray")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from vrcaps import __version__
-from vrcaps.errors import InputError, MissingExtraError, VrcapsError, import_extra
+from vrcaps.errors import InputError, MissingExtraError, VrcapsError, import_extra, reading
 from vrcaps.files import atomic_write
 from vrcaps.learn.networks import require_torch
 from vrcaps.learn.registry import LEARNERS, AnyLearner
@@ -96,34 +96,66 @@ def read_weights(path: str | Path, *, task: str | None = None, device: str = "cp
         device: Where the network is to compute.
 
     Raises:
-        InputError: If the file is damaged, no such file, or of another task.
+        InputError: If the file is damaged, no such file, of another task, holds a number that is
+            not finite, or does not fit the network that it states.
         MissingExtraError: If a package is not installed.
     """
-    safe_open = import_extra("safetensors", "learn").safe_open
-    try:
-        with safe_open(str(path), framework="pt") as file:
-            stated = json.loads((file.metadata() or {}).get(_KEY, "{}"))
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except Exception as error:  # what safetensors raises has no common base
-        raise InputError(f"Cannot read {path}: {error}.") from error
+    stated, tensors = _read_file(path)
     kind = stated.get("task")
-    if stated.get("format") != _FORMAT or kind not in LEARNERS:
+    if stated.get("format") != _FORMAT or not isinstance(kind, str) or kind not in LEARNERS:
         raise InputError(f"{path} holds no weights of vrcaps.")
     if task is not None and kind != task:
         raise InputError(f"{path} holds weights of the task {kind!r}. Asked for: {task!r}.")
+    about = stated.get("about")
+    if not isinstance(about, dict):
+        raise InputError(f"{path} does not say what its weights are of: about is no table.")
     try:
-        learner = from_plain(LEARNERS[kind], stated["learner"], at=str(path))
-        network = learner.network(is_pretrained=False)
-        network.load_state_dict(
-            {
-                name: value.float() if value.is_floating_point() else value
-                for name, value in tensors.items()
-            }
-        )
-        about = stated["about"]
+        learner = from_plain(LEARNERS[kind], stated.get("learner"), at=str(path))
+        network = _network_of(learner, tensors)
     except MissingExtraError:
         raise
     except (VrcapsError, LookupError, ValueError, RuntimeError) as error:
         reason = str(error).splitlines()[0]
         raise InputError(f"{path} does not fit this version of vrcaps: {reason}") from error
     return Trained(learner, network.to(device).eval(), about, device)
+
+
+def _read_file(path: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What a file says of itself, and its tensors, all finite.
+
+    Raises:
+        InputError: If it cannot be read, or a number is not finite.
+        MissingExtraError: If a package is not installed.
+    """
+    safe_open, torch = import_extra("safetensors", "learn").safe_open, require_torch()
+    with reading(path), safe_open(str(path), framework="pt") as file:
+        stated = json.loads((file.metadata() or {}).get(_KEY, "{}"))
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    for name, tensor in tensors.items():
+        if tensor.is_floating_point() and not torch.isfinite(tensor).all():
+            raise InputError(f"{path} holds numbers that are not finite, in {name}.")
+    return stated if isinstance(stated, dict) else {}, tensors
+
+
+def _network_of(learner: AnyLearner, tensors: dict[str, Any]) -> Any:
+    """The network of a learner with these weights; shapes are compared before it is allocated.
+
+    Raises:
+        InputError: If the weights are of another network.
+    """
+    torch = require_torch()
+    with torch.device("meta"), torch.random.fork_rng(devices=[]):
+        outline = learner.network(is_pretrained=False).state_dict()
+    expected, found = ({k: tuple(v.shape) for k, v in s.items()} for s in (outline, tensors))
+    wrong = sorted(k for k in {*expected, *found} if expected.get(k) != found.get(k))
+    if wrong:
+        name = wrong[0]
+        raise InputError(
+            f"{len(wrong)} weights do not fit the network that it states, such as {name}: "
+            f"{found.get(name, 'missing')}, not {expected.get(name, 'known')}"
+        )
+    network = learner.network(is_pretrained=False)
+    network.load_state_dict(
+        {k: v.float() if v.is_floating_point() else v for k, v in tensors.items()}
+    )
+    return network

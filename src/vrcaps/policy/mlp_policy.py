@@ -12,8 +12,9 @@ import numpy as np
 
 from vrcaps import __version__
 from vrcaps.env.settings import EnvSettings
-from vrcaps.errors import InputError
+from vrcaps.errors import InputError, VrcapsError
 from vrcaps.files import read_arrays, write_arrays
+from vrcaps.plain_files import decode_json
 from vrcaps.policy.policy import Requirements
 from vrcaps.serialization import from_plain, to_plain
 
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from vrcaps.env.vector_env import CapsuleVectorEnv
 
 _FORMAT = 1
+_MOST_BYTES = 2**28
+"""Largest size of the arrays of a policy's file."""
 _KEPT = (
     *("task", "actuation", "observations", "capsule", "control_period", "episode_time"),
     *("criteria", "grid", "num_points"),
@@ -145,29 +148,73 @@ def read_mlp_policy(path: Path) -> MlpPolicy:
     """Read a policy that `write_mlp_policy` wrote.
 
     Raises:
-        InputError: If the file holds none, or one of another version of vrcaps.
+        InputError: If the file holds none, one of another version of vrcaps, layers that do not fit
+            each other or the observations, or numbers that are not finite.
     """
     try:
-        arrays = read_arrays(path)
-        header = json.loads(str(arrays["header"]))
-        written = header["vrcaps"]
+        arrays = read_arrays(path, _MOST_BYTES)
+        header = decode_json(str(arrays["header"]), path)
+        written, plain = header["vrcaps"], dict(header["settings"])
         count = sum(name.endswith("/weight") for name in arrays)
         layers = [(arrays[f"layer_{k}/weight"], arrays[f"layer_{k}/bias"]) for k in range(count)]
         values = {f.name: arrays[f"normalizer/{f.name}"] for f in fields(Normalizer)}
-    except (OSError, ValueError, LookupError) as error:
+    except (OSError, ValueError, LookupError, TypeError) as error:
         raise InputError(f"{path} holds no policy. Give a file that vrcaps train wrote.") from error
     try:
-        if header["format"] != _FORMAT:
-            raise InputError(f"its format is {header['format']}, not {_FORMAT}")
-        hints = get_type_hints(EnvSettings)
-        settings = {
-            name: from_plain(hints[name], plain, at=name)
-            for name, plain in header["settings"].items()
-        }
-    except (InputError, LookupError) as error:
+        settings = _settings_of(header["format"], plain)
+    except (VrcapsError, LookupError) as error:
         raise InputError(
             f"{path} is a policy of vrcaps {written}, which version {__version__} cannot run: "
             f"{error}"
         ) from error
-    normalizer = Normalizer(values["mean"], values["variance"], float(values["limit"]))
+    _require_numbers(path, [*values.values(), *(part for layer in layers for part in layer)])
+    _require_shapes(path, layers, values)
+    normalizer = Normalizer(values["mean"], values["variance"], float(values["limit"].ravel()[0]))
     return MlpPolicy(layers, normalizer, settings)
+
+
+def _settings_of(form: Any, plain: dict[str, Any]) -> dict[str, Any]:
+    """Settings of a policy's file.
+
+    Raises:
+        InputError: If the format is another, or a setting is missing, unknown or not allowed.
+    """
+    if form != _FORMAT:
+        raise InputError(f"its format is {form}, not {_FORMAT}")
+    if set(plain) != set(_KEPT):
+        differ = ", ".join(sorted(set(plain) ^ set(_KEPT)))
+        raise InputError(f"its settings are not those of a policy: {differ}")
+    hints = get_type_hints(EnvSettings)
+    settings = {name: from_plain(hints[name], value, at=name) for name, value in plain.items()}
+    EnvSettings(**settings)
+    return settings
+
+
+def _require_numbers(path: Path, arrays: list[np.ndarray]) -> None:
+    """Check that arrays hold real numbers that are finite.
+
+    Raises:
+        InputError: If one does not.
+    """
+    for array in arrays:
+        if array.dtype.kind not in "fiu" or not np.isfinite(array).all():
+            raise InputError(f"{path} holds weights that are no finite real numbers.")
+
+
+def _require_shapes(
+    path: Path, layers: list[tuple[np.ndarray, np.ndarray]], values: dict[str, np.ndarray]
+) -> None:
+    """Check that layers follow each other, from the observations on.
+
+    Raises:
+        InputError: If they do not, or the normalizer is impossible.
+    """
+    mean, variance, limit = values["mean"], values["variance"], values["limit"]
+    fits = mean.ndim == 1 and variance.shape == mean.shape and limit.size == 1 and len(layers) > 0
+    width = mean.shape[:1]
+    for weight, bias in layers:
+        fits = fits and weight.ndim == 2 and weight.shape[1:] == width
+        fits = fits and bias.shape == weight.shape[:1]
+        width = weight.shape[:1]
+    if not fits or variance.min(initial=0.0) < 0.0 or float(limit.ravel()[0]) <= 0.0:
+        raise InputError(f"{path} holds a policy whose layers or normalizer do not fit each other.")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from vrcaps.errors import InputError, MissingExtraError, UnknownNameError, VrcapsError
+from vrcaps.errors import InputError, MissingExtraError, UnknownNameError, VrcapsError, reading
 
 
 def test_unknown_name_lists_the_known_ones_sorted() -> None:
@@ -32,3 +32,25 @@ def test_every_error_is_a_vrcaps_error_and_its_builtin_kind(
     assert isinstance(error, VrcapsError)
     assert isinstance(error, builtin)
     assert "\n" not in str(error)
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        (SyntaxError("broken PNG file"), "Cannot read a.png: broken PNG file."),
+        (FileNotFoundError(2, "No such file or directory"), "a.png: No such file or directory."),
+        (KeyError("frames"), "Cannot read a.png: 'frames' is missing."),
+        (MemoryError(), "Cannot read a.png: it does not fit into memory."),
+        (EOFError(), "Cannot read a.png: EOFError."),
+        (ValueError("one\n  two."), "Cannot read a.png: one two."),
+    ],
+)
+def test_reading_turns_any_error_into_one_line(error, text):
+    with pytest.raises(InputError) as caught, reading("a.png"):
+        raise error
+    assert str(caught.value).endswith(text)
+
+
+def test_reading_keeps_errors_that_are_clear():
+    with pytest.raises(UnknownNameError), reading("a.png"):
+        raise UnknownNameError("channel", "smell", ["rgb"])

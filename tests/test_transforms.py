@@ -11,7 +11,9 @@ from vrcaps.transforms import (
     invert,
     look_along,
     matrix_from_quaternion,
+    matrix_from_unit_quaternion,
     quaternion_from_matrix,
+    require_rigid,
     rotate_vectors,
     transform_from,
     transform_points,
@@ -120,3 +122,18 @@ def test_look_along_is_a_camera(rng: np.random.Generator) -> None:
 def test_look_along_needs_a_direction_not_parallel_to_up(forward: list[float]) -> None:
     with pytest.raises(InputError, match="zero or parallel to up"):
         look_along(np.array(forward), np.array([0.0, 0.0, 1.0]))
+
+
+def test_quaternions_of_files_have_unit_length():
+    """2 % too long is another's number; rounding to two digits is allowed."""
+    half = np.sqrt(0.5)
+    turn = matrix_from_unit_quaternion(np.array([[half, 0, 0, half]]).round(2), "a.txt")[0]
+    np.testing.assert_allclose(turn @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=0.01)
+    for wrong in (1.02, 0.5, 0.0, np.nan, np.inf):
+        with pytest.raises(InputError, match=r"a\.txt holds a quaternion of length .* \(pose 1\)"):
+            matrix_from_unit_quaternion(np.array([[1.0, 0, 0, 0], [wrong, 0, 0, 0]]), "a.txt")
+
+
+def test_a_matrix_of_another_shape_is_no_transform():
+    with pytest.raises(InputError, match="is no rigid transform: its shape is"):
+        require_rigid(np.eye(3), "T")

@@ -118,9 +118,7 @@ def require_rigid(
     """
     matrices = np.asarray(transforms, float)
     if matrices.shape[-2:] != (4, 4):
-        raise InputError(
-            f"{what} is no rigid transform, but of shape {matrices.shape}. Allowed: 4×4."
-        )
+        raise InputError(f"{what} is no rigid transform: its shape is {matrices.shape}, not 4×4.")
     matrices = matrices.reshape(-1, 4, 4)
     finite = np.isfinite(matrices).all(axis=(1, 2))
     safe = np.where(finite[:, None, None], matrices, np.eye(4))

@@ -70,12 +70,13 @@ def recordings(
     sequences: Sequence[FrameSequence],
 ) -> Iterator[tuple[str | None, str, tuple[FrameSequence, ...]]]:
     """Split and name of each recording, with the sequences of its cameras."""
-    rigs: dict[tuple[str | None, str], list[FrameSequence]] = {}
+    rigs: dict[tuple[str | None, str, str], list[FrameSequence]] = {}
     for sequence in sequences:
         episode = sequence.episode
         name = folder_name(sequence) if episode is None else episode.name
-        rigs.setdefault((sequence.split, name), []).append(sequence)
-    for (split, name), rig in rigs.items():
+        source = sequence.name if episode is None else episode.url
+        rigs.setdefault((sequence.split, name, source), []).append(sequence)
+    for (split, name, _), rig in rigs.items():
         yield split, name, tuple(rig)
 
 

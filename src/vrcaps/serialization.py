@@ -339,9 +339,7 @@ def _classes(declared: Any) -> dict[str, type]:
 
 def _fits(member: Any, plain: Any) -> bool:
     if member is float:
-        if isinstance(plain, bool) or not isinstance(plain, int | float | Decimal):
-            return plain == _INFINITE
-        return not isinstance(plain, Decimal) or (plain.is_finite() and abs(plain) < _LARGEST)
+        return _is_number(plain)
     if member in (bool, int, str):
         return isinstance(plain, member) and (member is bool or not isinstance(plain, bool))
     if member in (None, types.NoneType):
@@ -349,6 +347,15 @@ def _fits(member: Any, plain: Any) -> bool:
     if get_origin(member) is Literal:
         return any(plain == option and type(plain) is type(option) for option in get_args(member))
     return get_origin(member) is tuple and isinstance(plain, list | tuple)
+
+
+def _is_number(plain: Any) -> bool:
+    """Whether a value is a number that a float can hold, or the text for an infinite one."""
+    if isinstance(plain, float):
+        return True
+    if isinstance(plain, bool) or not isinstance(plain, int | Decimal):
+        return plain == _INFINITE
+    return Decimal(plain).is_finite() and abs(plain) < _LARGEST
 
 
 def _allowed(declared: Any) -> str:

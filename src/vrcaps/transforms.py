@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 _UNIT = 0.01
 """Largest deviation of a stored quaternion's length from 1."""
+_FARTHEST = 1e9
+"""Positions beyond this are no data [m]; differences of larger ones overflow."""
 
 
 def transform_from(
@@ -120,7 +122,7 @@ def require_rigid(
     if matrices.shape[-2:] != (4, 4):
         raise InputError(f"{what} is no rigid transform: its shape is {matrices.shape}, not 4×4.")
     matrices = matrices.reshape(-1, 4, 4)
-    finite = np.isfinite(matrices).all(axis=(1, 2))
+    finite = (np.abs(matrices) < _FARTHEST).all(axis=(1, 2))  # not of NaN
     safe = np.where(finite[:, None, None], matrices, np.eye(4))
     rotation = np.clip(safe[:, :3, :3], -2.0, 2.0)
     off = np.abs(rotation @ np.swapaxes(rotation, 1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0)
@@ -128,7 +130,7 @@ def require_rigid(
     rigid &= np.abs(safe[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1, initial=0.0) <= tolerance
     wrong = np.flatnonzero(~rigid)
     if len(wrong):
-        problem = "is no rigid transform" if finite[wrong[0]] else "is not finite"
+        problem = "is no rigid transform" if finite[wrong[0]] else "is not finite or beyond 1e9 m"
         raise InputError(
             f"{what} {problem} (matrix {wrong[0]}). Allowed: a rotation with determinant 1, a "
             "position in finite numbers, and a last row 0 0 0 1."

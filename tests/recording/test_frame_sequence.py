@@ -45,7 +45,7 @@ def test_times_and_poses_are_finite(sequence, value):
         poses[2, 0, 3] = value
 
     with pytest.raises(
-        InputError, match=r"T_world_camera of ball/front is not finite \(matrix 2\)"
+        InputError, match=r"T_world_camera of ball/front is not finite or beyond 1e9 m \(matrix 2\)"
     ):
         replace(sequence, values=_poses(sequence, change))
 

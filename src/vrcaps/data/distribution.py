@@ -275,7 +275,7 @@ def slots(plain: Plain, path: str = "") -> Iterator[tuple[str, Any]]:
 def _number(value: Plain, path: str) -> float:
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = math.nan
     if isinstance(value, bool) or not math.isfinite(number):
         raise InputError(f"{path}: {value!r} is no finite number.")

@@ -20,6 +20,7 @@ from vrcaps.learn.samples import batch_of
 from vrcaps.learn.sfm import SfmLearner, estimated_trajectory
 from vrcaps.learn.validation import below_one_another
 from vrcaps.learn.weights import Trained
+from vrcaps.names import inside
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.recording.image_files import write_images
 
@@ -100,7 +101,7 @@ def _write_estimates(
         fit = Fit(image.shape[0], image.shape[1], trained.learner.size)
         sample = trained.learner.inputs(image, fit, sequence.camera)
         output = trained(batch_of([sample]))[0]
-        path = out / name
+        path = inside(out, name)
         path.parent.mkdir(parents=True, exist_ok=True)
         files = trained.learner.files(output, fit).items()
         write_images([(path.with_name(path.name + ending), image) for ending, image in files])

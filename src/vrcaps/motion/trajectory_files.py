@@ -14,7 +14,12 @@ import numpy as np
 
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.motion.trajectory import Trajectory, trajectory_from_poses
-from vrcaps.transforms import matrix_from_quaternion, rotation_vector, transform_from
+from vrcaps.transforms import (
+    matrix_from_quaternion,
+    require_rigid,
+    rotation_vector,
+    transform_from,
+)
 from vrcaps.units import DEG, parse_length
 
 if TYPE_CHECKING:
@@ -242,6 +247,7 @@ def _trajectory(
     poses: Float[np.ndarray, "n 4 4"],
     notes: tuple[str, ...],
 ) -> Trajectory:
+    require_rigid(poses, path)
     if len(times) < 2:
         raise InputError(f"{path} holds {len(times)} poses. A path needs at least 2.")
     wrong = np.flatnonzero(np.diff(times) <= 0.0)

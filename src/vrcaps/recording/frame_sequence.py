@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 SPLITS = ("train", "val", "test")
 """Splits of a data set."""
+_LATEST = 1e12
+"""Times beyond this are no data [s]: those in seconds since 1970 are below 1e10."""
 TIME, CAMERA_POSE = "time", "T_world_camera"
 """Names of values that sequences of all sources use."""
 
@@ -179,11 +181,11 @@ def _require_values(sequence: FrameSequence) -> None:
             )
         if name.startswith("T_"):
             require_rigid(rows, f"{name} of {sequence.name}")
-    wrong = np.flatnonzero(~np.isfinite(times.astype(float)))
+    wrong = np.flatnonzero(~(np.abs(times.astype(float)) < _LATEST))
     if len(wrong):
         raise InputError(
             f"The time of frame {wrong[0]} of {sequence.name} is {times[wrong[0]]}. Allowed: a "
-            "finite number of seconds."
+            f"number of seconds below {_LATEST:g}."
         )
 
 

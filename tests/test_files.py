@@ -18,6 +18,7 @@ from vrcaps.errors import InputError, StorageError
 from vrcaps.files import (
     atomic_folder,
     atomic_write,
+    decode_array,
     file_sha256,
     is_new_folder,
     read_arrays,
@@ -271,3 +272,50 @@ def test_the_scratch_folder_of_a_killed_process_is_removed_and_of_a_running_one_
     with scratch_folder() as folder:
         assert {*tmp_path.iterdir()} == {other, folder.parent}
     assert [*tmp_path.iterdir()] == [other]
+
+
+def _npy(shape: tuple[int, ...], data: bytes = b"", descr: str = "<f4") -> bytes:
+    import io
+
+    file = io.BytesIO()
+    header = {"descr": descr, "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(file, header)
+    return file.getvalue() + data
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (_npy((1 << 30, 1 << 30)), "its header states"),
+        (_npy((-1, -1), bytes(4)), "its header states"),
+        (_npy((2,), bytes(7)), "its header states 8 bytes, and it has 7"),
+        (_npy((1,), bytes(8), "|O"), "not numbers"),
+        (b"", "no whole NumPy array"),
+        (b"\x93NUMPY\x01\x00\x08\x00{'descr(", "no whole NumPy array"),
+        (b"\x93NUMPY\x09\x00\x08\x00{}", "no whole NumPy array"),
+    ],
+)
+def test_an_array_is_as_large_as_its_bytes(data, message):
+    with pytest.raises(ValueError, match=message):
+        decode_array(data)
+
+
+def test_arrays_are_decoded_exactly():
+    import io
+
+    for array in (np.arange(6.0).reshape(2, 3), np.asfortranarray(np.eye(3)), np.array("text")):
+        file = io.BytesIO()
+        np.save(file, array)
+        found = decode_array(file.getvalue())
+        np.testing.assert_array_equal(found, array)
+        assert found.flags.writeable
+
+
+def test_an_archive_has_a_largest_size(tmp_path):
+    """A megabyte of zeros packs into a kilobyte; a header that states less is not passed."""
+    path = tmp_path / "a.npz"
+    write_arrays(path, {"x": np.zeros(2**17)})
+    assert path.stat().st_size < 5000
+    with pytest.raises(ValueError, match="its arrays take 1048704 bytes, more than 1000000"):
+        read_arrays(path, 1_000_000)
+    assert read_arrays(path)["x"].size == 2**17

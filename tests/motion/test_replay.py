@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.motion.replay import Replay, read_tum, read_unity_csv, replay
+from vrcaps.motion.replay import Replay, replay
+from vrcaps.motion.trajectory_files import read_euroc_csv, read_tum, read_unity_csv
 from vrcaps.transforms import (
     invert,
     look_along,
@@ -206,3 +207,66 @@ def test_recorded_unity_path(shared_data):
     assert trajectory.times[-1] == pytest.approx(43.56675)
     assert np.linalg.norm(trajectory.linear_velocities_world, axis=1).max() < 0.1
     assert np.linalg.norm(trajectory.angular_velocities_world, axis=1).max() < 13.0
+
+
+def _rows(layout: str) -> list[str]:
+    """A turn of 40° about z, moving along x; EuRoC has ns, commas and w first."""
+    w, z = np.cos(np.radians(20.0)), np.sin(np.radians(20.0))
+    start = 1_403_636_579_763_555_584
+    if layout == "tum":
+        return [f"{1403636579.75 + 0.25 * k} {0.01 * k} 0 0 0 0 {z} {w}" for k in range(6)]
+    return [f"{start + k * 250_000_000},{0.01 * k},0,0,{w},0,0,{z},9,9" for k in range(6)]
+
+
+@pytest.mark.parametrize("layout", ["tum", "euroc"])
+@pytest.mark.parametrize("start", ["", "\ufeff", "# a comment\n"])
+def test_a_path_of_slam_is_read_in_its_own_layout(tmp_path, layout, start):
+    path = _write(tmp_path, start + "\n".join(_rows(layout)))
+    found = (read_tum if layout == "tum" else read_euroc_csv)(path, unit="m")
+    assert found.times[-1] - found.times[0] == pytest.approx(1.25, abs=1e-6)
+    x_axis = [np.cos(np.radians(40.0)), np.sin(np.radians(40.0)), 0.0]
+    np.testing.assert_allclose(found.Ts_world_capsule[0, :3, 0], x_axis, atol=1e-9)
+    np.testing.assert_allclose(found.linear_velocities_world[2], [0.04, 0, 0], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("lines", "reason"),
+    [
+        (["#timestamp [ns],p_x,p_y,p_z,q_w,q_x,q_y,q_z", *_rows("euroc")], "names qw first"),
+        (
+            ["#timestamp, p_RS_R_x [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []"],
+            "names qw first",
+        ),
+        (_rows("euroc"), "it has commas"),
+        ([row.replace(",", " ").replace(" 9 9", "") for row in _rows("euroc")], "in nanoseconds"),
+        (["# time x y z qw qx qy qz", *_rows("tum")], "names qw first"),
+        ([row.replace(" ", ",") for row in _rows("tum")], "it has commas"),
+    ],
+)
+def test_a_path_of_another_layout_is_no_tum(tmp_path, lines, reason):
+    path = _write(tmp_path, "\n".join(lines))
+    with pytest.raises(InputError, match=rf"not in the layout TUM: .*{reason}.*'euroc'"):
+        read_tum(path, unit="m")
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        (_rows("tum"), "has 1 values, not 8"),
+        ([row.replace(" ", ",") for row in _rows("tum")], "have whole nanoseconds.*'tum'"),
+        (["#t,x,y,z,qx,qy,qz,qw", *_rows("euroc")], "line 1 names qx first"),
+        (_rows("euroc")[:1], "holds 1 poses"),
+        ([*_rows("euroc"), _rows("euroc")[-1]], "Times must increase"),
+        ([row.replace(",0,0,", ",0,nan,", 1) for row in _rows("euroc")], "not finite"),
+        ([row.replace(",0,0,", ",0,1e300,", 1) for row in _rows("euroc")], "beyond 1e9 m"),
+    ],
+)
+def test_a_path_of_another_layout_is_no_euroc(tmp_path, lines, message):
+    with pytest.raises(InputError, match=message):
+        read_euroc_csv(_write(tmp_path, "\n".join(lines)), unit="m")
+
+
+def test_replay_takes_a_path_of_euroc(tmp_path, model):
+    path = _write(tmp_path, "\n".join(_rows("euroc")))
+    settings = Replay(str(path), "euroc", "m", allow_outside=True)
+    assert len(replay(model, settings, frames=5, fps=10.0)) == 5

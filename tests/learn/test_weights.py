@@ -1,0 +1,127 @@
+"""Files of weights: what they state is checked before networks are made."""
+
+import json
+import struct
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+
+import torch
+
+from vrcaps.errors import InputError
+from vrcaps.learn.classes import ClassLearner
+from vrcaps.learn.depth import DepthLearner
+from vrcaps.learn.masks import MaskLearner
+from vrcaps.learn.sfm import SfmLearner
+from vrcaps.learn.super_resolution import SuperResolutionLearner
+from vrcaps.learn.weights import read_weights, write_weights
+
+LEARNER = SuperResolutionLearner(blocks=1, features=8)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> bytes:
+    path = tmp_path_factory.mktemp("weights") / "w.safetensors"
+    write_weights(path, LEARNER, LEARNER.network(is_pretrained=False), {"steps": 1})
+    return path.read_bytes()
+
+
+def _changed(whole: bytes, change) -> bytes:
+    """The file with another text about itself."""
+    (length,) = struct.unpack("<Q", whole[:8])
+    header = json.loads(whole[8 : 8 + length])
+    stated = change(json.loads(header["__metadata__"]["vrcaps"]))
+    header["__metadata__"]["vrcaps"] = json.dumps(stated)
+    text = json.dumps(header).encode()
+    return struct.pack("<Q", len(text)) + text + whole[8 + length :]
+
+
+def _with(key, value):
+    def change(stated):
+        stated["learner"][key] = value
+        return stated
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda stated: [], "holds no weights of vrcaps"),
+        (lambda stated: None, "holds no weights of vrcaps"),
+        (lambda stated: "text", "holds no weights of vrcaps"),
+        (lambda stated: {**stated, "task": []}, "holds no weights of vrcaps"),
+        (lambda stated: {**stated, "about": None}, "about is no table"),
+        (lambda stated: {**stated, "learner": None}, "does not fit this version"),
+        (_with("blocks", 1_000_000), r"blocks is 1000000\. Allowed: 1 to 128"),
+        (_with("features", 10**9), r"features is 1000000000\. Allowed: 8 to 1024"),
+        (_with("size", 10**6), r"size is 1000000\. Allowed: 32 to 2048"),
+        (_with("validation_size", 10**6), r"validation_size is 1000000"),
+        (_with("content", 1e300), r"content is 1e\+300"),
+        (_with("blocks", 2), r"weights do not fit the network that it states, such as .*missing"),
+        (_with("features", 16), r"weights do not fit the network that it states"),
+    ],
+)
+def test_a_stated_network_is_checked_first(whole, tmp_path, change, message):
+    path = tmp_path / "w.safetensors"
+    path.write_bytes(_changed(whole, change))
+    with pytest.raises(InputError, match=message):
+        read_weights(path)
+
+
+def test_no_memory_is_taken_before_shapes_are_compared(whole, tmp_path, monkeypatch):
+    """The only network that is made of wrong weights has no numbers."""
+    path, made = tmp_path / "w.safetensors", []
+    path.write_bytes(_changed(whole, _with("features", 1024)))
+    network = SuperResolutionLearner.network
+
+    def noted(self, **options):
+        made.append(network(self, **options))
+        return made[-1]
+
+    monkeypatch.setattr(SuperResolutionLearner, "network", noted)
+    with pytest.raises(InputError, match="do not fit the network"):
+        read_weights(path)
+    assert [next(one.parameters()).device.type for one in made] == ["meta"]
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_numbers_are_finite(tmp_path, value):
+    network = LEARNER.network(is_pretrained=False)
+    with torch.no_grad():
+        next(network.parameters()).view(-1)[3] = value
+    write_weights(tmp_path / "w.safetensors", LEARNER, network, {})
+    with pytest.raises(InputError, match="holds numbers that are not finite, in "):
+        read_weights(tmp_path / "w.safetensors")
+
+
+def test_whole_weights_are_read(whole, tmp_path):
+    (tmp_path / "w.safetensors").write_bytes(whole)
+    assert read_weights(tmp_path / "w.safetensors").about == {"steps": 1}
+
+
+@pytest.mark.parametrize(
+    ("learner", "setting", "value"),
+    [
+        *((one, "size", 4096) for one in (DepthLearner, MaskLearner, ClassLearner, SfmLearner)),
+        *((one, "brightness", 1e9) for one in (DepthLearner, MaskLearner, ClassLearner)),
+        *((one, "tint", 1e9) for one in (DepthLearner, MaskLearner, ClassLearner)),
+        (DepthLearner, "gamma", 1e9),
+        (DepthLearner, "gradient_weight", 1e9),
+        (SfmLearner, "step", 10**9),
+        (SfmLearner, "supervision", 1e9),
+        (SfmLearner, "photometric_weight", 1e9),
+        (SfmLearner, "smoothness_weight", 1e9),
+        (SfmLearner, "geometry_weight", 1e9),
+        (SuperResolutionLearner, "adversarial", 1e9),
+        (SuperResolutionLearner, "style", 1e9),
+        (SuperResolutionLearner, "halvings", 99),
+        (MaskLearner, "classes", ("a",) * 1001),
+        (ClassLearner, "classes", tuple(map(str, range(1001)))),
+    ],
+)
+def test_settings_of_all_learners_have_upper_limits(learner, setting, value):
+    with pytest.raises(InputError, match="Allowed: "):
+        learner(**{setting: value})

@@ -140,7 +140,7 @@ def json_text(plain: Any) -> str:
 
 def _places(plain: Any, most: int = 5000) -> Any:
     """Tables and lists with each of their keys."""
-    stack = [plain]
+    stack = [plain] if isinstance(plain, (dict, list)) else []
     while stack and most:
         holder = stack.pop()
         keys = list(holder) if isinstance(holder, dict) else range(len(holder))

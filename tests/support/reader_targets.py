@@ -35,9 +35,9 @@ def all_targets(folder: Path, episode: Episode) -> list[Target]:
         episode: A short recording through a pinhole.
     """
     sequence = ellipsoid_sequence(_LENS, 40, 36, frames=3)
-    short = episode.sequences()[0].subset([0, 1, 2])
+    (recorded,) = episode.sequences()
     targets = [
-        _format(folder, kind, short if kind in OF_EPISODES else sequence) for kind in FORMATS
+        _format(folder, kind, recorded if kind in OF_EPISODES else sequence) for kind in FORMATS
     ]
     more = (_episode, _ledger, _plan, _scenario, _device, _tum, _euroc, _unity, _pictures)
     more += (_wrenches, _field_map, _policy, _meshes)

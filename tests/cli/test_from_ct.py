@@ -134,3 +134,34 @@ def test_a_lumen_that_leaks_ends_in_one_line(scan, tmp_path, capsys) -> None:
     assert "leaks" in fail(args, capsys)
     assert "leaks to the air outside" in fail([*args, "--seed-mm", "0", "0", "0"], capsys)
     assert not (tmp_path / "x.glb").exists()
+
+
+@pytest.mark.parametrize(
+    ("flags", "text"),
+    [
+        (["--threshold", "5"], "Gas threshold 5 HU. Allowed: -1000 to -300."),
+        (["--blur", "9"], "Blur of 9 voxels. Allowed: 0 to 5."),
+        (["--bridge-mm", "900"], "Bridges of 900 mm. Allowed: 0 to 200 mm."),
+        (["--pass-band", "7"], "Pass band 7. Allowed: 0.001 to 2."),
+        (["--label", "colonn"], "No label named 'colonn'."),
+        (["--label", "0"], "Label 0 is background."),
+        (["--labels", "none.nii", "--label", "colon"], "No scan at none.nii."),
+    ],
+)
+def test_settings_are_checked_before_the_scan_is_read(
+    tmp_path, capsys, monkeypatch, flags, text
+) -> None:
+    def read(*args, **options):
+        pytest.fail("read")
+
+    monkeypatch.setattr("vrcaps.cli.from_ct._read", read)
+    out = ["--out", str(tmp_path / "x.glb")]
+    assert text in fail([str(tmp_path), *flags, *out], capsys)
+
+
+def test_a_map_of_fractions_is_no_label_map(tmp_path, capsys) -> None:
+    sitk.WriteImage(sitk.GetImageFromArray(np.full((4, 4, 4), 0.7)), str(tmp_path / "a.nii"))
+    flags = ["--label", "1", "--out", str(tmp_path / "x.glb")]
+    assert "the first is 0.7. Allowed: whole numbers" in fail(
+        [str(tmp_path / "a.nii"), *flags], capsys
+    )

@@ -99,11 +99,25 @@ class FromCt:
             raise InputError("--labels needs --label: which of them, e.g. --label colon.")
         if self.label and (self.seed_mm or self.all_pieces or self.tagged_fluid):
             raise InputError("--seed-mm, --all-pieces and --tagged-fluid are for gas, not labels.")
+        self._check_settings()
         is_label_map = bool(self.label) and self.labels is None
         scan = _read(self.scan, self.series, is_label_map=is_label_map)
         organs = self._from_labels(scan) if self.label else self._from_gas(scan)
         for path, organ in organs:
             _write(path, organ)
+
+    def _check_settings(self) -> None:
+        """Find mistakes before a scan is read, which takes up to a minute."""
+        for path in (self.scan, self.labels):
+            if path is not None and not path.exists():
+                raise InputError(f"No scan at {path}. Give a DICOM folder or a NIfTI file.")
+        from vrcaps.tools.ct.from_ct import require_threshold
+        from vrcaps.tools.ct.labels import label_number
+
+        self._wall()
+        require_threshold(self.threshold)
+        for label in self.label:
+            label_number(label)
 
     def _wall(self) -> WallOptions:
         from vrcaps.tools.ct.from_ct import WallOptions

@@ -163,9 +163,18 @@ def find_lumens(scan: Volume, *, threshold: int = GAS_THRESHOLD) -> Gas:
     Raises:
         InputError: If the threshold lies outside −1000 to −300 HU.
     """
+    require_threshold(threshold)
+    return find_gas(scan, threshold=threshold)
+
+
+def require_threshold(threshold: int) -> None:
+    """Check the threshold of gas.
+
+    Raises:
+        InputError: If it lies outside −1000 to −300 HU.
+    """
     if not -1000 <= threshold <= -300:
         raise InputError(f"Gas threshold {threshold} HU. Allowed: -1000 to -300.")
-    return find_gas(scan, threshold=threshold)
 
 
 def _gaps_of_gas(

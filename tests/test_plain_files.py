@@ -22,6 +22,12 @@ def test_json_is_read_as_floats(tmp_path):
     assert read_plain(path, "test") == {"a": 0.1}
 
 
+@pytest.mark.parametrize(("name", "text"), [("a.toml", "a = 1"), ("a.json", '{"a": 1}')])
+def test_marks_of_windows_editors_are_no_values(tmp_path, name, text):
+    (tmp_path / name).write_bytes(text.encode("utf-8-sig"))
+    assert read_plain(tmp_path / name, "test") == {"a": 1}
+
+
 @pytest.mark.parametrize(
     ("name", "content", "match"),
     [

@@ -127,6 +127,32 @@ def test_the_folder_is_the_chosen_one_or_the_platforms(monkeypatch, tmp_path: Pa
         assert cache_folder() == tmp_path / ".cache" / "vrcaps"
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="has a home folder always")
+def test_without_a_home_the_folder_is_temporary(monkeypatch, tmp_path: Path):
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.delenv("HOME", raising=False)
+    monkeypatch.setenv("VRCAPS_CACHE", "~/own")
+    monkeypatch.setattr("os.path.expanduser", lambda path: path)  # no entry in the list of users
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    cache._temporary_folder.cache_clear()
+    with pytest.warns(UserWarning, match="no home folder.*Set VRCAPS_CACHE to an absolute path"):
+        folder = cache_folder()
+    monkeypatch.delenv("VRCAPS_CACHE")
+    assert folder == cache_folder() and folder.parent == tmp_path
+    assert folder.stat().st_mode & 0o777 == 0o700
+    cache._temporary_folder.cache_clear()
+
+
+def test_a_folder_that_is_closed_is_a_warning(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    def closed(*_: object, **__: object) -> bool:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "is_file", closed)
+    monkeypatch.setattr(Path, "mkdir", closed)
+    with pytest.warns(UserWarning, match="Permission denied.*set VRCAPS_CACHE"):
+        assert cached_organ("tube", make_organ).name == "tube"
+
+
 CODE = '''"""A module."""
 
 SIZE = 3

@@ -9,6 +9,7 @@ from contextlib import redirect_stderr
 from importlib import import_module
 from typing import Protocol
 
+from vrcaps.cli.streams import EXIT_BROKEN_PIPE, configure_streams, discard_output, flush_output
 from vrcaps.errors import VrcapsError
 from vrcaps.formats.registry import FORMATS
 
@@ -107,10 +108,22 @@ def main(args: Sequence[str] | None = None) -> None:
     Args:
         args: Arguments after the program's name; None takes those of the process.
     """
+    configure_streams()
     try:
-        _parse(sys.argv[1:] if args is None else args).run()
+        _run(sys.argv[1:] if args is None else args)
+    finally:
+        flush_output()
+
+
+def _run(args: Sequence[str]) -> None:
+    """Run a command; what goes wrong is one line."""
+    try:
+        _parse(args).run()
     except VrcapsError as error:
         _stop(str(error), EXIT_BAD_INPUT)
+    except BrokenPipeError:
+        discard_output()
+        raise SystemExit(EXIT_BROKEN_PIPE) from None
     except OSError as error:
         reason = error.strerror or str(error)
         _stop(f"{error.filename}: {reason}." if error.filename else f"{reason}.", EXIT_BAD_INPUT)

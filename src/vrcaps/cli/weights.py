@@ -90,7 +90,7 @@ class Publish:
             folder,
             name=self.name,
             evaluations=self.scores,
-            notes="" if self.notes is None else self.notes.read_text("utf-8"),
+            notes="" if self.notes is None else self.notes.read_text("utf-8-sig"),
             license_name=self.license,
         )
         console.print(f"{entry.name}: {entry.summary}")

@@ -144,7 +144,9 @@ class InputBridge:
             if event.client_id is not None and event.target.value != _MARK:
                 on_input(event.client_id, event.target.value)
 
-        run_javascript(server, files("vrcaps.cockpit").joinpath("input_bridge.js").read_text())
+        run_javascript(
+            server, files("vrcaps.cockpit").joinpath("input_bridge.js").read_text("utf-8")
+        )
 
     def ask(self, control: str) -> None:
         """Asks browsers to assign what is pressed or pushed next on the gamepad.

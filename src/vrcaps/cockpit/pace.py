@@ -60,7 +60,7 @@ def listen_to_frame_rates(server: viser.ViserServer, pace: Pace) -> None:
         if event.client_id is not None and rate is not None:
             pace.note(event.client_id, rate)
 
-    run_javascript(server, files("vrcaps.cockpit").joinpath("frame_rate.js").read_text())
+    run_javascript(server, files("vrcaps.cockpit").joinpath("frame_rate.js").read_text("utf-8"))
 
 
 def parse_rate(text: str) -> float | None:

@@ -148,7 +148,7 @@ def read_ppsnet(folder: Path, image: Path) -> Camera:
     """
     path = folder / PPSNET
     try:
-        _, *words, _ = path.read_text().splitlines()[0].split()
+        _, *words, _ = path.read_text("utf-8-sig").splitlines()[0].split()
         fx, fy, cx, cy = (float(word) for word in words)
     except (OSError, ValueError, IndexError) as error:
         raise InputError(f"Cannot read {path}: {error}. It holds six words.") from error

@@ -112,7 +112,7 @@ class Images:
         if not places:
             raise InputError(f"{folder} holds no images. Allowed: {', '.join(IMAGES)}.")
         path = folder / _CLASSES
-        names = tuple(path.read_text("utf-8").split("\n")[:-1]) if path.exists() else ()
+        names = tuple(path.read_text("utf-8-sig").splitlines()) if path.exists() else ()
         return tuple(
             self._read_one(folder, sorted(files[place], key=_natural), masks[place], files, names)
             for place in places

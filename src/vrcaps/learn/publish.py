@@ -66,7 +66,7 @@ def publish(
         _training(run, trained), [_evaluation(path, sha256) for path in evaluations]
     )
     card = folder / f"{name}.md"
-    notes = notes.strip() or (notes_of(card.read_text("utf-8")) if card.is_file() else "")
+    notes = notes.strip() or (notes_of(card.read_text("utf-8-sig")) if card.is_file() else "")
     if not notes:
         raise InputError(
             f"The card of {name} has no notes. Give --notes FILE: Markdown with the intended use "

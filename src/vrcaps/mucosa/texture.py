@@ -104,7 +104,7 @@ def read_texture(path: str | Path) -> MucosaTexture:
     """
     head_path = texture_head(path)
     try:
-        head = json.loads(head_path.read_text(encoding="utf-8"))
+        head = json.loads(head_path.read_text("utf-8-sig"))
         if head["format"] != FORMAT:
             raise InputError(f"{head_path} has format {head['format']!r}. Allowed: {FORMAT!r}.")
         expected, texel = dict(head["sha256"]), float(head["mm_per_texel"]) * MM

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import hashlib
 import json
 import os
+import shutil
+import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from contextvars import ContextVar
@@ -55,13 +58,35 @@ def cache_folder() -> Path:
     r"""Folder of what vrcaps can make again: ``VRCAPS_CACHE``, or the platform's cache folder.
 
     The latter is ``~/.cache/vrcaps`` (or below ``XDG_CACHE_HOME``) on Linux,
-    ``~/Library/Caches/vrcaps`` on macOS, ``%LOCALAPPDATA%\vrcaps\Cache`` on Windows.
+    ``~/Library/Caches/vrcaps`` on macOS, ``%LOCALAPPDATA%\vrcaps\Cache`` on Windows. A user
+    without a home folder has a temporary folder, which this process removes when it ends.
     """
     if (other := _other_folder.get()) is not None:
         return other
-    if chosen := os.environ.get("VRCAPS_CACHE"):
-        return Path(chosen).expanduser()
-    return user_cache_path("vrcaps", appauthor=False)
+    try:
+        if chosen := os.environ.get("VRCAPS_CACHE"):
+            return Path(chosen).expanduser()
+        return user_cache_path("vrcaps", appauthor=False)
+    except RuntimeError:  # neither HOME nor an entry in the list of users
+        return _temporary_folder()
+
+
+@cache
+def _temporary_folder() -> Path:
+    """A cache folder for as long as this process runs."""
+    folder, owner = Path(tempfile.mkdtemp(prefix="vrcaps-")), os.getpid()
+
+    def remove() -> None:
+        if os.getpid() == owner:  # not a process that was forked from it
+            shutil.rmtree(folder, ignore_errors=True)
+
+    atexit.register(remove)
+    warnings.warn(
+        f"This user has no home folder, so organs are kept in {folder} until the process ends. Set "
+        "VRCAPS_CACHE to an absolute path to keep them.",
+        stacklevel=2,
+    )
+    return folder
 
 
 def cached_organ(name: str, make: Callable[[], OrganSurface]) -> OrganSurface:
@@ -96,13 +121,13 @@ def _cached(
     kept = cache_folder() / "organs" / f"{name}.npz"
     passing = kept.parent / "passing" / kept.name
     for path in (kept, passing):
-        if path.is_file():
-            try:
+        try:
+            if path.is_file():
                 found = read(path)
                 _mark_used(path)
                 return found
-            except _BROKEN:
-                pass  # Made again and overwritten below.
+        except _BROKEN:
+            pass  # Made again and overwritten below.
     made, path = make(), passing if _is_passing.get() else kept
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

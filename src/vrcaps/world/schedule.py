@@ -165,7 +165,7 @@ def read_numbers(
             is none.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = Path(path).read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"Cannot read the {what} {path}: {error}.") from error
     lines = text.splitlines()

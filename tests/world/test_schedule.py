@@ -29,6 +29,7 @@ from vrcaps.world.schedule import (
     wrench_at,
 )
 
+HEAD = ",".join(WRENCH_COLUMNS)
 RAMP = (Wrench(1.0, (1.0, 0.0, -2.0)), Wrench(3.0, (3.0, 4.0, 0.0), (0.0, 0.0, 1e-3)))
 
 
@@ -91,14 +92,12 @@ def test_a_wrench_in_another_frame(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(in_world(np.arange(1.0, 7.0).reshape(2, 3), pose), expected)
 
 
-def test_a_table_of_wrenches_is_read(tmp_path: Path) -> None:
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
+def test_a_table_of_wrenches_is_read(encoding: str, tmp_path: Path) -> None:
     path = tmp_path / "pull.csv"
     rows = [(w.time, *w.force, *w.torque) for w in RAMP]
-    np.savetxt(path, rows, "%.6g", ",", header=",".join(WRENCH_COLUMNS), comments="")
+    np.savetxt(path, rows, "%.6g", ",", header=HEAD, comments="", encoding=encoding)
     assert read_wrenches(path) == RAMP
-
-
-HEAD = ",".join(WRENCH_COLUMNS)
 
 
 @pytest.mark.parametrize(

@@ -92,13 +92,6 @@ FIGURES = (
         f"{_SCRIPT}validate_light.py",
         "relative RMSE ≤ {most relative RMSE}",
     ),
-    (
-        "wall of unseen stomachs that the trained policy sees in 47.62 s, under full physics; a "
-        "planner that knows the shape of each; the time to 95 % of both",
-        f"{_SCRIPT}validate_learning.py",
-        "{visible | coverage-ppo}; {visible | next-best-view}; {to 95 % visible | coverage-ppo}, "
-        "{to 95 % visible | next-best-view}",
-    ),
 )
 """What is measured, the section that has it, and the figure: `{column | first cell}` of a row, or
 the `{least column}` or `{most column}` of all rows."""

@@ -1,10 +1,10 @@
 """Claim: a wall comes back from images alone, and better by networks that saw ours before.
 
 Records a stomach and a stretch of a small bowel, and fuses each run from true and estimated depth
-and poses. Depth is estimated by the published weights of `depth`; and by `sfm`, which goes on with
-the run itself, without its labels, once from ImageNet's weights and once from the published ones.
+and poses. Depth is estimated by the published weights of `depth`, and by `sfm`, which learns from the run
+itself without its labels: from ImageNet's weights, and from a file of weights if one is given.
 
-    python benchmarks/validate_reconstruction.py [--size FRAMES] [--steps STEPS]
+    python benchmarks/validate_reconstruction.py [--size FRAMES] [--steps STEPS] [--sfm WEIGHTS]
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from validation import ROOT, parser, table, write_section
 from vrcaps.errors import InputError
 from vrcaps.learn.first_network import IMAGENET
 from vrcaps.learn.published import find_weights
+from vrcaps.learn.registry import AnyLearner
 from vrcaps.learn.samples import samples_of
 from vrcaps.learn.sfm import SfmLearner, estimated_trajectory
 from vrcaps.learn.training import WEIGHTS, Machine, TrainSettings, train
@@ -53,14 +54,19 @@ def main() -> None:
     made = parser(__doc__ or "")
     made.add_argument("--size", type=int, default=120, help="frames of a run")
     made.add_argument("--steps", type=int, default=200, help="batches of sfm on a run")
+    made.add_argument("--sfm", default="", help="weights of sfm to start from")
     made.add_argument("--run", type=Path, default=ROOT / "build" / "reconstructed", help="folder")
     given = made.parse_args()
     rows = []
     for organ in RUNS:
         sequence = recorded(organ, given.size, given.run)
         networks = {"network of ours": read_weights(find_weights("depth"))}
-        for name, start in (("ImageNet", IMAGENET), ("ours", "sfm")):
-            found = learned(sequence, start, given.steps, given.run / f"{organ}-sfm-{start}")
+        learner = read_weights(given.sfm, task="sfm").learner if given.sfm else SfmLearner(96)
+        for name, start in (("ImageNet", IMAGENET), ("ours", given.sfm)):
+            if not start:
+                continue
+            out = given.run / f"{organ}-sfm-{name}"
+            found = learned(sequence, learner, start, given.steps, out)
             networks[f"sfm from {name}"] = found
         rows += organ_rows(organ, sequence, networks)
     text = f"""## Reconstruction
@@ -92,10 +98,10 @@ def recorded(organ: str, frames: int, folder: Path) -> FrameSequence:
     return read_episode(out).sequence("front")
 
 
-def learned(sequence: FrameSequence, start: str, steps: int, out: Path) -> Trained:
+def learned(
+    sequence: FrameSequence, learner: AnyLearner, start: str, steps: int, out: Path
+) -> Trained:
     """A network of sfm that learned from the run."""
-    learner = read_weights(find_weights("sfm")).learner
-    assert isinstance(learner, SfmLearner)
     settings = TrainSettings(
         learner, start=start, steps=steps, batch=4, evaluate_every=steps, evaluation_frames=20
     )

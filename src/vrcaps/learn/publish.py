@@ -17,6 +17,7 @@ from vrcaps.learn.evaluation import Evaluation, read_evaluation
 from vrcaps.learn.model_card import Training, card_text, notes_of
 from vrcaps.learn.published import SUFFIX, PublishedWeights, add_to_index, check_name
 from vrcaps.learn.registry import AnyLearner
+from vrcaps.learn.responses import require_responses
 from vrcaps.learn.training import BEST, PROGRESS, TrainSettings
 from vrcaps.learn.weights import Trained, read_weights
 from vrcaps.plain_files import read_plain
@@ -50,8 +51,8 @@ def publish(
         license_name: License of the weights.
 
     Raises:
-        InputError: If the folder is of no training, the weights are too large, an evaluation is of
-            other weights, or there are no notes.
+        InputError: If the folder is of no training, the weights are too large or give the same
+            output for all images, an evaluation is of other weights, or there are no notes.
     """
     best = run / BEST
     if not best.is_file():
@@ -59,6 +60,7 @@ def publish(
     trained = read_weights(best)
     name = name or trained.learner.kind
     check_name(name, trained.learner.kind)
+    require_responses(trained)
     sha256, size = file_sha256(best), best.stat().st_size
     allowed = f"up to {MOST_BYTES:,}; train a smaller encoder"
     require(size <= MOST_BYTES, f"The size of {best} [bytes]", f"{size:,}", allowed)

@@ -1,0 +1,107 @@
+"""Responses of a network to its inputs: an output that never changes estimates nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps import rng
+from vrcaps.capsule.catalog import read_device
+from vrcaps.errors import InputError
+from vrcaps.learn.fit import Fit
+from vrcaps.learn.learner import Sample
+from vrcaps.learn.networks import require_torch
+from vrcaps.learn.samples import batch_of
+from vrcaps.learn.sfm import SfmLearner
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, UInt8
+
+    from vrcaps.learn.weights import Trained
+
+LEAST_RESPONSE = 0.01
+"""Least change of each output, relative to its root mean square. Outputs of the published networks
+change by 0.05 or more between the probes."""
+_SIDE = 256
+_COLORS = ((180.0, 90.0, 70.0), (90.0, 60.0, 50.0), (200.0, 150.0, 130.0), (120.0, 60.0, 40.0))
+_WAVELENGTHS = (0.5, 0.2, 0.05, 0.3)
+_CAPSULES = ("pillcam-colon2", "mono", "panoramic", "mirocam")
+
+
+def responses(trained: Trained, samples: Sequence[Sample]) -> dict[str, float]:
+    """Change of each output between samples, relative to its root mean square.
+
+    Only one input changes at a time; the others are those of the first sample.
+
+    Args:
+        trained: Learner and network.
+        samples: Two or more inputs of the network, as `Learner.inputs` gives them.
+
+    Returns:
+        The change by the name of the output, its channel and the input, such as
+        ``output 0 by image``.
+    """
+    batch = batch_of(samples, trained.device)
+    found: dict[str, float] = {}
+    for name in trained.learner.input_names:
+        first = {key: value[:1].expand_as(value) for key, value in batch.items()}
+        for output, values in _outputs(trained, {**first, name: batch[name]}).items():
+            changes = _changes(values)
+            found |= {f"{output} {k} by {name}": float(one) for k, one in enumerate(changes)}
+    return found
+
+
+def require_responses(trained: Trained) -> None:
+    """Check that each output of a network depends on its image.
+
+    Raises:
+        InputError: If an output is the same for all images.
+    """
+    for name, change in responses(trained, probes(trained)).items():
+        if name.endswith(" by image") and not change > LEAST_RESPONSE:
+            raise InputError(
+                f"The network of the task {trained.learner.kind!r} gives the same output for all "
+                f"images: {name.removesuffix(' by image')} changes by {change:.2g} of its size. "
+                f"Allowed: above {LEAST_RESPONSE:g}. Train it for longer."
+            )
+
+
+def probes(trained: Trained) -> list[Sample]:
+    """Inputs of a network that differ in color, pattern and lens; the same on every run."""
+    fit = Fit(_SIDE, _SIDE, trained.learner.size)
+    cameras = [read_device(name).cameras[0] for name in _CAPSULES]
+    return [
+        trained.learner.inputs(_probe(k), fit, replace(camera, width=_SIDE, height=_SIDE))
+        for k, camera in enumerate(cameras)
+    ]
+
+
+def _probe(number: int) -> UInt8[np.ndarray, "s s 3"]:
+    """A color with waves in random directions around it."""
+    draw = rng.stream(number, "learn/probe")
+    place = np.stack(np.meshgrid(*2 * [np.linspace(0.0, 1.0, _SIDE)]), axis=-1)
+    waves = draw.normal(size=(8, 2)) / _WAVELENGTHS[number]
+    pattern = np.cos(2.0 * np.pi * (place @ waves.T) + draw.uniform(0.0, 2.0 * np.pi, 8))
+    bright = 1.0 + 0.15 * pattern.sum(axis=-1)
+    return np.clip(bright[..., None] * _COLORS[number], 0, 255).astype(np.uint8)
+
+
+def _outputs(trained: Trained, batch: dict[str, Any]) -> dict[str, np.ndarray]:
+    """All outputs [b c …] of a network, by their names."""
+    found = {"output": trained(batch)}
+    if isinstance(trained.learner, SfmLearner):
+        with require_torch().inference_mode():
+            image = batch["image"]
+            motion = trained.network.motion(image, image.roll(1, 0))
+        found["motion"] = motion.float().cpu().numpy()
+    return found
+
+
+def _changes(values: Float[np.ndarray, "b c ..."]) -> Float[np.ndarray, " c"]:
+    """Root mean square of what differs from the mean over a batch, over that of the values."""
+    flat = values.reshape(*values.shape[:2], -1).astype(float)
+    change = np.sqrt(((flat - flat.mean(axis=0)) ** 2).mean(axis=(0, 2)))
+    return change / np.maximum(np.sqrt((flat**2).mean(axis=(0, 2))), 1e-12)

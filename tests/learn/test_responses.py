@@ -1,0 +1,90 @@
+"""Outputs of published networks depend on their inputs; a network that gives a constant is found."""
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="PyTorch is not installed")
+
+from small_frames import small_sequence  # noqa: E402
+from vrcaps.errors import InputError  # noqa: E402
+from vrcaps.learn.classes import ClassLearner  # noqa: E402
+from vrcaps.learn.fit import Fit  # noqa: E402
+from vrcaps.learn.published import read_index  # noqa: E402
+from vrcaps.learn.responses import (  # noqa: E402
+    LEAST_RESPONSE,
+    probes,
+    require_responses,
+    responses,
+)
+from vrcaps.learn.sfm import SfmLearner  # noqa: E402
+from vrcaps.learn.super_resolution import SuperResolutionLearner  # noqa: E402
+from vrcaps.learn.weights import Trained, read_weights  # noqa: E402
+
+from .test_published import OURS
+
+PUBLISHED = tuple(read_index(str(OURS)).values())
+
+
+def pictures() -> list[np.ndarray]:
+    """Two rendered frames, noise, and a lit mucosa with a dark lumen and a highlight."""
+    frames = small_sequence()
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:96, :96] / 95.0
+    far = np.hypot(x - 0.6, y - 0.4)
+    photo = np.array([200.0, 110.0, 90.0]) * np.clip(0.2 + 1.2 * far, 0.0, 1.0)[..., None]
+    photo += rng.normal(0.0, 6.0, photo.shape)
+    photo[np.hypot(x - 0.2, y - 0.7) < 0.05] = 255.0
+    noise = rng.integers(0, 256, (96, 96, 3))
+    shown = [frames.image("rgb", k) for k in (0, len(frames) - 1)]
+    return [*shown, *(np.clip(one, 0, 255).astype(np.uint8) for one in (photo, noise))]
+
+
+def samples(trained: Trained) -> list[dict]:
+    """Network's inputs of the pictures, all by one camera."""
+    camera = small_sequence().camera
+    assert camera is not None
+    found = []
+    for picture in pictures():
+        fit = Fit(*picture.shape[:2], trained.learner.size)
+        shape = {"height": picture.shape[0], "width": picture.shape[1]}
+        view = camera.__class__(camera.name, camera.lens, shape["width"], shape["height"])
+        found.append(trained.learner.inputs(picture, fit, view))
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("entry", PUBLISHED, ids=lambda entry: entry.name)
+def test_no_published_network_ignores_its_inputs(entry) -> None:
+    """Each output changes with each input by more than a hundredth of its size."""
+    trained = read_weights(OURS / entry.file)
+    by_probes = responses(trained, probes(trained))
+    assert set(by_probes) >= {f"output 0 by {name}" for name in trained.learner.input_names}
+    assert min(by_probes.values()) > LEAST_RESPONSE
+    by_image = {k: v for k, v in responses(trained, samples(trained)).items() if "image" in k}
+    assert min(by_image.values()) > LEAST_RESPONSE
+
+
+@pytest.mark.slow
+def test_a_constant_network_is_found() -> None:
+    """A classifier whose last layer is zero, and a network of motion that is."""
+    learner = ClassLearner(("normal", "polyp"), size=32)
+    untrained = Trained(learner, learner.network(is_pretrained=False).eval(), {})
+    found = responses(untrained, probes(untrained))
+    assert found == {"output 0 by image": 0.0, "output 1 by image": 0.0}
+    with pytest.raises(InputError, match=r"same output for all images: output 0 changes by 0 of"):
+        require_responses(untrained)
+    video = SfmLearner(size=32)
+    network = video.network(is_pretrained=False).eval()
+    for value in network.moves.get_classifier().parameters():
+        torch.nn.init.constant_(value, 0.1)
+    torch.nn.init.zeros_(network.moves.get_classifier().weight)
+    with pytest.raises(InputError, match="motion 0 changes by 0 of"):
+        require_responses(Trained(video, network, {}))
+
+
+def test_enlarging_responds_to_the_image() -> None:
+    learner = SuperResolutionLearner(2, size=32, blocks=1, features=8)
+    trained = Trained(learner, learner.network(is_pretrained=False).eval(), {})
+    require_responses(trained)
+    same = probes(trained)[:1] * 3
+    assert max(responses(trained, same).values()) == 0.0

@@ -135,7 +135,7 @@ def test_heavy_packages_are_imported_inside_functions() -> None:
 
 
 def test_parts_of_scipy_are_loaded_when_they_are_first_used() -> None:
-    """`import scipy` loads none of them; each takes up to a second at the start of every command."""
+    """`import scipy` loads none of them; each takes up to a second when a command starts."""
     wrong = [
         f"{module} imports {dotted} at module level; write `import scipy` and `{dotted}` in full"
         for path in FILES

@@ -2,13 +2,33 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+_SYSTEM = re.compile(r"\[(?:Errno|WinError) -?\d+\] ([^:'\[\]]+)(?:: '[^']*'(?: -> '[^']*')?)?")
+"""Text of an error of the operating system: number, reason, paths."""
+
+
+def reason_of(error: BaseException | str) -> str:
+    """Reason of an error, without the numbers and paths that Python adds to those of the system.
+
+    Example:
+        >>> reason_of(FileNotFoundError(2, "No such file or directory", "a.txt"))
+        'No such file or directory'
+    """
+    return _SYSTEM.sub(r"\1", str(error))
+
 
 class VrcapsError(Exception):
-    """Base of every error vrcaps raises on purpose; its text is one line."""
+    """Base of every error vrcaps raises on purpose; its text is one line.
+
+    What it says of an error of the operating system is the reason only, see `reason_of`.
+    """
+
+    def __init__(self, *args: object) -> None:
+        super().__init__(*(reason_of(one) if isinstance(one, str) else one for one in args))
 
 
 class InputError(VrcapsError, ValueError):

@@ -267,7 +267,8 @@ def _explained(error: BaseException, at: str, units: bool) -> InputError:
     if isinstance(error, _NotAllowedError):
         space = "" if str(error).startswith(".") else " "
         return InputError(f"{at}{space}{error}")
-    return InputError(f"{at.removesuffix(':')}: {error}")
+    place = at.removesuffix(":")
+    return InputError(f"{place}: {error}" if place else str(error))
 
 
 def _explained_table(error: ClassValidationError, at: str, units: bool) -> InputError:
@@ -297,6 +298,8 @@ def _titled(what: str, place: str) -> str:
 
 
 def _place(at: str, key: str) -> str:
+    if not at:
+        return key
     return f"{at} {key}" if at.endswith(":") else f"{at}.{key}"
 
 

@@ -93,27 +93,27 @@ def test_flags_reach_the_scenario() -> None:
     [
         (
             "--set render.mucus_film_um=-3",
-            "scenario.render: Mucus film is -3.0. Allowed: 0",
+            "render: Mucus film is -3.0. Allowed: 0",
         ),
-        ("--set motion.drft=3", "Unknown key scenario.motion.drft. Allowed: start, end, speed"),
+        ("--set motion.drft=3", "Unknown key motion.drft. Allowed: start, end, speed"),
         ("--set frames", "--set is 'frames'. Allowed: PATH=VALUE, such as motion.speed=0.01."),
-        ("--set frames=many", "scenario.frames is 'many'. Allowed: a whole number."),
+        ("--set frames=many", "frames is 'many'. Allowed: a whole number."),
         (
             "--set motion.kind=swim",
-            "scenario.motion.kind is 'swim'. Allowed: dynamics",
+            "motion.kind is 'swim'. Allowed: dynamics",
         ),
-        ("--fps 0", "scenario: fps is 0.0. Allowed: above 0"),
+        ("--fps 0", "fps is 0.0. Allowed: above 0"),
         (
             "--organ x.ply --unit mm --patient-seed 1",
-            "Unknown key scenario.organ.seed. Allowed",
+            "Unknown key organ.seed. Allowed",
         ),
         (
             "--organ x.ply --distension normal",
-            "Unknown key scenario.organ.distension. Allowed",
+            "Unknown key organ.distension. Allowed",
         ),
-        ("--organ colon --unit mm", "Unknown key scenario.organ.unit. Allowed: name, seed"),
+        ("--organ colon --unit mm", "Unknown key organ.unit. Allowed: name, seed"),
         ("--preparation 4", "Preparation is 4. Allowed: a Boston score, 0 to 3"),
-        ("--motion replay", "Missing key scenario.motion.path"),
+        ("--motion replay", "Missing key motion.path"),
     ],
 )
 def test_a_value_that_cannot_be_ends_in_one_line(flags, says, capsys) -> None:

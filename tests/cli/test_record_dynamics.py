@@ -72,7 +72,7 @@ def test_values_of_the_motion_reach_the_scenario() -> None:
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        (["drift=0.1"], "Unknown key scenario.motion.drift. Allowed: start, angle"),
+        (["drift=0.1"], "Unknown key motion.drift. Allowed: start, angle"),
         (["start=2"], "Dynamics' start is 2.0. Allowed: 0 to 1"),
         (["angle=nan"], "Dynamics' angle is nan. Allowed: finite"),
         (["deformation=jelly"], "motion.deformation is 'jelly'. Allowed: 'spring', 'fem', 'rigid'"),
@@ -126,7 +126,7 @@ def test_mistakes_end_in_one_line(
 def test_values_of_another_kind_of_motion(capsys: pytest.CaptureFixture[str]) -> None:
     status, error = stop(["record", "--out", "o", "--set", "motion.motility=fasting"], capsys)
     assert status == 2
-    assert "Unknown key scenario.motion.motility. Allowed: start, end, speed" in error
+    assert "Unknown key motion.motility. Allowed: start, end, speed" in error
 
 
 @pytest.fixture(scope="module")

@@ -62,9 +62,9 @@ def test_mistakes_end_in_one_line_and_status_2(
         ),
         (
             "sensor_noise = { full_wel = 1000 }",
-            "Unknown key scenario.effects.sensor_noise.full_wel",
+            "Unknown key effects.sensor_noise.full_wel",
         ),
-        ("bloom = 'much'", "scenario.effects.bloom is 'much'"),
+        ("bloom = 'much'", "effects.bloom is 'much'"),
     ],
 )
 def test_mistakes_in_a_scenario_file(

@@ -55,12 +55,12 @@ def test_values_reach_the_scenario_and_the_file():
 @pytest.mark.parametrize(
     ("flags", "message"),
     [
-        ("--set motion.magnet.arm=panda", "Unknown key scenario.motion.magnet. Allowed: start"),
+        ("--set motion.magnet.arm=panda", "Unknown key motion.magnet. Allowed: start"),
         (
             "--motion dynamics --set motion.magnet.standoff=0",
-            "scenario.motion.magnet: standoff is 0.0",
+            "motion.magnet: standoff is 0.0",
         ),
-        ("--motion dynamics --speed 1", "Unknown key scenario.motion.speed. Allowed: start, angle"),
+        ("--motion dynamics --speed 1", "Unknown key motion.speed. Allowed: start, angle"),
     ],
 )
 def test_mistakes_end_in_one_line(flags, message, tmp_path, capsys):

@@ -1,11 +1,13 @@
-"""Outputs of published networks depend on their inputs; a network that gives a constant is found."""
+"""Outputs of published networks depend on their inputs; a constant network is found."""
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 
-from small_frames import small_sequence  # noqa: E402
+from small_frames import SIDE, small_sequence  # noqa: E402
 from vrcaps.errors import InputError  # noqa: E402
 from vrcaps.learn.classes import ClassLearner  # noqa: E402
 from vrcaps.learn.fit import Fit  # noqa: E402
@@ -20,8 +22,7 @@ from vrcaps.learn.sfm import SfmLearner  # noqa: E402
 from vrcaps.learn.super_resolution import SuperResolutionLearner  # noqa: E402
 from vrcaps.learn.weights import Trained, read_weights  # noqa: E402
 
-from .test_published import OURS
-
+OURS = Path(__file__).parents[2] / "weights"
 PUBLISHED = tuple(read_index(str(OURS)).values())
 
 
@@ -29,12 +30,12 @@ def pictures() -> list[np.ndarray]:
     """Two rendered frames, noise, and a lit mucosa with a dark lumen and a highlight."""
     frames = small_sequence()
     rng = np.random.default_rng(0)
-    y, x = np.mgrid[:96, :96] / 95.0
+    y, x = np.mgrid[:SIDE, :SIDE] / (SIDE - 1.0)
     far = np.hypot(x - 0.6, y - 0.4)
     photo = np.array([200.0, 110.0, 90.0]) * np.clip(0.2 + 1.2 * far, 0.0, 1.0)[..., None]
     photo += rng.normal(0.0, 6.0, photo.shape)
     photo[np.hypot(x - 0.2, y - 0.7) < 0.05] = 255.0
-    noise = rng.integers(0, 256, (96, 96, 3))
+    noise = rng.integers(0, 256, (SIDE, SIDE, 3))
     shown = [frames.image("rgb", k) for k in (0, len(frames) - 1)]
     return [*shown, *(np.clip(one, 0, 255).astype(np.uint8) for one in (photo, noise))]
 
@@ -42,14 +43,8 @@ def pictures() -> list[np.ndarray]:
 def samples(trained: Trained) -> list[dict]:
     """Network's inputs of the pictures, all by one camera."""
     camera = small_sequence().camera
-    assert camera is not None
-    found = []
-    for picture in pictures():
-        fit = Fit(*picture.shape[:2], trained.learner.size)
-        shape = {"height": picture.shape[0], "width": picture.shape[1]}
-        view = camera.__class__(camera.name, camera.lens, shape["width"], shape["height"])
-        found.append(trained.learner.inputs(picture, fit, view))
-    return found
+    fit = Fit(SIDE, SIDE, trained.learner.size)
+    return [trained.learner.inputs(picture, fit, camera) for picture in pictures()]
 
 
 @pytest.mark.slow

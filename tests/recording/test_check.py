@@ -107,10 +107,25 @@ def test_no_episode(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("key", ["status", "organ", "cameras"])
+def test_an_interrupted_recording_is_said_first(episode, key):
+    """Also where the head lacks what is written later."""
+    _edit_head(episode, lambda h: (h.update(status="recording"), key != "status" and h.pop(key)))
+    first, *_ = check_episode(episode)
+    assert str(first) == (
+        "episode.json: the recording was interrupted. To go on: "
+        f"vrcaps record {episode / 'episode.json'} --out {episode}"
+    )
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "what"),
     [
-        (lambda h: h.update(status="recording"), "the recording was broken off"),
+        (
+            lambda h: h.update(status="recording"),
+            "the recording was interrupted. To go on: vrcaps record",
+        ),
         (lambda h: h.update(format="other/1"), "has the format 'other/1'"),
         (lambda h: h["channels"]["depth"].update(scale=1.0), "channels.depth is not the encoding"),
         (lambda h: h["cameras"].clear(), "number of cameras is 0"),
@@ -118,7 +133,7 @@ def test_no_episode(tmp_path):
         (lambda h: h["cameras"][0]["lens"].update(kind="eye"), "cameras[0].lens.kind is 'eye'"),
         (lambda h: h["cameras"][0]["T_capsule_camera"][0].__setitem__(0, 2.0), "is not rigid"),
         (lambda h: h["scenario"].update(frames=6), "scenario has other frames or channels"),
-        (lambda h: h["scenario"].update(speed=1), "Unknown key scenario.speed"),
+        (lambda h: h["scenario"].update(speed=1), "Unknown key speed"),
         (lambda h: h.pop("organ"), "organ is None, not dict"),
     ],
 )

@@ -95,7 +95,7 @@ def test_full_disk_then_resume(recorded, scenario, tmp_path, monkeypatch, fail_a
         with pytest.raises(InputError, match=r"The disk is full .* run the same command again"):
             record(scenario, out)
     assert json.loads((out / "episode.json").read_text())["status"] == "recording"
-    with pytest.raises(InputError, match=r"was broken off\. To go on: vrcaps record \S"):
+    with pytest.raises(InputError, match=r"was interrupted\. To go on: vrcaps record \S"):
         read_episode(out)
     written, whole = _digests(out), _digests(recorded)
     assert all(whole[name] == digest for name, digest in written.items() if name != "episode.json")

@@ -94,13 +94,13 @@ def test_toml_with_few_keys(tmp_path):
         ("bad.toml", "a =", "bad.toml is not TOML"),
         ("list.json", "[]", "A scenario is a table of keys, not list"),
         ("head.json", '{"format": "vrcaps-episode/1"}', "A scenario is a table of keys, not None"),
-        ("key.json", '{"frame": 3}', r"Unknown key scenario\.frame\. Allowed: organ, capsule"),
+        ("key.json", '{"frame": 3}', r"Unknown key frame\. Allowed: organ, capsule"),
         (
             "full.json",
             '{"organ": {"kind": "generated", "distension": "full"}}',
-            r"scenario\.organ\.distension is 'full'\. Allowed: 'inflated', 'normal', 'collapsed'",
+            r"organ\.distension is 'full'\. Allowed: 'inflated', 'normal', 'collapsed'",
         ),
-        ("type.json", '{"frames": 2.5}', r"scenario\.frames is 2\.5\. Allowed: a whole number"),
+        ("type.json", '{"frames": 2.5}', r"frames is 2\.5\. Allowed: a whole number"),
     ],
 )
 def test_bad_files(tmp_path, name, text, match):

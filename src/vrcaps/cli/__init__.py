@@ -5,12 +5,14 @@ from __future__ import annotations
 import io
 import sys
 from collections.abc import Sequence
-from contextlib import redirect_stderr
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from importlib import import_module
-from typing import Protocol
+from itertools import takewhile
+from typing import Any, Protocol
 
+from vrcaps.cli.options import check_verb, option_error
 from vrcaps.cli.streams import EXIT_BROKEN_PIPE, configure_streams, discard_output, flush_output
-from vrcaps.errors import VrcapsError
+from vrcaps.errors import VrcapsError, reason_of
 from vrcaps.formats.registry import FORMATS
 
 EXIT_BAD_INPUT = 2
@@ -88,11 +90,14 @@ _GROUPS = {
     "weights": "Trained weights: list, publish with a model card, write as ONNX.",
     "dataset": "Make and verify data sets of many recordings, split by patient.",
     "export": "Write episodes and data sets in the layouts that other tools read.",
-    "evaluate": "Score estimates from images; without a task, judge policies.",
+    "evaluate": "Score estimates from images by task; without a task, judge policies.",
     "organ": "Generate organs, make them from CT, dress them from photographs; measure, draw.",
     "calibrate": "Make a capsule file of a real capsule from its photographs and frames.",
     "bench": "Measure speed on this machine.",
 }
+
+_NOUNS = {"export": "format", "predict": "task", "evaluate": "task or policy"}
+"""Nouns of what follows the verb of a group, for messages."""
 
 
 class _Command(Protocol):
@@ -125,14 +130,46 @@ def _run(args: Sequence[str]) -> None:
         discard_output()
         raise SystemExit(EXIT_BROKEN_PIPE) from None
     except OSError as error:
-        reason = error.strerror or str(error)
+        reason = error.strerror or reason_of(error)
         _stop(f"{error.filename}: {reason}." if error.filename else f"{reason}.", EXIT_BAD_INPUT)
     except KeyboardInterrupt:
         _stop("Interrupted. Files written so far are whole.", EXIT_INTERRUPTED)
 
 
 def _parse(args: Sequence[str]) -> _Command:
-    """The command asked for; only its own module is imported."""
+    """Parse a command line; only the module of its verb is imported.
+
+    Without a verb, or with a group of verbs only, print the help.
+
+    Raises:
+        UnknownNameError: If there is no such verb.
+        InputError: If an option is unknown or a value is impossible.
+        SystemExit: If help was printed, or something is missing.
+    """
+    named = list(takewhile(lambda arg: not arg.startswith("-"), args))
+    check_verb(named, _VERBS, _NOUNS)
+    if not args or (args == named and " ".join(named) in _GROUPS and named[0] not in _VERBS):
+        sys.stderr.write(_help(named))
+        raise SystemExit(EXIT_BAD_INPUT)
+    said = io.StringIO()
+    try:
+        with redirect_stderr(said):
+            return _app(args)
+    except SystemExit as stop:
+        # What a dataclass says of its values would be boxed, under a name that is tyro's own.
+        error = stop.__context__
+        while error is not None and not isinstance(error, VrcapsError):
+            error = error.__context__
+        verb = named[: 1 + (" ".join(named[:2]) in _VERBS)]
+        error = error or option_error(said.getvalue(), lambda: _help(verb), " ".join(verb))
+        if error is not None:
+            raise error from None
+        sys.stderr.write(said.getvalue())
+        raise
+
+
+def _app(args: Sequence[str]) -> Any:
+    """Run the parser of all verbs."""
     from tyro.conf import DisallowNone, FlagCreatePairsOff
     from tyro.extras import SubcommandApp
 
@@ -149,19 +186,15 @@ def _parse(args: Sequence[str]) -> _Command:
         else:
             parent.command(name=verb, help=summary)(_not_chosen)
     markers = (DisallowNone, FlagCreatePairsOff)
-    said = io.StringIO()
-    try:
-        with redirect_stderr(said):
-            return app.cli(prog="vrcaps", description=_DESCRIPTION, args=args, config=markers)
-    except SystemExit as stop:
-        # What a dataclass says of its values would be boxed, under a name that is tyro's own.
-        error = stop.__context__
-        while error is not None and not isinstance(error, VrcapsError):
-            error = error.__context__
-        if error is not None:
-            raise error from None
-        sys.stderr.write(said.getvalue())
-        raise
+    return app.cli(prog="vrcaps", description=_DESCRIPTION, args=args, config=markers)
+
+
+def _help(verb: Sequence[str]) -> str:
+    """Help of a verb or a group of verbs; of the program for none."""
+    text = io.StringIO()
+    with redirect_stdout(text), suppress(SystemExit):
+        _app([*verb, "--help"])
+    return text.getvalue()
 
 
 def _verbs(words: Sequence[str]) -> dict[str, tuple[str, str, str]]:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 from tyro.conf import Positional
 
 from vrcaps.cli.console import console, progress_bar
+from vrcaps.cli.paths import require_existing
 from vrcaps.errors import InputError
 from vrcaps.units import DEG, MM, parse_length
 
@@ -67,6 +68,7 @@ class CalibrateGeometric:
 
     def run(self) -> None:
         """Find the board, fit, report and write."""
+        require_existing(self.photos, "pictures or videos, or folders of them")
         from vrcaps.capsule.catalog import read_device
         from vrcaps.capsule.device_file import write_device
         from vrcaps.tools.camera_calibration.board import parse_board

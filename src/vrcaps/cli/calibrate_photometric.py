@@ -10,6 +10,7 @@ from tyro.conf import Positional
 
 from vrcaps.cli.calibrate_geometric import check_out
 from vrcaps.cli.console import console, progress_bar
+from vrcaps.cli.paths import require_existing
 
 if TYPE_CHECKING:
     from vrcaps.tools.photometric_calibration.calibrate_photometric import PhotometricCalibration
@@ -62,6 +63,7 @@ class CalibratePhotometric:
 
     def run(self) -> None:
         """Estimate, report and write."""
+        require_existing(self.frames, "pictures or videos, or folders of them")
         from vrcaps.capsule.catalog import read_device
         from vrcaps.capsule.device_file import write_device
         from vrcaps.tools.camera_calibration.device import find_camera

@@ -8,7 +8,7 @@ from pathlib import Path
 from tyro.conf import Positional
 
 from vrcaps.cli.console import console, progress_bar
-from vrcaps.errors import InputError
+from vrcaps.cli.paths import require_folder
 
 EXIT_FAULTS = 1
 
@@ -28,10 +28,9 @@ class Check:
 
     def run(self) -> None:
         """Check and report."""
+        require_folder(self.episode, "an episode")
         from vrcaps.recording.check import check_episode
 
-        if not self.episode.is_dir():
-            raise InputError(f"No folder at {self.episode}. Give the folder of an episode.")
         with progress_bar("checking") as progress:
             problems = check_episode(self.episode, progress=progress)
         for problem in problems:

@@ -1,7 +1,9 @@
-"""What the verbs print with: one console, one style of progress bar."""
+"""Console of the verbs, and their progress: bars on a terminal, lines in a log file."""
 
 from __future__ import annotations
 
+import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -15,9 +17,13 @@ if TYPE_CHECKING:
 console = Console(highlight=False, markup=False, soft_wrap=True)
 
 
+PERIOD = 30.0
+"""Least time between lines of progress where there is no terminal [s]."""
+
+
 @contextmanager
 def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
-    """A progress bar on stderr, driven by the number done and the total; none in a log file.
+    """A progress bar on stderr, driven by the number done and the total; lines in a log file.
 
     Args:
         title: What is being done.
@@ -25,8 +31,13 @@ def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
     from rich.progress import MofNCompleteColumn
 
     with _progress(MofNCompleteColumn()) as progress:
-        task = progress.add_task(title, total=None)
-        yield lambda num_done, total: progress.update(task, completed=num_done, total=total)
+        task, lines = progress.add_task(title, total=None), _Lines(title)
+
+        def advance(num_done: int, total: int) -> None:
+            progress.update(task, completed=num_done, total=total)
+            lines.tell(f"{num_done}/{total}")
+
+        yield advance
 
 
 @contextmanager
@@ -44,16 +55,36 @@ def progress_bars(
     with _progress(TextColumn("{task.fields[done]}")) as progress:
         second = progress.add_task(timed, total=None, visible=False, done="")
         first = progress.add_task(counted, total=None, done="")
+        counts, times = _Lines(counted), _Lines(timed)
 
         def count(num_done: int, total: int) -> None:
             done = f"{num_done}/{total}"
             progress.update(first, completed=num_done, total=total, done=done)
+            counts.tell(done)
 
         def pass_time(time: float, whole: float) -> None:
             done = f"{time:.1f}/{whole:.1f} s"
             progress.update(second, completed=time, total=whole, done=done, visible=True)
+            times.tell(done)
 
         yield count, pass_time
+
+
+class _Lines:
+    """Lines of progress on stderr, at most one in each period, where stderr is no terminal."""
+
+    def __init__(self, title: str, clock: Callable[[], float] = time.monotonic) -> None:
+        self._title, self._clock = title, clock
+        self._began = self._told = clock()
+
+    def tell(self, done: str) -> None:
+        """Write a line if one is due."""
+        now = self._clock()
+        if now - self._told < PERIOD or sys.stderr.isatty():
+            return
+        self._told = now
+        sys.stderr.write(f"{self._title}: {done} after {now - self._began:.0f} s\n")
+        sys.stderr.flush()
 
 
 def _progress(amount: ProgressColumn) -> Progress:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from tyro.conf import Positional
 
 from vrcaps.cli.console import console, progress_bar
-from vrcaps.errors import InputError
+from vrcaps.cli.paths import require_folder
 from vrcaps.metrics.coverage import COVERAGE_LEVELS, CoverageCriteria
 from vrcaps.units import MM
 
@@ -55,13 +55,12 @@ class Coverage:
 
     def run(self) -> None:
         """Measure, write and report."""
+        require_folder(self.episode, "an episode")
         from vrcaps.recording.episode import read_episode
         from vrcaps.tools.coverage.coverage_figure import write_coverage_figure
         from vrcaps.tools.coverage.episode_coverage import episode_coverage
         from vrcaps.tools.coverage.write_coverage import write_coverage_mesh, write_coverage_table
 
-        if not self.episode.is_dir():
-            raise InputError(f"No folder at {self.episode}. Give the folder of an episode.")
         criteria = CoverageCriteria(
             max_depth=self.max_depth * MM,
             min_pixel_density=self.min_pixels / MM**2,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from tyro.conf import Positional
 
 from vrcaps.cli.console import console, progress_bar
+from vrcaps.cli.paths import require_file, require_folder
 from vrcaps.errors import InputError
 
 if TYPE_CHECKING:
@@ -65,6 +66,7 @@ class Make:
         Raises:
             InputError: If the plan or the target is not possible, or recordings failed.
         """
+        require_file(self.plan, "a plan (TOML or JSON), such as examples/cohort.toml")
         from vrcaps.data.make import make_dataset
         from vrcaps.data.plan import read_plan
         from vrcaps.data.units import Units
@@ -122,6 +124,7 @@ class Check:
         Raises:
             InputError: If something is wrong.
         """
+        require_folder(self.dataset, "a data set: the --out of `vrcaps dataset make`")
         from vrcaps.data.check_dataset import check_dataset
         from vrcaps.data.counts import by_split, count, rows_of, shared_organs
         from vrcaps.data.store import open_store

@@ -10,10 +10,13 @@ from typing import TYPE_CHECKING
 from tyro.conf import Positional
 
 from vrcaps.cli.console import console
+from vrcaps.cli.paths import require_folder
 from vrcaps.errors import InputError
 
 if TYPE_CHECKING:
     from vrcaps.data.counts import Row
+
+_WHAT = "a data set: the --out of `vrcaps dataset make`"
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,7 @@ class Card:
         Raises:
             InputError: If there is no data set.
         """
+        require_folder(self.dataset, _WHAT)
         from vrcaps.data.card import CARD, write_card
         from vrcaps.data.store import open_store
 
@@ -69,6 +73,7 @@ class Show:
         Raises:
             InputError: If there is no data set, or nothing in it.
         """
+        require_folder(self.dataset, _WHAT)
         from vrcaps.data import open as open_dataset
         from vrcaps.data.card import read_plan_of
         from vrcaps.data.counts import rows_of

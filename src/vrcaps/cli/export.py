@@ -11,6 +11,7 @@ from tyro.conf import Positional
 
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.cli.parts import command_of, part_of
+from vrcaps.cli.paths import require_folder
 from vrcaps.errors import UnknownNameError
 from vrcaps.formats.format import Format
 from vrcaps.formats.registry import FORMATS, format_named
@@ -45,6 +46,7 @@ class Export:
         Raises:
             InputError: If the format cannot hold what was recorded.
         """
+        require_folder(self.source, "an episode or a data set")
         from vrcaps.data.sequences import sequences_of
         from vrcaps.formats.export import export
         from vrcaps.formats.rectify import rectified

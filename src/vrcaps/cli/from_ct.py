@@ -13,6 +13,7 @@ from tyro.conf import Positional
 
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.cli.organ import report_organ
+from vrcaps.cli.paths import require_existing
 from vrcaps.errors import InputError
 from vrcaps.units import CM, MM
 
@@ -100,6 +101,7 @@ class FromCt:
         if self.label and (self.seed_mm or self.all_pieces or self.tagged_fluid):
             raise InputError("--seed-mm, --all-pieces and --tagged-fluid are for gas, not labels.")
         self._check_settings()
+        require_existing((self.scan, *filter(None, [self.labels])), "a scan, or a folder of DICOM")
         is_label_map = bool(self.label) and self.labels is None
         scan = _read(self.scan, self.series, is_label_map=is_label_map)
         organs = self._from_labels(scan) if self.label else self._from_gas(scan)

@@ -10,6 +10,7 @@ from tyro.conf import UseAppendAction
 
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.cli.parts import command_of, part_of
+from vrcaps.cli.paths import require_sources
 from vrcaps.errors import InputError
 from vrcaps.learn.registry import LEARNERS, AnyLearner
 
@@ -71,6 +72,7 @@ class _Train:
         Raises:
             InputError: If the data cannot be learned from.
         """
+        require_sources((*self.data, *self.validation))
         from vrcaps.formats.sources import read_sources
         from vrcaps.learn.presets import settings_of
         from vrcaps.learn.samples import samples_of, split_samples
@@ -172,6 +174,7 @@ class _Evaluate:
         Raises:
             InputError: If weights or data do not fit.
         """
+        require_sources(self.data)
         from vrcaps.files import file_sha256, write_csv
         from vrcaps.formats.sources import read_sources
         from vrcaps.learn.evaluation import Evaluation, write_evaluation
@@ -234,6 +237,7 @@ class _Predict:
         Raises:
             InputError: If weights or images do not fit.
         """
+        require_sources((self.images,))
         from vrcaps.learn.predict import images_of, predict
         from vrcaps.learn.published import find_weights
         from vrcaps.learn.training import chosen_device

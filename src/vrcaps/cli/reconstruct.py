@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 from tyro.conf import Positional
 
 from vrcaps.cli.console import console, progress_bar
+from vrcaps.cli.paths import require_file, require_folder, require_sources
 from vrcaps.errors import InputError, require
 from vrcaps.files import atomic_folder, require_new_folder, write_bytes
 from vrcaps.units import MM
@@ -102,9 +103,9 @@ class Reconstruct:
         Raises:
             InputError: If depth or poses are missing or do not fit.
         """
+        self._check()
         from vrcaps.formats.sources import read_source
 
-        self._check()
         require_new_folder(self.out)  # before the work
         found = read_source(self.source)
         chosen = [one for one in found if self.camera in ("", one.name.rpartition("/")[2])]
@@ -133,7 +134,7 @@ class Reconstruct:
         )
 
     def _check(self) -> None:
-        """Check that flags of depth go with the method and with each other.
+        """Check that flags of depth go with the method and with each other, and that paths exist.
 
         Raises:
             InputError: If they do not.
@@ -148,6 +149,11 @@ class Reconstruct:
         if sum([self.weights != "", self.shading, self.depth is not None]) > 1:
             raise InputError("Depth comes from one of --depth, --weights and --shading.")
         require(self.every >= 1, "every", self.every, "1 or more")
+        require_sources((self.source,))
+        if self.depth is not None:
+            require_folder(self.depth, "estimates, as `vrcaps predict depth` writes it")
+        if self.poses is not None:
+            require_file(self.poses, "a trajectory in the form of TUM")
 
     def _fused(self, sequence: FrameSequence, out: Path) -> tuple[Mesh, np.ndarray]:
         from vrcaps.learn.published import find_weights

@@ -34,6 +34,15 @@ _PATHS = {
 }
 """Flags that set one value of the scenario, by the path of that value."""
 
+_HELP = {
+    "seed": "Seed of all that is random: the generated patient (organ, lesions and contents, "
+    "unless --patient-seed is given), the motion, the mucosa of an organ from a file, sampled "
+    "effects, and the noise of camera and sensors. The same seed gives the same bytes.",
+    "patient_seed": "Seed of the patient only: generated organ, lesions and contents of the lumen; "
+    "by default --seed. One patient can so be recorded with several motions.",
+}
+"""Help of flags that set more than the value of their path."""
+
 _MOTIONS = Literal["fly-through", "random-views", "replay", "dynamics"]
 
 
@@ -64,7 +73,10 @@ def _entry(flag: str, setting: Setting) -> tuple[str, Any, Any]:
     if flag in ("capsule", "mucosa", "steer"):
         declared = str
     is_switch = declared is bool
-    about = arg(help=setting.doc, help_behavior_hint=f"[{setting.path}: {setting.default_text}]")
+    about = arg(
+        help=_HELP.get(flag, setting.doc),
+        help_behavior_hint=f"[{setting.path}: {setting.default_text}]",
+    )
     declared = bool if is_switch else declared | None
     return flag, Annotated[declared, about], field(default=False if is_switch else None)
 

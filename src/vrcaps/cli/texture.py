@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from tyro.conf import OmitArgPrefixes, Positional
 
 from vrcaps.cli.console import console, progress_bar
+from vrcaps.cli.paths import require_existing
 from vrcaps.tools.mucosa_from_photos.place_vessels import VesselPlacement
 from vrcaps.units import CM
 
@@ -73,6 +74,7 @@ class Texture:
 
     def run(self) -> None:
         """Make, write and report."""
+        require_existing(self.photos, "photographs or videos, or folders of them")
         from vrcaps.mucosa.texture import check_free, write_texture
         from vrcaps.tools.mucosa_from_photos.make_texture import TextureOptions, make_texture
         from vrcaps.tools.mucosa_from_photos.patches import PhotoScale, check_scale

@@ -9,6 +9,7 @@ from pathlib import Path
 from tyro.conf import Positional
 
 from vrcaps.cli.console import console
+from vrcaps.cli.paths import require_folder
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,8 @@ class View:
             InputError: If an episode cannot be read, the estimate is of other times, or the port is
                 in use.
         """
+        for episode in self.episodes:
+            require_folder(episode, "an episode")
         from vrcaps.cockpit.episode_page import open_episodes
 
         with open_episodes(

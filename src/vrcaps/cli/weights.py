@@ -8,6 +8,7 @@ from pathlib import Path
 from tyro.conf import Positional, UseAppendAction
 
 from vrcaps.cli.console import console
+from vrcaps.cli.paths import require_file, require_folder
 from vrcaps.errors import InputError
 
 
@@ -78,6 +79,11 @@ class Publish:
         Raises:
             InputError: If the folder is of no training, or something is missing.
         """
+        require_folder(self.training, "a training")
+        for scored in self.scores:
+            require_folder(scored, "an evaluation")
+        if self.notes is not None:
+            require_file(self.notes, "a file of Markdown")
         from vrcaps.learn.publish import publish
         from vrcaps.learn.published import weights_folder
 

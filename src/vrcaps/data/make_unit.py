@@ -16,7 +16,7 @@ from vrcaps.data.organs import organ_entry, store_organ
 from vrcaps.data.plan import Plan
 from vrcaps.data.store import Store, open_store
 from vrcaps.data.units import Unit, Units
-from vrcaps.errors import InputError, StorageError, VrcapsError
+from vrcaps.errors import InputError, StorageError, VrcapsError, reason_of
 from vrcaps.made_with import made_here
 from vrcaps.organ.cache import passing_organs
 
@@ -102,7 +102,7 @@ class Maker:
         try:
             return self.make(number)
         except Exception as error:  # whatever it is, the other units are still to be made
-            return Outcome(number, f"{type(error).__name__}: {error}")
+            return Outcome(number, f"{type(error).__name__}: {reason_of(error)}")
 
 
 def make_unit(units: Units, store: Store, number: int) -> None:

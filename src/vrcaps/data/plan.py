@@ -1,7 +1,7 @@
 """Plan of a data set: a scenario in which distributions may stand for values.
 
-A plan is a scenario file with one more table, ``[dataset]``. Anywhere else a distribution may stand
-in the place of a value. What lies under ``organ`` and ``lesions`` is drawn once for each patient,
+A plan is a scenario file with one more table, ``[dataset]``; the scenario may also lie below a
+table ``[scenario]``. Anywhere else a distribution may stand in the place of a value. What lies under ``organ`` and ``lesions`` is drawn once for each patient,
 everything else for each recording.
 """
 
@@ -120,12 +120,28 @@ def read_plan(path: str | Path) -> Plan:
             "scenario without it: vrcaps record."
         )
     settings = from_plain(DatasetSettings, plain["dataset"], at=f"{path}: dataset")
-    scenario = {key: value for key, value in plain.items() if key != "dataset"}
+    scenario = _scenario_of(plain, path)
     try:
         list(slots(scenario))
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     return Plan(settings, scenario, has_units=path.suffix == ".toml")
+
+
+def _scenario_of(plain: Mapping[str, Any], path: Path) -> dict[str, Any]:
+    """The scenario of a plan: its tables but for [dataset], which may lie below [scenario].
+
+    Raises:
+        InputError: If a key is in both places.
+    """
+    outer = {key: value for key, value in plain.items() if key not in ("dataset", "scenario")}
+    inner = plain.get("scenario", {})
+    if not isinstance(inner, dict):
+        raise InputError(f"{path}: scenario is {inner!r}. Allowed: a table [scenario], or none.")
+    twice = sorted(outer.keys() & inner.keys())
+    if twice:
+        raise InputError(f"{path} has {twice[0]} beside [scenario] and in it. Allowed: once.")
+    return {**outer, **inner}
 
 
 def plan_to_plain(plan: Plan) -> dict[str, Any]:

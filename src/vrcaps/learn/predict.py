@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.errors import InputError
+from vrcaps.errors import InputError, reason_of
 from vrcaps.files import atomic_folder, write_bytes, write_csv
 from vrcaps.formats.images import file_name
 from vrcaps.formats.sources import read_source
@@ -95,7 +95,7 @@ def _write_estimates(
         try:
             image = sequence.image("rgb", index)
         except (InputError, OSError) as error:
-            skipped[name] = str(error)
+            skipped[name] = reason_of(error)
             continue
         read.append((sequence, index))
         fit = Fit(image.shape[0], image.shape[1], trained.learner.size)

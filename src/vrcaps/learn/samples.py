@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps import rng
-from vrcaps.errors import InputError
+from vrcaps.errors import InputError, reason_of
 from vrcaps.learn.classes import ClassLearner
 from vrcaps.learn.learner import Batch, Learner, Sample
 from vrcaps.learn.networks import require_torch
@@ -54,7 +54,7 @@ class Samples:
         try:
             sample = self.learner.sample(sequence, index)
         except (InputError, OSError) as error:
-            self.skipped[name] = str(error)
+            self.skipped[name] = reason_of(error)
             return None
         size = sum(getattr(array, "nbytes", 0) for array in sample.values())
         if self._num_bytes + size <= _KEPT_BYTES:

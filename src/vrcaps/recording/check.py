@@ -11,16 +11,18 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.camera.camera import Camera, camera_rays
-from vrcaps.errors import InputError, VrcapsError
+from vrcaps.errors import InputError, VrcapsError, reason_of
 from vrcaps.lumen.lumen_contents import CHYME
 from vrcaps.mesh.mesh import Mesh, wall_of
 from vrcaps.recording.damage import pictures_of
 from vrcaps.recording.episode import Episode, read_episode
+from vrcaps.recording.episode_files import LocalFiles
 from vrcaps.recording.layout import (
     COMPLETE,
     EPISODE_JSON,
     FRAMES_PARQUET,
     channel_to_plain,
+    read_head,
 )
 from vrcaps.recording.sensing import pad_column_names
 from vrcaps.recording.table import POSE_COLUMNS
@@ -63,12 +65,14 @@ def check_episode(
         progress: Called with the number of checked frames and of all frames.
     """
     path = Path(path)
+    problems: list[Problem] = []
     try:
+        problems += _check_status(path)
         episode = read_episode(path, unfinished=True)
         scenario = episode.scenario
     except VrcapsError as error:
-        return [Problem(EPISODE_JSON, str(error))]
-    problems = list(_check_head(episode))
+        return [*problems, Problem(EPISODE_JSON, str(error))]
+    problems += _check_head(episode)
     if (scenario.frames, scenario.channels) != (len(episode), episode.channels):
         problems.append(Problem(EPISODE_JSON, "scenario has other frames or channels than head"))
     problems += _check_table(episode)
@@ -103,10 +107,15 @@ def _check_frame(
     return problems
 
 
+def _check_status(path: Path) -> list[Problem]:
+    """Whether the recording was interrupted, which explains all other faults."""
+    if read_head(LocalFiles(path)).get("status") == COMPLETE:
+        return []
+    go_on = f"vrcaps record {path / EPISODE_JSON} --out {path}"
+    return [Problem(EPISODE_JSON, f"the recording was interrupted. To go on: {go_on}")]
+
+
 def _check_head(episode: Episode) -> Iterator[Problem]:
-    status = episode.head.get("status")
-    if status != COMPLETE:
-        yield Problem(EPISODE_JSON, f"status is {status!r}: the recording was broken off")
     for channel, plain in episode.head["channels"].items():
         if plain != channel_to_plain(channel):
             yield Problem(EPISODE_JSON, f"channels.{channel} is not the encoding of this format")
@@ -178,7 +187,7 @@ def _load_organ(episode: Episode) -> tuple[Mesh | None, list[Problem]]:
     try:
         mesh = episode.organ
     except VrcapsError as error:
-        return None, [Problem(where, f"cannot be read ({error})")]
+        return None, [Problem(where, f"cannot be read ({reason_of(error)})")]
     expected = episode.head["organ"].get("num_faces")
     if len(mesh.faces) != expected:
         return None, [Problem(where, f"has {len(mesh.faces)} triangles, not {expected}")]
@@ -204,7 +213,7 @@ def _stored_wall(
     try:
         vertices = episode.stored_wall(frame)
     except (OSError, ValueError) as error:
-        what = "is missing" if not path.exists() else f"cannot be read ({error})"
+        what = "is missing" if not path.exists() else f"cannot be read ({reason_of(error)})"
         return None, [Problem(where, what)]
     if not np.isfinite(vertices).all():
         return None, [Problem(where, "holds vertices that are not finite")]
@@ -221,7 +230,7 @@ def _check_extras(episode: Episode) -> Iterator[Problem]:
         try:
             read()
         except (OSError, ValueError) as error:
-            yield Problem(path.name, f"cannot be read ({error})")
+            yield Problem(path.name, f"cannot be read ({reason_of(error)})")
 
 
 def _read_images(
@@ -234,7 +243,7 @@ def _read_images(
         try:
             images[channel] = episode.stored_image(camera.name, channel, frame)
         except (OSError, ValueError) as error:
-            what = "is missing" if not path.exists() else f"cannot be read ({error})"
+            what = "is missing" if not path.exists() else f"cannot be read ({reason_of(error)})"
             problems.append(Problem(str(path.relative_to(episode.path)), what))
     return images, problems
 

@@ -335,7 +335,7 @@ def read_episode(path: str | Path | EpisodeFiles, *, unfinished: bool = False) -
 
     Args:
         path: Folder of the episode, or where else its files lie.
-        unfinished: Accept one whose recording was broken off; some files may be missing.
+        unfinished: Accept one whose recording was interrupted; some files may be missing.
 
     Raises:
         InputError: If the folder holds no whole episode of this format.
@@ -344,7 +344,7 @@ def read_episode(path: str | Path | EpisodeFiles, *, unfinished: bool = False) -
     head, where = read_head(files), f"{files.url}/{EPISODE_JSON}"
     if head.get("status") != COMPLETE and not unfinished:
         raise InputError(
-            f"The recording of {files.url} was broken off. To go on: vrcaps record {where} --out "
+            f"The recording of {files.url} was interrupted. To go on: vrcaps record {where} --out "
             f"{files.url}"
         )
     require_head(head, where)

@@ -158,6 +158,8 @@ def read_head(files: EpisodeFiles) -> dict[str, Any]:
     path = f"{files.url}/{EPISODE_JSON}"
     try:
         head = decode_json(files.read(EPISODE_JSON), EPISODE_JSON)
+    except FileNotFoundError as error:
+        raise InputError(f"{files.url} is no episode: it holds no {EPISODE_JSON}.") from error
     except (OSError, InputError) as error:
         raise InputError(f"{files.url} is no episode: cannot read {path} ({error}).") from error
     if not isinstance(head, dict) or head.get("format") != FORMAT:

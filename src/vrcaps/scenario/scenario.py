@@ -249,4 +249,4 @@ def scenario_from_plain(plain: Any, *, units: bool = False) -> Scenario:
     """
     if not isinstance(plain, dict):
         raise InputError(f"A scenario is a table of keys, not {type(plain).__name__}.")
-    return from_plain(Scenario, plain, at="scenario", units=units)
+    return from_plain(Scenario, plain, at="", units=units)

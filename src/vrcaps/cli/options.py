@@ -1,0 +1,60 @@
+"""Mistakes in the words of a command line, said on one line before any verb is imported."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from difflib import get_close_matches
+
+from vrcaps.errors import InputError, UnknownNameError
+
+_BOX = re.compile(r"[╭╮╰╯│─]+")
+_OPTION = re.compile(r"^ *(?:-\w, )?(--[a-z][\w.-]*)", re.MULTILINE)
+_ALIKE = 0.8
+"""Likeness from which the name of a policy is taken for a misspelled task."""
+_HELP = "Known options: vrcaps {verb} --help."
+
+
+def check_verb(words: Sequence[str], verbs: Iterable[str], nouns: dict[str, str]) -> None:
+    """Check the name of a verb, and that of what follows it in a group.
+
+    Args:
+        words: Arguments before the first option.
+        verbs: All verbs, such as ``record`` or ``export coco``.
+        nouns: What follows a verb of each group, such as ``format`` for ``export``.
+
+    Raises:
+        UnknownNameError: If there is no such verb.
+    """
+    known = [verb.split() for verb in verbs]
+    names = {path[0] for path in known}
+    if not words:
+        return
+    if words[0] not in names:
+        raise UnknownNameError("command", words[0], names)
+    inner = {path[1] for path in known if path[0] == words[0] and len(path) > 1}
+    is_leaf = any(path == [words[0]] for path in known)
+    if len(words) < 2 or not inner or words[1] in inner:
+        return
+    # Of `evaluate`, anything else may be a policy.
+    if not is_leaf or get_close_matches(words[1], inner, 1, _ALIKE):
+        raise UnknownNameError(nouns.get(words[0], f"{words[0]} command"), words[1], inner)
+
+
+def option_error(said: str, help_text: Callable[[], str], verb: str) -> InputError | None:
+    """What a parser says of wrong options, on one line; None if it is something else.
+
+    Args:
+        said: What the parser wrote.
+        help_text: Makes the help of the verb, which names all options.
+        verb: Words of the verb.
+    """
+    text = " ".join(_BOX.sub(" ", said).split())
+    found = re.search(r"Unrecognized options: (\S+)", text)
+    if found is None:
+        return None
+    given = found[1].rstrip(",").partition("=")[0]
+    if not given.startswith("-"):
+        return InputError(f"{given!r} is one argument too many. {_HELP.format(verb=verb)}")
+    known = {*_OPTION.findall(_BOX.sub(" ", help_text()))} - {"--help"}
+    return InputError(str(UnknownNameError(f"option of vrcaps {verb}", given, known)))

@@ -1,8 +1,8 @@
 """Plan of a data set: a scenario in which distributions may stand for values.
 
 A plan is a scenario file with one more table, ``[dataset]``; the scenario may also lie below a
-table ``[scenario]``. Anywhere else a distribution may stand in the place of a value. What lies under ``organ`` and ``lesions`` is drawn once for each patient,
-everything else for each recording.
+table ``[scenario]``. Anywhere else a distribution may stand in the place of a value. What lies
+under ``organ`` and ``lesions`` is drawn once for each patient, everything else for each recording.
 """
 
 from __future__ import annotations

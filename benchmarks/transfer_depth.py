@@ -19,6 +19,7 @@ from vrcaps.formats.stored_images import image_size, read_plane, read_rgb
 from vrcaps.formats.yaml_files import read_yaml
 from vrcaps.learn.depth import DepthLearner, depth_of
 from vrcaps.learn.fit import Fit
+from vrcaps.learn.picture_border import bright_part
 from vrcaps.learn.samples import batch_of
 from vrcaps.metrics.depth import depth_errors
 from vrcaps.recording.frame_sequence import FrameSequence
@@ -26,8 +27,6 @@ from vrcaps.transforms import invert, matrix_from_quaternion, transform_from, tr
 
 _STEP = 4
 """Every so many pixels of a dense map count, along rows and columns."""
-_DARK, _BORDER = 24, 0.02
-"""Level of 255 up to which a pixel is black, and part of a row that is brighter inside."""
 _BETWEEN = -1
 """What parts the lists of views of one point from those of the next."""
 
@@ -115,11 +114,8 @@ def read_sinus(folder: Path) -> list[DepthImage]:
 
 def without_border(one: DepthImage) -> DepthImage:
     """The image without rows and columns at its edges in which nearly all is black."""
-    bright = one.image.max(axis=-1) > _DARK
-    rows, columns = (np.flatnonzero(bright.mean(axis=axis) > _BORDER) for axis in (1, 0))
-    if not rows.size or not columns.size:
-        return one
-    (top, bottom), (left, right) = (rows[0], rows[-1] + 1), (columns[0], columns[-1] + 1)
+    rows, columns = bright_part(one.image)
+    (top, bottom), (left, right) = (rows.start, rows.stop), (columns.start, columns.stop)
     pixels = one.pixels - (left, top)
     inside = ((pixels >= 0) & (pixels < (right - left, bottom - top))).all(axis=1)
     old: Any = one.camera.lens

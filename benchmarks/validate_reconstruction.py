@@ -1,8 +1,9 @@
 """Claim: a wall comes back from images alone, and better by networks that saw ours before.
 
 Records a stomach and a stretch of a small bowel, and fuses each run from true and estimated depth
-and poses. Depth is estimated by the published weights of `depth`, and by `sfm`, which learns from the run
-itself without its labels: from ImageNet's weights, and from a file of weights if one is given.
+and poses. Depth is estimated by the published weights of `depth`, and by `sfm`, which learns from
+the run itself without its labels: from ImageNet's weights, and from a file of weights if one is
+given.
 
     python benchmarks/validate_reconstruction.py [--size FRAMES] [--steps STEPS] [--sfm WEIGHTS]
 """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -223,8 +224,13 @@ class _Predict:
     """Folder to make."""
 
     capsule: str = ""
-    """Capsule whose first camera took the images, where they are of a plain folder: a name of the
-    catalog or a file. Depth needs its lens."""
+    """Capsule or endoscope whose first camera took the images, where they are of a plain folder: a
+    name of the catalog, such as colonoscope, or a file. Its images have the size of these. Depth
+    and sfm need its lens."""
+
+    fov: float | None = None
+    """Angle from the left to the right edge of the picture [degrees], for images of an unknown
+    lens: an ideal equidistant lens is assumed. Absolute depth is then no better than this guess."""
 
     device: str = "auto"
     """cpu, cuda, mps, or auto for the fastest there is."""
@@ -238,16 +244,24 @@ class _Predict:
             InputError: If weights or images do not fit.
         """
         require_sources((self.images,))
+        from vrcaps.files import require_new_folder
         from vrcaps.learn.predict import images_of, predict
         from vrcaps.learn.published import find_weights
         from vrcaps.learn.training import chosen_device
         from vrcaps.learn.weights import read_weights
 
+        require_new_folder(self.out)
+        field = None if self.fov is None else radians(self.fov)
+        images = images_of(self.images, self.task, self.capsule, field)
         weights = find_weights(self.weights, self.task)
+        if self.fov is not None:
+            console.print(
+                f"Assumed: an equidistant lens that sees {self.fov:g} degrees across the picture, "
+                "where the camera is not known."
+            )
         trained = read_weights(weights, task=self.task, device=chosen_device(self.device))
-        images = images_of(self.images, self.capsule)
         with progress_bar("estimating") as show:
-            skipped = predict(trained, images, self.out, progress=show)
+            skipped = predict(trained, images, self.out, field_of_view=field, progress=show)
         _tell_skipped(skipped)
         console.print(f"Written: {self.out}, with contact sheet sheet.png.")
 
@@ -263,9 +277,22 @@ _EXAMPLES = {
   vrcaps train {0} --data images:real --start runs/{0}/best.safetensors --out runs/{0}-real""",
     "evaluate": """  vrcaps evaluate {0} --data runs/cohort --split test --out runs/{0}-test
   vrcaps evaluate {0} --weights runs/{0}/best.safetensors --data runs/cohort""",
-    "predict": """  vrcaps predict {0} --images photos --out runs/photos
-  vrcaps predict {0} --weights runs/{0}/best.safetensors --images photos --out runs/mine""",
+    "predict": """  vrcaps predict {0} --images photos{1} --out runs/photos
+  vrcaps predict {0} --weights runs/{0}/best.safetensors --images runs/colon --out runs/mine""",
 }
+_LENS = " --fov 140"
+"""What an example of a task adds that needs a lens."""
+_UNPUBLISHED = ("sfm",)
+"""Tasks without published weights, whose examples name a file."""
+
+
+def _examples(verb: str, task: str) -> str:
+    """Lines of the help."""
+    lens = _LENS if "ray" in LEARNERS[task].input_names else ""
+    lines = _EXAMPLES[verb].format(task, lens).split("\n")
+    if verb != "train" and task in _UNPUBLISHED:
+        lines = [line for line in lines if "--weights" in line]
+    return "\n".join(lines)
 
 
 def __getattr__(name: str) -> Any:
@@ -273,7 +300,7 @@ def __getattr__(name: str) -> Any:
     verb, _, task = name.partition("_")
     if verb not in _EXAMPLES or task not in LEARNERS:
         raise AttributeError(name)
-    learner, examples = LEARNERS[task], _EXAMPLES[verb].format(task)
+    learner, examples = LEARNERS[task], _examples(verb, task)
     if verb == "train":
         return command_of(_Train, learner, examples)
     base = {"evaluate": _Evaluate, "predict": _Predict}[verb]

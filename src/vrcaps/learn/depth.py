@@ -33,6 +33,7 @@ from vrcaps.learn.learner import (
     zoomed,
 )
 from vrcaps.learn.networks import ENCODER, dense_network, require_torch
+from vrcaps.learn.picture_border import view_of
 from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.depth import depth_errors, mean_depth_errors
 from vrcaps.recording.frame_sequence import FrameSequence
@@ -46,6 +47,12 @@ if TYPE_CHECKING:
 
 MIDDLE = 0.03
 """Depth [m] that an output of 0 stands for."""
+
+LENS_NEEDED = (
+    "Depth needs the lens of the camera that took the images. Give --capsule NAME (a name of the "
+    "catalog such as colonoscope, or a device file), or --fov DEGREES for an assumed lens, such "
+    "as --fov 140."
+)
 _DARK = 0.004
 """Added to linear brightness in the cue: one step of 8 bits."""
 _SCALES = 4
@@ -98,11 +105,12 @@ class DepthLearner:
         return range(len(sequence))
 
     def sample(self, sequence: FrameSequence, index: int) -> Sample:
-        """Image, rays and true depth (NaN where there is none)."""
-        image = sequence.image("rgb", index)
-        fit = Fit(image.shape[0], image.shape[1], self.size)
-        truth = fit.nearest(sequence.image("depth", index), np.nan)
-        return {**self.inputs(image, fit, sequence.camera), "depth": truth}
+        """Image without its black border, rays and true depth (NaN where there is none)."""
+        view = view_of(self.kind, sequence, sequence.image("rgb", index))
+        fit = Fit(view.image.shape[0], view.image.shape[1], self.size)
+        depth = sequence.image("depth", index)[view.place]
+        truth = fit.nearest(np.where(view.is_insert, np.nan, depth), np.nan)
+        return {**self.inputs(view.image, fit, view.camera), "depth": truth}
 
     def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Fit, camera: Camera | None) -> Sample:
         """Image and unit rays, zero where the lens has none.
@@ -189,7 +197,7 @@ def image_and_rays(image: UInt8[np.ndarray, "h w 3"], fit: Fit, camera: Camera |
         InputError: If there is no camera.
     """
     if camera is None:
-        raise InputError("Depth needs the camera that took the image: its lens gives the rays.")
+        raise InputError(LENS_NEEDED)
     rays = np.nan_to_num(camera.lens.unproject(fit.pixels.astype(float)))
     return {"image": fit.image(image), "ray": fit.padded(rays.astype(np.float32), 0.0)}
 

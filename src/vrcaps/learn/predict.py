@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
@@ -10,12 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError, reason_of
 from vrcaps.files import atomic_folder, write_bytes, write_csv
 from vrcaps.formats.images import file_name
 from vrcaps.formats.sources import read_source
 from vrcaps.formats.tum import trajectory_text
+from vrcaps.learn.depth import LENS_NEEDED
 from vrcaps.learn.fit import Fit
+from vrcaps.learn.picture_border import PictureView, assumed_camera, view_of
+from vrcaps.learn.registry import LEARNERS
 from vrcaps.learn.samples import batch_of
 from vrcaps.learn.sfm import SfmLearner, estimated_trajectory
 from vrcaps.learn.validation import below_one_another
@@ -30,23 +35,36 @@ if TYPE_CHECKING:
 _SHEET_ROWS = 12
 
 
-def images_of(source: str, capsule: str = "") -> tuple[FrameSequence, ...]:
-    """Sequences of images to estimate from.
+def images_of(
+    source: str, task: str, capsule: str = "", field_of_view: float | None = None
+) -> tuple[FrameSequence, ...]:
+    """Sequences of images to estimate from, checked before any network is loaded.
 
     Args:
         source: As of `read_source`.
+        task: What will be estimated.
         capsule: Name or file of the capsule whose first camera took images without a calibration.
+        field_of_view: Angle across the picture [rad] of an assumed lens instead.
 
     Raises:
-        InputError: If there are no images.
+        InputError: If there are no images, the task needs a lens and there is none, or the camera
+            makes images of another size.
     """
-    sequences = read_source(source)
-    if not capsule:
-        return sequences
-    from vrcaps.capsule.catalog import read_device
-
-    camera = read_device(capsule).cameras[0]
-    return tuple(one if one.camera else replace(one, camera=camera) for one in sequences)
+    if capsule and field_of_view is not None:
+        raise InputError("The lens comes from one of --capsule and --fov. Drop the other.")
+    camera = read_device(capsule).cameras[0] if capsule else None
+    if field_of_view is not None:
+        assumed_camera(1, 1, field_of_view)
+    sequences = tuple(
+        one if one.camera else replace(one, camera=camera) for one in read_source(source)
+    )
+    for one in sequences:
+        if "ray" in LEARNERS[task].input_names and not (one.camera or field_of_view):
+            raise InputError(LENS_NEEDED)
+        if len(one) and "rgb" in one.channels:
+            with suppress(OSError):
+                view_of(task, one, one.image("rgb", 0))
+    return sequences
 
 
 def predict(
@@ -54,9 +72,12 @@ def predict(
     sequences: tuple[FrameSequence, ...],
     out: Path,
     *,
+    field_of_view: float | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, str]:
     """Write the estimate of each image: maps of its size under its name, or a row of a table.
+
+    Depth is 0, no value, in the black border and the inserts of an endoscope's picture.
 
     `sheet.png` shows some of them. A learner of motion writes `trajectory.txt` for each sequence,
     in the form of TUM, over its images that can be read. The folder appears when all is written.
@@ -65,6 +86,7 @@ def predict(
         trained: Learner and network.
         sequences: Images.
         out: Folder to make, new or empty.
+        field_of_view: Angle across the picture [rad] of an assumed lens, where there is no camera.
         progress: Called with the number of images done and of all.
 
     Returns:
@@ -74,13 +96,14 @@ def predict(
         InputError: If the folder holds something, or no image can be estimated from.
     """
     with atomic_folder(out) as partial:
-        return _write_estimates(trained, sequences, partial, progress)
+        return _write_estimates(trained, sequences, partial, field_of_view, progress)
 
 
 def _write_estimates(
     trained: Trained,
     sequences: tuple[FrameSequence, ...],
     out: Path,
+    field_of_view: float | None,
     progress: Callable[[int, int], None],
 ) -> dict[str, str]:
     """Write the estimates into a folder; the images that could not be read, with the reason."""
@@ -93,18 +116,25 @@ def _write_estimates(
     for number, (sequence, index) in enumerate(frames):
         name = f"{sequence.name}/{file_name(sequence, index)}"
         try:
-            image = sequence.image("rgb", index)
+            view = view_of(
+                trained.learner.kind, sequence, sequence.image("rgb", index), field_of_view
+            )
         except (InputError, OSError) as error:
             skipped[name] = reason_of(error)
             continue
         read.append((sequence, index))
-        fit = Fit(image.shape[0], image.shape[1], trained.learner.size)
-        sample = trained.learner.inputs(image, fit, sequence.camera)
+        fit = Fit(view.image.shape[0], view.image.shape[1], trained.learner.size)
+        sample = trained.learner.inputs(view.image, fit, view.camera)
         output = trained(batch_of([sample]))[0]
         path = inside(out, name)
         path.parent.mkdir(parents=True, exist_ok=True)
         files = trained.learner.files(output, fit).items()
-        write_images([(path.with_name(path.name + ending), image) for ending, image in files])
+        write_images(
+            [
+                (path.with_name(path.name + ending), _in_place(view, estimate))
+                for ending, estimate in files
+            ]
+        )
         rows.append({"image": name, **trained.learner.row(output)})
         if number in shown or not pictures:
             pictures.append(trained.learner.picture(output, sample))
@@ -112,19 +142,31 @@ def _write_estimates(
     if not rows:
         raise InputError(f"No image can be read: {next(iter(skipped.values()), 'there is none')}")
     if isinstance(trained.learner, SfmLearner):
-        _write_trajectories(trained, read, out)
+        _write_trajectories(trained, read, out, field_of_view)
     if len(rows[0]) > 1:
         write_csv(out / f"{trained.learner.kind}.csv", rows)
     write_images([(out / "sheet.png", below_one_another(pictures))])
     return skipped
 
 
+def _in_place(view: PictureView, estimate: NDArray) -> NDArray:
+    """A map of a part of an image as one of the image; larger images as they are."""
+    return view.whole(estimate) if estimate.shape[:2] == view.image.shape[:2] else estimate
+
+
 def _write_trajectories(
-    trained: Trained, frames: list[tuple[FrameSequence, int]], out: Path
+    trained: Trained,
+    frames: list[tuple[FrameSequence, int]],
+    out: Path,
+    field_of_view: float | None,
 ) -> None:
     """Write the estimated trajectory of each sequence, over these of its frames."""
     for _, group in groupby(frames, key=lambda frame: id(frame[0])):
         found = list(group)
-        sequence = found[0][0]
+        sequence, first = found[0]
+        if sequence.camera is None and field_of_view is not None:
+            height, width = sequence.image("rgb", first).shape[:2]
+            camera = assumed_camera(width, height, field_of_view)
+            sequence = replace(sequence, camera=camera)
         trajectory = estimated_trajectory(trained, sequence, [index for _, index in found])
         write_bytes(out / sequence.name / "trajectory.txt", trajectory_text(trajectory).encode())

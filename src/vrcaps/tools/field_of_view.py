@@ -9,11 +9,11 @@ import numpy as np
 import scipy
 
 from vrcaps.color import LUMA_WEIGHTS
+from vrcaps.learn.picture_border import BLACK, inserts
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, UInt8
 
-_BORDER = 24  # brightest channel of the border around an endoscope's field [of 255]
 _DARK = 45  # brightest channel of the dark lumen, where noise hides the wall
 _HIGHLIGHT = 245.0 / 255.0  # of the brightest 5 %: sure highlights (Arnold 2010: T1)
 _SUSPECT = 210.0 / 255.0  # highlights left out of the local color
@@ -55,7 +55,7 @@ def field_of_view(rgb: UInt8[np.ndarray, "h w 3"]) -> FieldOfView:
     from skimage.measure import label
 
     brightest = rgb.max(axis=2)
-    bright = scipy.ndimage.binary_opening(brightest > _BORDER, iterations=2)
+    bright = scipy.ndimage.binary_opening(brightest > BLACK, iterations=2)
     if not bright.any():
         nothing = np.zeros(rgb.shape[:2], bool)
         return FieldOfView(nothing, nothing, nothing, 0)
@@ -64,10 +64,7 @@ def field_of_view(rgb: UInt8[np.ndarray, "h w 3"]) -> FieldOfView:
     filled = np.asarray(scipy.ndimage.binary_fill_holes(largest))
     columns = np.flatnonzero(filled.any(axis=0))
     width = int(columns[-1] - columns[0] + 1)
-    red, green, blue = (rgb[..., channel].astype(np.int16) for channel in range(3))
-    foreign = (green > 1.15 * red + 8) | (blue > 1.1 * red + 8)
-    foreign = scipy.ndimage.binary_opening(foreign & filled, iterations=max(2, width // 100))
-    foreign = np.asarray(scipy.ndimage.binary_dilation(foreign, iterations=max(3, width // 50)))
+    foreign = inserts(rgb, filled)
     framed = filled.all()  # a picture without a border has no rim
     rim = 0 if framed else max(2, round(0.02 * width))
     field = filled & np.logical_not(foreign)

@@ -1,0 +1,162 @@
+"""Parts of an endoscope's picture that show no tissue: the black border, and inserts of the device.
+
+Estimates of depth leave both out, in `vrcaps predict` and in `vrcaps evaluate` alike. Recordings of
+vrcaps have no border to leave out: their cameras say where the image ends.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy
+
+from vrcaps.camera.camera import Camera
+from vrcaps.camera.derive import scaled_lens
+from vrcaps.camera.lens import LensEquidistant
+from vrcaps.errors import InputError
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, UInt8
+    from numpy.typing import NDArray
+
+    from vrcaps.recording.frame_sequence import FrameSequence
+
+BLACK = 24
+"""Brightest channel of the border around an endoscope's picture [of 255]."""
+_FILLED = 0.02
+"""Least share of a row or column that is brighter, of those that belong to the picture."""
+_MOST_INSERT = 0.3
+"""Largest share of foreign colors that are inserts; more are the light's, as of narrow bands."""
+_CROPPED = ("depth",)
+"""Tasks whose networks are given the picture without its border."""
+
+
+@dataclass(frozen=True)
+class PictureView:
+    """The part of an image that a network is given.
+
+    Attributes:
+        image: Colors of the part, uint8 [h w 3].
+        camera: Camera of the part; None where it is not known.
+        place: Rows and columns of the part in the image.
+        shape: Height and width of the image [px].
+        is_insert: Where the device shows an insert, of the part [h w].
+    """
+
+    image: UInt8[np.ndarray, "h w 3"]
+    camera: Camera | None
+    place: tuple[slice, slice]
+    shape: tuple[int, int]
+    is_insert: Bool[np.ndarray, "h w"]
+
+    def whole(self, values: NDArray) -> NDArray:
+        """A map of the part as one of the image: 0 beyond it and where an insert is."""
+        found = np.zeros((*self.shape, *values.shape[2:]), values.dtype)
+        found[self.place] = np.where(self.is_insert, 0, values)
+        return found
+
+
+def view_of(
+    kind: str,
+    sequence: FrameSequence,
+    image: UInt8[np.ndarray, "h w 3"],
+    field_of_view: float | None = None,
+) -> PictureView:
+    """The part of an image that the network of a task is given.
+
+    Args:
+        kind: The task.
+        sequence: Where the image is from.
+        image: All of it.
+        field_of_view: Angle across the width of the part [rad], for an assumed lens where the
+            camera is not known.
+
+    Raises:
+        InputError: If the camera makes images of another size.
+    """
+    camera, (height, width) = sequence.camera, image.shape[:2]
+    if camera is not None and (camera.width, camera.height) != (width, height):
+        raise InputError(
+            f"The image has {width} x {height} pixels, but the camera {camera.name!r} makes "
+            f"{camera.width} x {camera.height}. Give a capsule with images of this size (--capsule "
+            "NAME or FILE), or an assumed lens (--fov DEGREES)."
+        )
+    rows, columns = slice(0, height), slice(0, width)
+    is_insert: NDArray = np.zeros((height, width), bool)
+    if kind in _CROPPED and sequence.episode is None:
+        rows, columns = bright_part(image)
+        found = inserts(image[rows, columns])
+        is_insert = found & (found.mean() < _MOST_INSERT)
+    part = np.ascontiguousarray(image[rows, columns])
+    if camera is not None:
+        camera = _part_of(camera, rows, columns)
+    elif field_of_view is not None:
+        camera = assumed_camera(part.shape[1], part.shape[0], field_of_view)
+    return PictureView(part, camera, (rows, columns), (height, width), is_insert)
+
+
+def bright_part(image: UInt8[np.ndarray, "h w 3"]) -> tuple[slice, slice]:
+    """Rows and columns of an image without those at its edges in which nearly all is black.
+
+    All rows and columns where the whole image is black.
+    """
+    bright = image.max(axis=-1) > BLACK
+    rows, columns = (np.flatnonzero(bright.mean(axis=axis) > _FILLED) for axis in (1, 0))
+    if not rows.size or not columns.size:
+        return slice(0, image.shape[0]), slice(0, image.shape[1])
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+
+
+def inserts(
+    image: UInt8[np.ndarray, "h w 3"], within: Bool[np.ndarray, "h w"] | None = None
+) -> Bool[np.ndarray, "h w"]:
+    """Boxes laid over a picture by the device, by colors that tissue does not have.
+
+    Args:
+        image: More green or blue than red is foreign.
+        within: Where to look; None is everywhere.
+    """
+    red, green, blue = (image[..., channel].astype(np.int16) for channel in range(3))
+    foreign = (green > 1.15 * red + 8) | (blue > 1.1 * red + 8)
+    width = image.shape[1]
+    if within is not None:
+        foreign &= within
+        columns = np.flatnonzero(within.any(axis=0))
+        width = int(columns[-1] - columns[0] + 1)
+    foreign = scipy.ndimage.binary_opening(foreign, iterations=max(2, width // 100))
+    return np.asarray(scipy.ndimage.binary_dilation(foreign, iterations=max(3, width // 50)))
+
+
+def assumed_camera(width: int, height: int, field_of_view: float) -> Camera:
+    """A camera with an ideal equidistant lens in the middle of its images.
+
+    Args:
+        width: Of the images [px].
+        height: Of the images [px].
+        field_of_view: Angle from the left to the right edge [rad].
+
+    Raises:
+        InputError: If the angle is not possible.
+    """
+    if not 0.0 < field_of_view < 2.0 * math.pi:
+        given = f"{math.degrees(field_of_view):g}"
+        raise InputError(f"--fov is {given} degrees. Allowed: above 0 to below 360 degrees.")
+    focal = width / field_of_view
+    widest = min(0.5 * math.hypot(width, height) / focal, math.pi)
+    lens = LensEquidistant(
+        focal=focal, cx=0.5 * (width - 1), cy=0.5 * (height - 1), max_angle=widest
+    )
+    return Camera("assumed", lens, width, height)
+
+
+def _part_of(camera: Camera, rows: slice, columns: slice) -> Camera:
+    """The camera of some rows and columns of its images."""
+    width, height = columns.stop - columns.start, rows.stop - rows.start
+    if (width, height) == (camera.width, camera.height):
+        return camera
+    center = (camera.lens.cx - columns.start, camera.lens.cy - rows.start)
+    lens = scaled_lens(camera.lens, 1.0, center)
+    return replace(camera, lens=lens, width=width, height=height)

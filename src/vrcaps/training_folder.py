@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,12 @@ SETTINGS = "settings.json"
 
 
 def begin_training(
-    out: Path, plain: dict[str, Any], packages: tuple[str, ...], *, is_forced: bool = False
+    out: Path,
+    plain: dict[str, Any],
+    packages: tuple[str, ...],
+    *,
+    is_forced: bool = False,
+    growing: tuple[str, ...] = (),
 ) -> None:
     """Make the folder of a training, or check that it is of the same one.
 
@@ -24,6 +30,7 @@ def begin_training(
         plain: Settings as plain values.
         packages: Packages that the result's bytes depend on.
         is_forced: Go on even if vrcaps or a package has changed since the training began.
+        growing: Settings by their paths that may have grown; the new values are written.
 
     Raises:
         InputError: If the folder holds something else, or a training of other settings or versions.
@@ -41,7 +48,8 @@ def begin_training(
         before, versions_before = found["settings"], found["made_with"]
     except (InputError, LookupError, TypeError) as error:
         raise InputError(f"{path} is damaged. Give a new folder.") from error
-    changed = _differences(before, plain)
+    grown = _with_grown(before, plain, growing)
+    changed = _differences(grown, plain)
     if changed:
         raise InputError(
             f"{out} holds a training with other settings: {', '.join(changed[:5])}. Give a new "
@@ -53,6 +61,23 @@ def begin_training(
             f"{out} was begun with other versions: {', '.join(newer)}. Its result would not be the "
             "same. Give a new folder, or --force to go on."
         )
+    if grown != before:
+        write_json(path, {**found, "settings": plain})
+
+
+def _with_grown(before: Any, now: Any, growing: tuple[str, ...]) -> Any:
+    """A plain tree with the numbers at some paths raised to those of another tree."""
+    raised = copy.deepcopy(before)
+    for path in growing:
+        *groups, name = path.split(".")
+        own, new = raised, now
+        for group in groups:
+            own, new = (tree.get(group) if isinstance(tree, dict) else None for tree in (own, new))
+        if isinstance(own, dict) and isinstance(new, dict):
+            values = own.get(name), new.get(name)
+            if all(isinstance(value, int | float) for value in values) and values[1] > values[0]:
+                own[name] = new[name]
+    return raised
 
 
 def _differences(before: Any, now: Any, at: str = "") -> list[str]:

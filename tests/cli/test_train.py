@@ -9,7 +9,8 @@ import pytest
 
 from small_envs import SHORT_GUT, small_settings
 from vrcaps.cli import main
-from vrcaps.cli.train import Coverage, parse_organs
+from vrcaps.cli.train import Coverage
+from vrcaps.env.organs import parse_organs
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.policy import presets
 from vrcaps.policy.training import TrainingSettings
@@ -63,7 +64,7 @@ def test_a_part_is_chosen_by_its_kind() -> None:
         ({"set": ("env.actuation=tractor",)}, UnknownNameError, "No actuation named 'tractor'"),
         ({"set": ("learner.epochs=0",)}, InputError, "epochs is 0. Allowed: 1 or more"),
         ({"set": ("learner.epochs=many",)}, InputError, "epochs is 'many'"),
-        ({"organ": ("stomach:x",)}, InputError, "Allowed: NAME:SEED, NAME:FIRST-LAST or FILE:UNIT"),
+        ({"organ": ("stomach:x",)}, InputError, "Allowed: NAME:SEED, NAME:FIRST-LAST, FILE:UNIT"),
     ],
 )
 def test_bad_flags_are_one_line(flags: dict, error: type[Exception], said: str) -> None:
@@ -90,6 +91,7 @@ def test_a_run_from_the_command_line(
     monkeypatch.setitem(presets.PRESETS, "ci", lambda: TrainingSettings(env, learner))
     main(["train", "coverage", "--out", str(tmp_path / "run"), "--preset", "ci", "--tensorboard"])
     said = capsys.readouterr().out
-    assert "8 actions: " in said
+    assert "round 1 of 1, 8 actions, " in said
+    assert "; evaluated: " in said
     assert "best.npz after 1 rounds" in said
     assert list((tmp_path / "run" / "tensorboard").glob("events*"))

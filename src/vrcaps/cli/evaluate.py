@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from tyro.conf import Positional
 
 from vrcaps.cli.console import console, progress_bar
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.errors import InputError
 
 if TYPE_CHECKING:
     from vrcaps.env.settings import EnvSettings
@@ -26,6 +26,9 @@ class Evaluate:
     and capsule, episodes.csv (a row for each episode), curves.parquet (coverage, force and pose
     over time) and median.mp4 (a video of the median run); and over all of them index.html with
     summary.png and summary.csv. Interrupted, the same command goes on.
+
+    To score estimates from images instead, give their task first: vrcaps evaluate depth, masks,
+    classes, super-resolution or sfm (each has its own --help).
 
     Coverage is counted at the levels that need no images: frustum, visible, resolved. For
     `readable`, record an episode with --coverage.
@@ -45,7 +48,8 @@ class Evaluate:
     """Folder: new, empty, or of the same evaluation, which goes on."""
 
     task: str = "coverage"
-    """What is to be done."""
+    """Task of the policies: coverage (see the whole wall), navigate (reach a place along the gut)
+    or inspect (look at each lesion)."""
 
     organs: tuple[str, ...] = ()
     """Organs: a name with its seeds, such as stomach:0-19, or a mesh with its unit, such as
@@ -128,8 +132,8 @@ class Evaluate:
 
     def _settings(self, policy: Policy, capsule: str) -> EnvSettings:
         """Settings of the environment that one policy is judged in: to the end of the time."""
-        from vrcaps.cli.train import parse_organs
         from vrcaps.env.actuation.wrench import Wrench
+        from vrcaps.env.organs import check_names
         from vrcaps.env.settings import env_settings
 
         keywords: dict[str, Any] = dict(policy.requires.settings)
@@ -147,11 +151,11 @@ class Evaluate:
         time = usual["episode_time"] if self.time is None else self.time
         settings = replace(
             settings,
-            organs=tuple(o for text in organs for o in parse_organs(text)),
+            organs=organs,
             episode_time=time,
             stuck_time=2.0 * time,
         )
-        _check_names(settings)
+        check_names(settings)
         if hasattr(settings.task, "target"):
             settings = replace(settings, task=replace(settings.task, target=1.0))
         return settings
@@ -166,23 +170,6 @@ class Evaluate:
             "version": __version__,
             "environment": plain_environment(settings),
         }
-
-
-def _check_names(settings: EnvSettings) -> None:
-    """Check organs and capsule before anything is made or written.
-
-    Raises:
-        InputError: If an organ's file or unit is missing.
-        UnknownNameError: If there is no organ or no capsule of a name.
-    """
-    from vrcaps.anatomy.catalog import ORGANS
-    from vrcaps.scenario.build import resolve
-    from vrcaps.scenario.scenario import OrganGenerated, Scenario
-
-    for organ in settings.organs:
-        if isinstance(organ, OrganGenerated) and organ.name not in ORGANS:
-            raise UnknownNameError("organ", organ.name, ORGANS)
-        resolve(Scenario(organ=organ, capsule=settings.capsule))  # type: ignore[arg-type]
 
 
 def _short(name: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -10,13 +9,10 @@ from typing import TYPE_CHECKING, Literal
 from tyro.conf import UseAppendAction
 
 from vrcaps.cli.console import console, progress_bar
-from vrcaps.errors import InputError
+from vrcaps.cli.paths import require_existing
 
 if TYPE_CHECKING:
-    from vrcaps.env.settings import Organ
     from vrcaps.policy.training import Progress, TrainingSettings
-
-_SEEDS = re.compile(r"(\d+)(?:-(\d+))?")
 
 
 @dataclass(frozen=True)
@@ -33,7 +29,9 @@ class Coverage:
       vrcaps train coverage --out runs/mine --organ stomach:0-15 --organ mine.ply:mm
       vrcaps train coverage --out runs/magnet --set env.actuation=magnet
       --set learner.entropy=0.003
-      vrcaps evaluate runs/coverage/best.npz
+      vrcaps train coverage --out runs/coverage --actions 6000000
+      vrcaps train coverage --out runs/colon --organ colon:0-7 --start runs/coverage
+      vrcaps evaluate runs/coverage/best.npz --out runs/judged
     """
 
     out: Path
@@ -47,13 +45,19 @@ class Coverage:
     such as mine.ply:mm; repeat for more."""
 
     actions: int | None = None
-    """Actions after which training ends."""
+    """Actions in all worlds together after which training ends. A training that is done goes on in
+    its folder if more are given."""
+
+    start: Path | None = None
+    """What to start from: the folder of a training (policy, value function and optimizer), or a
+    policy's file (policy only), of the same observations, actions and layers."""
 
     envs: int | None = None
     """Worlds side by side."""
 
     seed: int = 0
-    """Of all that is random."""
+    """Seed of all that is random: the first weights of the network, the episodes, and the order of
+    learning. Seeds of organs are those of --organ."""
 
     set: UseAppendAction[tuple[str, ...]] = ()
     """Change any setting: PATH=VALUE, such as env.episode_time=60 or learner.epochs=4; repeat for
@@ -69,7 +73,13 @@ class Coverage:
     """Go on with a training that another version of vrcaps or of a package began."""
 
     def run(self) -> None:
-        """Train and report."""
+        """Train and report.
+
+        Raises:
+            InputError: If the folder or the start does not fit the settings.
+        """
+        if self.start is not None:
+            require_existing((self.start,), "the folder of a training, or a policy's file")
         from vrcaps.policy.training import BEST, train
 
         with progress_bar("training") as show:
@@ -85,6 +95,7 @@ class Coverage:
                 self.out,
                 threads=self.threads,
                 is_forced=self.force,
+                start=self.start,
                 tensorboard=self.out / "tensorboard" if self.tensorboard else None,
                 report=report,
             )
@@ -102,8 +113,7 @@ class Coverage:
 
         settings = replace(PRESETS[self.preset](), seed=self.seed)
         if self.organ:
-            organs = tuple(organ for text in self.organ for organ in parse_organs(text))
-            settings = replace(settings, env=replace(settings.env, organs=organs))
+            settings = replace(settings, env=replace(settings.env, organs=self.organ))
         for name, value in (("num_actions", self.actions), ("num_envs", self.envs)):
             if value is not None:
                 settings = replace(settings, learner=replace(settings.learner, **{name: value}))
@@ -112,39 +122,22 @@ class Coverage:
         return settings
 
 
-def parse_organs(text: str) -> list[Organ]:
-    """Organs of a text such as ``stomach``, ``stomach:3``, ``stomach:0-15`` or ``mine.ply:mm``.
-
-    Raises:
-        InputError: If what follows the colon is neither a seed or seeds, nor a unit of a mesh.
-    """
-    from vrcaps.scenario.scenario import OrganFile, OrganGenerated, organ_named
-
-    name, _, rest = text.rpartition(":") if ":" in text else (text, "", "")
-    organ = organ_named(name)
-    if not rest:
-        return [organ]
-    if isinstance(organ, OrganFile):
-        return [replace(organ, unit=rest)]
-    seeds = _SEEDS.fullmatch(rest)
-    if seeds is None:
-        raise InputError(f"--organ is {text!r}. Allowed: NAME:SEED, NAME:FIRST-LAST or FILE:UNIT.")
-    first, last = int(seeds[1]), int(seeds[2] or seeds[1])
-    if first > last:
-        raise InputError(
-            f"--organ is {text!r}. Allowed: rising seeds, such as {name}:{last}-{first}."
-        )
-    return [OrganGenerated(name, seed=seed) for seed in range(first, last + 1)]
-
-
 def _line(progress: Progress) -> str:
-    """What the last evaluation found; empty if the last round had none."""
-    row = progress.rows[-1] if progress.rows else {}
+    """What the last round was like, and its evaluation if it had one; empty before the first."""
+    if not progress.rows:
+        return ""
+    row = progress.rows[-1]
+    said = f"round {progress.num_rounds} of {progress.total}, {row['actions']:,.0f} actions"
+    for name, title in (("coverage_visible", "visible in training"), ("entropy", "entropy")):
+        if name in row:
+            scale, unit = (100.0, " %") if name.startswith("coverage") else (1.0, "")
+            said += f", {scale * row[name]:.1f}{unit} {title}"
+    said += f", {row['seconds']:.0f} s"
     found = row.get("evaluation_coverage_visible")
     if found is None:
-        return ""
+        return said
     return (
-        f"{row['actions']:,.0f} actions: {100.0 * found:.1f} % visible, "
+        f"{said}; evaluated: {100.0 * found:.1f} % visible, "
         f"{100.0 * row['evaluation_coverage_frustum']:.1f} % in the frustum, "
         f"reward {row['evaluation_reward']:.2f} (best {progress.best or 0.0:.2f})"
     )

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vrcaps.env.organs import check_names
 from vrcaps.env.rewards import frontier_length, total_reward
 from vrcaps.env.simulation import Simulation
 from vrcaps.env.views import View
@@ -49,10 +50,12 @@ class Episode:
         """Makes room; `begin` makes the worlds. See `Simulation`.
 
         Raises:
-            InputError: If the render mode is unknown.
+            InputError: If the render mode is unknown, or a file of settings is missing.
+            UnknownNameError: If there is no organ or no capsule of a name.
         """
         from gymnasium import spaces
 
+        check_names(settings)
         require(render_mode in (None, "rgb_array"), "render_mode", render_mode, "rgb_array or None")
         self.settings, self.render_mode = settings, render_mode
         self.simulation = Simulation(settings, num_worlds, with_textures=render_mode is not None)
@@ -108,7 +111,9 @@ class Episode:
             )
         if not valid:
             shown = " ".join(str(actions).split())
-            raise InputError(f"The action is {shown[:200]}. Allowed: {count} of {space}.")
+            raise InputError(
+                f"The action is {shown[:200]}. Allowed: {count} of {space}. {_limits(space)}"
+            )
         return actions
 
     def step(self, actions: np.ndarray, active: Bool[np.ndarray, " n"]) -> EpisodeStep:
@@ -195,3 +200,13 @@ def _restored(
     for index, saved in worlds.items():
         episode.simulation.restore(index, saved)
     return episode
+
+
+def _limits(space: Any) -> str:
+    """Meaning of the limits of an action space, for a message."""
+    if not hasattr(space, "low"):
+        return "An action is the number of a choice."
+    return (
+        "An action is a share, -1 to 1, of the largest force, torque or speed that the settings of "
+        "the actuation state, not a value in N or m/s; clip it to the space."
+    )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.camera.derive import scaled_lens
-from vrcaps.camera_pipeline.effects import Effects
+from vrcaps.camera_pipeline.effects import Effects, parse_effects
 from vrcaps.errors import InputError
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.spring_wall import SpringWall
@@ -59,7 +59,8 @@ class Randomization:
         magnet: Moment of the magnets in the capsule.
         focal: Focal length of its cameras; of a range one of nine equal steps is drawn.
         effects: On image observations; a range of severities is drawn from, too. Those that need
-            other frames or change the wall are not among them.
+            other frames or change the wall are not among them. A text is read as by
+            `parse_effects`, such as ``noise=1..3,bloom=2``.
     """
 
     stiffness: Factor = 1.0
@@ -68,9 +69,11 @@ class Randomization:
     mass: Factor = 1.0
     magnet: Factor = 1.0
     focal: Factor = 1.0
-    effects: Effects = field(default_factory=Effects)
+    effects: Effects | str = field(default_factory=Effects)
 
     def __post_init__(self) -> None:
+        if isinstance(self.effects, str):
+            object.__setattr__(self, "effects", parse_effects(self.effects))
         for name in FACTORS:
             value = getattr(self, name)
             ends = np.array(value, float).ravel()

@@ -10,6 +10,7 @@ from vrcaps.env.actuation.registry import AnyActuation
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.observations.registry import AnyObservation
 from vrcaps.env.observations.state import StateObservation
+from vrcaps.env.organs import Organ, organs_of
 from vrcaps.env.randomization import Randomization
 from vrcaps.env.rewards import Reward
 from vrcaps.env.start import Start
@@ -19,8 +20,7 @@ from vrcaps.errors import InputError, UnknownNameError, require
 from vrcaps.lesion import AnyLesion
 from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.coverage import CoverageCriteria
-from vrcaps.organ.surface import OrganSurface
-from vrcaps.scenario.scenario import OrganFile, OrganGenerated, organ_named
+from vrcaps.scenario.scenario import OrganGenerated
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.world.dynamics import RELAXATION_TIME
 from vrcaps.world.model import posture_transform
@@ -28,7 +28,6 @@ from vrcaps.world.model import posture_transform
 _LONGEST = 7 * 86400.0
 """Longest episode [s], a week; files of policies may state any."""
 _MOST_CELLS = 1024
-Organ = OrganGenerated | OrganFile | OrganSurface | str
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,8 @@ class EnvSettings:
         actuation: How an action moves the capsule.
         observations: What the agent sees; each is a key of a dictionary.
         rewards: What it is paid for; empty: as the task proposes.
-        organs: Patients, one of which is drawn at each reset.
+        organs: Patients, one of which is drawn at each reset; a text names an organ, its seeds or
+            a file, such as ``stomach``, ``stomach:0-15`` or ``mine.ply:mm``.
         capsule: Name in the catalog, path of a device file, or a device in memory.
         posture: How the patient lies.
         lesions: Lesions to put into each organ.
@@ -90,8 +90,7 @@ class EnvSettings:
         posture_transform(self.posture)
         if not self.organs:
             raise InputError("organs is empty. Allowed: at least one.")
-        named = tuple(organ_named(o) if isinstance(o, str) else o for o in self.organs)
-        object.__setattr__(self, "organs", named)
+        object.__setattr__(self, "organs", tuple(organs_of(self.organs)))
         if self.tissue.drag.relaxation_time is None:
             drag = replace(self.tissue.drag, relaxation_time=RELAXATION_TIME)
             object.__setattr__(self, "tissue", replace(self.tissue, drag=drag))

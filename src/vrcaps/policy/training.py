@@ -12,14 +12,16 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import numpy as np
 
+from vrcaps.env.organs import check_names
 from vrcaps.env.settings import EnvSettings
 from vrcaps.errors import InputError
-from vrcaps.files import read_arrays, write_arrays, write_csv
+from vrcaps.files import file_sha256, read_arrays, write_arrays, write_csv
 from vrcaps.limits import Range, check_fields
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.policy.mlp_policy import write_mlp_policy
 from vrcaps.policy.ppo import Ppo, PpoSettings, require_learner
 from vrcaps.policy.score import Score
+from vrcaps.policy.warm_start import CHECKPOINT, start_file, warm_start
 from vrcaps.scenario.scenario import OrganFile, OrganGenerated
 from vrcaps.serialization import to_plain
 from vrcaps.torch_threads import exact_torch
@@ -28,7 +30,7 @@ from vrcaps.training_folder import begin_training
 if TYPE_CHECKING:
     from vrcaps.policy.mlp_policy import MlpPolicy
 
-CHECKPOINT, PROGRESS = "checkpoint.npz", "progress.csv"
+PROGRESS = "progress.csv"
 POLICY, BEST = "policy.npz", "best.npz"
 _PACKAGES = ("gymnasium", "numpy", "scipy", "stable-baselines3", "torch")
 """Packages that a training's bytes depend on."""
@@ -75,34 +77,46 @@ def train(
     *,
     threads: int = 1,
     is_forced: bool = False,
+    start: Path | None = None,
     tensorboard: Path | None = None,
     report: Callable[[Progress], None] = lambda progress: None,
 ) -> Progress:
     """Train a policy, or go on with a training that was cut off, to the same bytes.
 
-    `out` then holds `policy.npz`, the last policy, and `best.npz`, that of the best evaluation;
-    `settings.json`, `progress.csv` with a row for each round, and `checkpoint.npz` to go on from.
+    A training that is done goes on if `num_actions` has grown since; an annealed learning rate then
+    falls until the new end. `out` then holds `policy.npz`, the last policy, and `best.npz`, that of
+    the best evaluation; `settings.json`, `progress.csv` with a row for each round, and
+    `checkpoint.npz` to go on from.
 
     Args:
         settings: What is trained, and how.
         out: Folder: new, empty, or of the same training.
         threads: PyTorch's; one is fastest for a small network.
         is_forced: Go on even if vrcaps or a package has changed since the training began.
+        start: Folder of a training or file of a policy to start from, see `warm_start`.
         tensorboard: Folder for TensorBoard's files; None writes none.
         report: Called after each round.
 
     Raises:
-        InputError: If the folder holds something else, or a training of other settings or versions.
+        InputError: If the folder holds something else, or a training of other settings or versions,
+            or the start does not fit the settings.
+        UnknownNameError: If there is no organ or no capsule of a name.
         MissingExtraError: If a package of the learner is not installed.
     """
-    begin_training(out, plain_settings(settings), _PACKAGES, is_forced=is_forced)
+    check_names(settings.env)
+    stated = plain_settings(settings)
+    if start is not None:
+        stated["start"] = file_sha256(start_file(start))
     require_learner()
+    begin_training(out, stated, _PACKAGES, is_forced=is_forced, growing=("learner.num_actions",))
     with exact_torch(threads):
         learner = Ppo(settings.env, settings.learner, settings.seed)
         if tensorboard is not None:
             learner.log_to(tensorboard)
         score = Score(settings.env, settings.learner.evaluation_episodes, settings.seed)
         progress = _read_checkpoint(out, learner)
+        if start is not None and not progress.num_rounds:
+            warm_start(learner, start_file(start))
         report(progress)
         while progress.num_rounds < progress.total:
             progress = _round(settings, out, learner, score, progress)

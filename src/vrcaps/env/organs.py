@@ -1,0 +1,74 @@
+"""Organs of an environment: named by texts, and checked before any is made."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from vrcaps.anatomy.catalog import ORGANS
+from vrcaps.errors import InputError, UnknownNameError, require
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.scenario.scenario import OrganFile, OrganGenerated, Scenario, organ_named
+
+if TYPE_CHECKING:
+    from vrcaps.env.settings import EnvSettings
+
+Organ = OrganGenerated | OrganFile | OrganSurface | str
+"""An organ, or a text as `parse_organs` reads it."""
+
+_SEEDS = re.compile(r"(\d{1,9})(?:-(\d{1,9}))?")
+_MOST_SEEDS = 100_000
+
+
+def organs_of(given: Iterable[Organ]) -> Iterator[OrganGenerated | OrganFile | OrganSurface]:
+    """Organs of what was given; a text may name several.
+
+    Raises:
+        InputError: If a text cannot be read.
+    """
+    for organ in given:
+        if isinstance(organ, str):
+            yield from parse_organs(organ)
+        else:
+            yield organ
+
+
+def parse_organs(text: str) -> list[OrganGenerated | OrganFile]:
+    """Organs of a text such as ``stomach``, ``stomach:3``, ``stomach:0-15`` or ``mine.ply:mm``.
+
+    Raises:
+        InputError: If what follows the colon is neither a seed or seeds, nor a unit of a mesh.
+    """
+    name, _, rest = text.rpartition(":") if ":" in text else (text, "", "")
+    organ = organ_named(name)
+    if not rest:
+        return [organ]
+    if isinstance(organ, OrganFile):
+        return [replace(organ, unit=rest)]
+    seeds = _SEEDS.fullmatch(rest)
+    if seeds is None:
+        raise InputError(f"The organ is {text!r}. Allowed: NAME:SEED, NAME:FIRST-LAST, FILE:UNIT.")
+    first, last = int(seeds[1]), int(seeds[2] or seeds[1])
+    if first > last:
+        raise InputError(
+            f"The organ is {text!r}. Allowed: rising seeds, such as {name}:{last}-{first}."
+        )
+    require(last - first < _MOST_SEEDS, "The number of seeds", last - first + 1, "up to 100,000")
+    return [OrganGenerated(name, seed=seed) for seed in range(first, last + 1)]
+
+
+def check_names(settings: EnvSettings) -> None:
+    """Check that there are the organs and the capsule that settings name; nothing is made.
+
+    Raises:
+        InputError: If an organ's file or unit is missing, or a device file.
+        UnknownNameError: If there is no organ or no capsule of a name.
+    """
+    from vrcaps.scenario.build import resolve
+
+    for organ in settings.organs:
+        if isinstance(organ, OrganGenerated) and organ.name not in ORGANS:
+            raise UnknownNameError("organ", organ.name, ORGANS)
+        resolve(Scenario(organ=organ, capsule=settings.capsule))

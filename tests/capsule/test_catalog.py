@@ -133,7 +133,5 @@ def test_unknown_name():
 
 
 def test_missing_file(tmp_path):
-    with pytest.raises(
-        InputError, match=r"No capsule file at .*mine\.toml.* one of: colonoscope"
-    ):
+    with pytest.raises(InputError, match=r"No capsule file at .*mine\.toml.* one of: colonoscope"):
         read_device(tmp_path / "mine.toml")

@@ -64,8 +64,23 @@ def test_recorded_commands_steer(tmp_path: Path) -> None:
 def test_the_cockpit_has_a_stomach_and_a_capsule_with_a_magnet() -> None:
     plain = cli._parse(["cockpit"]).resolved()  # type: ignore[attr-defined]
     assert (plain.organ, plain.capsule) == (OrganGenerated("stomach"), "magnetic")
+    assert plain.motion == Dynamics(substep=2e-4)
     given = cli._parse(["cockpit", "--organ", "colon"]).resolved()  # type: ignore[attr-defined]
     assert given.organ == OrganGenerated("colon")
+
+
+def test_settings_of_the_cockpit_are_those_of_the_motion_that_is_driven(tmp_path: Path) -> None:
+    """Dynamics, also where a file states another motion, whose start is kept."""
+    words = ["cockpit", "--set", "motion.magnet.wall=upper"]
+    driven = cli._parse(words).resolved()  # type: ignore[attr-defined]
+    assert isinstance(driven.motion, Dynamics) and driven.motion.magnet is not None
+    assert driven.motion.magnet.wall == "upper"
+    with pytest.raises(InputError, match=r"Unknown key motion\.tilt\. Allowed: start, angle"):
+        cli._parse(["cockpit", "--set", "motion.tilt=0.1"]).resolved()  # type: ignore[attr-defined]
+    flown = tmp_path / "flown.toml"
+    flown.write_text("[motion]\nstart = 0.4\n")
+    driven = cli._parse(["cockpit", str(flown)]).resolved()  # type: ignore[attr-defined]
+    assert driven.motion == Dynamics(start=0.4, substep=2e-4)
 
 
 def test_without_flags_a_scenario_has_its_defaults() -> None:

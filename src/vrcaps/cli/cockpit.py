@@ -6,7 +6,7 @@ import threading
 import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
 
@@ -113,10 +113,24 @@ class Cockpit:
                 "--steer plays recorded commands back, but here you steer. Leave it out, or give "
                 "it to vrcaps record."
             )
-        organ, motion = self.organ, self.motion
+        organ, motion, steps = self.organ, self.motion, ()
+        stated = self._stated_motion()
+        if flags["motion"] is None and stated.get("kind") != "dynamics":
+            # The flags are checked against the motion that is driven, see `cockpit_scenario`.
+            start = stated.get("start") if flags["start"] is None else flags["start"]
+            motion = replace(motion, motion="dynamics", start=start)
+            steps = ("motion.substep=0.0002",)
         if self.scenario is None and flags["organ"] is None:
             organ = replace(organ, organ="stomach")
         if self.scenario is None and flags["capsule"] is None:
             motion = replace(motion, capsule="magnetic")
-        asked = Record(self.scenario, None, organ, motion, self.images, self.set)
+        asked = Record(self.scenario, None, organ, motion, self.images, (*steps, *self.set))
         return asked.resolved()
+
+    def _stated_motion(self) -> dict[str, Any]:
+        """The motion of the scenario file as plain values; empty without one."""
+        from vrcaps.scenario.scenario import read_plain_scenario
+
+        plain = {} if self.scenario is None else read_plain_scenario(self.scenario)
+        motion = plain.get("motion") if isinstance(plain, dict) else None
+        return motion if isinstance(motion, dict) else {}

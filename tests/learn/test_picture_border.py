@@ -1,0 +1,136 @@
+"""Borders, inserts and lenses of images from elsewhere, and depth estimated of them."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from vrcaps.camera.camera import Camera
+from vrcaps.camera.lens import LensPinhole
+from vrcaps.capsule.catalog import read_device
+from vrcaps.errors import InputError
+from vrcaps.learn.picture_border import assumed_camera, bright_part, inserts, view_of
+from vrcaps.learn.predict import images_of
+from vrcaps.recording.frame_sequence import FrameSequence
+from vrcaps.recording.image_files import write_images
+
+TOP, LEFT, HEIGHT, WIDTH = 10, 24, 40, 60
+
+
+def framed() -> np.ndarray:
+    """A picture of 60 x 40 pixels in a black border, with a bluish box in its corner."""
+    image = np.full((64, 96, 3), 3, np.uint8)
+    part = image[TOP : TOP + HEIGHT, LEFT : LEFT + WIDTH]
+    part[...] = (180, 90, 70)
+    part[-14:, :16] = (30, 60, 160)
+    return image
+
+
+def sequence(image: np.ndarray, camera: Camera | None = None) -> FrameSequence:
+    depth = np.full(image.shape[:2], 0.02, np.float32)
+    stored = {"rgb": image, "depth": depth}
+    values = {"time": np.zeros(1)}
+    return FrameSequence("a", ("rgb", "depth"), values, lambda name, k: stored[name], camera)
+
+
+def test_the_border_is_what_is_black_at_the_edges() -> None:
+    assert bright_part(framed()) == (slice(10, 50), slice(24, 84))
+    black = np.zeros((8, 9, 3), np.uint8)
+    assert bright_part(black) == (slice(0, 8), slice(0, 9))
+    full = np.full((8, 9, 3), 100, np.uint8)
+    assert bright_part(full) == (slice(0, 8), slice(0, 9))
+
+
+def test_an_insert_is_a_box_of_foreign_color_with_a_margin() -> None:
+    part = framed()[bright_part(framed())]
+    found = inserts(part)
+    assert found[-14:, :16].all()
+    assert not found[: -14 - 3].any() and not found[:, 16 + 3 :].any()
+
+
+def test_the_lens_follows_the_part_that_is_left() -> None:
+    """A ray through a pixel of the part is the ray through that pixel of the image."""
+    lens = LensPinhole(fx=50.0, fy=50.0, cx=47.5, cy=31.5)
+    view = view_of("depth", sequence(framed(), Camera("a", lens, 96, 64)), framed())
+    assert view.camera is not None
+    assert (view.camera.width, view.camera.height) == (WIDTH, HEIGHT)
+    pixel = np.array([[5.0, 7.0]])
+    ray = lens.unproject(pixel + np.array([LEFT, TOP]))
+    np.testing.assert_allclose(view.camera.lens.unproject(pixel), ray, rtol=1e-12)
+    whole = view.whole(np.ones((HEIGHT, WIDTH)))
+    assert whole.shape == (64, 96)
+    assert whole.sum() == (~view.is_insert).sum()
+
+
+def test_tissue_in_blue_light_is_no_insert() -> None:
+    blue = np.full((64, 96, 3), (40, 90, 80), np.uint8)
+    assert not view_of("depth", sequence(blue), blue).is_insert.any()
+
+
+@pytest.mark.parametrize("kind", ["masks", "classes", "super-resolution"])
+def test_other_tasks_see_the_whole_image(kind: str) -> None:
+    view = view_of(kind, sequence(framed()), framed())
+    assert view.image.shape == (64, 96, 3) and not view.is_insert.any()
+
+
+def test_an_assumed_lens_sees_the_stated_angle_across_the_picture() -> None:
+    camera = assumed_camera(60, 40, math.radians(120.0))
+    edges = camera.lens.unproject(np.array([[-0.5, 19.5], [59.5, 19.5], [29.5, 19.5]]))
+    angle = math.degrees(math.acos(edges[0] @ edges[1]))
+    assert angle == pytest.approx(120.0)
+    np.testing.assert_allclose(edges[2], (0.0, 0.0, 1.0), atol=1e-12)
+    with pytest.raises(InputError, match=r"--fov is 360 degrees\. Allowed: above 0 to below 360"):
+        assumed_camera(60, 40, math.radians(360.0))
+
+
+def test_a_lens_is_asked_for_before_a_network_is_loaded(tmp_path) -> None:
+    write_images([(tmp_path / "one.png", framed())])
+    folder = str(tmp_path)
+    for task in ("depth", "sfm"):
+        with pytest.raises(InputError, match=r"Give --capsule NAME .* or --fov DEGREES"):
+            images_of(folder, task)
+    assert images_of(folder, "masks")[0].camera is None
+    assert images_of(folder, "depth", field_of_view=2.0)[0].camera is None
+    with pytest.raises(InputError, match=r"has 96 x 64 pixels, but the camera 'front' makes 320 x"):
+        images_of(folder, "depth", "mirocam")
+    with pytest.raises(InputError, match=r"one of --capsule and --fov"):
+        images_of(folder, "depth", "mirocam", 2.0)
+    with pytest.raises(InputError, match=r"--fov is -1"):
+        images_of(folder, "depth", field_of_view=math.radians(-1.0))
+
+
+def test_the_colonoscope_is_a_camera_for_images_of_its_size(tmp_path) -> None:
+    write_images([(tmp_path / "one.png", np.full((288, 320, 3), 90, np.uint8))])
+    (one,) = images_of(str(tmp_path), "depth", "colonoscope")
+    assert one.camera == read_device("colonoscope").cameras[0]
+
+
+@pytest.mark.slow
+def test_predict_estimates_what_evaluate_scores(tmp_path) -> None:
+    """The estimate that is written is that of the sample that is scored, to the step of 10 µm."""
+    torch = pytest.importorskip("torch", reason="PyTorch is not installed")
+    from vrcaps.learn.depth import DepthLearner, depth_of
+    from vrcaps.learn.predict import predict
+    from vrcaps.learn.samples import samples_of
+    from vrcaps.learn.validation import validate
+    from vrcaps.learn.weights import Trained
+    from vrcaps.recording.image_files import read_image
+
+    torch.manual_seed(0)
+    learner = DepthLearner(size=32)
+    trained = Trained(learner, learner.network(is_pretrained=False).eval(), {})
+    camera = Camera("a", LensPinhole(fx=50.0, fy=50.0, cx=47.5, cy=31.5), 96, 64)
+    one = sequence(framed(), camera)
+    found = validate(trained, samples_of(learner, [one]))
+    predict(trained, (one,), tmp_path / "out")
+    written = read_image(tmp_path / "out" / "a" / "000000.png").astype(float) * 1e-5
+    view = view_of("depth", one, framed())
+    from vrcaps.learn.fit import Fit
+
+    expected = view.whole(Fit(HEIGHT, WIDTH, 32).back(depth_of(found.outputs[0])))
+    np.testing.assert_allclose(written, expected, atol=0.51e-5)
+    assert (written[:TOP] == 0.0).all() and (written[TOP + 2, LEFT + 2 : -14] > 0.0).any()
+    blank = replace(one, camera=None)
+    predict(trained, (blank,), tmp_path / "assumed", field_of_view=2.0)
+    assert (read_image(tmp_path / "assumed" / "a" / "000000.png") > 0).any()

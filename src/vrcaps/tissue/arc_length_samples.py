@@ -1,4 +1,4 @@
-"""Arc-length samples along the gut, at which muscle and gas scale the lumen."""
+"""Samples along the gut at which muscle and gas scale the lumen."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ _SPACING = 1.0 * MM
 
 
 def arc_length_samples(centerline: Centerline) -> Float[np.ndarray, " k"]:
-    """Arc lengths [m] of the samples: equally far apart, from end to end, about 1 mm."""
+    """Arc lengths [m] of the samples: evenly spaced from end to end, about 1 mm apart."""
     return np.linspace(0.0, centerline.length, max(2, math.ceil(centerline.length / _SPACING) + 1))
 
 
 def sample_coordinates(
     organ: OrganSurface,
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
-    """From each vertex to the centerline [m], and its place along the samples [spacings]."""
+    """Offset of each vertex to the centerline [m], and its position in samples [spacings]."""
     curve = organ.centerline
     nearest = polyline_points(curve, organ.arc_length)
     place = organ.arc_length / arc_length_samples(curve)[1]

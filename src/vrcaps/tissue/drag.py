@@ -1,4 +1,4 @@
-"""Drag laws: resistance of the gut, and of what fills it, against a capsule that moves."""
+"""Drag laws: resistance of the gut and its contents to a moving capsule."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LAWS = ("incetan2021", "continuous", "physical")
 
 @dataclass(frozen=True)
 class Drag:
-    """Resistance against the capsule's motion, in one of three laws.
+    """Resistance to the capsule's motion by one of three laws.
 
     `incetan2021` and `continuous` act against the velocity of the center of mass while the capsule
     touches the wall (Incetan et al., Med. Image Anal. 70, 2021, Frictional Resistance):
@@ -29,27 +29,27 @@ class Drag:
         f = a ln(b v + c) + C     above it (`incetan2021`), or at every speed (`continuous`)
 
     The paper prints no units; its data (Zhang et al., Tribol. Lett. 2012) are in mN and mm/s.
-    `physical` adds up Coulomb friction of each piece of the touched wall, against its own sliding;
-    the resistance P(x) S sin θ of the wall that the capsule's front stretches open, which comes out
-    of the contact pressure itself, see `WinklerFoundation`; and −γ v. The viscous term belongs to
-    all three.
+    `physical` is the sum of Coulomb friction on each contact patch of the wall, against its own
+    sliding direction; the resistance P(x) S sin θ of the wall that the capsule's front stretches
+    open, which follows from the contact pressure (see `WinklerFoundation`); and −γ v. All three
+    laws include the viscous term.
 
-    What fills the lumen takes a capsule's momentum within the relaxation time τ, also where nothing
-    touches it: force and torque are −m v/τ and −I ω/τ, with mass m and inertia I. So v and ω decay
+    Lumen contents take up the capsule's momentum within the relaxation time τ, even without wall
+    contact: force and torque are −m v/τ and −I ω/τ, with mass m and inertia I. So v and ω decay
     as exp(−t/τ), and a constant force F leads to v = F τ/m. Mucus of about 0.3 Pa·s has τ = 0.1 s.
 
     Attributes:
         law: `incetan2021`, `continuous` or `physical`.
-        friction: Coefficient of friction of `physical`. Measured in pig small bowel: 0.0004 to
+        friction: Friction coefficient of `physical`. Measured in pig small bowel: 0.0004 to
             0.018 (Lyle, Luftig, Rentschler, Tribol. Int. 62:171-176, 2013).
-        viscosity: Coefficient γ of the mucus [N·s/m].
+        viscosity: Viscous coefficient γ of the mucus [N·s/m].
         a: Factor of the logarithm [N].
-        b: Speed's factor in it [s/m].
-        c: Offset in it.
-        constant: Resistance C [N].
+        b: Factor of the speed in the logarithm [s/m].
+        c: Offset in the logarithm.
+        constant: Constant resistance C [N].
         threshold: Speed up to which `incetan2021` is constant [m/s].
-        relaxation_time: Relaxation time τ of the momentum [s]; infinite: no such drag, which only
-            `physics` can do without. None: no such drag in `physics`, `RELAXATION_TIME` in
+        relaxation_time: Relaxation time τ of the momentum [s]. Infinite disables this drag, which
+            only `physics` permits. None disables it in `physics` and means `RELAXATION_TIME` in
             quasi-static motion, see `vrcaps.world.dynamics`.
     """
 

@@ -15,21 +15,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SpringWall:
-    """Spring wall: each vertex near a contact is pushed, sprung back and damped by itself.
+    """Spring wall: each vertex near a contact is pushed, pulled back and damped independently.
 
-    Of a force F on the wall, a vertex at distance d feels F / (1 + (d/d₀)²); then
+    A force F on the wall acts on a vertex at distance d as F / (1 + (d/d₀)²); then
     Δv = (F_v − k x) Δt / m, v ← v (1 − μ Δt), Δx = v Δt (Incetan et al., Med. Image Anal. 70, 2021,
-    Deformation; there d₀ and m are 1, without units). Under a steady force the wall at the
-    contact stands back by F/k.
+    Deformation; there d₀ and m are 1, without units). Under a constant force the wall at the
+    contact yields by F/k.
 
-    The springs lie in series with the foundation, whose fit is that of a rigid base. So under them
-    the foundation is stiffer, by a factor with which both together grip and drag as measured: a
-    capsule 11 mm thick and 26 mm long in a tube 8.4 mm wide is gripped with 2.3 N per cm, gives
-    way to it by 0.5 mm, and is dragged at 1 to 60 mm/s within 5 % of the curve that `Drag` quotes.
+    The springs are in series with the foundation, which is fitted on a rigid base. The foundation
+    is therefore stiffened by a factor with which the two together match measured grip and drag: a
+    capsule 11 mm thick and 26 mm long in a tube 8.4 mm wide is gripped with 2.3 N per cm, pushes
+    the wall back by 0.5 mm, and at 1 to 60 mm/s is dragged within 5 % of the curve cited in `Drag`.
 
     Attributes:
-        length: Distance d₀ at which the push has fallen to a half [m].
-        reach: Distance beyond which nothing is pushed [m]; the paper has no limit.
+        length: Distance d₀ at which the push has fallen to one half [m].
+        reach: Distance beyond which no vertex is pushed [m]; the paper has no limit.
         mass: Mass m of a vertex [kg].
         stiffness: Stiffness k of the spring that pulls a vertex back [N/m].
         damping: Damping μ of a vertex's velocity [1/s].
@@ -52,13 +52,13 @@ class SpringWall:
         require(0.0 <= self.damping < math.inf, "damping", self.damping, "0 or more")
 
     def in_series(self, foundation: WinklerFoundation) -> WinklerFoundation:
-        """The foundation on these springs, of one that is fitted on a rigid base."""
+        """Foundation for use on these springs, given one fitted on a rigid base."""
         modulus = self.foundation_gain * foundation.youngs_modulus
         return replace(foundation, youngs_modulus=modulus)
 
     @property
     def longest_step(self) -> float:
-        """Longest stable time step of the update [s]."""
-        # Semi-implicit Euler of a spring is stable to 2/ω; the explicit damping to 1/μ.
+        """Maximum stable time step of the update [s]."""
+        # Semi-implicit Euler is stable up to 2/ω for a spring; explicit damping up to 1/μ.
         spring = math.sqrt(self.mass / self.stiffness)
         return min(spring, 0.5 / self.damping) if self.damping else spring

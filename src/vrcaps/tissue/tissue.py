@@ -1,4 +1,4 @@
-"""Tissue: all mechanical settings of an organ's wall."""
+"""Mechanical settings of an organ's wall."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from vrcaps.tissue.winkler_foundation import WinklerFoundation
 
 @dataclass(frozen=True)
 class Tissue:
-    """How the wall of an organ behaves.
+    """Mechanical behavior of an organ's wall.
 
     Example:
         >>> world = vrcaps.World(model, vrcaps.Tissue(deformation=None))  # a rigid wall
 
     Attributes:
-        foundation: Pressure against a capsule that presses in, as on a rigid base.
-        drag: Resistance against a capsule that slides along.
-        deformation: How the wall gives way, vertex by vertex or as an elastic layer; None holds it
-            where it is.
-        motility: How the muscle contracts; None leaves the lumen at rest.
+        foundation: Pressure of the wall on an indenting capsule, as on a rigid base.
+        drag: Resistance to a sliding capsule.
+        deformation: Deformation of the wall, by springs per vertex or as an elastic layer; None is
+            a rigid wall.
+        motility: Contractions of the muscle; None leaves the lumen at rest.
     """
 
     foundation: WinklerFoundation = field(default_factory=WinklerFoundation)
@@ -34,12 +34,12 @@ class Tissue:
 
     @property
     def foundation_in_series(self) -> WinklerFoundation:
-        """The foundation under which contact takes place: stiffer where springs carry it."""
+        """Foundation used for contact: stiffened in series with a spring wall."""
         deformation = self.deformation
         is_spring_wall = isinstance(deformation, SpringWall)
         return deformation.in_series(self.foundation) if is_spring_wall else self.foundation
 
     @property
     def longest_substep(self) -> float:
-        """Longest stable substep of the deformation [s]; infinite for a wall without."""
+        """Maximum stable substep of the deformation [s]; infinite for a rigid wall."""
         return math.inf if self.deformation is None else self.deformation.longest_step

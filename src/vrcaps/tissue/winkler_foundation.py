@@ -1,4 +1,4 @@
-"""Winkler foundation: pressure of the wall against a capsule that presses in."""
+"""Winkler foundation: pressure of the wall on an indenting capsule."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 class WinklerFoundation:
     """Elastic (Winkler) foundation: a soft layer of independent springs on a rigid base.
 
-    Pressure [Pa] at indentation u [m] that grows at u̇ [m/s]:
+    Pressure [Pa] at indentation u [m] and indentation rate u̇ [m/s]:
 
         p = K l (exp(u / l) − 1) · (1 + g asinh(u̇ / (r h)))
 
@@ -28,25 +28,25 @@ class WinklerFoundation:
     of soft tissue (Fung, Biomechanics, 1993): the slope grows seven-fold over
     `stiffening_strain`, as between the low- and high-strain moduli of pig small intestine,
     307 and 2212 kPa along, 180 and 1389 kPa around it (Terry et al., IJECB 2(4), 2014). The last
-    factor is the slow, nearly logarithmic growth of stress with strain rate that makes the wall
+    factor is the slow, nearly logarithmic growth of stress with strain rate; it makes the wall
     press harder in front of a moving capsule than behind it.
 
-    Deeper than half the capsule's radius a guard stiffens the wall e-fold over each further
-    thirtieth of the radius, so that no capsule goes through.
+    Beyond half the capsule's radius, a safeguard stiffens the wall by a factor of e for each
+    further thirtieth of the radius, so that no capsule penetrates the wall.
 
     The defaults are fitted on a rigid base: a capsule 11 mm thick and 26 mm long in a tube 8.4 mm
-    wide is gripped with 2.2 N per cm (measured on a live pig: 1.9 ± 1.0 N per cm; Terry, Schoen,
-    Rentschler, J. Robotic Surg. 7:53-57, 2013), and with the friction of `Drag` it is dragged at 1
-    to 60 mm/s as in the measurements that `Drag` quotes, within 4 %.
+    wide is gripped with 2.2 N per cm (measured in a live pig: 1.9 ± 1.0 N per cm; Terry, Schoen,
+    Rentschler, J. Robotic Surg. 7:53-57, 2013). With the friction of `Drag`, its drag at 1 to
+    60 mm/s is within 4 % of the measurements cited there.
 
     Attributes:
         thickness: Thickness h of the wall [m].
-        youngs_modulus: Modulus E of the thickness against slight indentation [Pa].
+        youngs_modulus: Young's modulus E through the thickness at small indentation [Pa].
         poisson_ratio: Poisson ratio ν, from 0 to below 0.5.
         stiffening_strain: Strain u/h over which the slope grows seven-fold; infinite for a linear
             wall.
-        rate_gain: Growth g of pressure with speed; 0 for a purely elastic wall.
-        strain_rate: Rate r at which that growth begins [1/s].
+        rate_gain: Growth g of pressure with indentation rate; 0 for a purely elastic wall.
+        strain_rate: Strain rate r at which that growth sets in [1/s].
     """
 
     thickness: float = 2.0 * MM
@@ -69,23 +69,23 @@ class WinklerFoundation:
 
     @property
     def stiffness(self) -> float:
-        """Pressure by depth of a slight indentation, K [Pa/m]."""
+        """Pressure per depth at small indentation, K [Pa/m]."""
         nu = self.poisson_ratio
         confined = (1.0 - nu) / ((1.0 + nu) * (1.0 - 2.0 * nu))
         return confined * self.youngs_modulus / self.thickness
 
     @property
     def stiffening_depth(self) -> float:
-        """Depth l over which the slope grows e-fold [m]."""
+        """Depth l over which the slope grows by a factor of e [m]."""
         return self.stiffening_strain * self.thickness / math.log(7.0)
 
     @property
     def rate(self) -> float:
-        """Speed of indentation at which pressure begins to grow, r h [m/s]."""
+        """Indentation rate at which the pressure starts to grow, r h [m/s]."""
         return self.strain_rate * self.thickness
 
     def static_pressure(self, depth: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """Pressure of a slow indentation, K l (exp(u/l) − 1), without the guard [Pa].
+        """Pressure of a slow indentation, K l (exp(u/l) − 1), without the safeguard [Pa].
 
         Args:
             depth: Indentation u [m], 0 or more.
@@ -95,7 +95,7 @@ class WinklerFoundation:
         return self.stiffness * self.stiffening_depth * np.expm1(depth / self.stiffening_depth)
 
     def stiffness_at(self, depth: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """Slope of that pressure by depth, K exp(u/l) [Pa/m]; K where nothing presses.
+        """Slope of the static pressure over depth, K exp(u/l) [Pa/m]; K without indentation.
 
         Args:
             depth: Indentation u [m], 0 or more.

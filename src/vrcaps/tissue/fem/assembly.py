@@ -1,4 +1,4 @@
-"""Mass, stiffness and support of a layer, over pairs of its free nodes."""
+"""Assembly of the mass, stiffness and support matrices of a layer over its free nodes."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Matrices:
-    """Lower triangles over pairs of free nodes, by rows; the diagonal ends each row.
+    """Lower triangles of the matrices over free nodes, in row order; each row ends on its diagonal.
 
     Attributes:
-        starts: Where each row starts, and the end of the last.
-        columns: Column of each pair.
-        mass: Mass of each pair [kg], the same for x, y and z.
-        support: Support's stiffness of each pair [N/m], the same for x, y and z.
-        stiffness: Stiffness of each pair at rest, the support's included [N/m].
-        node_mass: Mass at each free node that a uniform acceleration moves [kg].
+        starts: Index of the first entry of each row, then the number of entries.
+        columns: Column of each entry.
+        mass: Mass of each entry [kg], the same for x, y and z.
+        support: Stiffness of the support at each entry [N/m], the same for x, y and z.
+        stiffness: Stiffness of each entry at rest, including the support [N/m].
+        node_mass: Mass at each free node that responds to a uniform acceleration [kg].
     """
 
     starts: Int[np.ndarray, " rows+1"]
@@ -40,7 +40,7 @@ class Matrices:
 
 @dataclass(frozen=True)
 class ElementPoints:
-    """What the stress of a nonlinear wall is summed over.
+    """Integration points over which the stress of a nonlinear wall is summed.
 
     Attributes:
         nodes: Nodes of each element, free ones first.
@@ -64,12 +64,12 @@ class ElementPoints:
 def prism_modes(
     points: Points, nodes: Float[np.ndarray, "n 3"], tetrahedra: Int[np.ndarray, "m 10"]
 ) -> Float[np.ndarray, "prisms 3*points 4"]:
-    """Linear functions over each prism of three elements, orthonormal by volume [m^-3/2].
+    """Linear functions over each prism of three elements, orthonormal under volume [m^-3/2].
 
-    The change of volume is projected onto them, so that a nearly incompressible layer does not
-    lock: 4 demands to the 18 degrees of freedom of a prism, where the points would make 24. As
-    they are linear, bending and the patch test keep all their stress (mean dilatation: Hughes, The
-    Finite Element Method, 1987, 4.5, here of first order).
+    The change of volume is projected onto these functions, so that a nearly incompressible layer
+    does not lock: a prism with 18 degrees of freedom has 4 constraints instead of the 24 of its
+    integration points. Because the functions are linear, bending and the patch test keep their full
+    stress (mean dilatation: Hughes, The Finite Element Method, 1987, 4.5, here of first order).
     """
     place = np.einsum("qa,eai->eqi", points.values, nodes[tetrahedra])
     place = place.reshape(-1, 3 * len(points.values), 3)
@@ -87,7 +87,7 @@ def dilatation(
     nodes: Int[np.ndarray, "m 10"],
     num_nodes: int,
 ) -> scipy.sparse.csr_matrix:
-    """Projected change of volume of displacements, four rows a prism, three columns a node."""
+    """Projected volume change of displacements: four rows per prism, three columns per node."""
     weighted = points.gradients * points.weights[..., None, None]
     modes = modes.reshape(*points.weights.shape, 4)
     values = np.einsum("eqm,eqai->emai", modes, weighted)
@@ -130,7 +130,7 @@ def surface_mass(
 def assemble(
     layer: Layer, deformation: FemDeformation, number: Int[np.ndarray, " nodes"], num_free: int
 ) -> Matrices:
-    """Matrices of a layer; `number` numbers its nodes, the free ones first."""
+    """Assemble the matrices of a layer; `number` gives the index of each node, free nodes first."""
     points = integration_points(layer.nodes, layer.tetrahedra, 2)
     body, shell = number[layer.tetrahedra], number[layer.outer_triangles]
     modes = prism_modes(points, layer.nodes, layer.tetrahedra)
@@ -167,7 +167,7 @@ def assemble(
 def element_points(
     layer: Layer, deformation: FemDeformation, number: Int[np.ndarray, " nodes"]
 ) -> ElementPoints:
-    """Points of a layer's elements for `neo-hookean`."""
+    """Integration points of a layer's elements for `neo-hookean`."""
     points = integration_points(layer.nodes, layer.tetrahedra, 2)
     return ElementPoints(
         nodes=np.ascontiguousarray(number[layer.tetrahedra], np.uint32),
@@ -183,7 +183,7 @@ def element_points(
 def _pairs(
     nodes: Int[np.ndarray, "m a"], num_free: int
 ) -> tuple[Int[np.ndarray, " k"], Bool[np.ndarray, "m a a"]]:
-    """Keys (row · number + column) of the elements' pairs in the lower triangle, and which."""
+    """Keys (row · count + column) of the node pairs in the lower triangle, and their mask."""
     row, column = np.broadcast_arrays(nodes[:, :, None], nodes[:, None, :])
     kept = (row >= column) & (row < num_free)
     return row[kept] * num_free + column[kept], kept

@@ -1,4 +1,4 @@
-"""A coarse surface of curved triangles that follows a fine one."""
+"""Coarse surface of curved triangles that approximates a fine surface."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from vrcaps.tissue.fem.smooth import border_edges, low_pass
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-# Undulations shorter than this many edges are left out of the layer's shape; they ride on it.
+# Undulations shorter than this many edges are left out of the layer's shape and follow its motion.
 _WAVELENGTH_EDGES = 3.0
-# Seeds in random order, none nearer than this to another, come to the density of equilateral
-# triangles of edge 1 (random sequential packing fills 0.55 of the plane, hexagonal 0.91).
+# Seeds in random order with at least this distance reach the density of equilateral triangles
+# of edge 1 (random sequential packing covers 0.55 of the plane, hexagonal packing 0.91).
 _SEED_DISTANCE = 0.8
 _ROUNDS = 12
 _ATTEMPTS = 4
@@ -29,12 +29,12 @@ _ATTEMPTS = 4
 
 @dataclass(frozen=True)
 class Coarsened:
-    """A coarse surface and where the fine one lies on it.
+    """A coarse surface and the mapping of the fine surface onto it.
 
     Attributes:
         surface: Curved triangles.
-        smooth: Vertices of the fine surface without its short undulations [m].
-        cell: Corner of the coarse surface each fine vertex belongs to.
+        smooth: Vertices of the fine surface without short undulations [m].
+        cell: Corner of the coarse surface that each fine vertex belongs to.
         nearest: Fine vertex nearest to each node of the coarse surface.
         border: Nodes of the coarse surface on open ends.
     """
@@ -52,14 +52,15 @@ def coarsen(
     edge: float,
     thickness: float,
 ) -> Coarsened:
-    """A surface of triangles about `edge` [m] long, through the broad shape of a fine one.
+    """Approximate the broad shape of a fine surface by triangles with edges of about `edge` [m].
 
-    Cells of the fine surface around evenly spread seeds (Lloyd's rounds by distance along the
-    surface) meet in threes; their duals are the triangles (Valette, Chassery, Comput. Graph. Forum
-    23(3):381-389, 2004). Where a layer of `thickness` [m] outwards would fold, they are evened out.
+    The fine surface is divided into cells around evenly spread seeds (Lloyd iterations by distance
+    along the surface); the dual of the cells gives the triangles (Valette, Chassery, Comput. Graph.
+    Forum 23(3):381-389, 2004). Triangles whose outward layer of `thickness` [m] would fold are
+    evened out.
 
     Raises:
-        InputError: If edges are so long that the triangles do not follow the surface.
+        InputError: If edges are too long for the triangles to follow the surface.
     """
     smooth = low_pass(vertices, faces, _WAVELENGTH_EDGES * edge)
     graph = _edge_graph(smooth, faces)
@@ -87,7 +88,7 @@ def _edge_graph(
     pairs = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
     length = np.linalg.norm(vertices[pairs[:, 0]] - vertices[pairs[:, 1]], axis=1)
     ends = (np.concatenate([pairs[:, 0], pairs[:, 1]]), np.concatenate([pairs[:, 1], pairs[:, 0]]))
-    # Zero would mean that there is no edge.
+    # A sparse matrix would drop an edge of zero length.
     length = np.maximum(np.tile(length, 2), 1e-9)
     return scipy.sparse.csr_matrix((length, ends), shape=(len(vertices), len(vertices)))
 
@@ -99,10 +100,10 @@ def _cells(
     edge: float,
     rng: np.random.Generator,
 ) -> tuple[Int[np.ndarray, " seeds"], Int[np.ndarray, " n"]]:
-    """Evenly spread seeds, and for each vertex the number of its nearest."""
+    """Evenly spread seeds, and the index of the nearest seed of each vertex."""
     count = len(vertices)
     seeds, distance = [], np.full(count, np.inf)
-    # The border first, so that it is followed.
+    # Border vertices come first, so that the triangles follow the border.
     order = np.concatenate([rng.permutation(border), rng.permutation(count)])
     for v in order:
         if distance[v] > _SEED_DISTANCE * edge:
@@ -135,7 +136,7 @@ def _centers(
     on_border: np.ndarray,
     count: int,
 ) -> Int[np.ndarray, " seeds"]:
-    """The vertex next to the middle of each cell; of its border where it has one."""
+    """Vertex nearest to the center of each cell, or of its part on the border if it has one."""
     has_border = np.bincount(cell, on_border, count) > 0.0
     counts = (on_border | ~has_border[cell]).astype(float)
     total = np.bincount(cell, counts, count)
@@ -149,7 +150,7 @@ def _centers(
 
 
 def _dual(cell: Int[np.ndarray, " n"], faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "k 3"]:
-    """Triangles between cells that meet; those that meet once each way cancel."""
+    """Triangles between adjacent cells; triangles of opposite orientation cancel."""
     met = cell[faces]
     met = met[(met[:, 0] != met[:, 1]) & (met[:, 1] != met[:, 2]) & (met[:, 2] != met[:, 0])]
     first = np.argmin(met, axis=1)
@@ -169,7 +170,7 @@ def _keys(triangles: Int[np.ndarray, "k 3"]) -> Int[np.ndarray, " k"]:
 def _is_like(
     triangles: Int[np.ndarray, "k 3"], num_seeds: int, faces: Int[np.ndarray, "m 3"], count: int
 ) -> bool:
-    """Whether the triangles are a manifold with as many holes and handles as the fine surface."""
+    """Check that the triangles are a manifold with the topology of the fine surface."""
     if len(triangles) < 4:
         return False
     edges = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
@@ -189,7 +190,7 @@ def _bent(
     seeds: Int[np.ndarray, " seeds"],
     triangles: Int[np.ndarray, "k 3"],
 ) -> tuple[BentTriangles, Int[np.ndarray, " border"]]:
-    """Bends the edges so that their middles come to the surface; also the nodes on open ends."""
+    """Bend the edges so that their midpoints lie on the surface; also return the border nodes."""
     pairs, triangles = edges_of(triangles)
     corners, size = smooth[seeds], len(seeds)
     straight = corners[pairs].mean(axis=1)

@@ -1,4 +1,4 @@
-"""Triangles with bent edges, and how to bend them less where their layer would fold."""
+"""Triangles with bent edges, and their relaxation where the layer over them would fold."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from vrcaps.tissue.fem.layer import CoarseSurface, thinnest
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-# The middle of an edge bulges by at most this share of its length, as on an arc of 80 degrees.
+# The midpoint of an edge bulges by at most this fraction of its length, as on an arc of 80 degrees.
 _LARGEST_BULGE = 0.18
 _ROUNDS = 60
-# So many rounds move the corners of bad triangles alone, then one ring more, and so on.
+# Number of rounds that move the corners of bad triangles only; then one more ring is added, etc.
 _ROUNDS_BY_RING = 15
-# An element is bad whose volume somewhere shrinks to this share of its mean.
+# An element is bad if its volume shrinks anywhere to this fraction of its mean.
 _THIN = 0.1
 _RELAXATION = 0.25
 
 
 @dataclass(frozen=True)
 class BentTriangles:
-    """Corners, and edges whose middles stand off the straight line.
+    """Triangles whose edge midpoints may lie off the straight edges.
 
     Attributes:
         corners: Positions [m].
         pairs: Corners of each edge.
-        bulges: From the middle of the straight edge to that of the bent one [m].
-        triangles: Corners of each triangle, then its edges 01, 12, 02.
+        bulges: Offset from the midpoint of the straight edge to that of the bent edge [m].
+        triangles: Corners of each triangle, then the indices of its edges 01, 12, 02.
     """
 
     corners: Float[np.ndarray, "c 3"]
@@ -41,14 +41,14 @@ class BentTriangles:
 
     @property
     def surface(self) -> CoarseSurface:
-        """The same with nodes at the middles of edges, and directions outwards."""
+        """The triangles with nodes at the edge midpoints and outward directions."""
         nodes = np.concatenate([self.corners, _middles(self.corners, self.pairs) + self.bulges])
         number = self.triangles + len(self.corners) * (np.arange(6) >= 3)
         return CoarseSurface(nodes, _outward(nodes, number), number)
 
 
 def edges_of(triangles: Int[np.ndarray, "m 3"]) -> tuple[np.ndarray, Int[np.ndarray, "m 6"]]:
-    """Corners of all edges, and the triangles with the numbers of their edges 01, 12, 02."""
+    """Corners of all edges, and the triangles with the indices of their edges 01, 12, 02."""
     sides = np.stack([np.sort(triangles[:, list(pair)], axis=1) for pair in EDGES[:3]], axis=1)
     pairs, side = np.unique(sides.reshape(-1, 2), axis=0, return_inverse=True)
     return pairs, np.concatenate([triangles, side.reshape(-1, 3)], axis=1)
@@ -59,7 +59,7 @@ def bulges_towards(
     pairs: Int[np.ndarray, "e 2"],
     middle: Float[np.ndarray, "e 3"],
 ) -> Float[np.ndarray, "e 3"]:
-    """Bulges, square to the edges, that bring their middles towards given points."""
+    """Bulges perpendicular to the edges that move their midpoints towards given points."""
     chord = corners[pairs[:, 1]] - corners[pairs[:, 0]]
     length = np.linalg.norm(chord, axis=1, keepdims=True)
     bulge = middle - _middles(corners, pairs)
@@ -69,7 +69,7 @@ def bulges_towards(
 
 
 def relaxed(bent: BentTriangles, thickness: float) -> BentTriangles:
-    """Straightens and evens out triangles whose layer would fold, as far as that helps."""
+    """Straighten and even out triangles whose layer would fold, as far as possible."""
     first, last = bent.pairs.T
     degree = np.bincount(bent.pairs.ravel(), minlength=len(bent.corners))
     for number in range(_ROUNDS):
@@ -98,7 +98,7 @@ def _middles(
 def _outward(
     nodes: Float[np.ndarray, "n 3"], triangles: Int[np.ndarray, "m 6"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Unit directions away from the lumen: means over the triangles around, by area."""
+    """Unit directions away from the lumen: area-weighted means over the adjacent triangles."""
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     places = np.concatenate([corners, [(corners[a] + corners[b]) / 2.0 for a, b in EDGES[:3]]])
     tangents = np.einsum("eai,qaj->eqji", nodes[triangles], shapes(places)[1])

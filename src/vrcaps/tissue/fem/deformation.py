@@ -1,4 +1,4 @@
-"""Parameters of a wall of finite elements."""
+"""Parameters of the finite-element wall."""
 
 from __future__ import annotations
 
@@ -15,35 +15,35 @@ _SEVEN = 7.0
 
 @dataclass(frozen=True)
 class FemDeformation:
-    """The wall as an elastic layer: ρ dv/dt = ρ b + div σ, held from outside by a soft support.
+    """Elastic-layer wall: ρ dv/dt = ρ b + div σ, held from outside by a soft support.
 
-    `linear` is Hooke's law, right for small strain and little turning. `neo-hookean` is right for
-    any turning and any strain: with q = tr(FᵀF) − 3 − 2 ln J,
+    `linear` is Hooke's law, valid for small strains and rotations. `neo-hookean` is valid for any
+    rotation and strain: with q = tr(FᵀF) − 3 − 2 ln J,
 
         Ψ = μ/(2b) (exp(b q) − 1) + λ/2 (ln J)²
 
-    which for b = 0 is the compressible neo-Hookean solid (Bonet, Wood, Nonlinear Continuum
-    Mechanics for FEA, 2008, eq. 6.27), for b > 0 stiffens like Demiray's isotropic tissue
-    (J. Biomech. 5:309-311, 1972). A gut stiffens seven-fold: pig small intestine has 307 and
-    2212 kPa along, 180 and 1389 kPa around it, at low and at high strain (Terry et al.,
-    IJECB 2(4), 2014); `stiffening_strain` says over which strain.
+    For b = 0 it is the compressible neo-Hookean solid (Bonet, Wood, Nonlinear Continuum
+    Mechanics for FEA, 2008, eq. 6.27); for b > 0 it stiffens like Demiray's isotropic tissue
+    (J. Biomech. 5:309-311, 1972). The gut stiffens seven-fold: pig small intestine has moduli of
+    307 and 2212 kPa along and 180 and 1389 kPa around it, at low and at high strain (Terry et al.,
+    IJECB 2(4), 2014). `stiffening_strain` sets the strain over which it does.
 
     Attributes:
-        thickness: Of the wall, outwards from its inner surface [m].
-        density: ρ [kg/m³].
+        thickness: Thickness of the wall, outwards from its inner surface [m].
+        density: Density ρ [kg/m³].
         youngs_modulus: Young's modulus at rest [Pa].
         poisson_ratio: Poisson ratio at rest, from 0 to below 0.5.
         model: `linear` or `neo-hookean`.
-        stiffening_strain: Strain at which the slope of the stress of a strip that is pulled has
-            grown seven-fold, `neo-hookean` only; infinite for a plain neo-Hookean wall.
-        support: Stiffness of what surrounds the gut, by area of the outer surface [Pa/m].
-        damping: Time c of the viscous stress, Kelvin-Voigt: c times the rest stiffness times the
-            speed of strain [s].
+        stiffening_strain: Strain at which the stress-strain slope of a strip in tension has grown
+            seven-fold, `neo-hookean` only; infinite for a plain neo-Hookean wall.
+        support: Stiffness of the tissue around the gut per area of the outer surface [Pa/m].
+        damping: Kelvin-Voigt time constant c of the viscous stress: c times the stiffness at rest
+            times the strain rate [s].
         fix_ends: Whether the wall is held at its open ends.
-        fixed: Stretches of arc length, from and to [m], where the wall is held.
-        edge: Length of the elements' edges along the wall [m]; nodes are half as far apart.
-        layers: Elements through the thickness.
-        step: Longest time step of the layer in a `World` [s]; the capsule's own are shorter.
+        fixed: Intervals of arc length, from and to [m], in which the wall is held.
+        edge: Edge length of the elements along the wall [m]; nodes are half as far apart.
+        layers: Number of elements through the thickness.
+        step: Maximum time step of the layer in a `World` [s]; the capsule's steps are shorter.
     """
 
     thickness: float = 2.0 * MM
@@ -87,7 +87,7 @@ class FemDeformation:
 
     @property
     def longest_step(self) -> float:
-        """Longest substep of a capsule on the layer [s]."""
+        """Maximum substep of a capsule on the layer [s]."""
         return self.step
 
     @property
@@ -103,9 +103,9 @@ class FemDeformation:
 
     @property
     def stiffening(self) -> float:
-        """Coefficient b of the exponential, 0 for none.
+        """Coefficient b of the exponential; 0 without stiffening.
 
-        A strip that keeps its volume, pulled to the stretch s, has q = s² + 2/s − 3 and the stress
+        A volume-preserving strip at stretch s has q = s² + 2/s − 3 and the stress
         P = μ exp(b q) (s − 1/s²), whose slope is
         μ exp(b q) (1 + 2/s³ + 2 b (s − 1/s²)²), 3 μ at rest.
         """

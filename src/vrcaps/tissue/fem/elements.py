@@ -1,7 +1,7 @@
-"""The quadratic tetrahedron: shape functions, points of integration, geometry.
+"""Quadratic tetrahedron: shape functions, integration points, geometry.
 
-Nodes are four corners, then the middles of the edges 01, 12, 02, 03, 13, 23, in the order of
-Hughes, The Finite Element Method, 1987, appendix 3.I with edges from corner to corner.
+The nodes are the four corners, then the midpoints of edges 01, 12, 02, 03, 13, 23, in the order of
+Hughes, The Finite Element Method, 1987, appendix 3.I, with edges from corner to corner.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
-"""Corners of the edges whose middles are nodes 4 to 9; the first three are a triangle's."""
+"""Corners of the edges whose midpoints are nodes 4 to 9; the first three form a triangle."""
 
 
 def quadrature(
     dim: int, num: int
 ) -> tuple[Float[np.ndarray, "points dim"], Float[np.ndarray, " points"]]:
-    """Points and weights on the unit simplex, exact to degree 2·num − 1.
+    """Quadrature points and weights on the unit simplex, exact to degree 2·num − 1.
 
-    The conical product of Gauss-Jacobi rules (Stroud, Approximate Calculation of Multiple
-    Integrals, 1971, 2.4): all weights are positive, whatever the degree.
+    Conical product of Gauss-Jacobi rules (Stroud, Approximate Calculation of Multiple
+    Integrals, 1971, 2.4); all weights are positive at every degree.
     """
     rules = [scipy.special.roots_jacobi(num, float(k), 0.0) for k in reversed(range(dim))]
     points, weights = [], []
@@ -45,7 +45,7 @@ def quadrature(
 def shapes(
     points: Float[np.ndarray, "*points dim"],
 ) -> tuple[Float[np.ndarray, "*points nodes"], Float[np.ndarray, "*points nodes dim"]]:
-    """Quadratic shape functions and their slopes on the unit triangle or tetrahedron.
+    """Quadratic shape functions and their derivatives on the unit triangle or tetrahedron.
 
     6 nodes for points in two dimensions, 10 in three.
     """
@@ -63,12 +63,12 @@ def shapes(
 
 @dataclass(frozen=True)
 class Points:
-    """Points of integration of a mesh of tetrahedra.
+    """Integration points of a mesh of tetrahedra.
 
     Attributes:
         values: Shape functions at the points of one element.
         gradients: Their gradients [1/m].
-        weights: Volume of each point [m³]; negative where the element is inverted.
+        weights: Volume of each point [m³]; negative in inverted elements.
     """
 
     values: Float[np.ndarray, "points 10"]
@@ -79,7 +79,7 @@ class Points:
 def integration_points(
     nodes: Float[np.ndarray, "n 3"], tetrahedra: Int[np.ndarray, "m 10"], num: int
 ) -> Points:
-    """Points of curved (isoparametric) tetrahedra, `num` a side."""
+    """Integration points of curved (isoparametric) tetrahedra, `num` per side."""
     places, point_weights = quadrature(3, num)
     values, slopes = shapes(places)
     jacobian = np.einsum("eai,qaj->eqij", nodes[tetrahedra], slopes)
@@ -93,7 +93,7 @@ def integration_points(
 def corner_volumes(
     nodes: Float[np.ndarray, "n 3"], tetrahedra: Int[np.ndarray, "m 10"]
 ) -> Float[np.ndarray, "m 10"]:
-    """Determinant of the map from the unit tetrahedron, at its nodes [m³]."""
+    """Jacobian determinant of the map from the unit tetrahedron, at its nodes [m³]."""
     corners = np.concatenate([np.zeros((1, 3)), np.eye(3)])
     middles = np.array([0.5 * (corners[a] + corners[b]) for a, b in EDGES])
     _, slopes = shapes(np.concatenate([corners, middles]))

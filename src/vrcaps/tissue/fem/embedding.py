@@ -1,4 +1,4 @@
-"""How the fine surface hangs on the coarse layer."""
+"""Embedding of the fine surface in the coarse layer."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Embedding:
 
     Attributes:
         nodes: Six nodes of the inner surface, then the six above them outside.
-        weights: Their weights; each vertex's sum to 1, and give back where the vertex is.
+        weights: Their weights; those of a vertex sum to 1 and reproduce its position.
     """
 
     nodes: Int[np.ndarray, "n 12"]
@@ -33,12 +33,12 @@ class Embedding:
 
 
 def embed(vertices: Float[np.ndarray, "n 3"], coarsened: Coarsened, layer: Layer) -> Embedding:
-    """Hangs fine vertices on a layer.
+    """Embed fine vertices in a layer.
 
-    Each smoothed vertex has its place (ξ, η, height) in the layer: on the triangle around its cell
-    in which it lies deepest. From the nearest place that the layer covers to the vertex itself,
-    which may stand off on a fold, the layer's map is taken as linear. Where that makes weights
-    large, far off and on a sharp bend, those of least change that are exact are taken instead.
+    Each smoothed vertex has coordinates (ξ, η, height) in the layer, on the triangle around its
+    cell in which it lies deepest. From the nearest point covered by the layer to the vertex itself,
+    which may be offset by a fold, the map of the layer is linearized. Where this gives large
+    weights, far from the layer at a sharp bend, the exact weights of minimum change are used.
     """
     inner = coarsened.surface.triangles
     outer = layer.outer_triangles
@@ -67,7 +67,7 @@ def _least_change(
     nodes: Float[np.ndarray, "k 12 3"],
     points: Float[np.ndarray, "k 3"],
 ) -> Float[np.ndarray, "k 12"]:
-    """The weights nearest to given ones that sum to 1 and give back the points."""
+    """Weights nearest to the given ones that sum to 1 and reproduce the points."""
     center = nodes.mean(axis=1, keepdims=True)
     around = nodes - center
     size = np.linalg.norm(around, axis=2).max(axis=1)[:, None, None]
@@ -79,7 +79,7 @@ def _least_change(
 
 
 def _covered(place: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """The place in the prism that is near to another."""
+    """Nearest coordinates within the prism."""
     corner = np.column_stack([1.0 - place[:, :2].sum(axis=1), place[:, :2]]).clip(0.0)
     corner /= corner.sum(axis=1, keepdims=True)
     return np.column_stack([corner[:, 1:], place[:, 2].clip(0.0, 1.0)])
@@ -104,7 +104,7 @@ def _map(
 def _locate(
     coarsened: Coarsened, layer: Layer
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
-    """Triangle of each smoothed vertex and its place (ξ, η, height in thicknesses) there."""
+    """Triangle of each smoothed vertex and its coordinates (ξ, η, height in thicknesses)."""
     inner, outer = coarsened.surface.triangles, layer.outer_triangles
     order = np.argsort(inner[:, :3].ravel(), kind="stable")
     corner = inner[:, :3].ravel()[order]
@@ -119,7 +119,7 @@ def _locate(
         low, high = layer.nodes[inner[candidate]], layer.nodes[outer[candidate]]
         found = _invert(coarsened.smooth[rows], low, high)
         depth = np.minimum(found[:, :2].min(axis=1), 1.0 - found[:, :2].sum(axis=1))
-        # Far outside, the curved map may come back on another branch.
+        # Far outside, the inverse of the curved map may lie on another branch.
         depth = np.where(np.abs(found).max(axis=1) < 10.0, depth, -1e9)
         better = depth > best[rows]
         rows = rows[better]
@@ -132,7 +132,7 @@ def _invert(
     low: Float[np.ndarray, "n 6 3"],
     high: Float[np.ndarray, "n 6 3"],
 ) -> Float[np.ndarray, "n 3"]:
-    """Newton's rounds for (ξ, η, height) of points, kept near the triangle."""
+    """Newton iterations for the coordinates (ξ, η, height) of points, kept near the triangle."""
     place = np.tile([1.0 / 3.0, 1.0 / 3.0, 0.0], (len(points), 1))
     for _ in range(_ROUNDS):
         values, slopes = shapes(place[:, :2])

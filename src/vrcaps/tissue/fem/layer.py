@@ -1,4 +1,4 @@
-"""A surface of curved triangles, made into a layer of tetrahedra."""
+"""Layer of tetrahedra extruded from a surface of curved triangles."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from vrcaps.tissue.fem.elements import EDGES, corner_volumes, integration_points
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-# Three tetrahedra of a prism whose corners are numbered by rising vertex; 3 to 5 are outside.
-# Every side is cut from its smaller vertex inside, so that neighbors agree.
+# Three tetrahedra of a prism whose corners are sorted by vertex index; 3 to 5 are outside.
+# Every side is cut from its inner corner of lower index, so that neighbors agree.
 _CUTS = ((0, 1, 2, 5), (0, 1, 5, 4), (0, 4, 5, 3))
 
 
 @dataclass(frozen=True)
 class CoarseSurface:
-    """Curved triangles of six nodes, counter-clockwise seen from the lumen.
+    """Curved triangles of six nodes, counter-clockwise as seen from the lumen.
 
     Attributes:
         nodes: Positions [m].
         outward: Unit directions away from the lumen.
-        triangles: Three corners of each, then the middles of its edges 01, 12, 02.
+        triangles: Three corners of each, then the midpoints of its edges 01, 12, 02.
     """
 
     nodes: Float[np.ndarray, "n 3"]
@@ -43,8 +43,8 @@ class Layer:
         surface: The inner surface.
         nodes: Positions [m].
         tetrahedra: Nodes of each, in the order of `elements`.
-        thickness: Of the layer [m].
-        num_levels: Levels of nodes, two for each element through the thickness and one more.
+        thickness: Thickness of the layer [m].
+        num_levels: Number of node levels: two per element through the thickness, plus one.
     """
 
     surface: CoarseSurface
@@ -55,15 +55,15 @@ class Layer:
 
     @property
     def outer_triangles(self) -> Int[np.ndarray, "m 6"]:
-        """Nodes of the outer surface's triangles."""
+        """Nodes of the triangles of the outer surface."""
         return self.surface.triangles + (self.num_levels - 1) * len(self.surface.nodes)
 
 
 def extrude(surface: CoarseSurface, thickness: float, layers: int) -> Layer:
-    """The layer from a surface outwards.
+    """Extrude a surface outwards into a layer.
 
     Raises:
-        InputError: If it folds over itself.
+        InputError: If the layer folds over itself.
     """
     num_levels = 2 * layers + 1
     heights = np.linspace(0.0, thickness, num_levels)
@@ -76,10 +76,10 @@ def extrude(surface: CoarseSurface, thickness: float, layers: int) -> Layer:
 
 
 def _prism_tetrahedra(triangles: Int[np.ndarray, "m 6"], count: int) -> Int[np.ndarray, "k 10"]:
-    """Tetrahedra of prisms over triangles; nodes of three levels, `count` on each."""
+    """Tetrahedra of prisms over triangles, with three levels of `count` nodes each."""
     order = np.argsort(triangles[:, :3], axis=1)
     corner = np.take_along_axis(triangles[:, :3], order, axis=1)
-    # The middle between two corners of a triangle, by their places in it.
+    # Midpoint between two corners of a triangle, by their positions in it.
     middle = np.full((len(triangles), 3, 3), -1)
     for k, (a, b) in enumerate(EDGES[:3]):
         middle[:, a, b] = middle[:, b, a] = triangles[:, 3 + k]
@@ -97,7 +97,7 @@ def _prism_tetrahedra(triangles: Int[np.ndarray, "m 6"], count: int) -> Int[np.n
             )
             columns.append(flat + level * count)
         found.append(np.stack(columns, axis=1))
-    # Sorting turned every other triangle over.
+    # Sorting reversed the orientation of some triangles.
     turned = np.linalg.det(np.eye(3)[order]) > 0.0
     flip = [1, 0, 2, 3, 4, 6, 5, 8, 7, 9]
     tetrahedra = np.stack(found, axis=1)
@@ -106,7 +106,7 @@ def _prism_tetrahedra(triangles: Int[np.ndarray, "m 6"], count: int) -> Int[np.n
 
 
 def thinnest(surface: CoarseSurface, thickness: float) -> Float[np.ndarray, " m"]:
-    """Smallest share of its mean volume each triangle's layer has at a node; below 0 it folds."""
+    """Minimum nodal volume of each triangle's layer relative to its mean; negative if it folds."""
     count = len(surface.nodes)
     heights = np.array([0.0, 0.5, 1.0]) * thickness
     nodes = (surface.nodes + heights[:, None, None] * surface.outward).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""The broad shape of a surface, without its fine folds."""
+"""Low-pass filter of a surface: its broad shape without fine folds."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from vrcaps.geometry import triangle_areas
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-# A needle's cotangent would tie its corners together.
+# The cotangent of a needle triangle would tie its corners together.
 _LARGEST_COTANGENT = 20.0
 
 
 def low_pass(
     vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"], wavelength: float
 ) -> Float[np.ndarray, "n 3"]:
-    """Positions without undulations that are shorter than a wavelength [m].
+    """Positions without undulations shorter than a wavelength [m].
 
-    Minimizes ∫|x − x₀|² + τ² |Δx|² dA with τ = (wavelength/2π)², then does the same to what that
-    took away and gives it back (twicing: Tukey, Exploratory Data Analysis, 1977, 16). Of an
-    undulation of length d stays 1 − s² with s = 1/(1 + (d/wavelength)⁴), so that a wide tube
-    keeps its radius. Flat pieces stay as they are, up to an open border. Δ by cotangents
+    Minimizes ∫|x − x₀|² + τ² |Δx|² dA with τ = (wavelength/2π)², then filters the residual in the
+    same way and adds it back (twicing: Tukey, Exploratory Data Analysis, 1977, 16). An undulation
+    of length d is scaled by 1 − s² with s = 1/(1 + (d/wavelength)⁴), so that a wide tube keeps
+    its radius. Flat regions are unchanged up to an open border. Δ is the cotangent Laplacian
     (Pinkall, Polthier, Exp. Math. 2(1):15-36, 1993).
     """
     area, stiffness = cotangent_laplacian(vertices, faces)
@@ -65,7 +65,7 @@ def cotangent_laplacian(
 
 
 def border_edges(faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "k 2"]:
-    """Directed edges of one face only."""
+    """Directed edges that belong to only one face."""
     edges = np.concatenate([faces[:, [k, (k + 1) % 3]] for k in range(3)])
     count = int(faces.max()) + 1
     forth, back = edges[:, 0] * count + edges[:, 1], edges[:, 1] * count + edges[:, 0]

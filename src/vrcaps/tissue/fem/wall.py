@@ -1,4 +1,4 @@
-"""A wall of finite elements that carries the surface of an organ."""
+"""Finite-element wall that deforms the surface of an organ."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ if TYPE_CHECKING:
     from vrcaps.organ.surface import OrganSurface
 
 _LONGEST_STEP = 1.0
-# Share of the thickness to which a step of a nonlinear wall is solved.
+# Tolerance of a step of a nonlinear wall, as a fraction of the thickness.
 _TOLERANCE = 1e-6
 
 
 class FemWall:
-    """The wall of an organ as an elastic layer; holds its matrices, their factor and its motion.
+    """Wall of an organ as an elastic layer, with its matrices, their factorization and its motion.
 
-    Positions and forces are in the frame of the organ. The same start and the same steps give the
-    same bytes, on any number of threads.
+    Positions and forces are in the organ frame. The same initial state and steps give identical
+    bytes with any number of threads.
 
     Attributes:
-        deformation: Its parameters.
-        layer: Its elements.
-        number: Number of each node of the layer in the core; free nodes first, then held ones.
-        num_free: How many are free.
-        embedding: How the organ's vertices hang on the nodes, by these numbers.
+        deformation: Parameters of the wall.
+        layer: Elements of the wall.
+        number: Index of each node of the layer in the core; free nodes come first.
+        num_free: Number of free nodes.
+        embedding: Weights of the organ's vertices on the nodes, by these indices.
     """
 
     def __init__(self, organ: OrganSurface, deformation: FemDeformation) -> None:
-        """Builds the layer under an organ's surface and everything that is made once.
+        """Build the layer under an organ's surface and precompute its matrices.
 
         Raises:
             InputError: If the layer folds over itself, its edges are too long for the organ, or
@@ -73,17 +73,17 @@ class FemWall:
 
     @property
     def rounds(self) -> int:
-        """Back-substitutions of the last step."""
+        """Number of back-substitutions in the last step."""
         return self._core.rounds
 
     @property
     def wall_displacement(self) -> Float[np.ndarray, "n 6"]:
-        """How far each vertex of the organ gives way [m] and at which velocity [m/s]."""
+        """Displacement [m] and velocity [m/s] of each vertex of the organ."""
         return self._core.wall_displacement()
 
     @property
     def energies(self) -> tuple[float, float]:
-        """Kinetic energy, then energy stored in wall and support [J]."""
+        """Kinetic energy, and energy stored in the wall and its support [J]."""
         return self._core.energies()
 
     def step(
@@ -93,21 +93,21 @@ class FemWall:
         *,
         acceleration: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-        """Moves on by a time `dt` [s], by implicit Euler.
+        """Advance by a time `dt` [s] with implicit Euler.
 
-        A `dt` other than the last one's costs a new factor.
+        A change of `dt` costs a new factorization.
 
         Args:
-            force_on_vertices: On each vertex of the organ [N].
+            force_on_vertices: Force on each vertex of the organ [N].
             dt: Time step [s].
-            acceleration: Body force b by mass, beyond what the wall at rest is in balance with
-                [m/s²].
+            acceleration: Body force b per mass [m/s²], in addition to that which the wall at rest
+                balances.
 
         Returns:
             Displacement [m] and velocity [m/s] of each vertex of the organ.
 
         Raises:
-            InputError: If the force or the step is out of bounds; the wall stays as it was.
+            InputError: If the force or the step is out of bounds; the wall is then unchanged.
         """
         require(0.0 < dt <= _LONGEST_STEP, "dt", dt, f"above 0 to {_LONGEST_STEP:g} s")
         force = np.ascontiguousarray(force_on_vertices, float)
@@ -129,22 +129,22 @@ class FemWall:
         return wall_displacement[:, :3], wall_displacement[:, 3:]
 
     def carry(self, world: _core.World) -> None:
-        """Puts the layer under a world's wall: what touches the one loads the other."""
+        """Couple the layer to the wall of a world: contact on the wall loads the layer."""
         world.set_layer(self._core, _TOLERANCE * self.deformation.thickness)
 
     def num_steps(self, dt: float) -> int:
-        """Steps of the layer in a time `dt` [s], none longer than its deformation's `step`."""
+        """Number of layer steps in a time `dt` [s], each at most `deformation.step` long."""
         return max(1, math.ceil(dt / self.deformation.step * (1.0 - 1e-9)))
 
     def snapshot(self) -> Float[np.ndarray, "nodes 6"]:
-        """Displacement [m] and velocity [m/s] of the free nodes: all that changes, exactly."""
+        """Displacement [m] and velocity [m/s] of the free nodes: the complete state."""
         return self._core.nodes
 
     def restore(self, snapshot: Float[np.ndarray, "nodes 6"]) -> None:
-        """Goes back to a snapshot of a wall of the same organ and deformation.
+        """Restore a snapshot of a wall of the same organ and deformation.
 
         Raises:
-            InputError: If the snapshot is of another wall, or not finite.
+            InputError: If the snapshot is of another wall or not finite.
         """
         if snapshot.shape != (self.num_free, 6):
             raise InputError(

@@ -1,1 +1,1 @@
-"""How the gut's muscle contracts: rhythm, waves and the migrating motor complex."""
+"""Motility of the gut: rhythm, waves and the migrating motor complex."""

@@ -1,4 +1,4 @@
-"""Which muscle is where: the segments' parameters at each sample along an organ."""
+"""Layout of the muscle: parameters of the segments at each sample along an organ."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ if TYPE_CHECKING:
 
 _BLEND = 2.0 * CM
 _DRIFT = 0.5 / 60.0
-"""Change of the slow waves' rate [1/s] after which muscle keeps a pace of its own."""
+"""Change of the slow-wave rate [1/s] beyond which muscle has a separate pacemaker."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Figures of `SegmentMotility` at each sample, blended where segments meet.
+    """Parameters of `SegmentMotility` at each sample, blended between segments.
 
-    Slow waves of a pace come at one rate; the rate falls along the bowel in steps, as measured
-    (Diamant and Bortoff, Am. J. Physiol. 216:301, 1969).
+    All slow waves of a pacemaker (frequency plateau) have one rate; the rate falls along the bowel
+    in steps, as measured (Diamant and Bortoff, Am. J. Physiol. 216:301, 1969).
 
     Attributes:
         arc_length: Arc lengths [m].
-        name: Segment of each sample, a number into `names`.
-        names: Names of the segments that the organ has.
-        pace: Number of the pace that each sample keeps, rising.
-        rate: Slow waves of each pace [1/s].
+        name: Segment of each sample, an index into `names`.
+        names: Names of the organ's segments.
+        pace: Index of the pacemaker of each sample, rising.
+        rate: Slow-wave rate of each pacemaker [1/s].
         parameters: Amplitude, speed [m/s], duration [s], extent [m], activity, retrograde and
-            standing share, one row each.
-        cycles: Whether the migrating motor complex passes.
-        zones: Where each of its zones begins and ends [m].
+            standing fraction, one row each.
+        cycles: Whether the migrating motor complex passes each sample.
+        zones: Start and end of each zone of the complex [m].
     """
 
     arc_length: Float[np.ndarray, " k"]
@@ -55,10 +55,10 @@ class Layout:
 
 
 def lay_out(organ: OrganSurface, motility: Motility) -> Layout:
-    """Finds the segments of an organ by the labels of its wall.
+    """Lay out the muscle of an organ by the segment labels of its wall.
 
     Raises:
-        UnknownNameError: If a segment has no known name, nor has the organ.
+        UnknownNameError: If neither a segment nor the organ has a known name.
     """
     samples = arc_length_samples(organ.centerline)
     names, name = _segments(organ, motility, samples)
@@ -101,7 +101,7 @@ def lay_out(organ: OrganSurface, motility: Motility) -> Layout:
 def _segments(
     organ: OrganSurface, motility: Motility, samples: Float[np.ndarray, " k"]
 ) -> tuple[tuple[str, ...], Int[np.ndarray, " k"]]:
-    """Names of the segments, and the number of the one that most of the wall at each sample is."""
+    """Names of the segments, and the index of the dominant segment of the wall at each sample."""
     label = _labels(organ, samples)
     known: list[str] = []
     number = np.empty(len(samples), int)
@@ -130,7 +130,7 @@ def _known_name(organ: OrganSurface, label: int, motility: Motility) -> str:
 
 
 def _labels(organ: OrganSurface, samples: Float[np.ndarray, " k"]) -> Int[np.ndarray, " k"]:
-    """Most frequent label of the wall at each sample; where there is no vertex, the nearest."""
+    """Most frequent label of the wall at each sample; without vertices, the next label."""
     nearest = np.clip(np.rint(organ.arc_length / samples[1]), 0, len(samples) - 1).astype(int)
     num = len(organ.label_names)
     count = np.bincount(nearest * num + organ.label, minlength=len(samples) * num)
@@ -141,14 +141,14 @@ def _labels(organ: OrganSurface, samples: Float[np.ndarray, " k"]) -> Int[np.nda
 
 
 def _runs(values: Int[np.ndarray, " k"]) -> Iterator[tuple[int, int, int]]:
-    """Value, first index and end of each stretch of equal values."""
+    """Value, first index and end of each run of equal values."""
     cuts = np.flatnonzero(np.diff(values)) + 1
     for start, end in zip([0, *cuts], [*cuts, len(values)], strict=True):
         yield int(values[start]), int(start), int(end)
 
 
 def _paces(rates: Float[np.ndarray, " k"], cycles: Float[np.ndarray, " k"]) -> np.ndarray:
-    """Number of the pace at each sample: a new one where the rate has changed enough."""
+    """Index of the pacemaker at each sample: a new one where the rate has changed enough."""
     pace = np.empty(len(rates), int)
     start = number = 0
     for k in range(len(rates)):
@@ -159,7 +159,7 @@ def _paces(rates: Float[np.ndarray, " k"], cycles: Float[np.ndarray, " k"]) -> n
 
 
 def _blended(parameters: Float[np.ndarray, "7 k"], spacing: float) -> Float[np.ndarray, "7 k"]:
-    """Running means over a short length."""
+    """Moving averages over a short length."""
     half = max(1, round(0.5 * _BLEND / spacing))
     wide = np.pad(parameters, ((0, 0), (half + 1, half)), mode="edge")
     total = np.cumsum(wide, axis=1)

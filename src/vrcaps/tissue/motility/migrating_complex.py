@@ -1,4 +1,4 @@
-"""The migrating motor complex: the fasting gut's clock, in real minutes."""
+"""Migrating motor complex: the fasting cycle of the gut, in real minutes."""
 
 from __future__ import annotations
 
@@ -38,29 +38,30 @@ _SPEEDS = MappingProxyType(
 
 @dataclass(frozen=True)
 class ComplexStatistics:
-    """How the migrating motor complex varies between patients and from cycle to cycle.
+    """Variation of the migrating motor complex between patients and between cycles.
 
     Kerlin and Phillips, Gastroenterology 82:694, 1982 [1]; Dooley et al., Dig. Dis. Sci. 37:723,
     1992 [2]; Ouyang et al., Dig. Dis. Sci. 34:528, 1989 [3]; Kellow et al., Gastroenterology
     91:386, 1986 [4].
 
     Attributes:
-        cycle_means: Least and largest mean cycle of a patient [s]; 113 to 230 min [2].
+        cycle_means: Minimum and maximum mean cycle of a patient [s]; 113 to 230 min [2].
         cycle_deviation: Standard deviation of a patient's single cycles [s]; 58 to 70 min [2].
-        shortest_cycle: Of single cycles [s]; 15 min [1]. They lie evenly about the mean, so the
-            longest is twice the mean less this: 195 min, as in [1], for a mean of 105 min.
-        origins: Shares of fronts that start in the antrum, the proximal and the distal duodenum
+        shortest_cycle: Minimum length of a single cycle [s]; 15 min [1]. Cycles are symmetric about
+            the mean, so the maximum is twice the mean less this: 195 min, as in [1], for a mean of
+            105 min.
+        origins: Fractions of fronts that start in the antrum, the proximal and the distal duodenum
             and the jejunum [2].
-        third_phase: Shortest and longest phase III [s]; grows from the pylorus to the end of the
+        third_phase: Minimum and maximum phase III [s]; grows from the pylorus to the end of the
             ileum by half of that range [2].
-        fourth_phase: Shortest and longest phase IV [s]; assumed.
-        gastric_first_phase: Mean and standard deviation of phase I, share of the cycle [2].
-        second_phase: Least and largest mean share of phase II in the bowel [2].
-        second_phase_deviation: Of single cycles from that mean; assumed.
+        fourth_phase: Minimum and maximum phase IV [s]; assumed.
+        gastric_first_phase: Mean and standard deviation of phase I, fraction of the cycle [2].
+        second_phase: Minimum and maximum mean fraction of phase II in the bowel [2].
+        second_phase_deviation: Standard deviation of single cycles from that mean; assumed.
         front_speeds: Mean and standard deviation between patients of the front's speed [m/s] in
             each zone and the terminal ileum: [1], in the duodenum [3]; in the stomach assumed.
-            In each patient it falls from the duodenum on [1].
-        reaching: Shares of fronts that get to the middle and to the end of the small bowel: fewer
+            In each patient it falls from the duodenum onwards [1].
+        reaching: Fractions of fronts that reach the middle and the end of the small bowel: fewer
             than half, less than 10 % [4]; in [1] all did.
     """
 
@@ -117,11 +118,11 @@ class ComplexStatistics:
 
 @dataclass(frozen=True)
 class Front:
-    """A front of phase III that is at a place at a time.
+    """Front of phase III at a position and time.
 
     Attributes:
-        time: Of the world [s].
-        arc_length: The place along the centerline [m].
+        time: World time [s].
+        arc_length: Position along the centerline [m].
     """
 
     time: float
@@ -135,26 +136,26 @@ class Front:
 
 @dataclass(frozen=True)
 class MigratingMotorComplex:
-    """A patient's clock: which phase each place of the gut is in at each time.
+    """Cycle of a patient: phase of the complex at each position and time.
 
-    A cycle begins when its front starts in the antrum, or would; the front reaches each place
-    after the same delay, so fronts never meet. There it brings phase III, then come IV, I and II
-    up to the next front. Where a front does not pass, phase II goes on in place of III and IV.
-    After the last cycle the first comes again.
+    A cycle starts when its front starts in the antrum, or would. The front reaches each position
+    after the same delay, so fronts never meet. It brings phase III, followed by IV, I and II until
+    the next front. Where a front does not pass, phase II replaces III and IV. After the last cycle
+    the first repeats.
 
     Attributes:
-        starts: When cycles begin [s], from 0; the last entry is when the first comes again.
-        places: Arc lengths [m], rising, of `delays`.
-        delays: When the front passes these places, after the cycle's start [s].
-        first: Arc length where each cycle's front starts [m].
-        last: Arc length where it dies out [m].
+        starts: Start times of the cycles [s], from 0; the last entry is when the first repeats.
+        places: Arc lengths [m] of `delays`, rising.
+        delays: Time at which the front passes these positions, after the start of the cycle [s].
+        first: Arc length at which the front of each cycle starts [m].
+        last: Arc length at which it dies out [m].
         third: Duration of phase III at the pylorus and oral to it [s].
-        third_growth: Growth of that by length beyond the pylorus [s/m].
+        third_growth: Growth of that duration per length beyond the pylorus [s/m].
         fourth: Duration of phase IV [s].
         gastric_quiet: Duration of phase I in the stomach [s].
         quiet: Duration of phase I in the bowel [s].
         pylorus: Arc length of the pylorus [m].
-        offset: Time of this clock when the world's is 0 [s].
+        offset: Time of the cycle at world time 0 [s].
     """
 
     starts: Float[np.ndarray, " n+1"]
@@ -173,11 +174,11 @@ class MigratingMotorComplex:
     def phase(
         self, arc_length: Float[np.ndarray, "*n"], time: Float[np.ndarray, "*n"] | float
     ) -> tuple[Int[np.ndarray, "*n"], Float[np.ndarray, "*n"]]:
-        """Phase 1 to 4 at places and times, and how much of it has passed, 0 to 1.
+        """Phase 1 to 4 at positions and times, and its elapsed fraction, 0 to 1.
 
         Args:
-            arc_length: Places along the centerline [m].
-            time: Of the world [s].
+            arc_length: Positions along the centerline [m].
+            time: World time [s].
         """
         local = time + self.offset - np.interp(arc_length, self.places, self.delays)
         local = np.mod(local, self.starts[-1])
@@ -191,7 +192,7 @@ class MigratingMotorComplex:
         fourth = np.where(passes, np.minimum(third + self.fourth[cycle], length), 0.0)
         quiet = np.where(beyond < 0.0, self.gastric_quiet[cycle], self.quiet[cycle])
         first = np.minimum(fourth + quiet, length)
-        # Times since the cycle's start at which phases III, IV, I and II end, in this order.
+        # Times since the start of the cycle at which phases III, IV, I and II end, in this order.
         ends = np.stack([third, fourth, first, length])
         number = (since >= ends[:3]).sum(axis=0)
         end = np.take_along_axis(ends, number[None], axis=0)[0]
@@ -199,14 +200,14 @@ class MigratingMotorComplex:
         return _ORDER[number], (since - begin) / np.maximum(end - begin, 1e-9)
 
     def at_front(self, arc_length: float, ahead: float = 0.0) -> MigratingMotorComplex:
-        """The clock set so that at time 0 the first front to pass a place reaches it.
+        """Shift the cycle so that the first front that passes a position reaches it at time 0.
 
         Args:
-            arc_length: The place [m].
-            ahead: Time until the front comes [s].
+            arc_length: The position [m].
+            ahead: Time until the front arrives [s].
 
         Raises:
-            InputError: If no front passes there.
+            InputError: If no front passes that position.
         """
         passes = np.flatnonzero((self.first <= arc_length) & (self.last >= arc_length))
         if len(passes) == 0:
@@ -222,12 +223,12 @@ def draw_complex(
     zones: Mapping[str, tuple[float, float]],
     rng: np.random.Generator,
 ) -> MigratingMotorComplex:
-    """A patient's clock.
+    """Draw the cycle of a patient.
 
     Args:
-        statistics: How patients vary.
-        zones: Where each of `ZONES` that the organ has begins and ends [m].
-        rng: Source of the patient.
+        statistics: Variation between patients.
+        zones: Start and end of each of `ZONES` that the organ has [m].
+        rng: Random generator of the patient.
 
     Raises:
         InputError: If the organ has none of the zones.
@@ -271,7 +272,7 @@ def _delays(
     zones: Mapping[str, tuple[float, float]],
     rng: np.random.Generator,
 ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
-    """Places where the front's speed changes [m] and when it passes them [s]."""
+    """Positions at which the front's speed changes [m], and its arrival times there [s]."""
     speeds = _front_speeds(statistics, rng)
     places, delays = [next(iter(zones.values()))[0]], [0.0]
     for zone, (_, end) in zones.items():
@@ -285,7 +286,7 @@ def _delays(
 
 
 def _front_speeds(statistics: ComplexStatistics, rng: np.random.Generator) -> dict[str, float]:
-    """A patient's front speeds [m/s], falling from the duodenum on."""
+    """Front speeds of a patient [m/s], falling from the duodenum onwards."""
     speeds = {"stomach": statistics.front_speeds["stomach"][0]}
     before = math.inf
     for zone in ("duodenum", "jejunum", "ileum", "terminal"):
@@ -301,14 +302,14 @@ def _reach(
     bowel: tuple[float, float],
     rng: np.random.Generator,
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Where the fronts start and die out [m]."""
+    """Arc lengths at which the fronts start and die out [m]."""
     begin, span = bowel
     duodenum = zones.get("duodenum", (begin, begin))
     middle = 0.5 * (duodenum[0] + duodenum[1])
     starts = np.array([-np.inf, duodenum[0], middle, duodenum[1]])
     first = starts[rng.choice(4, _CYCLES, p=statistics.origins)]
     half, end = statistics.reaching
-    # Share of fronts that get further than a share of the bowel: falls from 1 piece by piece.
+    # Fraction of fronts that get beyond a fraction of the bowel: piecewise linear, falling from 1.
     survivors = [1.0, max(half, 1e-9), min(end, half), 0.0]
     place = np.interp(rng.uniform(size=_CYCLES), survivors[::-1], [2.0, 1.0, 0.5, 0.0])
     return first, np.maximum(begin + span * place, np.where(np.isfinite(first), first, begin))
@@ -320,7 +321,7 @@ def _truncated_normal(
     bounds: tuple[float, float],
     count: int,
 ) -> Float[np.ndarray, " n"]:
-    """Draws from a normal law, drawn again until they are within bounds."""
+    """Samples of a normal distribution truncated to bounds, by rejection."""
     mean, deviation = law
     if deviation == 0.0:
         return np.clip(np.full(count, mean), *bounds)

@@ -1,4 +1,4 @@
-"""All that sets how the muscle of a gut contracts."""
+"""Settings of the gut's motility."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ DAY = 86400.0
 
 @dataclass(frozen=True)
 class GiantContractions:
-    """Rare strong waves that sweep the colon, where the migrating motor complex does not pass.
+    """Rare strong waves of the colon, where the migrating motor complex does not pass.
 
     Attributes:
-        rate: Waves by time [1/s]: 1 to 2 per day (Adv. Funct. Mater. 31:2009289, 2021, table 7);
+        rate: Wave rate [1/s]: 1 to 2 per day (Adv. Funct. Mater. 31:2009289, 2021, table 7);
             other series count 4 to 10 per day (Rao et al., Am. J. Physiol. 280:G629, 2001).
-        amplitude: Share of the lumen's radius taken away, 0 to 1; assumed.
+        amplitude: Fraction of the lumen's radius by which it narrows, 0 to 1; assumed.
         speed: Propagation [m/s]: 2.2 ± 0.3 cm/s (Cook et al., Am. J. Physiol. 278:G329, 2000).
-        duration: At one place [s]: more than 14 s (Rao et al.).
-        extent: Distance a wave runs [m]: 41 ± 6 cm (Cook et al.).
-        origin: Share of the length within which waves start, from the oral end; assumed.
+        duration: Duration at one position [s]: more than 14 s (Rao et al.).
+        extent: Distance traveled by a wave [m]: 41 ± 6 cm (Cook et al.).
+        origin: Fraction of the length, from the oral end, within which waves start; assumed.
     """
 
     rate: float = 1.5 / DAY
@@ -53,22 +53,22 @@ class GiantContractions:
 
 @dataclass(frozen=True)
 class Motility:
-    """How the gut's muscle contracts.
+    """Motility of the gut.
 
     Attributes:
-        segments: Rhythm and waves by the name of the segment, as in the wall's labels.
-        fallback_segment: Name of the segment to take where the wall's own name is unknown; None
-            makes that an error.
+        segments: Rhythm and waves by segment name, as in the labels of the wall.
+        fallback_segment: Segment to use where the wall's own name is unknown; None raises an error
+            instead.
         complex: The migrating motor complex of fasting; None keeps every segment at its steady
             `activity`.
-        front: Arc length that a front of phase III reaches when the world's time is 0 [m]; None
-            leaves it to chance.
-        fronts: Fronts that begin while the world is stepped, in the order of time: from each on the
-            clock is set so that it is there then.
-        is_asleep: Whether the muscle rests until the first of `fronts`.
+        front: Arc length that a front of phase III reaches at world time 0 [m]; None draws it at
+            random.
+        fronts: Fronts that are started during the simulation, in order of time; each shifts the
+            cycle so that a front is at its position at its time.
+        is_asleep: Whether the muscle is at rest until the first of `fronts`.
         giant: Giant contractions of the colon, or None.
-        min_lumen_scale: Share of the lumen's radius at rest that no contraction takes away.
-        propulsion: The force F = β (v_p − u) on the capsule in addition to contact, or None.
+        min_lumen_scale: Minimum lumen radius under contractions, as a fraction of that at rest.
+        propulsion: Force F = β (v_p − u) on the capsule in addition to contact, or None.
     """
 
     segments: Mapping[str, SegmentMotility] = field(default_factory=segment_motilities)

@@ -1,4 +1,4 @@
-"""The muscle of one organ of one patient: how narrow the lumen is at each place and time."""
+"""Muscle of one organ of one patient: lumen scale at each position and time."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ _WHOLE = 1 << 64
 
 
 def uniform(key: int, purpose: int, *numbers: Real[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Uniform draws from 0 to below 1, one for each row of numbers.
+    """Uniform random values in [0, 1), one for each row of integers.
 
-    The finalizer of SplitMix64 (Steele, Lea, Flood, OOPSLA 2014) on a sum of odd multiples.
+    Uses the finalizer of SplitMix64 (Steele, Lea, Flood, OOPSLA 2014) on a sum of odd multiples.
 
     Args:
-        key: Of the stream, 0 to 2⁶⁴ − 1.
-        purpose: Tells apart draws for the same numbers.
-        numbers: What the draws are for, whole numbers.
+        key: Key of the stream, 0 to 2⁶⁴ − 1.
+        purpose: Distinguishes draws for the same integers.
+        numbers: Integers that index the draws.
     """
     factor = _WEYL
     mixed = np.full(1, (key ^ (purpose * factor)) % _WHOLE, np.uint64)
@@ -49,10 +49,10 @@ def uniform(key: int, purpose: int, *numbers: Real[np.ndarray, " n"]) -> Float[n
 
 _HOUR = 3600.0
 _CHANGE_OVER = 2.0
-"""Time within which contractions become those of a front that was begun [s]."""
+"""Transition time of the contractions after a front is started [s]."""
 
 _GIANT_RAMP = 0.1
-"""Share of its extent over which a giant contraction grows, and fades."""
+"""Fraction of its extent over which a giant contraction grows and fades."""
 
 _RATE_STEP = 1e-3
 _ACTIVITY = np.array(
@@ -62,22 +62,22 @@ _ACTIVITY = np.array(
         [1.0, 1.0, 1.0, 0.0, 0.0],
     ]
 )
-"""Share of slow waves that contract where there is no complex and in phases I to IV: how it changes
-through the phase, where it begins, and whether both are shares of the steady activity. Contractions
-become more through phase II and die away in phase IV."""
+"""Fraction of slow waves that contract without a complex and in phases I to IV: its change over
+the phase, its initial value, and whether both are relative to the steady activity. Contractions
+increase through phase II and die away in phase IV."""
 
 _STRENGTH = np.array([[0.0, 0.0, 0.5, 0.0, -1.0], [1.0, 0.0, 0.5, 1.0, 1.0]])
-"""How strong they are, likewise."""
+"""Strength of these contractions, in the same layout without the last row."""
 
 
 @dataclass(frozen=True)
 class _Rule:
-    """What the muscle does from a time on.
+    """Behavior of the muscle from a time onwards.
 
     Attributes:
-        begin: The time [s].
-        clock: Of the migrating motor complex; None where none passes.
-        is_awake: Whether there are contractions at all.
+        begin: Start time [s].
+        clock: Cycle of the migrating motor complex; None where none passes.
+        is_awake: Whether the muscle contracts at all.
     """
 
     begin: float
@@ -86,31 +86,31 @@ class _Rule:
 
 
 class Muscle:
-    """Waves of contraction along an organ, as functions of time alone.
+    """Waves of contraction along an organ, as functions of time only.
 
-    The n-th slow wave of a pace passes a place when φ = f t − k ∫ f ds / c − θ is n, with k = 1
-    for waves that run on, −1 for those that run back and 0 for those that stand. There it takes
+    The n-th slow wave of a pacemaker passes a position when φ = f t − k ∫ f ds / c − θ is n, with
+    k = 1 for antegrade, −1 for retrograde and 0 for standing waves. There it narrows the lumen by
 
         amplitude · cos²(π (φ − n) / (f d)) · g
 
-    of the lumen's radius while |φ − n| < f d / 2; d is the contraction's duration and g how far
-    this wave leads to a contraction here. g changes smoothly between nodes that are `extent`
-    apart and differ from wave to wave; at each it is 0 or 1, by draws that depend on patient,
-    wave and node only. The largest contraction counts. Where a front of phase III is begun, the
-    muscle changes over from the clock before within a short time. So the lumen_scale at a time does
-    not depend on how time was stepped through, and there is no state.
+    of its radius while |φ − n| < f d / 2; d is the duration of the contraction and g its local
+    strength. g changes smoothly between nodes that are `extent` apart and differ from wave to wave;
+    at each node it is 0 or 1, drawn by patient, wave and node only. The strongest contraction
+    determines the lumen. When a front of phase III is started, the muscle changes over from the
+    previous cycle within a short time. The lumen scale at a time is therefore stateless and
+    independent of the time steps.
     """
 
     def __init__(self, organ: OrganSurface, motility: Motility, rng: np.random.Generator) -> None:
-        """A patient's muscle.
+        """Create the muscle of a patient.
 
         Args:
             organ: The gut at rest.
-            motility: How its segments contract.
-            rng: Source of the patient's clock and of all contractions.
+            motility: Motility of the segments.
+            rng: Random generator of the patient's cycle and of all contractions.
 
         Raises:
-            InputError: If no front passes where one is to be.
+            InputError: If no front passes a position at which one is set.
             UnknownNameError: If a segment of the wall has no known name.
         """
         self.motility, self.centerline = motility, organ.centerline
@@ -125,10 +125,10 @@ class Muscle:
         self._rules = self._rules_of(motility)
 
     def with_fronts(self, fronts: tuple[Front, ...]) -> Muscle:
-        """The same patient's muscle with other fronts of phase III, see `Motility.fronts`.
+        """Muscle of the same patient with other fronts of phase III, see `Motility.fronts`.
 
         Raises:
-            InputError: If no front passes where one is to begin.
+            InputError: If no front passes a position at which one is set.
         """
         other = copy(self)
         other.motility = replace(self.motility, fronts=fronts)
@@ -136,7 +136,7 @@ class Muscle:
         return other
 
     def _rules_of(self, motility: Motility) -> list[_Rule]:
-        """What it does from each time on."""
+        """Rules of the muscle in order of time."""
         rules = [_Rule(-math.inf, self.clock, not motility.is_asleep)]
         for front in motility.fronts:
             if self.clock is None:
@@ -149,13 +149,13 @@ class Muscle:
         return rules
 
     def _number_of_rule(self, time: float) -> int:
-        """Which of the rules holds at a time [s]."""
+        """Index of the rule in force at a time [s]."""
         return bisect_right(self._rules, time, key=lambda rule: rule.begin) - 1
 
     def _under_rules(
         self, time: float, value: Callable[[_Rule], Float[np.ndarray, "*n"]]
     ) -> Float[np.ndarray, "*n"]:
-        """A value under the rule of a time [s]; at its beginning on the way from that before."""
+        """Value under the rule at a time [s], blended with the previous rule after a change."""
         number = self._number_of_rule(time)
         passed = (time - self._rules[number].begin) / _CHANGE_OVER
         now = value(self._rules[number])
@@ -165,16 +165,16 @@ class Muscle:
         return before + passed * passed * (3.0 - 2.0 * passed) * (now - before)
 
     def lumen_scale(self, time: float, span: slice = slice(None)) -> Float[np.ndarray, " k"]:
-        """Lumen's radius at the samples, as a share of that at rest.
+        """Radius of the lumen at the samples, relative to that at rest.
 
         Args:
-            time: Of the world [s].
-            span: Stations wanted, in steps of 1; all by default.
+            time: World time [s].
+            span: Range of samples, in steps of 1; all by default.
         """
         return self._under_rules(time, lambda rule: self._lumen_scale(rule, time, span))
 
     def _lumen_scale(self, rule: _Rule, time: float, span: slice) -> Float[np.ndarray, " k"]:
-        """Lumen's radius at the samples under one rule."""
+        """Relative radius of the lumen at the samples under one rule."""
         first, last, _ = span.indices(len(self.layout.arc_length))
         if not rule.is_awake:
             return np.ones(last - first)
@@ -194,12 +194,12 @@ class Muscle:
         return np.maximum(1.0 - deepest, self.motility.min_lumen_scale)
 
     def rate(self, time: float) -> Float[np.ndarray, " k"]:
-        """How fast the lumen_scale changes at the samples [1/s], by central differences."""
+        """Rate of change of the lumen scale at the samples [1/s], by central differences."""
         after, before = self.lumen_scale(time + _RATE_STEP), self.lumen_scale(time - _RATE_STEP)
         return (after - before) / (2.0 * _RATE_STEP)
 
     def phase(self, arc_length: Float[np.ndarray, "*n"], time: float) -> Int[np.ndarray, "*n"]:
-        """Phase 1 to 4 of the migrating motor complex at places [m]; 0 where it does not pass."""
+        """Phase 1 to 4 of the migrating motor complex at positions [m]; 0 where none passes."""
         arc_length = np.asarray(arc_length, float)
         phase = np.zeros(arc_length.shape, int)
         cycles = self.layout.cycles[self._nearest(arc_length)]
@@ -209,7 +209,7 @@ class Muscle:
         return phase
 
     def strength(self, arc_length: Float[np.ndarray, "*n"], time: float) -> np.ndarray:
-        """How strong contractions are at places [m], 0 in phase I to 1 in phase III."""
+        """Strength of contractions at positions [m], from 0 in phase I to 1 in phase III."""
         arc_length = np.asarray(arc_length, float)
         times = np.full(arc_length.shape, time)
 
@@ -224,12 +224,12 @@ class Muscle:
         velocity: Float[np.ndarray, " 3"],
         time: float,
     ) -> Float[np.ndarray, " 3"]:
-        """Force of `Propulsion` [N] on a capsule, in the organ's frame.
+        """Force of `Propulsion` [N] on a capsule, in the organ frame.
 
         Args:
-            position: Of the capsule [m].
-            velocity: Of the capsule [m/s].
-            time: Of the world [s].
+            position: Position of the capsule [m].
+            velocity: Velocity of the capsule [m/s].
+            time: World time [s].
         """
         law, line = self.motility.propulsion, self.centerline
         if law is None:
@@ -250,7 +250,7 @@ class Muscle:
     def _strengths(
         self, rule: _Rule, rows: Rows, wave: Float[np.ndarray, " r"], at: Int[np.ndarray, " q"]
     ) -> tuple[Int[np.ndarray, " p"], Float[np.ndarray, " p"]]:
-        """Of rows `at` those that may contract, and how far, 0 to 1, blended between nodes."""
+        """Rows among `at` that may contract, and their strength, 0 to 1, blended between nodes."""
         run, starts = _runs(rows.group[at], wave[at])
         head = at[starts]
         drawn = uniform(self._key, 1, rows.pace[head], wave[head])
@@ -282,7 +282,7 @@ class Muscle:
         node: Float[np.ndarray, "2 r"],
         shift: Float[np.ndarray, " r"],
     ) -> Float[np.ndarray, "2 r"]:
-        """How far waves contract at nodes, 0 to 1."""
+        """Strength of contraction of waves at nodes, 0 to 1."""
         arc_length = np.interp(node - shift, self._table.place, self.layout.arc_length)
         nearest = self._nearest(arc_length)
         when = wave / rows.rate + rows.start + rows.kind * self._table.delay[nearest]
@@ -296,7 +296,7 @@ class Muscle:
     def _activity(
         self, rule: _Rule, arc_length: Float[np.ndarray, " r"], time: Float[np.ndarray, " r"]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Share of slow waves that contract, how strongly, and whether some of them stand."""
+        """Fraction of slow waves that contract, their strength, and whether some of them stand."""
         nearest = self._nearest(arc_length)
         steady = self.layout.parameters[4, nearest]
         if rule.clock is None:
@@ -311,7 +311,7 @@ class Muscle:
     def _add_giant(
         self, giant: GiantContractions, deepest: Float[np.ndarray, " k"], time: float, first: int
     ) -> None:
-        """Adds the giant contractions under way at a time, from sample `first` on."""
+        """Add the giant contractions in progress at a time, from sample `first` onwards."""
         layout = self.layout
         colon = np.flatnonzero(~layout.cycles)
         if len(colon) == 0:
@@ -335,7 +335,7 @@ class Muscle:
 def _runs(
     one: Float[np.ndarray, " r"], other: Float[np.ndarray, " r"]
 ) -> tuple[Int[np.ndarray, " r"], Int[np.ndarray, " s"]]:
-    """Stretches where both are equal: the number of each entry's, and where each begins."""
+    """Runs in which both are equal: run index of each entry, and start of each run."""
     is_new = np.ones(len(one), bool)
     is_new[1:] = (one[1:] != one[:-1]) | (other[1:] != other[:-1])
     return np.cumsum(is_new) - 1, np.flatnonzero(is_new)

@@ -1,4 +1,4 @@
-"""The propulsive force of peristalsis as a law of its own, without a moving wall."""
+"""Propulsive force of peristalsis as a separate law, without a moving wall."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ _DIRECTIONS = ("segment", "tangent")
 
 @dataclass(frozen=True)
 class Propulsion:
-    """F_p = β (v_p − u), with v_p = α v̂ and the capsule's velocity u.
+    """Propulsive force F_p = β (v_p − u), with v_p = α v̂ and the velocity u of the capsule.
 
     Incetan et al., Med. Image Anal. 70, 2021, Peristaltic Motion; it gives neither α nor β. The
-    direction v̂ = (P_e − P_s) / |P_e − P_s| leads from the start to the end of a piece of gut. The
-    force follows the activity of the muscle at the capsule: none in phase I, all in phase III.
+    direction v̂ = (P_e − P_s) / |P_e − P_s| points from the start to the end of a gut segment. The
+    force scales with the muscle activity at the capsule: zero in phase I, full in phase III.
 
     Attributes:
-        beta: Coefficient β [N·s/m]. The default holds a capsule at rest with 91 mN where
-            contractions run at 2 cm/s: in phase III the human jejunum pulls with 9.3 g (n = 19;
-            Ahluwalia et al., Gut 35:625, 1994).
-        alpha: Speed α [m/s]; None takes the speed of the contractions at the place.
+        beta: Coefficient β [N·s/m]. The default exerts 91 mN on a capsule at rest where
+            contractions propagate at 2 cm/s: in phase III the human jejunum pulls with 9.3 g
+            (n = 19; Ahluwalia et al., Gut 35:625, 1994).
+        alpha: Speed α [m/s]; None uses the local speed of the contractions.
         direction: `segment` as above, or `tangent` of the centerline at the capsule.
-        segment_length: Length of a piece of gut [m]; the paper cuts a small bowel into 35.
+        segment_length: Length of a gut segment [m]; the paper divides a small bowel into 35.
     """
 
     beta: float = 4.6
@@ -53,11 +53,11 @@ class Propulsion:
     def force(
         self, propagation: Float[np.ndarray, " 3"], velocity: Float[np.ndarray, " 3"]
     ) -> Float[np.ndarray, " 3"]:
-        """Force [N] for a propagation velocity v_p and a capsule's velocity u [m/s]."""
+        """Force [N] for a propagation velocity v_p and a capsule velocity u [m/s]."""
         return self.beta * (propagation - velocity)
 
     def unit_vector(self, centerline: Centerline, arc_length: float) -> Float[np.ndarray, " 3"]:
-        """Unit direction v̂ at a place [m] along a centerline, towards the anal end."""
+        """Unit direction v̂ at a position [m] along a centerline, towards the anal end."""
         if self.direction == "tangent":
             axes = [np.interp(arc_length, centerline.arc_length, a) for a in _tangents(centerline)]
             return np.array(axes) / np.linalg.norm(axes)

@@ -1,4 +1,4 @@
-"""The waves that may contract each sample: a row for each kind, more where paces meet."""
+"""Table of waves that may contract each sample: one row per kind, more where pacemakers meet."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from vrcaps.tissue.motility.layout import Layout
 
 KINDS = (1.0, -1.0, 0.0)
-"""Waves that run on, that run back and that stand."""
+"""Antegrade, retrograde and standing waves."""
 
 _OVERLAP = 2.0 * CM
 _FADE = 1.0 * CM
@@ -23,21 +23,21 @@ _FADE = 1.0 * CM
 
 @dataclass(frozen=True)
 class Rows:
-    """All that does not change with time, sorted by pace, kind and sample.
+    """Time-independent properties of the waves, sorted by pacemaker, kind and sample.
 
     Attributes:
-        sample: Number of the sample.
-        group: Number that pace and kind share with no other.
-        pace: Number of the pace.
+        sample: Index of the sample.
+        group: Index unique to a pair of pacemaker and kind.
+        pace: Index of the pacemaker.
         kind: A value of `KINDS`.
-        rate: Slow waves of the pace [1/s].
-        lag: Turns by which the slow wave is behind time.
-        start: When wave 0 is where the organ begins, or would be [s].
-        duty: Share of the slow wave's time that a contraction takes.
-        amplitude: Share of the radius that a full contraction takes.
-        place: Place in nodes of irregular contractions.
-        low: Least draw with which a wave is of this kind somewhere near.
-        high: Largest such draw.
+        rate: Slow-wave rate of the pacemaker [1/s].
+        lag: Phase lag of the slow wave [cycles].
+        start: Time at which wave 0 is, or would be, at the start of the organ [s].
+        duty: Fraction of the slow-wave period that a contraction lasts.
+        amplitude: Fraction of the radius that a full contraction takes.
+        place: Position in nodes of irregular contractions.
+        low: Minimum draw for which a wave is of this kind somewhere nearby.
+        high: Maximum such draw.
     """
 
     sample: Int[np.ndarray, " r"]
@@ -54,20 +54,20 @@ class Rows:
     high: Float[np.ndarray, " r"]
 
     def take(self, which: Int[np.ndarray, " q"] | slice) -> Rows:
-        """Some of the rows."""
+        """Subset of the rows."""
         return Rows(**{name: values[which] for name, values in vars(self).items()})
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of an organ, and what its samples share.
+    """Rows of an organ, and values that its samples share.
 
     Attributes:
         rows: All rows.
-        order: Rows by sample.
-        begin: First of each sample in that order, and the number of rows.
-        delay: Time that waves take from the oral end to each sample [s].
-        place: Place of each sample in nodes of irregular contractions.
+        order: Row indices sorted by sample.
+        begin: First entry of each sample in that order, then the number of rows.
+        delay: Travel time of waves from the oral end to each sample [s].
+        place: Position of each sample in nodes of irregular contractions.
     """
 
     rows: Rows
@@ -84,7 +84,7 @@ class Table:
 
 
 def make_table(layout: Layout, rng: np.random.Generator) -> Table:
-    """The rows of an organ; each pace's clock starts at a random turn."""
+    """Build the rows of an organ; each pacemaker starts at a random phase."""
     spacing = layout.arc_length[1]
     amplitude, speed, duration, extent, _, back, stand = layout.parameters
     delay, place = (
@@ -130,10 +130,10 @@ def make_table(layout: Layout, rng: np.random.Generator) -> Table:
 
 
 def _weight(layout: Layout, pace: int) -> Float[np.ndarray, " k"]:
-    """How much of a pace's waves is left at each sample.
+    """Remaining weight of a pacemaker's waves at each sample.
 
-    Where the next pace is nearly the same, waves run on into it and fade there; where it is not,
-    they fade before.
+    Waves continue into a neighbor of nearly the same rate and fade there; otherwise they fade
+    before they reach it.
     """
     samples = layout.arc_length
     own = np.flatnonzero(layout.pace == pace)

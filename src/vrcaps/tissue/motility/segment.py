@@ -1,4 +1,4 @@
-"""How each segment of the gut contracts: figures of healthy adults."""
+"""Motility of each segment of the gut: values of healthy adults."""
 
 from __future__ import annotations
 
@@ -14,27 +14,28 @@ from vrcaps.units import CM, MM
 PER_MINUTE = 1.0 / 60.0
 
 ZONES = ("stomach", "duodenum", "jejunum", "ileum")
-"""Parts of the gut through which the migrating motor complex passes, from the oral end."""
+"""Parts of the gut that the migrating motor complex passes, from the oral end."""
 
 
 @dataclass(frozen=True)
 class SegmentMotility:
     """Rhythm and waves of one segment.
 
-    Slow waves come at a rate and run along the gut at a speed. Some of them lead to contractions,
-    which are as long as what passes in their duration. Most run on, some run back, some stand.
+    Slow waves have a rate and propagate along the gut at a speed. A fraction of them lead to
+    contractions, as long as the distance a wave travels in their duration. Most are antegrade, some
+    are retrograde, some stand.
 
     Attributes:
-        amplitude: Share of the lumen's radius that a full contraction takes away, 0 to 1.
-        rates: Slow waves at the oral and at the anal end [1/s].
-        speeds: Propagation of a contraction at the oral and at the anal end [m/s].
-        duration: Of a contraction at one place [s]; shorter than the time between slow waves.
+        amplitude: Fraction of the lumen's radius that a full contraction takes, 0 to 1.
+        rates: Slow-wave rate at the oral and the anal end [1/s].
+        speeds: Propagation speed of contractions at the oral and the anal end [m/s].
+        duration: Duration of a contraction at one position [s]; shorter than the slow-wave period.
         extent: Distance over which irregular contractions appear and vanish [m].
-        activity: Share of slow waves that lead to contractions: in phase II where the complex
+        activity: Fraction of slow waves that lead to contractions: in phase II where the complex
             passes, always where it does not.
-        retrograde: Share of contractions that run towards the oral end.
-        standing: Share of contractions that do not run; none in phase III.
-        zone: Part of the migrating motor complex, or None where it does not pass.
+        retrograde: Fraction of contractions that propagate towards the oral end.
+        standing: Fraction of contractions that do not propagate; none in phase III.
+        zone: Zone of the migrating motor complex, or None where it does not pass.
     """
 
     amplitude: float
@@ -70,17 +71,17 @@ class SegmentMotility:
 
     @property
     def wavelengths(self) -> tuple[float, float]:
-        """Distance between slow waves, speed / rate, at the oral and at the anal end [m]."""
+        """Distance between slow waves, speed / rate, at the oral and the anal end [m]."""
         return (self.speeds[0] / self.rates[0], self.speeds[1] / self.rates[1])
 
     @property
     def ring_lengths(self) -> tuple[float, float]:
-        """Length of a running contraction, speed · duration, at both ends [m]."""
+        """Length of a propagating contraction, speed · duration, at both ends [m]."""
         return (self.speeds[0] * self.duration, self.speeds[1] * self.duration)
 
 
 def _gastric(amplitude: float) -> SegmentMotility:
-    """Stomach, with the share of its radius that a full contraction takes.
+    """Parameters of the stomach; `amplitude` is the fraction of the radius at full contraction.
 
     3.0 ± 0.2 contractions per min; 1.6 ± 0.2 mm/s (n = 28; Neurogastroenterol. Motil. 13:511,
     2001) to 2.7 ± 0.1 mm/s, occlusion 58 ± 6 % before the pylorus and less away from it (n = 9;
@@ -105,12 +106,12 @@ def _bowel(
     speeds: tuple[float, float],
     retrograde: float,
 ) -> SegmentMotility:
-    """Small bowel, with rates [1/min] and speeds [cm/s].
+    """Parameters of the small bowel from rates [1/min] and speeds [cm/s].
 
-    Rates by Kerlin and Phillips (Gastroenterology 82:694, 1982); in phase II 2.2
-    running and 0.3 standing contractions per min (n = 19; Ahluwalia et al., Gut 35:625, 1994), so
-    22 % of slow waves contract and 12 % of the contractions stand. Contractions run at 0.5 to
-    2 cm/s, faster in the upper bowel (Guyton and Hall, Textbook of Medical Physiology, 2006,
+    Rates from Kerlin and Phillips (Gastroenterology 82:694, 1982); in phase II there are 2.2
+    propagating and 0.3 standing contractions per min (n = 19; Ahluwalia et al., Gut 35:625, 1994),
+    so 22 % of slow waves contract and 12 % of the contractions stand. Contractions propagate at 0.5
+    to 2 cm/s, faster in the upper bowel (Guyton and Hall, Textbook of Medical Physiology, 2006,
     chapter 63). The amplitude is set so that a capsule 11 mm thick in a lumen of 22 mm is squeezed
     with the pressure of phase III, 18 to 62 mmHg (Adv. Funct. Mater. 31:2009289, 2021, table 7).
     Duration and extent: assumed.
@@ -129,8 +130,8 @@ def _bowel(
 
 
 _DUODENUM = _bowel("duodenum", rates=(12.0, 12.0), speeds=(2.0, 2.0), retrograde=0.25)
-"""Of its waves 17 to 25 % run back early in phase III (Castedal et al., Scand. J. Gastroenterol.
-32:797, 1997)."""
+"""17 to 25 % of its waves are retrograde early in phase III (Castedal et al., Scand. J.
+Gastroenterol. 32:797, 1997)."""
 
 _JEJUNUM = _bowel("jejunum", rates=(12.0, 10.9), speeds=(2.0, 1.2), retrograde=0.1)
 _ILEUM = _bowel("ileum", rates=(10.9, 8.6), speeds=(1.2, 0.5), retrograde=0.1)
@@ -146,9 +147,9 @@ _COLON = SegmentMotility(
     standing=0.8,
 )
 """Slow waves 3 to 8 per min, simultaneous waves 1.4 ± 0.6 per min (Adv. Funct. Mater. 31:2009289,
-2021, table 7): 47 % of 3 per min. Speed of waves that move content 2.2 ± 0.3 cm/s (Cook et al.,
-Am. J. Physiol. 278:G329, 2000). Most do not run (Bharucha, Neurogastroenterol. Motil. 24:977,
-2012). Amplitude, duration and the length of a haustrum: assumed."""
+2021, table 7): 47 % of 3 per min. Waves that move contents have a speed of 2.2 ± 0.3 cm/s (Cook et
+al., Am. J. Physiol. 278:G329, 2000). Most do not propagate (Bharucha, Neurogastroenterol. Motil.
+24:977, 2012). Amplitude, duration and the length of a haustrum: assumed."""
 
 MOTILITIES = MappingProxyType(
     {
@@ -163,11 +164,11 @@ MOTILITIES = MappingProxyType(
         "colon": _COLON,
     }
 )
-"""Healthy adults, fasting; by the names in `vrcaps.organ.segments`."""
+"""Motility of healthy fasting adults, by the names in `vrcaps.organ.segments`."""
 
 
 def segment_motilities() -> dict[str, SegmentMotility]:
-    """Motility of every declared segment by its label, and of organs that contract alike."""
+    """Motility of each declared segment by label, and of organs with uniform motility."""
     found = {
         segment.label: MOTILITIES[segment.motility]
         for organ in ORGANS.values()
@@ -181,5 +182,5 @@ def segment_motilities() -> dict[str, SegmentMotility]:
 
 
 def organ_divisions() -> dict[str, tuple[tuple[str, float], ...]]:
-    """Segments of organs that come without, by label, with their fractions of the length."""
+    """Segments of organs without segment labels, by label, with their fractions of the length."""
     return {o.label: tuple(o.fractions.items()) for o in ORGANS.values() if o.fractions}

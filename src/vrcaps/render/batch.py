@@ -1,4 +1,4 @@
-"""Images of many walls or from many poses, rendered in one call of the compiled core."""
+"""Batched rendering: many walls or poses in one call of the compiled core."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 BATCH_CHANNELS = tuple(
     name for name, kind in CHANNELS.items() if kind.stage == "core" and kind.if_empty is None
 )
-"""Channels of one image by itself: not of motion, of lumen contents or of the dome."""
+"""Channels that depend on one image only: not on motion, lumen contents or the dome."""
 
 
 def renders_batches(renderer: Renderer) -> bool:
-    """Whether a renderer's images can be made in batches: direct light of an empty lumen."""
+    """Check whether a renderer supports batches: direct light and an empty lumen."""
     settings = renderer.settings
     is_direct = settings.light == "direct" and not settings.is_supersampled
     return is_direct and renderer.model.lumen_contents is None
@@ -40,9 +40,10 @@ def render_batch(
     walls: Sequence[_core.Wall] | None = None,
     out: Mapping[str, NDArray[Any]] | None = None,
 ) -> dict[str, NDArray[Any]]:
-    """Images from several poses, each with the bytes of `Renderer.render` by itself.
+    """Render images from several poses, each with the same bytes as `Renderer.render`.
 
-    All threads work on them. Renderers hold the textures: give worlds of one organ the same one.
+    All threads share the work. Renderers hold the textures: use one renderer for all worlds with
+    the same organ.
 
     Example:
         >>> renderer = Renderer(model, RenderSettings(light="direct"))
@@ -50,23 +51,23 @@ def render_batch(
         >>> images = render_batch([renderer], Ts_world_camera, camera)["rgb"]
 
     Args:
-        renderers: One for all images or one for each, all with the same settings but for organs;
-            see `renders_batches`.
+        renderers: One for all images or one per image; their settings must be equal, their
+            organs may differ; see `renders_batches`.
         Ts_wall_camera: Poses of the camera in the frame of the walls.
-        camera: In the size of the images.
+        camera: Camera, at the size of the images.
         channels: Some of `BATCH_CHANNELS`.
-        walls: One for all images or one for each, as those of `World`, which are in the patient
-            frame and may have moved; None: that of each renderer's model, at rest in the world
-            frame.
+        walls: One for all images or one per image, such as those of `World`, which are in the
+            patient frame and may have moved; None: the wall of each renderer's model, at rest
+            in the world frame.
         out: C-contiguous arrays of earlier images [n h w …] to overwrite, by channel.
 
     Returns:
         Arrays [n h w …] by channel.
 
     Raises:
-        UnknownNameError: If there is no such channel.
-        InputError: If a renderer's light is not direct, it has contents or other settings, numbers
-            or shapes do not fit each other, or a pose is not finite.
+        UnknownNameError: If a channel does not exist.
+        InputError: If a renderer's light is not direct, it has contents, settings differ,
+            counts or shapes do not match, or a pose is not finite.
     """
     poses = np.ascontiguousarray(Ts_wall_camera, np.float64)
     _check(renderers, channels, poses)
@@ -109,7 +110,7 @@ def _check(renderers: Sequence[Renderer], channels: Sequence[str], poses: np.nda
 
 
 def _array(name: str, count: int, camera: Camera, out: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
-    """Room for a channel."""
+    """Return the array to render a channel into: a given one that fits, or a new one."""
     kind = CHANNELS[name]
     shape = (count, *kind.shape(camera.height, camera.width))
     given = out.get(name)

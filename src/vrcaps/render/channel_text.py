@@ -1,4 +1,4 @@
-"""How channels are stored, in words: for the pages of docs/ and for data cards."""
+"""Text descriptions of stored channels, for the pages of docs/ and for data cards."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from vrcaps.render.encoding import Encoding
 
 
 def unit_text(channel: Channel) -> str:
-    """Its unit; empty for plain numbers."""
+    """Unit of a channel; empty for plain numbers."""
     return "" if channel.unit in ("1", "class", "number") else channel.unit
 
 
 def file_text(channel: Channel) -> str:
-    """Kind of its files, such as ``16-bit PNG, 3 planes``."""
+    """File type of a channel, such as ``16-bit PNG, 3 planes``."""
     encoding = channel.encoding
     planes = "" if encoding.planes == 1 else f", {encoding.planes} planes"
     if encoding.suffix == ".npy":
@@ -21,7 +21,7 @@ def file_text(channel: Channel) -> str:
 
 
 def value_text(channel: Channel) -> str:
-    """What a pixel holds and how it follows from the stored numbers."""
+    """Meaning of a pixel's value, with the formula that decodes the stored numbers."""
     encoding, meaning = channel.encoding, channel.meaning
     if encoding.is_mask:
         return f"255 where the {meaning}"
@@ -38,7 +38,7 @@ def value_text(channel: Channel) -> str:
 
 
 def invalid_text(channel: Channel) -> str:
-    """The stored numbers where there is no value."""
+    """Stored numbers that mean no value."""
     encoding: Encoding = channel.encoding
     if channel.name == "rgb":
         return "black"
@@ -50,5 +50,5 @@ def invalid_text(channel: Channel) -> str:
 
 
 def _length(scale: float) -> str:
-    """A step [m] in a readable unit."""
+    """Format a step [m] in a readable unit."""
     return f"{scale * 1e3:g} mm" if scale >= 1e-4 else f"{scale * 1e6:g} µm"

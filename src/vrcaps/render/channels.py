@@ -1,8 +1,8 @@
-"""Image channels: one declaration per channel, from which everything else follows.
+"""Image channels: one declaration per channel, used everywhere.
 
-A field of `Frame` declares a channel: its type, and in `channel(...)` its meaning, what it needs,
-how it is stored and how it is shown. The renderer, recordings, previews, checks and the tables in
-docs/ read these declarations. To add one see docs/extending.md.
+A field of `Frame` declares a channel: its type and, in `channel(...)`, its meaning, requirements,
+storage and display. The renderer, recordings, previews, checks and the tables in docs/ read these
+declarations. To add a channel, see docs/extending.md.
 """
 
 from __future__ import annotations
@@ -21,15 +21,14 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int, UInt8, UInt16
 
 Stage = Literal["core", "motion", "dome"]
-"""Where a channel is computed: in the compiled core (one pass), by comparing neighboring frames,
-or by the camera pipeline, which knows what lies on the dome."""
+"""Stage that computes a channel: the compiled core (one pass), the comparison of neighboring
+frames, or the camera pipeline, which knows the matter on the dome."""
 
 Display = Literal[
     "image", "color", "vector", "scalar", "classes", "numbers", "index", "mask", "flow"
 ]
-"""How a channel is shown: as it is, as linear color, as vector components, by a color map, as
-distinct colors of classes, of numbers or of places in a list, as black and white, as hue of a
-direction."""
+"""Display of a channel: as is, as linear color, as vector components, by a color map, in distinct
+colors for classes, numbers or indices into a list, in black and white, or with direction as hue."""
 
 
 @dataclass(frozen=True)
@@ -37,16 +36,16 @@ class Channel:
     """One image channel.
 
     Attributes:
-        name: Also that of its field of `Frame` and of the core's array.
-        dtype: Of its values in memory.
-        meaning: What a pixel holds.
-        encoding: How it is stored; has its unit and components.
-        display: How it is shown.
-        limits: Values at both ends of the color map; None: a percentile of what is shown.
-        class_names: Of numbers 0, 1, … where they are the same for all organs.
-        stage: Where it is computed.
-        needs: Neighboring states that it compares with.
-        if_empty: Value where the lumen is empty, for channels of lumen contents; None for others.
+        name: Name of the channel, of its field of `Frame` and of the core's array.
+        dtype: Type of its values in memory.
+        meaning: Meaning of a pixel's value.
+        encoding: Storage encoding; includes unit and components.
+        display: Display of the values.
+        limits: Values at both ends of the color map; None: a percentile of the values shown.
+        class_names: Names of the values 0, 1, … if they are the same for all organs.
+        stage: Stage that computes it.
+        needs: Neighboring states that it needs.
+        if_empty: Value for an empty lumen, for channels of lumen contents; None for others.
     """
 
     name: str
@@ -65,13 +64,13 @@ class Channel:
 
     @property
     def description(self) -> str:
-        """Meaning, and what each number means where that is the same for all organs."""
+        """Meaning, with the name of each value if names are the same for all organs."""
         names = ", ".join(f"{number} {name}" for number, name in enumerate(self.class_names))
         return f"{self.meaning}: {names}" if names else self.meaning
 
     @property
     def unit(self) -> str:
-        """Of its values."""
+        """Unit of the values."""
         return self.encoding.unit
 
     @property
@@ -81,7 +80,7 @@ class Channel:
 
     @property
     def is_categorical(self) -> bool:
-        """Whether its values stand for things, so that neighbors must not be averaged."""
+        """Whether its values are categories, so that neighbors must not be averaged."""
         return self.display in ("classes", "numbers", "index", "mask")
 
     def shape(self, height: int, width: int) -> tuple[int, ...]:
@@ -101,7 +100,7 @@ _ALL = (None, None)
 
 @dataclass(frozen=True)
 class Frame:
-    """What a camera sees: channels of one image; None where a channel was not asked for.
+    """Channels of one image of a camera; None for channels that were not requested.
 
     Where a pixel sees no surface, float channels hold NaN (`rgb` and `radiance` are black,
     `label` and `instance` are 0, `face` is −1).

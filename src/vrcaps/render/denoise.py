@@ -1,4 +1,4 @@
-"""Noise of path tracing taken away by Open Image Denoise (Áfra 2019), a trained filter."""
+"""Denoising of path-traced light by Open Image Denoise (Áfra 2019), a trained filter."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def denoise(
 ) -> Float32[np.ndarray, "h w 3"]:
     """Filter the sampled part of path-traced light.
 
-    The first reflection is exact and is left alone, highlights and all; what is filtered is the
-    light beyond it, guided by the wall's color and normals, which have no noise.
+    The first reflection is exact and passes unfiltered, including highlights. The light beyond it
+    is filtered, guided by the wall's color and normals, which have no noise.
 
     Args:
         radiance: Light up to any number of reflections [W/(sr·m²)].
@@ -47,10 +47,10 @@ def denoise(
 
 
 class _Denoiser:
-    """Device and filter of Open Image Denoise, made once in each process.
+    """Device and filter of Open Image Denoise, created once per process.
 
-    The device that the library's own `denoise` keeps hangs in a forked process, which has none of
-    its threads.
+    The device cached by the library's own `denoise` hangs in a forked process, because the threads
+    of the parent do not exist there.
     """
 
     _made: _Denoiser | None = None
@@ -69,14 +69,14 @@ class _Denoiser:
 
     @classmethod
     def of_process(cls) -> _Denoiser:
-        """The one of this process."""
+        """Return the denoiser of this process."""
         with cls._making:
             cls._made = cls._made or cls()
             return cls._made
 
     @classmethod
     def forget(cls) -> None:
-        """Leave the one of the parent alone, in a forked process."""
+        """Drop the parent's denoiser without touching it, in a forked process."""
         cls._made, cls._making = None, threading.Lock()
 
     def run(self, images: dict[str, Float32[np.ndarray, "h w 3"]]) -> Float32[np.ndarray, "h w 3"]:
@@ -99,7 +99,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def load_denoiser() -> Any:
-    """The package that brings the library.
+    """Import the package that contains the library.
 
     Raises:
         MissingExtraError: If it is not installed.

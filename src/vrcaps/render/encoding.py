@@ -20,19 +20,19 @@ _MOST_PACKED = 2**24 - 2
 
 @dataclass(frozen=True)
 class Encoding:
-    """How one channel is stored. Where `scale` is given, value = stored · scale + offset.
+    """Storage encoding of a channel. Where `scale` is given, value = stored · scale + offset.
 
     Attributes:
-        unit: Of the value.
-        dtype: Of the stored numbers.
+        unit: Unit of the values.
+        dtype: Type of the stored numbers.
         components: Values per pixel.
         suffix: `.png`, or `.npy` where 16 bits are not enough.
-        scale: Value of one step.
+        scale: Size of one step.
         offset: Value of a stored 0.
         invalid: Stored number that means no value; NaN for stored floats.
         is_mask: Whether the value is true (stored 255) or false (0).
-        is_packed: Whether a whole number + 1 is stored as three bytes, the lowest first, so that
-            0 means −1: no number.
+        is_packed: Whether an integer + 1 is stored as three bytes, least significant first; 0 means
+            −1: no number.
     """
 
     unit: str
@@ -47,20 +47,20 @@ class Encoding:
 
     @property
     def planes(self) -> int:
-        """Numbers stored per pixel: a flow has a third, 1 where it is valid and 0 where not."""
+        """Numbers stored per pixel; a flow has a third plane, 1 where valid and 0 elsewhere."""
         return 3 if self.components == 2 or self.is_packed else self.components
 
     def path(self, camera: str, channel: str, frame: int) -> str:
-        """Path of an image in its episode."""
+        """Path of an image within its episode."""
         return f"{camera}/{channel}/{frame:06d}{self.suffix}"
 
     def encode(self, values: NDArray) -> NDArray:
-        """Stored numbers [h w] or [h w 3] of a channel's values, C-contiguous.
+        """Encode a channel's values as stored numbers [h w] or [h w 3], C-contiguous.
 
         Values that are NaN or outside the range of a fixed-point scale are stored as invalid.
 
         Raises:
-            InputError: If a whole number is outside the range of the stored type.
+            InputError: If an integer is outside the range of the stored type.
         """
         if self.is_mask:
             return np.where(values, np.uint8(255), np.uint8(0))
@@ -79,7 +79,7 @@ class Encoding:
         return np.concatenate([steps, valid], axis=-1)
 
     def decode(self, stored: NDArray) -> NDArray:
-        """Values of stored numbers: float32 with NaN where invalid, or as they are stored."""
+        """Decode stored numbers: float32 with NaN where invalid, or unchanged."""
         if self.is_mask:
             return stored > 127
         if self.is_packed:
@@ -102,7 +102,7 @@ class Encoding:
 
 
 def numbers(unit: str, dtype: str, components: int = 1) -> Encoding:
-    """Stored as it is: whole numbers as PNG, floats as NPY."""
+    """Encoding without conversion: integers as PNG, floats as NPY."""
     suffix = ".npy" if dtype == "float32" else ".png"
     return Encoding(unit, dtype, components, suffix)
 
@@ -118,10 +118,10 @@ def distance() -> Encoding:
 
 
 def flow() -> Encoding:
-    """As in KITTI's flow files: 1/64 px steps around 32768, third plane 1 where valid."""
+    """Encoding of KITTI's flow files: 1/64 px steps around 32768, third plane 1 where valid."""
     return fixed_point("px", 1.0 / 64.0, offset=-512.0, components=2)
 
 
 def index() -> Encoding:
-    """Whole numbers from 0 to 2²⁴ − 2, −1 where there is none, as the bytes of a color image."""
+    """Integers from 0 to 2²⁴ − 2, or −1 for none, as the bytes of a color image."""
     return Encoding("number", "uint8", 1, invalid=0, is_packed=True)

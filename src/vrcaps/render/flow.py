@@ -1,4 +1,4 @@
-"""Optical flow and visibility: where surface points seen now appear in a neighboring frame."""
+"""Optical flow and visibility of surface points in a neighboring frame."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int, UInt8
 
 SUBSAMPLE = 4
-"""Stride of the subsampled pixel grid, which starts in the middle of a cell; as in the core."""
+"""Stride of the subsampled pixel grid, which starts at the center of a cell; as in the core."""
 
 
 @dataclass(frozen=True)
@@ -26,8 +26,9 @@ class SurfacePoints:
     """Surface point that each pixel sees, in material coordinates of the wall.
 
     Attributes:
-        position: In the world frame now [m]; NaN where there is none.
-        face: Face it lies on, −1 where there is none, −2 − k on sphere k of the lumen_contents.
+        position: Position in the world frame now [m]; NaN if there is no surface.
+        face: Index of the face it lies on, −1 for none, −2 − k for sphere k of the lumen
+            contents.
         weights: Weights of the face's first and second corner.
         refraction: Refraction at a pool's surface, as in the channel `refraction_label`.
     """
@@ -39,7 +40,7 @@ class SurfacePoints:
 
     @staticmethod
     def allocate(camera: Camera) -> SurfacePoints:
-        """Uninitialized arrays for the points that a camera's `subsample` pixels see."""
+        """Uninitialized arrays for the surface points of a camera's `subsample` pixels."""
         half = SUBSAMPLE // 2
         shape = (camera.height + half - 1) // SUBSAMPLE, (camera.width + half - 1) // SUBSAMPLE
         position, weights = np.empty((*shape, 3), np.float32), np.empty((*shape, 2), np.float32)
@@ -53,16 +54,16 @@ class SurfacePoints:
         now: LumenContents | None = None,
         then: LumenContents | None = None,
     ) -> Float[np.ndarray, "h w 3"]:
-        """The same points of the wall and of spheres in another state, world frame [m].
+        """Positions of these points of wall and spheres in another state, world frame [m].
 
         Args:
-            faces: Of the wall.
+            faces: Faces of the wall.
             state: The other state.
-            now: What is in the lumen now.
-            then: What is in it in the other state.
+            now: Lumen contents now.
+            then: Lumen contents in the other state.
 
         Returns:
-            `position` itself where nothing moves.
+            `position` itself if nothing moves.
         """
         points = self._moved_wall(faces, state)
         if now is None or then is None or not now.spheres.has_chyme:
@@ -88,7 +89,7 @@ class SurfacePoints:
 
 
 def subsample(image: np.ndarray) -> np.ndarray:
-    """Image on the subsampled pixel grid: one pixel of every `SUBSAMPLE` by `SUBSAMPLE`."""
+    """Image on the subsampled pixel grid: one pixel per `SUBSAMPLE` by `SUBSAMPLE` cell."""
     return image[SUBSAMPLE // 2 :: SUBSAMPLE, SUBSAMPLE // 2 :: SUBSAMPLE]
 
 
@@ -99,12 +100,12 @@ def flow(
 
     Args:
         camera: The camera that sees both frames.
-        points_world: Where the surface points appear in the neighboring frame [m].
+        points_world: Apparent positions of the surface points in the neighboring frame [m].
         state: The neighboring frame.
 
     Returns:
-        Columns and rows, as float32; NaN where there is no surface or the point leaves the
-        lens's field.
+        Shifts along columns and rows, float32; NaN where there is no surface or the point leaves
+        the field of view of the lens.
     """
     T_camera_world = invert(state.T_world_capsule @ camera.T_capsule_camera)
     pixels = project_points(camera, transform_points(T_camera_world, points_world))
@@ -120,16 +121,16 @@ def visibility(
     wall: Wall,
     contents: Contents | None,
 ) -> Bool[np.ndarray, "h w"]:
-    """Whether each surface point is seen in a neighboring frame: in view and not occluded.
+    """Visibility of surface points in a neighboring frame: in view and not occluded.
 
     Args:
         camera: The camera that sees both frames.
-        paths: Light paths to them through liquid.
-        points_world: The surface points in the neighboring frame [m].
-        motion: Of their images [px].
+        paths: Light paths to the points through liquid.
+        points_world: Positions of the surface points in the neighboring frame [m].
+        motion: Optical flow of their images [px].
         state: The neighboring frame.
-        wall: In that frame.
-        contents: Of the lumen then.
+        wall: The wall in that frame.
+        contents: Lumen contents in that frame.
     """
     target = motion + pixel_grid(camera.width, camera.height)
     seen = in_image(camera, target)

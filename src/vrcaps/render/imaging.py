@@ -1,7 +1,7 @@
 """Imaging modes: colors under light other than the reference white light.
 
-A wall, a liquid or a bubble has its color under the reference white light. An imaging mode says
-what that color becomes, from its chromophores blood and bile.
+The colors of walls, liquids and bubbles are defined under the reference white light. An imaging
+mode maps them to colors under its own light, by unmixing the chromophores blood and bile.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 MAX_DENSITY = 5.0
-"""Optical density of blood or bile at which lookup tables end."""
+"""Optical density of blood or bile at the end of lookup tables."""
 
 _DENSITIES = np.vstack([np.ones(3), ABSORPTION])  # rows: base, blood, bile
-_BLACK = 1e-4  # so that a logarithm exists
+_BLACK = 1e-4  # keeps logarithms finite
 _STEPS = 4096
-_ROWS = 256  # worked on at a time
+_ROWS = 256  # processed at a time
 
 
 def unmix_chromophores(
     log_light: Float[np.ndarray, "*n 3"],
 ) -> tuple[Float[np.ndarray, "*n"], Float[np.ndarray, "*n"], Float[np.ndarray, "*n"]]:
-    """Chromophore unmixing: density of the base in red, of blood in green and of bile in blue.
+    """Unmix chromophores: density of the base in red, of blood in green and of bile in blue.
 
     Args:
         log_light: Logarithm of the reflectance in red, green and blue.
@@ -45,7 +45,7 @@ def unmix_chromophores(
 
 
 def unmix_absorption(absorption: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Chromophore unmixing of a liquid: absorption [1/m] of base, blood in green, bile in blue."""
+    """Unmix a liquid's absorption [1/m]: base, blood in green, bile in blue."""
     base, blood, bile = np.linalg.solve(_DENSITIES.T, np.array(absorption)).tolist()
     return base, blood, bile
 
@@ -67,13 +67,13 @@ class Imaging:
     """Color transforms of an imaging mode.
 
     Attributes:
-        color: From the logarithms of the reflectances under white light to those under this; None
-            changes nothing.
-        absorption: The same of a liquid's absorption [1/m].
-        bands_nm: Middle of what the image's red, green and blue are lit by [nm].
-        channels: Which of the white image's colors each of this one's is nearest to, for light
-            that a liquid scatters.
-        led_gains: Factors on the LEDs for red, green and blue, against white light.
+        color: Map from log reflectance under white light to log reflectance under this light;
+            None for no change.
+        absorption: The same map for the absorption of a liquid [1/m].
+        bands_nm: Center wavelengths of the light in the image's red, green and blue [nm].
+        channels: For each color of this image, the index of the nearest color of the
+            white-light image, for light scattered by a liquid.
+        led_gains: Gains of the LEDs for red, green and blue, relative to white light.
     """
 
     color: Callable[[Float[np.ndarray, "*n 3"]], Float[np.ndarray, "*n 3"]] | None = None
@@ -83,13 +83,13 @@ class Imaging:
     led_gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     def reflectance(self, albedo: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-        """Linear colors as this light shows them."""
+        """Linear colors under this light."""
         if self.color is None:
             return albedo
         return np.exp(self.color(np.log(np.maximum(albedo, _BLACK))))
 
     def appearance(self, look: Appearance) -> Appearance:
-        """A wall's textures as this light shows them."""
+        """Textures of a wall under this light."""
         if self.color is None:
             return look
         rows = range(0, len(look.albedo), _ROWS)
@@ -100,12 +100,12 @@ class Imaging:
         return replace(look, albedo=np.concatenate(albedo))
 
     def bubbles(self, bubbles: Bubbles) -> Bubbles:
-        """Bubbles whose surroundings are lit so."""
+        """Bubbles whose surroundings are lit by this light."""
         red, green, blue = self.reflectance(np.array(bubbles.color)).tolist()
         return replace(bubbles, color=(red, green, blue))
 
     def liquid(self, liquid: Liquid) -> Liquid:
-        """A liquid as this light shows it; what it absorbs is blood and bile."""
+        """A liquid under this light; its absorption is attributed to blood and bile."""
         if self.absorption is None:
             return liquid
         scattering = tuple(liquid.scattering[channel] for channel in self.channels)
@@ -113,4 +113,4 @@ class Imaging:
 
 
 WHITE_LIGHT = Imaging()
-"""The light that colors are given for."""
+"""The reference light, under which colors are defined."""

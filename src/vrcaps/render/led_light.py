@@ -1,9 +1,9 @@
-"""White light of LEDs other than the usual: colors by the LEDs' spectrum.
+"""White light of LEDs with other spectra than the reference.
 
-A camera is balanced to white under its own LEDs, so only what has a color looks different under
-others: blood, most of all where the LEDs shine at its bands about 415, 540 and 577 nm, and bile
-below 500 nm. Colors are given for `PHOSPHOR`; of each, blood and bile are taken apart, and what
-their densities would be less or more under the new spectrum is added.
+A camera is white-balanced under its own LEDs, so only colored matter looks different under other
+LEDs: blood, most of all where the LEDs emit in its bands at 415, 540 and 577 nm, and bile below
+500 nm. Colors are defined under `PHOSPHOR`. Each color is unmixed into blood and bile, and the
+changes of their densities under the new spectrum are added.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from vrcaps.capsule.device import Device
 
 Spectrum = tuple[tuple[float, float], ...]
-"""Wavelengths [nm] and relative power there; linear between them, nothing beyond."""
+"""Wavelengths [nm] and relative power; linear in between, zero outside."""
 
 _STEP = 4.0
 _WAVELENGTH = np.arange(380.0, 701.0, _STEP)  # [nm]
@@ -54,35 +54,35 @@ _BILIRUBIN = 1e3 * np.array([
     *(36.98, 29.64, 22.83, 16.79, 11.84, 7.707, 4.767, 2.794, 1.702, 0.966, 0.582, 0.34),
     *(0.214, 0.208, 0.126, 0.121, 0.066),
 ])  # fmt: skip
-"""The same of bilirubin in chloroform, up to 540 nm (PhotochemCAD; Agati and Fusi, J. Photochem.
-Photobiol. B 7(1), 1990)."""
+"""Extinction of bilirubin in chloroform, in the same units and steps, up to 540 nm (PhotochemCAD;
+Agati and Fusi, J. Photochem. Photobiol. B 7(1), 1990)."""
 
 _CHANNELS = ((645.0, 50.0), (545.0, 90.0), (465.0, 90.0))
-"""Middle and full width at half of red, green and blue [nm], as Gaussians: those of a usual sensor
-after its color matrix (an assumption), red where blood is a sixth as dense as in green, which is
-what `vrcaps.mucosa.mucosa.ABSORPTION` has."""
+"""Center and full width at half maximum of red, green and blue [nm], as Gaussians: a typical sensor
+after its color matrix (an assumption). In red, blood is a sixth as dense as in green, as in
+`vrcaps.mucosa.mucosa.ABSORPTION`."""
 
 _MIN_FRACTION = 0.02
-"""Light that a channel must get of what the brightest does, to balance white."""
+"""Minimum light of a channel relative to the brightest one, for white balance."""
 
 
 def _bell(middle: float, width: float) -> Float[np.ndarray, " n"]:
-    """Gaussian of a full width at half [nm]."""
+    """Gaussian with a full width at half maximum [nm]."""
     return np.exp(-4.0 * np.log(2.0) * ((_WAVELENGTH - middle) / width) ** 2)
 
 
 PHOSPHOR: Spectrum = tuple(
     zip(_WAVELENGTH.tolist(), (_bell(450.0, 20.0) + _bell(560.0, 120.0)).tolist(), strict=True)
 )
-"""A blue LED at 450 nm under a yellow phosphor of as much power at its peak, about 5200 K by
-McCamy's formula (Color Res. Appl. 17(2), 1992): the light that colors are given for."""
+"""A blue LED at 450 nm under a yellow phosphor of equal peak power, about 5200 K by McCamy's
+formula (Color Res. Appl. 17(2), 1992): the reference light, under which colors are defined."""
 
 
 def make_imaging(device: Device, mode: str) -> Imaging:
-    """How a capsule sees in an imaging mode, `white-light` or `narrow-band`.
+    """Imaging of a capsule in a mode, `white-light` or `narrow-band`.
 
     Raises:
-        InputError: If its LEDs give a color of the camera hardly any light.
+        InputError: If its LEDs give hardly any light in a color of the camera.
     """
     if mode == "narrow-band":
         return narrow_band()
@@ -91,7 +91,7 @@ def make_imaging(device: Device, mode: str) -> Imaging:
 
 @functools.lru_cache(maxsize=4)
 def led_light(spectrum: Spectrum) -> Imaging:
-    """Imaging under LEDs of a spectrum, to which the camera is balanced.
+    """Imaging under LEDs with a given spectrum, to which the camera is white-balanced.
 
     Raises:
         InputError: If a color of the camera gets hardly any light.
@@ -119,10 +119,10 @@ class _Seen:
     """Densities in the camera's channels under a spectrum.
 
     Attributes:
-        blood: Of tissue with `lut_densities` densities of blood, by channel.
-        bile: Of `lut_densities` densities of bile.
-        thin_blood: Of little blood in a liquid, relative to green under `PHOSPHOR`.
-        thin_bile: Of little bile, relative to blue under it.
+        blood: Densities of tissue for the blood densities of `lut_densities`, by channel.
+        bile: Densities for the bile densities of `lut_densities`, by channel.
+        thin_blood: Density of little blood in a liquid, relative to green under `PHOSPHOR`.
+        thin_bile: Density of little bile in a liquid, relative to blue under `PHOSPHOR`.
         bands_nm: Mean wavelength of each channel's light.
     """
 
@@ -143,7 +143,7 @@ _BILIRUBIN_ALL = np.pad(_BILIRUBIN, (0, len(_WAVELENGTH) - len(_BILIRUBIN)))
 
 
 def _weights(spectrum: Spectrum) -> Float[np.ndarray, "3 n"]:
-    """Share of each wavelength in the light of red, green and blue."""
+    """Fraction of each wavelength in the light of red, green and blue."""
     wavelength, power = np.array(spectrum).T
     light = np.interp(_WAVELENGTH, wavelength, power, left=0.0, right=0.0)
     channels = np.array([light * _bell(*channel) for channel in _CHANNELS])

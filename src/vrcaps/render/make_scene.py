@@ -1,4 +1,4 @@
-"""Scene of the compiled core: what it renders of an organ."""
+"""Scene of the compiled core: its representation of an organ for rendering."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _PLAIN = Appearance(np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), np.uint8), n
 
 
 def make_scene(organ: OrganSurface, settings: RenderSettings, imaging: Imaging) -> _core.Scene:
-    """The core's scene of an organ.
+    """Scene of the core for an organ.
 
     Args:
-        organ: What to render; one without an appearance is plain.
+        organ: Organ to render; drawn plain if it has no appearance.
         settings: Mucus film and scattering.
         imaging: Colors of the LEDs and the camera.
     """

@@ -1,11 +1,11 @@
 """Mucus film: appearance of the wall under a liquid layer of given thickness, dry to flooded.
 
-Liquid fills the lowest places first. Below texel size it covers the domes of single cells; with the
-covered fraction of the wall the clearcoat strengthens and the albedo darkens. In the relief of the
-texture it levels out within a capillary length.
+Liquid fills the lowest points first. Below texel size it covers the domes of single cells; the
+clearcoat strengthens and the albedo darkens with the covered fraction of the wall. In the relief of
+the texture the liquid levels within a capillary length.
 
-An organ's textures and clearcoat are those of a wet wall, as photographs show it: a film of more
-than about 10 µm changes nothing but relief.
+An organ's textures and clearcoat are those of a wet wall, as in photographs: a film of more than
+about 10 µm changes only the relief.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ if TYPE_CHECKING:
     from jaxtyping import Float, UInt8
 
 MAX_THICKNESS_UM = 1000.0
-"""More than this is a pool, not a film [µm]."""
+"""Maximum thickness of a film [µm]; thicker liquid is a pool."""
 
 _CELLS = 5e-6
-"""RMS height of what is smaller than a texel [m], domes of surface cells: an assumption."""
+"""RMS height of features below texel size [m], the domes of surface cells: an assumption."""
 
 _LIQUID_IOR = 1.335
-"""Refractive index of mucus, nearly water."""
+"""Refractive index of mucus, close to that of water."""
 
 _CAPILLARY = 2.7e-3
-"""Within such a distance surface tension levels water [m]: √(σ/ρg)."""
+"""Capillary length of water, within which surface tension levels it [m]: √(σ/ρg)."""
 
 _STEPS = 60
 
 
 def apply_mucus_film(organ: OrganSurface, thickness: float) -> OrganSurface:
-    """Organ under a mucus film.
+    """Return an organ under a mucus film.
 
     Args:
-        organ: With an appearance of its own.
-        thickness: Liquid on the wall over its area [m], 0 for a dry wall.
+        organ: Organ with its own appearance.
+        thickness: Volume of liquid per area of the wall [m], 0 for a dry wall.
 
     Raises:
         InputError: If the organ has no appearance.
@@ -69,11 +69,11 @@ def apply_mucus_film(organ: OrganSurface, thickness: float) -> OrganSurface:
 def covered_fraction(thickness: float) -> float:
     """Fraction of a rough surface that liquid covers.
 
-    Heights are normally distributed: up to a level x, liquid of x Φ(x) + φ(x) stands on an area of
-    1, on a fraction Φ(x) of it.
+    Heights are normally distributed: liquid up to a level x has the volume x Φ(x) + φ(x) per area
+    and covers the fraction Φ(x).
 
     Args:
-        thickness: Of liquid, over the RMS height of the surface.
+        thickness: Volume of liquid per area, relative to the RMS height of the surface.
     """
     from scipy.optimize import brentq
     from scipy.stats import norm
@@ -88,10 +88,11 @@ def covered_fraction(thickness: float) -> float:
 
 
 def dry_albedo(wet: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """Albedo of the wall without the film that reflects a fraction p of the light back to it.
+    """Albedo of the wall without the film, which reflects a fraction p of the light back to it.
 
-    Under it A becomes A (1 − p)/(1 − p A): light that the film reflects back may be absorbed the
-    next time (Lekner and Dorf, Appl. Opt. 27(7), 1988, without what the film itself reflects).
+    The film turns A into A (1 − p)/(1 − p A): light that the film reflects back may be absorbed at
+    the next reflection (Lekner and Dorf, Appl. Opt. 27(7), 1988, without the reflection of the film
+    itself).
     """
     fraction = internal_reflectance(_LIQUID_IOR)
     return wet / (1.0 - fraction + fraction * wet)
@@ -100,12 +101,12 @@ def dry_albedo(wet: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
 def level_relief(
     height: Float[np.ndarray, "h w"], thickness: float, window: int
 ) -> Float[np.ndarray, "h w"]:
-    """Relief [m] of a height map whose dips hold liquid, level over a window [texels].
+    """Relief [m] of a height map whose dips are filled with liquid, leveled over a window [texels].
 
     Args:
-        height: The relief [m]; it wraps.
-        thickness: Of liquid over the area [m].
-        window: Texels to each side over which liquid finds its level.
+        height: Relief [m]; periodic.
+        thickness: Volume of liquid per area [m].
+        window: Width over which the liquid levels [texels].
     """
     from scipy.ndimage import uniform_filter
 
@@ -117,7 +118,7 @@ def level_relief(
 
 
 def _liquid_level(height: Float[np.ndarray, "h w"], thickness: float) -> float:
-    """Height up to which a volume of liquid stands, over an area of 1."""
+    """Level of a given volume of liquid per area on a height map [m]."""
     low, high = float(height.min()), float(height.max()) + thickness
     for _ in range(_STEPS):
         level = 0.5 * (low + high)
@@ -131,12 +132,12 @@ def _liquid_level(height: Float[np.ndarray, "h w"], thickness: float) -> float:
 
 
 def _wet_albedo_lut(covered: float) -> UInt8[np.ndarray, " 256"]:
-    """Lookup table from the wet wall's sRGB values to those where only a fraction is covered."""
+    """Lookup table from sRGB of the wet wall to sRGB of a wall covered to a given fraction."""
     return srgb_from_linear(covered * LINEAR + (1.0 - covered) * dry_albedo(LINEAR))
 
 
 def _texel_size(organ: OrganSurface, look: Appearance) -> float:
-    """Side of a texel on the wall [m], on average."""
+    """Mean side length of a texel on the wall [m]."""
     area = 2.0 * triangle_areas(organ.vertices[organ.faces]).sum()
     used = np.abs(np.linalg.det(organ.uv[:, 1:] - organ.uv[:, :1])).sum()
     return float(np.sqrt(area / max(used * look.height.size, 1e-12)))

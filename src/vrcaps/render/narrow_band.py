@@ -1,10 +1,11 @@
 """Narrow-band imaging: the wall as lit at 415 and 540 nm, where hemoglobin absorbs most.
 
-A texel's color is taken apart into a bright base, blood and bile, by their optical densities in
-the camera's red, green and blue bands. Blood's density in green gives its absorption beside the
-tissue's scattering; that, carried over to the two bands, gives what the tissue reflects there. The
-image shows 540 nm as red, and 415 nm as green and blue (Gono, Clin. Endosc. 48(6), 2015), so that
-vessels stand out brown. Vessels have no depth here: light of 415 nm sees all of them.
+A texel's color is unmixed into a bright base, blood and bile by their optical densities in the
+camera's red, green and blue bands. The density of blood in green gives its absorption relative to
+the tissue's scattering. Scaled to the two bands, this gives the reflectance of the tissue there.
+The image shows 540 nm as red, and 415 nm as green and blue (Gono, Clin. Endosc. 48(6), 2015), which
+makes vessels stand out brown. Vessels have no depth in this model: light of 415 nm sees all of
+them.
 """
 
 from __future__ import annotations
@@ -33,17 +34,17 @@ _HEMOGLOBIN = {"green": 34.7e3, 540: 46.5e3, 415: 394e3}
 over 500 to 590 nm, and over the bands of 30 nm about 540 and 415 nm of narrow-band systems."""
 
 _BILE = {540: 0.08, 415: 0.88}
-"""Density of bile at the bands relative to blue: bilirubin as a band about 455 nm, 90 nm wide."""
+"""Density of bile in the bands relative to blue; bilirubin is a band at 455 nm, 90 nm wide."""
 
 _PALE = 0.5
-"""Share of the blood of the colon's plain mucosa that pale mucosa has, which looks neutral."""
+"""Blood of pale mucosa, which looks neutral, as a fraction of that of the colon's plain mucosa."""
 
 
 def blood_density(density: Float[np.ndarray, "*n"], band: int) -> Float[np.ndarray, "*n"]:
-    """Optical density of blood in tissue at a band, from that in green.
+    """Optical density of blood in tissue in a narrow band, from its density in green.
 
     Args:
-        density: In green.
+        density: Optical density in green.
         band: 415 or 540 [nm].
     """
     scattering = reduced_scattering(band) / reduced_scattering(545.0)
@@ -52,12 +53,12 @@ def blood_density(density: Float[np.ndarray, "*n"], band: int) -> Float[np.ndarr
 
 @functools.cache
 def _table(band: int) -> Float[np.ndarray, " n"]:
-    """`blood_density` of `lut_densities` densities."""
+    """`blood_density` at the grid of `lut_densities`."""
     return blood_density(lut_densities(), band).astype(np.float32)
 
 
 def _led_gains() -> tuple[float, float, float]:
-    """By them pale mucosa is neutral, and the colon's plain mucosa as bright as in white light."""
+    """LED gains: pale mucosa is neutral, plain colon mucosa as bright as in white light."""
     plain = np.log(np.array(MUCOSAE["colon"].base_color))
     pale = _PALE * unmix_chromophores(plain)[1]
     gains = np.exp([blood_density(pale, band) for band in (540, 415, 415)])

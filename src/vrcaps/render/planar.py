@@ -1,4 +1,4 @@
-"""Planar images with a margin: one plane for each color, as the camera pipeline takes radiance."""
+"""Planar images with a margin: one plane per color, the input layout of the camera pipeline."""
 
 from __future__ import annotations
 
@@ -13,6 +13,6 @@ if TYPE_CHECKING:
 def crop_margin(
     planes: Float[np.ndarray, "3 h+2m w+2m"], height: int, width: int
 ) -> Float[np.ndarray, "3 h w"]:
-    """The image in planes with a margin, as a view."""
+    """Return the image without the margin, as a view."""
     margin = (planes.shape[1] - height) // 2
     return planes[:, margin : margin + height, margin : margin + width]

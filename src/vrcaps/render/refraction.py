@@ -1,4 +1,4 @@
-"""Refraction and reflection at pool surfaces: where points below or above them appear."""
+"""Refraction and reflection at pool surfaces: apparent positions of points seen through them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 REFLECTED = CHANNELS["refraction_label"].class_names.index("reflected")
 
 _STEPS = 40
-"""Most steps of Newton's method: some five suffice, grazing paths bisect."""
+"""Maximum number of Newton steps; about five suffice, grazing paths bisect."""
 
 
 @dataclass(frozen=True)
@@ -25,10 +25,10 @@ class RefractedPaths:
     """Light paths from a camera to points through a pool's surface.
 
     Attributes:
-        apparent: Where the points appear: as far from the camera as the path is long, on the
-            straight line along which it leaves the camera; world frame [m].
-        surface_crossing: Where the path meets the surface [m]; NaN where it is straight, None if
-            all paths are.
+        apparent: Apparent positions of the points: at the distance of the path length, on the
+            straight line along which the path leaves the camera; world frame [m].
+        surface_crossing: Intersection of the path with the surface [m]; NaN for straight paths,
+            None if all paths are straight.
     """
 
     apparent: Float[np.ndarray, "*n 3"]
@@ -44,15 +44,15 @@ def surface_heights(
 ) -> Float[np.ndarray, "*n"]:
     """Height of the pool surface between a camera and each point [m]; NaN where there is none.
 
-    A camera in a pool has that pool's surface above it. A camera above has below it the surfaces of
-    the pools that the points belong to.
+    For a camera in a pool, this is the surface of that pool, above it. For a camera above the
+    liquid, these are the surfaces of the pools that the points belong to.
 
     Args:
-        lumen_contents: What is in the lumen.
+        lumen_contents: Contents of the lumen.
         eye: Position of the camera in the world [m].
-        wall: The wall, to know along which pool the camera is.
-        faces: Of the wall.
-        face: That each point lies on, −2 − k on sphere k of the lumen_contents.
+        wall: The wall, to find the pool that the camera is in.
+        faces: Faces of the wall.
+        face: Index of each point's face, −2 − k for sphere k of the lumen contents.
     """
     levels, pools = np.full(face.shape, np.nan), lumen_contents.pools
     if pools is None:
@@ -85,10 +85,10 @@ def refract_paths(
 
     Args:
         eye: Position of the camera in the world [m].
-        points: In the world [m].
-        heights: Of the surface between camera and point [m]; NaN for none.
-        is_reflected: Points to be seen by reflection at the surface, if they are in liquid as the
-            camera is.
+        points: Points in the world [m].
+        heights: Heights of the surface between camera and point [m]; NaN for none.
+        is_reflected: Points seen by reflection at the surface, if they are in the liquid like
+            the camera.
         ior: Refractive index of the liquid.
     """
     apparent, crossing = points.astype(np.float64), np.full(points.shape, np.nan)
@@ -113,10 +113,10 @@ def _crossings(
     heights: Float[np.ndarray, " n"],
     ior: float,
 ) -> Float[np.ndarray, "n 3"]:
-    """Where light crosses a surface: the path of least time (Fermat).
+    """Surface crossings of light paths: the path of least time (Fermat).
 
-    The derivative of time along the line below camera and point is monotonic, so Newton's steps
-    stay within the bracket.
+    The derivative of time along the line below camera and point is monotonic, so Newton steps stay
+    within the bracket.
     """
     offset = points[:, :2] - eye[:2]
     reach = np.linalg.norm(offset, axis=-1)

@@ -1,4 +1,4 @@
-"""Renderer: images of a world, one pass of the compiled core for all requested channels."""
+"""Renderer: images of a world, with all requested channels in one pass of the compiled core."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 DEFAULT_CHANNELS = ("rgb", "depth", "ray_distance", "normal", "label", "instance", "arc_length")
-"""A complete labeled frame."""
+"""The channels of a complete labeled frame."""
 
 _MATERIAL_POINT: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
     "weights": (np.float32, (2,)),
 }
-"""Further arrays that the core fills, where on the wall a pixel's point is: dtype and what follows
-(height, width)."""
+"""Further arrays filled by the core, with the material point of each pixel: dtype and the shape
+after (height, width)."""
 
 _MOTION_INPUTS = ("position", "face", "weights", "refraction_label")
 _RADIANCE_PLANAR = "radiance_planar"
 
 
 class Renderer:
-    """Renders one organ; holds its hierarchy, textures and the ray tables of cameras.
+    """Renderer of one organ; holds its hierarchy, textures and the ray tables of cameras.
 
     Example:
         >>> renderer = vrcaps.Renderer(model)
@@ -56,17 +56,17 @@ class Renderer:
         settings: RenderSettings | None = None,
         wall: MovingWall | None = None,
     ) -> None:
-        """Prepares to render.
+        """Prepare rendering.
 
         Args:
-            model: What is rendered.
-            settings: How; None is the default, which recordings have, too.
-            wall: The model's wall, shared with others who need it in the same states.
+            model: Model to render.
+            settings: Render settings; None for the defaults, which recordings also use.
+            wall: Wall of the model, shared with others that need it in the same states.
         """
         self.model = model
         self.settings = settings or RenderSettings()
         if self.settings.denoise:
-            load_denoiser()  # before much is made that would be in vain
+            load_denoiser()  # fail before expensive work
         self._imaging = make_imaging(model.device, self.settings.imaging)
         self._scene = make_scene(model.organ, self.settings, self._imaging)
         self._radiosity: _core.Radiosity | None = None
@@ -79,7 +79,7 @@ class Renderer:
         self._led_rows: dict[int, tuple[Camera, Float[np.ndarray, "k 10"]]] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """A copy holds the same model, and a wall of its own."""
+        """Copy the model and the settings; the copy has its own wall."""
         return Renderer, (self.model, self.settings)
 
     def render(
@@ -92,15 +92,15 @@ class Renderer:
         state_previous: State | None = None,
         out: Frame | None = None,
     ) -> Frame:
-        """What a camera sees.
+        """Render a camera's image.
 
         Args:
-            state: The world now.
-            camera: A camera of the device, or its name.
+            state: State of the world now.
+            camera: Camera of the device, or its name.
             channels: Names of channels of `Frame`.
-            state_next: The world one frame later, for `flow_forward` and `occlusion`.
-            state_previous: The world one frame earlier, for `flow_backward`.
-            out: An earlier frame of the same camera whose arrays may be overwritten.
+            state_next: State one frame later, for `flow_forward` and `occlusion`.
+            state_previous: State one frame earlier, for `flow_backward`.
+            out: Earlier frame of the same camera whose arrays may be overwritten.
 
         Raises:
             UnknownNameError: If there is no such camera or channel.
@@ -119,10 +119,10 @@ class Renderer:
         points: SurfacePoints | None = None,
         planes: Float[np.ndarray, "3 h+2m w+2m"] | None = None,
     ) -> dict[str, NDArray[Any]]:
-        """What `render` does, by channels, in states before, now and after.
+        """Channels of `render` by name, given the states before, now and after.
 
-        `points` receives what `subsample` pixels see; `planes` receives float32 radiance by color
-        with a margin, which is left unchanged.
+        `points` receives the surface points of the `subsample` pixels; `planes` receives float32
+        radiance by color, with a margin that is left unchanged.
         """
         state_previous, state, state_next = states
         _check_channels(channels, state_next, state_previous)
@@ -182,7 +182,7 @@ class Renderer:
             arrays["rgb"][...] = _core.encode_srgb(radiance, camera.exposure)
 
     def _radiosity_for(self, arrays: Iterable[str]) -> _core.Radiosity | None:
-        """The solver of indirect light, made when light is first rendered."""
+        """Return the solver of indirect light, created on first use."""
         if self.settings.light != "radiosity" or not any(_is_light(name) for name in arrays):
             return None
         if self._radiosity is None:
@@ -196,7 +196,7 @@ class Renderer:
         channels: Sequence[str],
         states: tuple[State | None, State, State | None],
     ) -> dict[str, NDArray[Any]]:
-        """Channels that compare this frame with its neighbors, of states before, now, after."""
+        """Channels that compare this frame with its neighbors; states are before, now, after."""
         state_previous, state, state_next = states
         motion: dict[str, NDArray[Any]] = {}
         needs = _needs(channels)
@@ -229,14 +229,14 @@ class Renderer:
         neighbor: State,
         slot: str,
     ) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "4 4"]]:
-        """Where surface points appear in a neighboring frame [m], and `T_world_camera` there.
+        """Apparent surface points in a neighboring frame [m], and its `T_world_camera`.
 
         Args:
-            camera: That sees them.
-            points: What pixels see now.
-            state: The world now.
-            neighbor: The world one frame later or earlier.
-            slot: `next` or `previous`: which neighbor it is.
+            camera: Camera that sees the points.
+            points: Surface points of the pixels now.
+            state: State now.
+            neighbor: State one frame later or earlier.
+            slot: `next` or `previous`, the neighbor's side.
         """
         contents = self.lumen_contents(state), self.lumen_contents(neighbor)
         moved = points.moved(self.model.organ.faces, neighbor, *contents)
@@ -253,7 +253,7 @@ class Renderer:
     ) -> RefractedPaths:
         """Light paths through liquid to surface points that have `moved` to another state.
 
-        The slot is `next` or `previous`: which neighbor the state is.
+        The slot is `next` or `previous`, the neighbor's side.
         """
         lumen_contents = self.lumen_contents(state)
         if lumen_contents is None or lumen_contents.pools is None:
@@ -278,11 +278,11 @@ class Renderer:
             fits = given is not None and given.shape == shape and given.dtype == dtype
             arrays[name] = given if fits else np.empty(shape, dtype)
             if name in CHANNELS and CHANNELS[name].stage == "dome":
-                arrays[name].fill(0)  # the camera pipeline knows more
+                arrays[name].fill(0)  # set by the camera pipeline
         return arrays
 
     def pose(self, state: State, camera: Camera) -> Float[np.ndarray, "4 4"]:
-        """`T_world_camera` in a state, kept for frames that have it as their neighbor."""
+        """`T_world_camera` in a state, cached for frames that have it as their neighbor."""
         for known, seeing, pose in self._poses:
             if known is state and seeing is camera:
                 return pose
@@ -291,7 +291,7 @@ class Renderer:
         return pose
 
     def lumen_contents(self, state: State) -> LumenContents | None:
-        """What is in the lumen in a state."""
+        """Contents of the lumen in a state."""
         rest = self.model.lumen_contents
         if state.lumen_contents is not None or rest is None:
             return state.lumen_contents
@@ -306,7 +306,7 @@ class Renderer:
     def _core_contents(
         self, lumen_contents: LumenContents, wall: _core.Wall, slot: str
     ) -> _core.Contents:
-        """The contents ready to be traced; where only spheres have moved, their tree is kept."""
+        """Contents ready for tracing; their tree is kept if only spheres have moved."""
         kept = self._contents.get(slot)
         if kept is not None and kept[1] is wall and _differ_in_place(kept[0], lumen_contents):
             if kept[0] is not lumen_contents:
@@ -331,11 +331,11 @@ class Renderer:
         key = (id(camera), supersampling)
         if key not in self._tables:
             table = _core.RayTable(camera_rays(camera, supersampling))
-            self._tables[key] = (camera, table)  # holding the camera keeps its id its own
+            self._tables[key] = (camera, table)  # a reference to the camera keeps its id unique
         return self._tables[key][1]
 
     def _leds(self, camera: Camera) -> Float[np.ndarray, "k 10"]:
-        """Rows of position [m], direction, intensity [W/sr] and lobe exponent in its frame."""
+        """Rows of position [m], direction, intensity [W/sr] and lobe exponent, camera frame."""
         if id(camera) not in self._led_rows:
             gains = self._imaging.led_gains
             rows = [
@@ -352,7 +352,7 @@ class Renderer:
 
 
 def _differ_in_place(one: LumenContents, other: LumenContents) -> bool:
-    """Whether two fillings are of the same spheres and pools."""
+    """Check whether two contents have the same spheres and pools."""
     return one.spheres.radius is other.spheres.radius and one.pools is other.pools
 
 
@@ -371,12 +371,12 @@ def _check_channels(
 
 
 def _needs(channels: Sequence[str]) -> set[str]:
-    """Neighboring states that channels compare with."""
+    """Neighboring states that channels need."""
     return {neighbor for name in channels for neighbor in CHANNELS[name].needs}
 
 
 def _layout(name: str, camera: Camera) -> tuple[tuple[int, ...], np.dtype]:
-    """Shape and type of an array that the core fills."""
+    """Shape and dtype of an array that the core fills."""
     if name in CHANNELS:
         shape, dtype = CHANNELS[name].shape(camera.height, camera.width), CHANNELS[name].dtype
     else:
@@ -386,12 +386,12 @@ def _layout(name: str, camera: Camera) -> tuple[tuple[int, ...], np.dtype]:
 
 
 def _is_light(name: str) -> bool:
-    """Whether an array holds light, which is rendered with indirect light and supersampled."""
+    """Check whether an array holds light, which gets indirect light and supersampling."""
     return name == _RADIANCE_PLANAR or (name in CHANNELS and CHANNELS[name].is_light)
 
 
 def _fill_empty(arrays: dict[str, NDArray[Any]]) -> None:
-    """Channels of lumen contents where there are none."""
+    """Fill channels of lumen contents for an empty lumen."""
     for name, array in arrays.items():
         if name in CHANNELS and (value := CHANNELS[name].if_empty) is not None:
             array.fill(value)

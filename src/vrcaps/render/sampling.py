@@ -1,4 +1,4 @@
-"""Sampling of a pixel's light: supersampling, denoising, and the seed of path tracing."""
+"""Sampling of pixel radiance: supersampling, denoising, and the seed of path tracing."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 
 class PathSampling(NamedTuple):
-    """How the core samples paths.
+    """Path sampling parameters of the core.
 
     Attributes:
         spp: Samples per pixel.
-        max_bounces: Most reflections of a path.
-        seed: Of this frame's random numbers.
+        max_bounces: Maximum number of reflections of a path.
+        seed: Seed of this frame's random numbers.
     """
 
     spp: int
@@ -34,7 +34,7 @@ class PathSampling(NamedTuple):
 def supersampled_radiance(
     draw: Callable[..., None], camera: Camera, settings: RenderSettings
 ) -> Float[np.ndarray, "h w 3"]:
-    """Radiance [W/(sr·m²)] as the mean over each pixel's rays, denoised where that is asked for."""
+    """Radiance [W/(sr·m²)] as the mean over each pixel's rays, denoised if the settings say so."""
     factor = settings.supersampling
 
     def means(*names: str, **kwargs: PathSampling | None) -> list[NDArray[np.float32]]:
@@ -55,9 +55,10 @@ def supersampled_radiance(
 def path_sampling(
     settings: RenderSettings, time: float, T_world_camera: Float[np.ndarray, "4 4"]
 ) -> PathSampling | None:
-    """How light is traced, with a seed of this instant's own.
+    """Path sampling of a frame, with a seed derived from its time and view.
 
-    Frames differ in time or view, so that noise does not stand still before a moving scene.
+    The seed changes with time and view, so that the noise pattern does not stay fixed while the
+    scene moves. None if light is not path traced.
     """
     if settings.light != "path":
         return None

@@ -1,9 +1,9 @@
 """Subsurface scattering: optical properties of gut tissue.
 
-States in closed form what `light="path"` samples by random walks and what `light="radiosity"`
-precomputes from such walks: a half-space of isotropic scattering behind a smooth dielectric border.
-The texture's color is the tissue's albedo under diffuse illumination; its absorption follows from
-that and from the measured scattering of colon.
+Closed-form solution of the model that `light="path"` samples by random walks and from which
+`light="radiosity"` precomputes transport: a half-space of isotropic scattering behind a smooth
+dielectric boundary. The texture's color is the tissue's albedo under diffuse illumination; its
+absorption follows from this albedo and from the measured scattering of colon.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ TISSUE_IOR = 1.4
 1.41 for soft tissue)."""
 
 _SCATTERING_300 = 1420.0
-"""Reduced scattering coefficient of colon at 300 nm [1/m]; with the next: 14.2 to 6.2 per cm from
-300 to 800 nm (Marchesini et al., Lasers Surg. Med. 15(4), 1994)."""
+"""Reduced scattering coefficient of colon at 300 nm [1/m]; with `SCATTERING_EXPONENT` 14.2 to 6.2
+per cm from 300 to 800 nm (Marchesini et al., Lasers Surg. Med. 15(4), 1994)."""
 
 SCATTERING_EXPONENT = -0.845
-"""Exponent of wavelength in it."""
+"""Exponent of wavelength in the reduced scattering coefficient."""
 
 _COLORS = 256
-_WHITEST = 0.98  # base color above which nothing is told apart
-_NODES = 48  # of Gauss's rule, on either side of the critical angle
+_WHITEST = 0.98  # base color above which all are treated as equal
+_NODES = 48  # of the Gauss rule, on either side of the critical angle
 
 
 def reduced_scattering(wavelength_nm: float) -> float:
@@ -40,14 +40,14 @@ def reduced_scattering(wavelength_nm: float) -> float:
 
 
 def fresnel(cosine: Float[np.ndarray, "*n"], ior: float) -> Float[np.ndarray, "*n"]:
-    """Reflectance of a smooth border for unpolarized light (Born and Wolf, section 1.5).
+    """Reflectance of a smooth boundary for unpolarized light (Born and Wolf, section 1.5).
 
     Args:
-        cosine: Of the angle to the normal on the side that the light comes from, 0 to 1.
-        ior: Refractive index beyond the border over that before it; below 1 there is an angle from
-            which on all is reflected.
+        cosine: Cosine of the angle of incidence, 0 to 1.
+        ior: Refractive index beyond the boundary relative to the incident side; below 1, light is
+            totally reflected beyond the critical angle.
     """
-    cosine = np.maximum(cosine, 1e-9)  # along the border nothing passes
+    cosine = np.maximum(cosine, 1e-9)  # no transmission at grazing incidence
     beyond = np.sqrt(np.maximum(1.0 - (1.0 - cosine**2) / ior**2, 0.0))
     across = (cosine - ior * beyond) / (cosine + ior * beyond)
     along = (ior * cosine - beyond) / (ior * cosine + beyond)
@@ -55,20 +55,21 @@ def fresnel(cosine: Float[np.ndarray, "*n"], ior: float) -> Float[np.ndarray, "*
 
 
 def internal_reflectance(ior: float) -> float:
-    """Share of even light inside that a border reflects back in: 0 for 1, 0.53 for 1.4."""
+    """Fraction of diffuse light inside that the boundary reflects back: 0 for 1, 0.53 for 1.4."""
     cosine, weight = directions(ior)
     return float(np.sum(2.0 * weight * cosine * fresnel(cosine, 1.0 / ior)))
 
 
 def diffuse_transmittance(ior: float) -> float:
-    """Share of even light outside that a border lets in: 1 for 1, 0.94 for 1.4."""
+    """Fraction of diffuse light outside that the boundary transmits: 1 for 1, 0.94 for 1.4."""
     return (1.0 - internal_reflectance(ior)) * ior**2
 
 
 def directions(ior: float) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Cosines inside and their weights: Gauss's rule on either side of the critical angle.
+    """Cosines inside and their weights: Gauss rule on either side of the critical angle.
 
-    Towards it reflectance has a slope without bound; a square makes that smooth.
+    The slope of reflectance is unbounded at the critical angle; a quadratic substitution makes it
+    smooth.
     """
     x, w = np.polynomial.legendre.leggauss(_NODES)
     x, w = 0.5 * (x + 1.0), 0.5 * w
@@ -85,7 +86,7 @@ def h_function(
     cosine: Float[np.ndarray, " n"],
     weight: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, "k n"]:
-    """Chandrasekhar's H for even scattering (*Radiative Transfer*, 1960, chapter V, eq. 14)."""
+    """Chandrasekhar's H for isotropic scattering (*Radiative Transfer*, 1960, ch. V, eq. 14)."""
     root = np.sqrt(1.0 - albedo)[:, None]
     kernel = weight * cosine / (cosine[:, None] + cosine)
     h = np.ones((len(albedo), len(cosine)))
@@ -98,14 +99,15 @@ def h_function(
 
 
 def half_space_albedo(albedo: Float[np.ndarray, " k"], ior: float) -> Float[np.ndarray, " k"]:
-    """Share of even light from outside, of what enters, that leaves again: exact transport.
+    """Fraction of the diffuse light that enters a half-space and leaves it again: exact transport.
 
-    The half-space without border gives back I⁺ = M I⁻ of light from within (Chandrasekhar 1960,
-    section 41), the border r I⁺ of that: I⁺ = M (1 − r M)⁻¹ S with S the light that enters.
+    Without boundary, the half-space reflects light from within as I⁺ = M I⁻ (Chandrasekhar 1960,
+    section 41). The boundary reflects r I⁺ of that: I⁺ = M (1 − r M)⁻¹ S with S the light that
+    enters.
 
     Args:
         albedo: Single-scattering albedo µs/(µa + µs), 0 to below 1.
-        ior: Refractive index of the tissue over that of the lumen.
+        ior: Refractive index of the tissue relative to the lumen.
     """
     cosine, weight = directions(ior)
     inside = radiance_inside(albedo, ior)
@@ -115,7 +117,7 @@ def half_space_albedo(albedo: Float[np.ndarray, " k"], ior: float) -> Float[np.n
 
 
 def radiance_inside(albedo: Float[np.ndarray, " k"], ior: float) -> Float[np.ndarray, "k n"]:
-    """Radiance just inside that goes up, under radiance 1 from everywhere outside."""
+    """Upward radiance just inside, under uniform radiance 1 outside."""
     cosine, weight = directions(ior)
     r = fresnel(cosine, 1.0 / ior)
     h = h_function(albedo, cosine, weight)
@@ -129,14 +131,14 @@ def radiance_inside(albedo: Float[np.ndarray, " k"], ior: float) -> Float[np.nda
 def diffuse_reflectance(
     absorption: Float[np.ndarray, "*n"], *, internal: float
 ) -> Float[np.ndarray, "*n"]:
-    """Light that a deep, scattering tissue gives back of a beam, by diffusion.
+    """Reflectance of a deep, scattering tissue for a beam, by diffusion.
 
     R = a / (1 + 2k (1 - a) + (1 + 2k/3) √(3 (1 - a))) with a = 1/(1 + absorption) and
     k = (1 + r)/(1 - r) (Flock et al., IEEE Trans. Biomed. Eng. 36(12), 1989).
 
     Args:
-        absorption: Over the reduced scattering coefficient.
-        internal: Share r of even light that the border reflects back in.
+        absorption: Absorption relative to the reduced scattering coefficient.
+        internal: Fraction r of diffuse light that the boundary reflects back in.
     """
     a = 1.0 / (1.0 + absorption)
     k = (1.0 + internal) / (1.0 - internal)
@@ -150,8 +152,9 @@ def density_at_wavelength(
     """Optical density of tissue at another wavelength, by diffusion.
 
     Args:
-        density: Logarithm of one over what tissue reflects of what it would without absorption.
-        factor: Absorption over the reduced scattering coefficient there, relative to the same here.
+        density: Logarithm of the reflectance without absorption over the reflectance.
+        factor: Ratio of absorption to reduced scattering coefficient at the other wavelength,
+            relative to this one.
     """
     internal = internal_reflectance(TISSUE_IOR)
     absorption = np.concatenate([[0.0], np.geomspace(1e-8, 1e3, 2000)])
@@ -164,7 +167,7 @@ def density_at_wavelength(
 def albedo_roots(ior: float = TISSUE_IOR) -> Float[np.ndarray, " n"]:
     """√(1 − single-scattering albedo) of tissue with base colors 0 to 1, in even steps.
 
-    Nearly straight for bright tissue, where the albedo itself is not.
+    Nearly linear for bright tissue, unlike the albedo itself.
     """
     root = np.concatenate([np.linspace(1e-3, 0.5, 60), np.linspace(0.5, 1.0, 20)[1:]])
     color = half_space_albedo(1.0 - root**2, ior)
@@ -173,7 +176,7 @@ def albedo_roots(ior: float = TISSUE_IOR) -> Float[np.ndarray, " n"]:
 
 
 def mean_cosine(ior: float) -> float:
-    """Mean cosine inside of even light outside that has entered, weighted by its flux."""
+    """Flux-weighted mean cosine inside of diffuse light that has entered."""
     cosine, weight = directions(ior)
     flux = weight * cosine * (1.0 - fresnel(cosine, 1.0 / ior))
     return float(np.sum(flux * cosine) / np.sum(flux))
@@ -181,11 +184,12 @@ def mean_cosine(ior: float) -> float:
 
 @functools.cache
 def angular_slopes(ior: float = TISSUE_IOR) -> Float[np.ndarray, " n"]:
-    """How a half-space under even light looks by angle, for base colors 0 to 1 in even steps.
+    """Angular slope of radiance in a half-space under diffuse light, for base colors 0 to 1.
 
-    Inside it sends the mean radiance times 1 + slope (m − cosine) to its border, with m the
-    `mean_cosine`: brighter the flatter, as flat ways gather light from less deep. A straight line
-    by least squares over what passes the border.
+    Base colors are in even steps. The radiance towards the boundary is the mean times
+    1 + slope (m − cosine), with m the `mean_cosine`: it increases towards grazing angles, where
+    paths gather light from shallower depths. Least-squares fit of a line, weighted by the light
+    that passes the boundary.
     """
     cosine, weight = directions(ior)
     flux = weight * cosine * (1.0 - fresnel(cosine, 1.0 / ior))
@@ -198,12 +202,12 @@ def angular_slopes(ior: float = TISSUE_IOR) -> Float[np.ndarray, " n"]:
 
 
 class OpticalProperties(NamedTuple):
-    """What the core walks in.
+    """Optical properties of tissue for the random walks of the core.
 
     Attributes:
         scattering: µs′ of red, green and blue [1/m].
         ior: Refractive index.
-        entering: Share of even light that enters.
+        entering: Fraction of diffuse light that enters.
         roots: `albedo_roots`.
         level: `mean_cosine`.
         slopes: `angular_slopes`.
@@ -218,7 +222,7 @@ class OpticalProperties(NamedTuple):
 
 
 def optical_properties(bands_nm: tuple[float, float, float]) -> OpticalProperties:
-    """Tissue by the middle of what the image's red, green and blue are lit by [nm]."""
+    """Optical properties for the center wavelengths of the image's red, green and blue [nm]."""
     red, green, blue = (reduced_scattering(band) for band in bands_nm)
     return OpticalProperties(
         (red, green, blue),

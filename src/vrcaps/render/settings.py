@@ -13,32 +13,32 @@ Light = Literal["direct", "radiosity", "path"]
 
 @dataclass(frozen=True)
 class RenderSettings:
-    """How images are computed.
+    """Settings of the renderer.
 
     Example:
         >>> renderer = vrcaps.Renderer(model, vrcaps.RenderSettings(light="path", spp=64))
 
     Attributes:
-        supersampling: Color of a pixel is the mean over this many by this many rays. All other
-            channels hold the value at the pixel's center.
-        shadows: Whether folds cast shadows from each LED, which half of a frame's time goes into;
-            path tracing always has them.
+        supersampling: Rays per pixel along each axis; the color of a pixel is the mean over all
+            of them. All other channels hold the value at the pixel's center.
+        shadows: Whether folds cast shadows from each LED, which takes half of the frame time;
+            always on with path tracing.
         light: Light transport: `direct` (LEDs only), `radiosity` (indirect light between gather
             points of the wall, for real time) or `path` (path tracing).
-        spp: Samples per pixel: paths that path tracing follows for each ray. Noise falls with
-            their square root.
-        max_bounces: Most reflections of a path, 1 to 100; 1 is direct light with shadows.
-        path_seed: Seed of the paths' random numbers.
-        scattering: Whether light scatters in the tissue behind the wall (subsurface scattering), so
-            that shadows and relief are soft and thin folds shine through: by random walks with path
-            tracing, by transport rows precomputed from such walks with radiosity; not with
-            direct light.
+        spp: Samples per pixel: paths traced per ray. Noise falls with their square root.
+        max_bounces: Maximum number of reflections of a path, 1 to 100; 1 is direct light with
+            shadows.
+        path_seed: Seed of the random numbers of path tracing.
+        scattering: Whether light scatters in the tissue behind the wall (subsurface
+            scattering), which softens shadows and relief and lets light through thin folds: by
+            random walks with path tracing, by transport rows precomputed from such walks with
+            radiosity; not available with direct light.
         denoise: Whether Open Image Denoise filters light beyond the first reflection; only with
             path tracing. Needs `pip install 'vrcaps[denoise]'`.
-        mucus_film_um: Thickness of the mucus film on the wall [µm], 0 (dry) to 1000; by default
-            that of the organ's own appearance, which is wet.
-        imaging: White light of the capsule's LEDs, or narrow bands about 415 and 540 nm, in which
-            vessels stand out.
+        mucus_film_um: Thickness of the mucus film on the wall [µm], 0 (dry) to 1000; default:
+            the film of the organ's own appearance, which is wet.
+        imaging: Illumination: white light of the capsule's LEDs, or narrow bands at 415 and 540
+            nm, which make vessels stand out.
     """
 
     supersampling: int = 1
@@ -54,7 +54,7 @@ class RenderSettings:
 
     @property
     def is_supersampled(self) -> bool:
-        """Whether a pixel's color is made of more than what its own ray sees."""
+        """Whether a pixel's color depends on more than its own ray."""
         return self.supersampling > 1 or self.denoise
 
     def __post_init__(self) -> None:

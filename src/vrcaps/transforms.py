@@ -122,7 +122,7 @@ def require_rigid(
     if matrices.shape[-2:] != (4, 4):
         raise InputError(f"{what} is no rigid transform: its shape is {matrices.shape}, not 4×4.")
     matrices = matrices.reshape(-1, 4, 4)
-    finite = (np.abs(matrices) < _FARTHEST).all(axis=(1, 2))  # not of NaN
+    finite = np.all(np.abs(matrices) < _FARTHEST, axis=(1, 2))  # not of NaN
     safe = np.where(finite[:, None, None], matrices, np.eye(4))
     rotation = np.clip(safe[:, :3, :3], -2.0, 2.0)
     off = np.abs(rotation @ np.swapaxes(rotation, 1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0)

@@ -162,3 +162,52 @@ def test_a_trajectory_of_another_layout_is_refused(exported, tmp_path):
 def test_the_folder_where_one_is_has_a_name(exported, monkeypatch):
     monkeypatch.chdir(exported["tum"] / "ball_front")
     assert vrcaps.read_format("tum", ".")[0].name == "ball_front"
+
+
+@pytest.mark.parametrize(
+    ("counts", "message"),
+    [
+        ([10**15], "do not add up to 4096 pixels"),
+        ([5000, -904], "do not add up"),
+        ("o" * 100_000, "too many digits"),
+        (None, "cannot be read"),
+    ],
+)
+def test_runs_of_coco_are_as_long_as_the_image(tmp_path, counts, message):
+    """Before memory is taken, and without work that grows with the square of the text."""
+    folder = _coco(tmp_path / "coco")
+    path = folder / "annotations/instances_default.json"
+    table = json.loads(path.read_text())
+    runs = {"size": [64, 64], "counts": counts}
+    table["annotations"] = [{"id": 4, "image_id": 1, "category_id": 1, "segmentation": runs}]
+    path.write_text(json.dumps(table))
+    with pytest.raises(InputError, match=message):
+        read_format("coco", folder)[0].image("label", 0)
+
+
+def test_values_of_yaml_are_shown_in_short(exported, tmp_path):
+    """Anchors of YAML stand for lists of lists, 9^9 items in a few lines."""
+    folder = shutil.copytree(exported["euroc"], tmp_path / "copy")
+    path = folder / "ball_front/mav0/cam0/sensor.yaml"
+    lists = ["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]"]
+    lists += [f"a{k + 1}: &a{k + 1} [{', '.join([f'*a{k}'] * 9)}]" for k in range(9)]
+    text = path.read_text().replace("intrinsics: [", "intrinsics: [*a9, ")
+    path.write_text("\n".join([*lists, text]))
+    with pytest.raises(InputError, match="for intrinsics") as error:
+        read_format("euroc", folder)
+    assert len(str(error.value)) < 1000
+
+
+def test_a_time_of_tum_is_finite(exported, tmp_path):
+    folder = shutil.copytree(exported["tum"], tmp_path / "copy")
+    _replaced(folder / "ball_front/rgb.txt", "0.500000000", "nan")
+    with pytest.raises(InputError, match=r"time of rgb/000000\.png is nan"):
+        read_format("tum", folder)
+
+
+def test_damaged_parquet_and_films_are_one_line(tmp_path, sequence):
+    out = export(format_named("hugging-face")(), [sequence], tmp_path / "out")
+    (path,) = (out / "data").glob("*.parquet")
+    path.write_bytes(path.read_bytes()[:-20])
+    with pytest.raises(InputError, match=r"Cannot read .*\.parquet"):
+        read_format("hugging-face", out)

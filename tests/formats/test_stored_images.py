@@ -11,6 +11,7 @@ from PIL import Image, ImageOps
 
 from vrcaps.errors import InputError
 from vrcaps.formats.stored_images import decoded_rgb, image_size, read_plane, read_rgb
+from vrcaps.tools.photometric_calibration.jpeg import jpeg_quality
 from vrcaps.tools.photos import read_photos
 
 
@@ -120,3 +121,12 @@ def test_damaged_files_are_one_line(tmp_path):
         with pytest.raises(InputError, match=f"Cannot read .*{name}") as error:
             read_rgb(tmp_path / name)
         assert "\n" not in str(error.value)
+
+
+def test_photographs_of_a_folder_are_without_hidden_files(tmp_path):
+    """As `vrcaps calibrate` and `vrcaps organ texture` read them."""
+    _picture().save(tmp_path / "a.jpg")
+    (tmp_path / "._a.jpg").write_bytes(b"\0\5\x16\7")
+    (tmp_path / "Thumbs.db").write_bytes(b"")
+    assert [photo.name for photo in read_photos([tmp_path])] == ["a.jpg"]
+    assert jpeg_quality([tmp_path]) == 75

@@ -23,7 +23,7 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 _RESERVED = ("capsule", "contact", "hall", "localized", "magnet", "patient", "wall")
 """First words of an episode's own folders and columns; columns of a camera begin with its name."""
 
-_WIDEST_PX = 16384
+_WIDEST_PX, _MOST_PIXELS = 16384, 2**26
 _ORTHONORMAL = 1e-6
 _IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _GRAY = (0.02, 0.5, 0.4)
@@ -142,6 +142,8 @@ class Camera:
             size = getattr(self, name)
             is_valid = isinstance(size, int) and 1 <= size <= _WIDEST_PX
             require(is_valid, f"{what} {name}", size, f"a whole number from 1 to {_WIDEST_PX}")
+        size = self.width * self.height
+        require(size <= _MOST_PIXELS, f"{what} number of pixels", size, f"1 to {_MOST_PIXELS}")
         pose = np.array(self.rotation, float)
         is_rigid = pose.shape == (3, 3) and np.abs(pose @ pose.T - np.eye(3)).max() <= _ORTHONORMAL
         is_rigid = bool(is_rigid and np.linalg.det(pose) > 0.0 and np.isfinite(self.position).all())

@@ -69,7 +69,8 @@ def require_about(about: dict[str, Any]) -> None:
     frames, seconds = about.get("frames"), about.get("seconds")
     is_count = type(frames) is int and 0 < frames <= MOST_FRAMES
     require(is_count, "about.frames", repr(frames), f"1 to {MOST_FRAMES}")
-    is_time = type(seconds) in (int, float) and 0.0 < seconds < math.inf
+    is_number = isinstance(seconds, int | float) and not isinstance(seconds, bool)
+    is_time = is_number and 0.0 < float(seconds or 0.0) < math.inf
     require(is_time, "about.seconds", repr(seconds), "a finite number above 0")
     for key in ("cameras", "segments", "versions"):
         if not isinstance(about.get(key, {}), dict):

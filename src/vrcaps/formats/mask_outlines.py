@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 _STEPS = ((1, 0), (0, 1), (-1, 0), (0, -1))
 """Right, down, left, up as steps of (x, y)."""
+_LONGEST_COUNT = 60
+"""Most bits of a count of compressed runs."""
 _TURNS = (1, 0, 3)
 """Right turn first, so that pixels that touch at a corner only are apart."""
 
@@ -71,6 +73,8 @@ def mask_of(segmentation: Any, height: int, width: int, where: str) -> Bool[np.n
         if isinstance(segmentation, dict):
             counts = segmentation["counts"]
             counts = _decompressed(counts) if isinstance(counts, str) else counts
+            if min(counts, default=0) < 0 or sum(counts) != height * width:
+                raise ValueError(f"its runs do not add up to {height * width} pixels")
             values = np.arange(len(counts)) % 2 == 1
             return np.repeat(values, counts).reshape((height, width), order="F")
         mask = np.zeros((height, width), bool)
@@ -144,6 +148,8 @@ def _decompressed(text: str) -> Sequence[int]:
         bits = ord(character) - 48
         value |= (bits & 31) << shift
         shift += 5
+        if shift > _LONGEST_COUNT:
+            raise ValueError("a count has too many digits")
         if bits & 32:
             continue
         if bits & 16:

@@ -24,6 +24,7 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.errors import InputError, import_extra, reading
+from vrcaps.files import MOST_BYTES
 from vrcaps.formats import foxglove_schemas as foxglove
 from vrcaps.formats.folders import recordings, split_of
 from vrcaps.formats.format import Needs
@@ -277,7 +278,12 @@ def _plain(sequence: FrameSequence) -> dict[str, Any]:
 def _reading(path: Path) -> Iterator[Any]:
     mcap = import_extra("mcap.reader", "formats", package="mcap")
     with reading(path), path.open("rb") as file:
-        yield mcap.make_reader(file, validate_crcs=True)
+        found = mcap.make_reader(file, validate_crcs=True)
+        summary = found.get_summary()
+        chunks = [] if summary is None else summary.chunk_indexes
+        if any(chunk.uncompressed_size > MOST_BYTES for chunk in chunks):
+            raise ValueError(f"a chunk states more than {MOST_BYTES} bytes")
+        yield found
 
 
 def _read_file(path: Path, split: str | None) -> tuple[FrameSequence, ...]:

@@ -35,6 +35,8 @@ _TURNS: dict[int, Callable[[NDArray], NDArray]] = {
     7: lambda stored: stored[::-1, ::-1].swapaxes(0, 1),
     8: np.rot90,
 }
+_PLAIN_TIFF = (1, 2)
+"""Kinds of pixels of TIFF that need no conversion: gray with 0 for black, and RGB."""
 _PLAIN_MODES = ("L", "I", "F", "I;16", "I;16B", "RGB", "RGBA")
 """Modes of Pillow whose numbers are gray or red, green, blue."""
 
@@ -203,7 +205,7 @@ def _read_tiff(path: Path, as_color: bool) -> NDArray:
             if file.series[0].size > 4 * MOST_PIXELS:
                 raise ValueError(f"it states an array of shape {file.series[0].shape}")
             require_pixels(page.imagewidth, page.imagelength)
-            if as_color and page.photometric.name not in ("MINISBLACK", "RGB"):
+            if as_color and int(page.photometric) not in _PLAIN_TIFF:
                 return _decoded(path.read_bytes(), as_color=True)
             tag = page.tags.get(_ORIENTATION)
             return _turned(file.asarray(), 1 if tag is None else tag.value)

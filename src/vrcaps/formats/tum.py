@@ -7,6 +7,7 @@ world, one blank between. Depth is a 16-bit PNG of z; 5,000 is one meter by conv
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,7 +17,7 @@ import numpy as np
 
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.errors import InputError
+from vrcaps.errors import InputError, require
 from vrcaps.files import write_bytes
 from vrcaps.formats.folders import each_folder, found_folders, read_rows
 from vrcaps.formats.format import Needs
@@ -162,9 +163,12 @@ def _read_list(path: Path) -> list[tuple[float, str]]:
         return []
     lines = [line for line in path.read_text("utf-8-sig").splitlines() if line and line[0] != "#"]
     try:
-        return [(float(time), name) for time, name in (line.split(maxsplit=1) for line in lines)]
+        rows = [(float(time), name) for time, name in (line.split(maxsplit=1) for line in lines)]
     except ValueError as error:
         raise InputError(f"Cannot read {path}: {error}.") from error
+    for time, name in rows:
+        require(math.isfinite(time), f"{path}: time of {name}", time, "finite numbers")
+    return rows
 
 
 def _load(paths: dict[str, list[Path]], scale: float, channel: str, index: int) -> NDArray:

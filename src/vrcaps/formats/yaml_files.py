@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -44,7 +45,8 @@ def numbers_of(plain: Any, key: str, count: int, path: Path) -> list[float]:
     except (TypeError, ValueError):
         numbers = []
     if len(numbers) != count:
-        raise InputError(f"{path} has for {key} {found}. Allowed: {count} numbers.")
+        shown = reprlib.repr(found)[:80]
+        raise InputError(f"{path} has for {key} {shown}. Allowed: {count} numbers.")
     return numbers
 
 

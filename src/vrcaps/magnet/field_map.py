@@ -88,7 +88,7 @@ def _read_npz(path: Path) -> tuple[list[np.ndarray], np.ndarray]:
 
 
 def _read_csv(path: Path) -> tuple[list[np.ndarray], np.ndarray]:
-    with path.open(newline="", encoding="utf-8") as file:
+    with path.open(newline="", encoding="utf-8-sig") as file:
         reader = csv.reader(file)
         names = [name.strip().lower() for name in next(reader, [])]
         if sorted(names) != sorted(_COLUMNS):

@@ -1,4 +1,4 @@
-"""Camera of a capsule: its lens, image, pose in the capsule, and the LEDs beside it."""
+"""Camera of a capsule: its lens, image, pose in the capsule, and LEDs."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ Vector = tuple[float, float, float]
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 _RESERVED = ("capsule", "contact", "hall", "localized", "magnet", "patient", "wall")
-"""First words of an episode's own folders and columns; columns of a camera begin with its name."""
+"""First words reserved for an episode's own folders and columns; cameras' begin with the name."""
 
 _WIDEST_PX, _MOST_PIXELS = 16384, 2**26
 _ORTHONORMAL = 1e-6
 _IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _GRAY = (0.02, 0.5, 0.4)
-"""Distance [m] and albedo of a matte wall, and its image value under the default exposure."""
+"""Distance [m] and albedo of a matte wall, and its image value at the default exposure."""
 
 
 @dataclass(frozen=True)
@@ -35,14 +35,14 @@ class Led:
     """A small light source fixed to a camera.
 
     Radiant intensity at angle φ from its direction is ``intensity · max(cos φ, 0)^lobe_exponent``;
-    exponent 1 is a Lambertian emitter, 0 radiates alike in all directions.
+    exponent 1 is a Lambertian emitter, 0 an isotropic one.
 
     Example:
         >>> led = vrcaps.Led((3.5e-3, 0.0, 0.0), intensity=(2e-3, 2e-3, 2e-3))
 
     Attributes:
-        position_camera: Place in the camera frame [m].
-        direction_camera: Direction of its axis in the camera frame; made a unit vector.
+        position_camera: Position in the camera frame [m].
+        direction_camera: Direction of its axis in the camera frame; normalized.
         intensity: Radiant intensity on its axis for red, green, blue [W/sr].
         lobe_exponent: Exponent of its angular lobe, ≥ 0.
     """
@@ -71,17 +71,17 @@ def led_ring(
     intensity: Vector = (2e-3, 2e-3, 2e-3),
     lobe_exponent: float = 1.0,
 ) -> tuple[Led, ...]:
-    """LEDs on a circle around the optical axis that shine along it.
+    """LEDs on a circle around the optical axis, pointing along it.
 
     Args:
-        angles: Angle of each [rad], from camera x (right) to y (down), or how many there are.
-        radius: Of the circle [m].
-        center: Of the circle in the camera frame [m].
+        angles: Angle of each LED [rad], from camera x (right) to y (down), or the number of LEDs.
+        radius: Radius of the circle [m].
+        center: Center of the circle in the camera frame [m].
         intensity: Radiant intensity of each on its axis for red, green, blue [W/sr].
         lobe_exponent: Exponent of their angular lobe.
 
     Raises:
-        InputError: If there is no such ring.
+        InputError: If the parameters do not describe a ring.
     """
     require(0.0 < radius < np.inf, "radius of the LED ring", radius, "above 0 m")
     if isinstance(angles, int):
@@ -97,7 +97,7 @@ def led_ring(
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera in a capsule: where it sits, how it sees, the LEDs lit while it exposes.
+    """Camera in a capsule: pose, lens, image and the LEDs lit during exposure.
 
     Example:
         >>> lens = vrcaps.LensEquidistant(focal=84.0, cx=127.5, cy=127.5)
@@ -105,8 +105,8 @@ class Camera:
         >>> camera = vrcaps.Camera("front", lens, 256, 256, position=(0, 0, 7e-3), leds=leds)
 
     Attributes:
-        name: Name of its folder in an episode: letters, digits, - and _; not a name that an
-            episode uses itself, such as capsule or wall.
+        name: Name of its folder in an episode: letters, digits, - and _; not a name reserved for
+            the episode itself, such as capsule or wall.
         lens: Lens model with its parameters [pixels, radians].
         width: Image width [pixels].
         height: Image height [pixels].
@@ -114,10 +114,10 @@ class Camera:
         rotation: ``R_capsule_camera`` by rows; its columns are the camera's x (right), y (down)
             and z (forward) in the capsule frame.
         leds: LEDs lit while this camera exposes.
-        exposure: Factor from radiance [W/(sr·m²)] to linear image value, 1 = white. None takes the
-            one that gives a matte wall of albedo 0.5, 20 mm in front, the value 0.4.
-        image_circle_px: Radius about the lens's center beyond which the sensor is dark, or None.
-        nominal_field: Full angle of view that the maker states [rad], or None.
+        exposure: Factor from radiance [W/(sr·m²)] to linear image value, 1 = white. None: the
+            exposure at which a matte wall of albedo 0.5, 20 mm in front, has the value 0.4.
+        image_circle_px: Radius about the lens center beyond which the sensor is dark, or None.
+        nominal_field: Full angle of view stated by the manufacturer [rad], or None.
     """
 
     name: str
@@ -162,17 +162,17 @@ class Camera:
         return transform_from(np.array(self.rotation, float), np.array(self.position, float))
 
     def at(self, T_capsule_camera: Float[np.ndarray, "4 4"]) -> Camera:
-        """The camera at another pose in the capsule frame."""
+        """Return the camera at another pose in the capsule frame."""
         rows = tuple(tuple(row) for row in np.asarray(T_capsule_camera)[:3, :3].tolist())
         x, y, z = np.asarray(T_capsule_camera)[:3, 3].tolist()
         return replace(self, position=(x, y, z), rotation=rows)  # type: ignore[arg-type]
 
 
 def check_names(cameras: Sequence[Camera]) -> None:
-    """Check that each camera of a capsule has a folder of its own, also where case is ignored.
+    """Check that the cameras' folder names differ, also if case is ignored.
 
     Raises:
-        InputError: If two share a name.
+        InputError: If two cameras share a name.
     """
     names = [camera.name for camera in cameras]
     if len({name.lower() for name in names}) < len(names):
@@ -183,7 +183,7 @@ def default_exposure(leds: Sequence[Led]) -> float:
     """Exposure at which a matte wall of albedo 0.5, 20 mm in front, has the image value 0.4.
 
     The radiance of the wall on the axis is ``(albedo / π) Σ I cosᵐ⁺¹ α / d²`` over LEDs at distance
-    d and angle α, with lobe exponent m. 1 where no LED reaches it.
+    d and angle α, with lobe exponent m. Returns 1 if no LED reaches the wall.
     """
     distance, albedo, value = _GRAY
     irradiance = 0.0
@@ -217,7 +217,7 @@ def _check_image(camera: Camera) -> None:
 def pixel_grid(width: int, height: int, supersampling: int = 1) -> Float[np.ndarray, "hs ws 2"]:
     """Centers (column, row) of the sub-pixels of an image [px].
 
-    Pixel (0, 0) is the center of the top-left pixel; each pixel is cut into `supersampling` by
+    Pixel (0, 0) is the center of the top-left pixel; each pixel is divided into `supersampling` by
     `supersampling` equal squares.
     """
     columns, rows = (
@@ -229,7 +229,7 @@ def pixel_grid(width: int, height: int, supersampling: int = 1) -> Float[np.ndar
 def camera_rays(camera: Camera, supersampling: int = 1) -> Float[np.ndarray, "hs ws 3"]:
     """Unit rays in the camera frame through each sub-pixel center, as float32.
 
-    NaN outside the lens's field and outside the image circle.
+    NaN outside the field of view and outside the image circle.
 
     Raises:
         InputError: If `supersampling` is below 1.
@@ -245,7 +245,7 @@ def unproject_pixels(
 ) -> Float[np.ndarray, "*batch 3"]:
     """Unit rays in the camera frame through pixels [px].
 
-    NaN outside the lens's field and outside the image circle.
+    NaN outside the field of view and outside the image circle.
     """
     pixels = np.asarray(pixels, float)
     return np.where(_lit(camera, pixels)[..., None], camera.lens.unproject(pixels), np.nan)
@@ -254,17 +254,17 @@ def unproject_pixels(
 def project_points(
     camera: Camera, points_camera: Float[np.ndarray, "*batch 3"]
 ) -> Float[np.ndarray, "*batch 2"]:
-    """Pixels of points in the camera frame (any length unit); a column and a row [px].
+    """Project points in the camera frame (any length unit) to pixels (column, row) [px].
 
-    NaN outside the lens's field and outside the image circle; a point that falls beside the
-    rectangle of the image keeps its pixel, which is then below -0.5 or above the last pixel.
+    NaN outside the field of view and outside the image circle. A point beyond the rectangle of the
+    image keeps its pixel, which is then below -0.5 or above the last pixel.
     """
     pixels = camera.lens.project(points_camera)
     return np.where(_lit(camera, pixels)[..., None], pixels, np.nan)
 
 
 def in_image(camera: Camera, pixels: Float[np.ndarray, "*batch 2"]) -> Bool[np.ndarray, "*batch"]:
-    """Whether pixels [px] lie in the rectangle of the image; NaN does not."""
+    """Check which pixels [px] lie in the rectangle of the image; NaN does not."""
     size = np.array([camera.width, camera.height])
     return np.all((pixels >= -0.5) & (pixels < size - 0.5), axis=-1)
 

@@ -1,4 +1,4 @@
-"""Lenses and cameras derived from others: scaled, and with more barrel distortion."""
+"""Lenses and cameras derived from others: scaled, or with more barrel distortion."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ _FEWEST_PX = 8
 
 
 def scaled_lens(lens: Lens, scale: float, center: tuple[float, float]) -> Any:
-    """The lens with its image magnified.
+    """Return the lens with its image scaled.
 
     Args:
         lens: Any lens model.
-        scale: Magnification; 0.5 is for half the pixels to a side.
+        scale: Magnification; 0.5 halves the number of pixels per side.
         center: Column and row of the axis in the new image [px].
     """
     cx, cy = center
@@ -44,24 +44,24 @@ def scaled_lens(lens: Lens, scale: float, center: tuple[float, float]) -> Any:
 
 @lru_cache(maxsize=256)
 def focal_length_px(lens: Lens) -> float:
-    """Focal length on the axis: how far a small angle moves the image [px/rad]."""
+    """Focal length on the axis: image displacement per small angle [px/rad]."""
     steps = np.array([[_NEAR, 0.0, 1.0], [0.0, _NEAR, 1.0], [-_NEAR, 0.0, 1.0], [0.0, -_NEAR, 1.0]])
     right, down, left, up = lens.project(steps)
     return float(np.linalg.norm(right - left) + np.linalg.norm(down - up)) / (4.0 * _NEAR)
 
 
 def barrel_lens(lens: Lens, strength: float, radius_px: float) -> LensKannalaBrandt:
-    """A lens whose image is smaller towards the edge than in the middle.
+    """Return a lens whose magnification decreases towards the edge.
 
     Image radius r becomes r′ by the division model (Fitzgibbon, CVPR 2001), ``q = (1 − D) r′ / R``,
     ``r / R = q / (1 − λ q²)``, ``λ = D / (1 − D)²``, with D = `strength` and R = `radius_px`. The
-    result is the fisheye lens of Kannala and Brandt that fits this best over the angles that the
-    image shows; it is a lens as any other, exact in itself.
+    result is the Kannala-Brandt lens with the best fit over the angles in the image. It is an
+    ordinary lens; its projection and its inverse are exact.
 
     Args:
-        lens: Any lens model but `equirectangular`.
-        strength: Share by which `radius_px` is smaller than the scale in the middle has it.
-        radius_px: The image radius that stays, such as that of the image's edge [px].
+        lens: Any lens model except `equirectangular`.
+        strength: Fraction by which `radius_px` is smaller than the central scale implies.
+        radius_px: Image radius that is preserved, such as that of the image's edge [px].
 
     Raises:
         InputError: If the lens has no image radius to shrink.
@@ -80,7 +80,7 @@ def barrel_lens(lens: Lens, strength: float, radius_px: float) -> LensKannalaBra
 def barrel_radius(
     radius: Float[np.ndarray, "*n"], strength: float, radius_px: float
 ) -> Float[np.ndarray, "*n"]:
-    """Image radius r′ [px] that the division model of `barrel_lens` makes of a radius r [px]."""
+    """Image radius r′ [px] of a radius r [px] by the division model of `barrel_lens`."""
     ratio = np.asarray(radius) / radius_px
     root = np.sqrt(1.0 + 4.0 * strength / (1.0 - strength) ** 2 * ratio**2)
     return 2.0 * ratio * radius_px / ((1.0 - strength) * (1.0 + root))
@@ -89,14 +89,14 @@ def barrel_radius(
 def _rising_fit(
     angle: Float[np.ndarray, " n"], radius: Float[np.ndarray, " n"]
 ) -> tuple[float, ...]:
-    """k1 to k4 of the fisheye lens nearest to a profile whose radius rises at all these angles.
+    """Fit k1 to k4 of the fisheye lens to a profile; its radius increases at all these angles.
 
-    The slope is a polynomial of degree 4 in θ² in Bernstein's form; with coefficients above 0 it
-    is positive.
+    The slope is a polynomial of degree 4 in θ² in Bernstein form; with positive coefficients it is
+    positive.
 
     Args:
-        angle: Angles to the axis, rising [rad].
-        radius: Image radii over the focal length.
+        angle: Angles to the axis, increasing [rad].
+        radius: Image radii divided by the focal length.
     """
     from scipy.optimize import nnls  # slow to load
 
@@ -119,7 +119,7 @@ def _rising_fit(
 def _profile(
     lens: Lens, radius_px: float
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Angles to the axis [rad] and mean image radii [px], as far as the field and a radius go."""
+    """Angles to the axis [rad] and mean image radii [px], within the field and up to a radius."""
     angle = np.linspace(0.0, lens.max_angle or math.pi, _FIT_POINTS)[1:]
     turn = np.arange(8) * (math.pi / 4.0)
     rays = np.stack(
@@ -137,10 +137,10 @@ def _profile(
 
 
 def scaled_camera(camera: Camera, scale: float) -> Camera:
-    """The camera with another number of pixels to a side; a rest below one pixel is rounded.
+    """Return the camera with its pixels per side scaled, rounded to whole pixels.
 
     Raises:
-        InputError: If fewer than 8 pixels are left to a side.
+        InputError: If fewer than 8 pixels per side remain.
     """
     width, height = (round(size * scale) for size in (camera.width, camera.height))
     if min(width, height) < _FEWEST_PX:

@@ -1,4 +1,4 @@
-"""The capsule as a rigid body: a cylinder with round ends."""
+"""Rigid body of the capsule: a cylinder with round ends."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class Body:
     """Mass properties and shape, in the capsule frame (origin at the center of mass).
 
     Attributes:
-        mass: [kg].
-        inertia: About the center of mass [kg·m²], symmetric, positive definite.
-        center: Middle of the cylinder [m]; its axis is along z.
+        mass: Mass [kg].
+        inertia: Inertia about the center of mass [kg·m²], symmetric, positive definite.
+        center: Center of the cylinder [m]; its axis is along z.
         half_axis: Half the length of the straight part [m].
-        radius: Of the cylinder and of both ends [m].
+        radius: Radius of the cylinder and of both ends [m].
     """
 
     mass: float
@@ -48,10 +48,11 @@ class Body:
 
 
 def homogeneous_body(device: Device) -> Body:
-    """The device as if its mass were spread evenly through its volume.
+    """Rigid body of a device with its mass distributed evenly over its volume.
 
-    The inertia of a cylinder with two half balls; their centers of mass lie 3/8 of the radius
-    beyond its ends (Goldstein, Classical Mechanics, 3rd ed., 5.3, and the parallel axis theorem).
+    The inertia is that of a cylinder with two half balls; their centers of mass lie 3/8 of the
+    radius beyond its ends (Goldstein, Classical Mechanics, 3rd ed., 5.3, and the parallel axis
+    theorem).
     """
     radius, half = device.radius, device.length / 2.0 - device.radius
     cylinder, ball = np.pi * radius**2 * 2.0 * half, 4.0 / 3.0 * np.pi * radius**3

@@ -1,4 +1,4 @@
-"""The catalog of named devices: one TOML file each in `devices/`, and a user's own files."""
+"""Catalog of named devices: one TOML file each in `devices/`, and custom device files."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ def device_names() -> tuple[str, ...]:
 
 
 def read_device(name_or_path: str | Path) -> Device:
-    """A device of the catalog by its name, or a user's own by the path of its TOML file.
+    """Read a device of the catalog by its name, or a custom device by the path of its TOML file.
 
     Raises:
         UnknownNameError: If the catalog has no device of that name.
-        InputError: If there is no such file, or it describes no possible device.
+        InputError: If the file does not exist, or describes an impossible device.
     """
     return read_device_file(_DEVICES.find(name_or_path))
 
 
 def device_of(given: str | Device) -> Device:
-    """A device in memory as it is, or that of a name or file.
+    """Return a device in memory unchanged, or read it by name or file.
 
     Raises:
-        InputError: If a file holds no device.
+        InputError: If a file contains no device.
         UnknownNameError: If no device has the name.
     """
     return given if isinstance(given, Device) else read_device(given)

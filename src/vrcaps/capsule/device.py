@@ -15,7 +15,7 @@ from vrcaps.magnet.internal import InternalMagnet
 class Device:
     """A capsule endoscope: a cylinder with round ends, its cameras and its magnets.
 
-    Its frame `capsule` has its origin at the center of mass and +z along the front camera's axis.
+    The origin of its frame `capsule` is the center of mass; +z is along the front camera's axis.
 
     Example:
         >>> lens = vrcaps.LensEquidistant(focal=84.0, cx=127.5, cy=127.5)
@@ -29,17 +29,17 @@ class Device:
         mass: Mass [kg].
         cameras: Its cameras, one or more, inside the body.
         name: Catalog name.
-        title: Full name for people.
-        frame_rate: Frames per second of each camera; the highest where it adapts.
-        lowest_frame_rate: Lowest frames per second of a camera that adapts its frame rate to the
-            motion of the image; None is a constant frame rate.
-        auto_exposure: Whether the cameras expose automatically; a fixed exposure is each camera's
-            own.
-        magnets: Magnets in it.
-        led_spectrum: Wavelengths [nm], rising, and relative power of its white LEDs; linear between
-            them, nothing beyond. None is a blue LED under a yellow phosphor.
-        source: Where the figures come from.
-        metadata: Further plain facts, kept with the device and used by nothing.
+        title: Full name for display.
+        frame_rate: Frames per second of each camera; the maximum if it adapts.
+        lowest_frame_rate: Minimum frames per second of a camera that adapts its frame rate to the
+            motion of the image; None for a constant frame rate.
+        auto_exposure: Whether the cameras expose automatically; otherwise each camera has its own
+            fixed exposure.
+        magnets: Magnets in the capsule.
+        led_spectrum: Wavelengths [nm], increasing, and relative power of its white LEDs; linear in
+            between, zero outside. None is a blue LED under a yellow phosphor.
+        source: Source of the parameters.
+        metadata: Further plain facts, stored with the device but not used.
     """
 
     length: float = field(metadata={"unit": "mm"})
@@ -77,7 +77,7 @@ class Device:
             _check_spectrum(self.led_spectrum)
 
     def camera(self, name: str) -> Camera:
-        """A camera by its name.
+        """Return a camera by its name.
 
         Raises:
             UnknownNameError: If the capsule has no such camera.

@@ -1,7 +1,7 @@
-"""Device files: a capsule as one small TOML file that reads back equal after writing.
+"""Device files: a capsule as one small TOML file that round-trips exactly.
 
-Each key carries its unit: `_mm`, `_g`, `_hz`, `_deg`, `_px`. See `devices/mirocam.toml`. Beside the
-fields of `Device` a file may state rings of LEDs (`led_rings`), magnets by `preset` and
+Each key carries its unit: `_mm`, `_g`, `_hz`, `_deg`, `_px`. See `devices/mirocam.toml`. Besides
+the fields of `Device` a file may contain rings of LEDs (`led_rings`), magnets by `preset` and
 `direction`, and the spectrum of the LEDs as a table of `wavelength_nm` and `power`.
 """
 
@@ -26,7 +26,7 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class LedRing:
-    """LEDs on a circle around the optical axis that shine along it, as in a device file.
+    """LEDs on a circle around the optical axis, pointing along it, as in a device file.
 
     Attributes:
         center: Center of the circle in the camera frame [m].
@@ -59,11 +59,11 @@ class LedRing:
 
 @dataclass(frozen=True)
 class PresetMagnet:
-    """A magnet that can be bought, fixed in a capsule, as in a device file.
+    """Commercial magnet fixed in a capsule, as in a device file.
 
     Attributes:
-        position: Its center in the capsule frame [m].
-        preset: Its name, see `vrcaps.magnet.presets`.
+        position: Center of the magnet in the capsule frame [m].
+        preset: Name of the magnet, see `vrcaps.magnet.presets`.
         direction: Direction of its moment in the capsule frame, of any length.
     """
 
@@ -73,10 +73,10 @@ class PresetMagnet:
 
     @property
     def magnet(self) -> InternalMagnet:
-        """The magnet by its moment.
+        """Return the magnet with its moment.
 
         Raises:
-            UnknownNameError: If there is no such preset.
+            UnknownNameError: If the preset does not exist.
             InputError: If the direction is zero.
         """
         direction = np.array(self.direction)
@@ -89,11 +89,11 @@ class PresetMagnet:
 
 @dataclass(frozen=True)
 class _Spectrum:
-    """Spectrum of the LEDs as a device file may state it.
+    """Spectrum of the LEDs as in a device file.
 
     Attributes:
         wavelength: Wavelengths [nm].
-        power: Relative power at each.
+        power: Relative power at each wavelength.
     """
 
     wavelength: tuple[float, ...] = field(metadata={"unit": "nm"})
@@ -101,18 +101,18 @@ class _Spectrum:
 
 
 def read_device_file(path: Path) -> Device:
-    """Read a device from its TOML file; its name is the file's name.
+    """Read a device from its TOML file; the device is named after the file.
 
     Raises:
-        InputError: If the file cannot be read, is no TOML, lacks a key, has a key too many or of
-            the wrong type, or holds a lens, pose or size that cannot be.
+        InputError: If the file cannot be read, is not TOML, lacks a key, has an unknown key or one
+            of the wrong type, or contains an impossible lens, pose or size.
     """
     plain = read_plain(path, "device")
     return from_plain(Device, {"name": path.stem, **plain}, at=f"{path.name}:", units=True)
 
 
 def write_device(path: Path, device: Device) -> None:
-    """Write a device as TOML; `read_device_file` gives it back equal, under the file's name.
+    """Write a device as TOML; `read_device_file` reads an equal device, named after the file.
 
     Raises:
         InputError: If the file cannot be written.

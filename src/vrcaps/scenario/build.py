@@ -1,4 +1,4 @@
-"""Builder of a scenario: the model of the world and the motion of the capsule in it."""
+"""Builder of the world model and the capsule motion from a scenario."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 
 
 def resolve(scenario: Scenario) -> Scenario:
-    """The scenario with nothing left open; resolving it again changes nothing.
+    """Resolve all open settings of a scenario; resolving it again changes nothing.
 
-    Fills in the frame rate, the capsule's own effects and the checksums of files, draws the
-    severities of effects, and puts the channels in the order of `Frame`.
+    Fills in the frame rate, the capsule's own effects and the checksums of files, samples the
+    severities of effects, and sorts the channels in the order of `Frame`.
 
     Raises:
-        InputError: If a file is not the one that a checksum names, a mesh file has no unit, or the
-            capsule's LEDs lack a color.
+        InputError: If a file does not match its checksum, a mesh file has no unit, or the capsule's
+            LEDs lack a color.
         UnknownNameError: If the capsule is unknown.
     """
     device, organ = device_of(scenario.capsule), scenario.organ
@@ -52,7 +52,7 @@ def resolve(scenario: Scenario) -> Scenario:
 
 
 def _own_unit(path: Path) -> str:
-    """Unit of an organ file; a mesh file states none."""
+    """Unit of an organ file; mesh files do not state one."""
     if not is_organ_file(path):
         raise InputError(
             f"unit is missing: {path} does not say its unit. Allowed: {', '.join(LENGTH_UNITS)}, "
@@ -62,12 +62,12 @@ def _own_unit(path: Path) -> str:
 
 
 def build(scenario: Scenario) -> tuple[Model, Motion]:
-    """World and motion of a scenario.
+    """Build the world and the motion of a scenario.
 
-    The capsule's cameras, the wall and the contents of the lumen are as the effects change them.
+    The effects are applied to the capsule's cameras, the wall and the contents of the lumen.
 
     Returns:
-        The model that is seen, of a clean twin without its lesions, and the motion in it.
+        The model to render, without lesions for a clean twin, and the motion in it.
 
     Raises:
         InputError: As `resolve`, or if the organ cannot be made or the capsule cannot move in it.
@@ -93,12 +93,12 @@ def build(scenario: Scenario) -> tuple[Model, Motion]:
 
 
 def make_organ(scenario: Scenario, *, clean: bool = False) -> OrganSurface:
-    """The organ of a resolved scenario with its lesions, or its clean twin without them.
+    """Organ of a resolved scenario with its lesions, or its clean twin without them.
 
     An organ with lesions is made once and then read from the user's cache folder.
 
     Raises:
-        InputError: If the organ cannot be made, or a lesion finds no place in it.
+        InputError: If the organ cannot be made, or a lesion does not fit in it.
     """
     from vrcaps.organ.cache import cached_organ, fingerprint
 
@@ -110,7 +110,7 @@ def make_organ(scenario: Scenario, *, clean: bool = False) -> OrganSurface:
                 "of the clean twin, which `vrcaps organ make --clean-twin` writes."
             )
         return organ
-    if isinstance(scenario.organ, OrganGenerated):  # before minutes of making it
+    if isinstance(scenario.organ, OrganGenerated):  # check before minutes of work
         require_possible(scenario.lesions, _widest(scenario.organ))
     gravity_world = np.array([0.0, 0.0, -1.0])
     down = posture_transform(scenario.posture)[:3, :3].T @ gravity_world
@@ -137,7 +137,7 @@ def _widest(organ: OrganGenerated) -> float:
 
 
 def _load_organ(scenario: Scenario) -> OrganSurface:
-    """The organ with its appearance, made once and then read from the user's cache folder."""
+    """Organ with its appearance, made once and then read from the user's cache folder."""
     from vrcaps.anatomy.catalog import generate_organ
     from vrcaps.mucosa.bake import bake_appearance
     from vrcaps.mucosa.mucosa import own_mucosa
@@ -180,6 +180,6 @@ def _read_file(given: OrganFile) -> OrganSurface:
 
 
 def _key(scenario: Scenario) -> dict[str, Any]:
-    """What the organ before its lesions depends on."""
+    """Cache key: everything that the organ without lesions depends on."""
     assert isinstance(scenario.organ, OrganGenerated | OrganFile)
     return asdict(scenario.organ)

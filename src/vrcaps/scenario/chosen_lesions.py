@@ -1,4 +1,4 @@
-"""Chosen lesions: as a user names them, by short texts, a file or the prevalence table."""
+"""Lesions chosen by the user: short texts, a file or the prevalence table."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ if TYPE_CHECKING:
     from vrcaps.lesion import Lesion
 
 PREVALENCE = "prevalence"
-"""In place of a file: as many lesions as a screening patient has."""
+"""Source that replaces a file: a random number of lesions, as in screening patients."""
 
 
 def chosen_lesions(
     texts: Sequence[str], source: str | None, seed: int, organ: str
 ) -> tuple[Lesion, ...]:
-    """Lesions of a file or of the prevalence table, then those given one by one.
+    """Lesions of a file or of the prevalence table, followed by those given individually.
 
     Args:
-        texts: Each as `parse_lesion` reads it.
+        texts: Lesions in the syntax of `parse_lesion`.
         source: Path of a file, ``prevalence``, or None.
-        seed: The patient's, for the table.
-        organ: Name or file that they go into; the table is of the colon.
+        seed: Seed of the patient, for the table.
+        organ: Name or file of the organ that receives them; the table is for the colon.
 
     Raises:
-        InputError: If a text or the file cannot be read, or the table is of another organ.
+        InputError: If a text or the file cannot be read, or the table is for another organ.
         UnknownNameError: If a lesion or a key is unknown.
     """
     from vrcaps.anatomy.catalog import ORGANS, organ_segments

@@ -1,4 +1,4 @@
-"""Scenario: what to record, as one typed tree that files hold and each episode stores."""
+"""Scenario: definition of a recording as one typed tree, in files and in each episode."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from vrcaps.units import parse_length
 from vrcaps.world.model import posture_transform
 
 SOURCE_ORGAN = "source_organ.glb"
-"""File in the folder of an episode that holds an organ recorded from memory."""
+"""File in the folder of an episode with the organ, if it was recorded from memory."""
 
 MOST_FRAMES = 10**6
-"""Frames that a recording may have: their names have six digits."""
+"""Maximum number of frames of a recording: their names have six digits."""
 
 DEFAULT_CHANNELS = ("rgb", "depth", "normal", "label", "instance")
 
@@ -45,8 +45,9 @@ class OrganGenerated:
     Attributes:
         name: Name of the generator: colon, stomach, small-bowel or full-tract.
         seed: Seed of the patient: sizes, course and folds.
-        distension: How full the organ is; None is inflated for the colon and normal for all else.
-        mucosa: Look of the wall: colon, stomach or small-bowel, or the folder of a texture;
+        distension: Distension of the organ; None is inflated for the colon and normal for all
+            others.
+        mucosa: Appearance of the wall: colon, stomach or small-bowel, or the folder of a texture;
             None is the organ's own.
     """
 
@@ -64,9 +65,9 @@ class OrganGenerated:
 
 @dataclass(frozen=True)
 class OrganFile:
-    """An organ from a mesh file, or from an organ file that `vrcaps organ` wrote.
+    """An organ from a mesh file, or from an organ file written by `vrcaps organ`.
 
-    An organ file is taken as it is, with its labels, lesions and textures.
+    An organ file is used unchanged, with its labels, lesions and textures.
 
     Example:
         >>> vrcaps.Scenario(organ=vrcaps.OrganFile("colon.ply", unit="mm"))
@@ -77,8 +78,8 @@ class OrganFile:
         open_ends: Whether open ends of the lumen are capped or kept open.
         keep_uv: Whether the file's own texture coordinates are kept.
         reverse: Whether the narrower end of the lumen is the oral one.
-        mucosa: Look of the wall: colon, stomach or small-bowel, or the folder of a texture;
-            None is the organ's own textures or, where it has none, the mucosa of its labels.
+        mucosa: Appearance of the wall: colon, stomach or small-bowel, or the folder of a texture;
+            None is the organ's own textures or, if it has none, the mucosa of its labels.
     """
 
     path: FileRef | str
@@ -99,14 +100,14 @@ class OrganFile:
 
 
 def _refer_to_mucosa(organ: OrganGenerated | OrganFile) -> None:
-    """Make a mucosa that is given as a path a reference to that file."""
+    """Convert a mucosa given as a path to a reference to that file."""
     if isinstance(organ.mucosa, str) and is_texture_path(organ.mucosa):
         object.__setattr__(organ, "mucosa", FileRef(organ.mucosa))
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """A recording as asked for; with its files at hand it fixes every byte of the episode.
+    """Definition of a recording; together with its files it determines every byte of the episode.
 
     Example:
         >>> organ = vrcaps.OrganFile("colon.ply", unit="mm")
@@ -117,20 +118,21 @@ class Scenario:
         organ: The gut wall: the name of a generated organ, the path of an organ file, one of the
             tables below, or an organ in memory.
         capsule: Name in the catalog, path of a device file, or a device in memory.
-        posture: How the patient lies: supine, prone, left-lateral, right-lateral or standing.
-        motion: How the capsule moves.
+        posture: Posture of the patient: supine, prone, left-lateral, right-lateral or standing.
+        motion: Motion of the capsule.
         frames: Number of frames.
-        fps: Frames per second; None takes the capsule's own.
+        fps: Frames per second; None is the capsule's own rate.
         seed: Seed of the motion and of the mucosa of an organ from a file.
         channels: Image channels to write.
-        render: How images are rendered; by default with radiosity.
-        wall: Whether the place of every vertex of the wall is stored in each frame.
-        lesions: Lesions to put into the organ; number k becomes instance k, counted from 1.
+        render: Settings of the renderer; radiosity by default.
+        wall: Whether the position of every vertex of the wall is stored in each frame.
+        lesions: Lesions to put into the organ; their instance IDs are 1, 2, … in this order.
         clean_twin: Show the same patient without the lesions; the motion stays as with them.
-        contents: What floats in the lumen.
-        effects: Effects of lens and sensor; one that is None is the capsule's own, and a severity
-            is drawn from each range by the seed.
-        sensors: What else is measured in each frame: motion, field and place of the capsule.
+        contents: Contents of the lumen.
+        effects: Effects of lens and sensor; None for an effect is the capsule's own, and a range
+            is sampled to one severity by the seed.
+        sensors: Further measurements in each frame: motion, magnetic field and position of the
+            capsule.
     """
 
     organ: OrganGenerated | OrganFile | OrganSurface | str = field(default_factory=OrganGenerated)
@@ -162,7 +164,7 @@ class Scenario:
 
 
 def organ_named(organ: str) -> OrganGenerated | OrganFile:
-    """The organ of a name, or of a file if the text is a path."""
+    """Organ with a name, or from a file if the text is a path."""
     path = Path(organ)
     is_path = bool(path.suffix) or len(path.parts) > 1 or path.is_file()
     return OrganFile(organ) if is_path else OrganGenerated(organ)
@@ -178,9 +180,9 @@ def read_scenario(path: str | Path) -> Scenario:
 
 
 def read_plain_scenario(path: str | Path) -> Any:
-    """What a scenario file holds, or the scenario of the `episode.json` of an episode.
+    """Contents of a scenario file, or the scenario in the `episode.json` of an episode.
 
-    An organ that was recorded from memory lies in the folder of its episode, wherever that is now.
+    An organ recorded from memory is resolved relative to the current folder of its episode.
 
     Raises:
         InputError: If the file cannot be read.
@@ -198,10 +200,10 @@ def read_plain_scenario(path: str | Path) -> Any:
 
 
 def _with_former_defaults(plain: Any) -> Any:
-    """The scenario of an episode, with the defaults of the version that recorded it.
+    """Scenario of an episode, completed with the defaults of the version that recorded it.
 
-    Formerly a flight without a speed covered the whole stretch, and an adaptive frame rate was off
-    where it was null in an episode, which states its exposure.
+    In earlier versions, a fly-through without a speed covered the whole stretch, and an adaptive
+    frame rate was off if it was null in an episode with a stated exposure.
     """
     if not isinstance(plain, dict):
         return plain
@@ -215,7 +217,7 @@ def _with_former_defaults(plain: Any) -> Any:
 
 
 def read_lesions(path: str | Path) -> tuple[AnyLesion, ...]:
-    """Read lesions from a JSON or TOML file: tables ``lesions``, as a scenario has them.
+    """Read lesions from a JSON or TOML file: tables ``lesions``, as in a scenario.
 
     Raises:
         InputError: If the file cannot be read, or a key is unknown or has a wrong value.
@@ -227,7 +229,7 @@ def read_lesions(path: str | Path) -> tuple[AnyLesion, ...]:
 
 
 def scenario_to_plain(scenario: Scenario) -> dict[str, Any]:
-    """The scenario as JSON holds it, in SI units.
+    """Convert a scenario to its JSON form, in SI units.
 
     Raises:
         InputError: If its organ is in memory only; `record` writes such an organ to a file.
@@ -238,14 +240,14 @@ def scenario_to_plain(scenario: Scenario) -> dict[str, Any]:
 
 
 def scenario_from_plain(plain: Any, *, units: bool = False) -> Scenario:
-    """The scenario that `scenario_to_plain` wrote, or a user with fewer keys.
+    """Convert the output of `scenario_to_plain`, or a user's input with fewer keys, to a scenario.
 
     Args:
-        plain: What a JSON or TOML file holds.
-        units: A device in it has keys in the units of device files.
+        plain: Contents of a JSON or TOML file.
+        units: Whether the keys of a device in it are in the units of device files.
 
     Raises:
-        InputError: If a key is unknown or has a wrong value; names it.
+        InputError: If a key is unknown or has a wrong value; the message names it.
     """
     if not isinstance(plain, dict):
         raise InputError(f"A scenario is a table of keys, not {type(plain).__name__}.")

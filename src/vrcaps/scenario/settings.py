@@ -1,4 +1,4 @@
-"""Settings of a scenario: every path that `--set` takes, and changes to plain scenarios by path."""
+"""Settings of a scenario: all paths of `--set`, and changes to plain scenarios by path."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ class Setting:
 
     Attributes:
         path: Names from the scenario down, such as `motion.speed`.
-        kind: Kind of the table that it belongs to, where there are several, such as `dynamics`.
+        kind: Kind of the table that it belongs to, if there are several, such as `dynamics`.
         declared: Its type.
-        default: Its default value; `MISSING` where it must be given.
-        doc: What it is, with its unit.
+        default: Its default value; `MISSING` if it is required.
+        doc: Its description, with its unit.
     """
 
     path: str
@@ -54,13 +54,13 @@ class Setting:
 def settings(
     cls: type = Scenario, path: str = "", kind: str = "", whole: Any = None
 ) -> Iterator[Setting]:
-    """Settings of a scenario, in the order of its tables, with those of every kind of table.
+    """Settings of a scenario in the order of its tables, including every kind of table.
 
     Args:
-        cls: The table to begin with.
-        path: Its path.
-        kind: Kind of the table that it belongs to.
-        whole: The default value of the table, where it has one of its own.
+        cls: The table to start from.
+        path: Path of the table.
+        kind: Kind of the table that contains it.
+        whole: Default value of the table, if it differs from that of its class.
     """
     hints, docs = get_type_hints(cls, include_extras=True), field_docs(cls)
     for f in fields(cls):
@@ -75,12 +75,12 @@ def settings(
 
 
 def field_docs(cls: type) -> dict[str, str]:
-    """What the docstring of a dataclass says of each of its fields, on one line each."""
+    """Description of each field in a dataclass's docstring, on one line each."""
     return {name: " ".join(text.split()) for name, text in _DOCUMENTED.findall(cls.__doc__ or "")}
 
 
 def type_name(declared: Any) -> str:
-    """A type in words, such as ``float above 0`` or ``inflated, normal, collapsed or none``."""
+    """Name of a type, such as ``float above 0`` or ``inflated, normal, collapsed or none``."""
     range_ = range_of(declared)
     if get_origin(declared) is Annotated:
         declared = get_args(declared)[0]
@@ -92,7 +92,7 @@ def type_name(declared: Any) -> str:
 
 
 def parse_change(text: str) -> tuple[str, Any]:
-    """Path and value of a change such as ``motion.speed=0.01``; the value is TOML, or a text.
+    """Parse a change such as ``motion.speed=0.01`` to its path and value, TOML or plain text.
 
     Raises:
         InputError: If there is no path or no value.
@@ -107,9 +107,9 @@ def parse_change(text: str) -> tuple[str, Any]:
 
 
 def changed(plain: Mapping[str, Any], path: str, value: Any) -> dict[str, Any]:
-    """A plain scenario with one value changed.
+    """Return a plain scenario with one value changed.
 
-    Where a table's kind changes, its other values belong to the former kind and are dropped.
+    If the kind of a table changes, the values of the former kind are dropped.
     """
     name, _, rest = path.partition(".")
     if not rest:
@@ -121,7 +121,7 @@ def changed(plain: Mapping[str, Any], path: str, value: Any) -> dict[str, Any]:
 
 
 def _tables(declared: Any) -> list[type]:
-    """Dataclasses of a type that a table may hold and a path may lead into."""
+    """Dataclasses that a value of this type may hold and that paths may lead into."""
     if get_origin(declared) is Annotated:
         declared = get_args(declared)[0]
     is_union = get_origin(declared) in (Union, types.UnionType)
@@ -133,7 +133,7 @@ def _tables(declared: Any) -> list[type]:
 
 
 _NO_SETTINGS = {"vrcaps.capsule.device", "vrcaps.file_ref"}
-"""Modules whose tables are written to files of their own or as a path."""
+"""Modules whose tables are stored in separate files or as a path."""
 
 
 def _word(member: Any) -> str:

@@ -1,4 +1,4 @@
-"""Lens models: how directions in the camera frame become pixels, and back.
+"""Lens models: projection from directions in the camera frame to pixels, and back.
 
 | kind              | class               | image radius r at the angle θ to the axis  |
 | ----------------- | ------------------- | ------------------------------------------ |
@@ -30,10 +30,10 @@ LENSES: dict[str, type[Lens]] = {
         LensEquirectangular,
     )
 }
-"""Lens classes by the `kind` that files call them."""
+"""Lens classes by their `kind` in files."""
 
 if TYPE_CHECKING:
     AnyLens = Lens
 else:
     AnyLens = Union[tuple(LENSES.values())]  # noqa: UP007
-"""Any of the lens models, as files hold them."""
+"""Any of the lens models, as stored in files."""

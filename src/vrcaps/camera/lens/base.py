@@ -1,7 +1,7 @@
-"""Interface of lens models, and the arithmetic that they have in common, on arrays and tensors.
+"""Interface of lens models, and their common arithmetic on arrays and tensors.
 
-A lens model is a frozen dataclass of plain numbers. Pixels are (column, row), and pixel (0, 0) is
-the center of the top-left pixel. The camera frame is x right, y down, z forward.
+A lens model is a frozen dataclass of plain numbers. Pixels are (column, row); pixel (0, 0) is the
+center of the top-left pixel. The camera frame is x right, y down, z forward.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 ANGLE_SLACK = 1e-9
-"""Rounding allowed at the edge of the field [rad]: a ray on the edge still projects."""
+"""Rounding tolerance at the edge of the field [rad]: a ray on the edge still projects."""
 
 
 LENGTH_PX = {"unit": "px", "px_power": 1}
-"""Metadata of a parameter in pixels that grows with the image's scale, such as a focal length."""
+"""Metadata of a parameter in pixels that scales with the image, such as a focal length."""
 ANGLE = {"unit": "deg"}
-"""Metadata of an angle [rad], which files hold in degrees."""
+"""Metadata of an angle [rad], stored in degrees in files."""
 
 
 class Lens(Protocol):
-    """A lens model; `LENSES` names them all.
+    """A lens model; `LENSES` lists all of them.
 
-    The metadata of a field say what files and scaled images do with it: `unit` is its unit in a
-    device file and ends its key; `px_power` is the power of the image's scale that it goes with.
-    `project` and `unproject` take tensors of PyTorch, too, and give tensors with gradients.
+    The metadata of a field control files and scaled images: `unit` is its unit in a device file and
+    the suffix of its key; `px_power` is the power of the image scale by which it scales. `project`
+    and `unproject` also accept PyTorch tensors and then return tensors with gradients.
 
     Attributes:
-        kind: Its name in files.
+        kind: Name of the model in files.
     """
 
     kind: ClassVar[str]
@@ -55,7 +55,7 @@ class Lens(Protocol):
 
     @property
     def max_angle(self) -> float | None:
-        """Half-field limit [rad], or None for all that the model can tell apart."""
+        """Half-field limit [rad], or None for the full range of the model."""
         ...
 
     def project(
@@ -70,15 +70,15 @@ class Lens(Protocol):
 
 
 def check_lens(lens: Any, positive: tuple[str, ...]) -> None:
-    """Check a lens dataclass when it is made.
+    """Check a lens dataclass on construction.
 
     Args:
         lens: The lens.
         positive: Fields that must be positive.
 
     Raises:
-        InputError: If a parameter is no finite number, or one that must be positive is not, or
-            `max_angle` is outside (0, π].
+        InputError: If a parameter is not finite, one that must be positive is not, or `max_angle`
+            is outside (0, π].
     """
     for name in (f.name for f in fields(lens)):
         value = getattr(lens, name)
@@ -97,7 +97,7 @@ def check_lens(lens: Any, positive: tuple[str, ...]) -> None:
 
 
 def angles_to_axis(points: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:
-    """Angle [rad] between points' directions and the optical axis; NaN for the origin itself."""
+    """Angle [rad] between the directions of points and the optical axis; NaN for the origin."""
     xp = namespace(points)
     angle = xp.arctan2(xp.hypot(points[..., 0], points[..., 1]), points[..., 2])
     return xp.where((points == 0.0).all(-1), xp.nan, angle)
@@ -108,7 +108,7 @@ def rays_at_angles(
 ) -> Float[np.ndarray, "*batch 3"]:
     """Unit rays at an angle [rad] to the optical axis, towards a lateral `direction` of any length.
 
-    Where the direction is zero the ray is the optical axis.
+    If the direction is zero, the ray is the optical axis.
     """
     xp = namespace(angle)
     length = xp.hypot(direction[..., 0], direction[..., 1])
@@ -120,12 +120,12 @@ def rays_at_angles(
 def masked(
     values: Float[np.ndarray, "*batch c"], valid: Bool[np.ndarray, "*batch"]
 ) -> Float[np.ndarray, "*batch c"]:
-    """Values with NaN where they are not valid."""
+    """Values with NaN where invalid."""
     return namespace(values).where(valid[..., None], values, np.nan)
 
 
 def polynomial(x: Any, coefficients: Sequence[float]) -> Any:
-    """Σ cᵢ xⁱ by Horner's rule."""
+    """Evaluate Σ cᵢ xⁱ by Horner's rule."""
     total = x * 0.0 + coefficients[-1]
     for coefficient in coefficients[-2::-1]:
         total = coefficient + total * x
@@ -134,9 +134,9 @@ def polynomial(x: Any, coefficients: Sequence[float]) -> Any:
 
 @lru_cache(maxsize=256)
 def first_positive_root(coefficients: tuple[float, ...]) -> float:
-    """Smallest positive real root of Σ cᵢ xⁱ, infinite where there is none.
+    """Smallest positive real root of Σ cᵢ xⁱ; infinite if there is none.
 
-    A double root, where the polynomial touches zero and keeps its sign, does not count.
+    A double root, where the polynomial touches zero without a change of sign, does not count.
     """
     roots = np.polynomial.Polynomial(coefficients).trim().roots()
     real = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0.0)]
@@ -151,12 +151,12 @@ def invert_monotone(
 ) -> Float[np.ndarray, "*batch"]:
     """Solve ``function(x) = value`` on [0, `upper`], where the function increases, to rounding.
 
-    Newton's method from a table, with bisection where a step leaves the bracket.
+    Newton's method from a table, with bisection if a step leaves the bracket.
 
     Args:
         function: Vectorized and increasing, zero at 0.
-        derivative: Of the function.
-        values: To be reached; those beyond the range give the nearer end, NaN gives NaN.
+        derivative: Derivative of the function.
+        values: Target values; those out of range give the nearer end, NaN gives NaN.
         upper: End of the interval.
     """
 
@@ -189,7 +189,7 @@ def _invert_array(
         newton = x - step
         inside = (newton >= low) & (newton <= high) & (slope > 0.0)
         moved = np.where(error == 0.0, x, np.where(inside, newton, 0.5 * (low + high)))
-        settled = ~(np.abs(moved - x) > 1e-14 * upper)  # true for NaN too
+        settled = ~(np.abs(moved - x) > 1e-14 * upper)  # also true for NaN
         x = moved
         if np.all(settled):
             break

@@ -34,7 +34,7 @@ class LensEquidistant:
         focal: Pixels per radian [px].
         cx: Column of the optical axis [px].
         cy: Row of the optical axis [px].
-        max_angle: Half-field limit [rad]; π where None.
+        max_angle: Half-field limit [rad]; None means π.
     """
 
     focal: float = field(metadata=LENGTH_PX)
@@ -49,7 +49,7 @@ class LensEquidistant:
 
     @property
     def limit(self) -> float:
-        """Largest angle to the axis in the field [rad]."""
+        """Maximum angle to the axis in the field [rad]."""
         return self.max_angle or math.pi
 
     @on_tensors

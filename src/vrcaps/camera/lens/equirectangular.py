@@ -1,4 +1,4 @@
-"""Longitude and latitude as columns and rows: up to the whole sphere in one image."""
+"""Equirectangular lens: longitude and latitude as columns and rows, up to the whole sphere."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class LensEquirectangular:
-    """Columns are longitude ``λ = atan2(x, z)``, rows latitude ``β = atan2(y, |(x, z)|)``.
+    """Equirectangular projection of longitude and latitude.
 
+    Columns are longitude ``λ = atan2(x, z)``, rows latitude ``β = atan2(y, |(x, z)|)``:
     ``u = fx λ + cx``, ``v = fy β + cy``. A full sphere of w by w/2 pixels has ``fx = fy = w/2π``,
     ``cx = (w - 1)/2``, ``cy = (w/2 - 1)/2``.
 

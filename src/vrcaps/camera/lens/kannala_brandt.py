@@ -1,4 +1,4 @@
-"""The fisheye model of Kannala and Brandt, as OpenCV has it."""
+"""The fisheye model of Kannala and Brandt, as in OpenCV."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class LensKannalaBrandt:
 
     @property
     def limit(self) -> float:
-        """Largest angle to the axis in the field [rad]."""
+        """Maximum angle to the axis in the field [rad]."""
         turn = first_positive_root(
             (1.0, 3.0 * self.k1, 5.0 * self.k2, 7.0 * self.k3, 9.0 * self.k4)
         )

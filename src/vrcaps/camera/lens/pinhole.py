@@ -1,4 +1,4 @@
-"""The pinhole model with the distortion of Brown and Conrady."""
+"""Pinhole model with Brown-Conrady distortion."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _WIDEST = 1e4
-"""Largest tangent of the angle to the axis that is looked at: 89.994°."""
+"""Maximum tangent of the angle to the axis that is considered: 89.994°."""
 _SLACK = 1e-9
-"""Rounding allowed at the edge of the field, relative: a ray on the edge still projects."""
+"""Rounding tolerance at the edge of the field, relative: a ray on the edge still projects."""
 
 
 @dataclass(frozen=True)
 class LensPinhole:
-    """Perspective with radial and tangential distortion, as OpenCV and MATLAB have it.
+    """Perspective with radial and tangential distortion, as in OpenCV and MATLAB.
 
     With ``(x, y) = (X/Z, Y/Z)``, ``r² = x² + y²`` and ``g = 1 + k1 r² + k2 r⁴ + k3 r⁶``::
 
@@ -78,7 +78,7 @@ class LensPinhole:
 
     @property
     def limit(self) -> float:
-        """Tangent of the largest angle to the axis in the field."""
+        """Tangent of the maximum angle to the axis in the field."""
         tilt = -6.0 * math.hypot(self.p1, self.p2)
         k1, k2, k3 = self.k1, self.k2, self.k3
         across = first_positive_root((1.0, tilt, k1, 0.0, k2, 0.0, k3))
@@ -131,7 +131,7 @@ class LensPinhole:
         return solved(self._undistort_array, self._newton_step, distorted)
 
     def _undistort_radial(self, distorted: Any) -> tuple[Any, Any]:
-        """Inverse of the radial distortion, and where it lies in the field."""
+        """Inverse of the radial distortion, and a mask of points in the field."""
         xp, limit = namespace(distorted), self.limit
         target = xp.hypot(distorted[..., 0], distorted[..., 1])
         radius = invert_monotone(
@@ -144,7 +144,7 @@ class LensPinhole:
         return plane, target <= limit * self._gain(limit**2)
 
     def _undistort_array(self, distorted: np.ndarray) -> np.ndarray:
-        """Inverse of the whole distortion, found from the radial one."""
+        """Inverse of the whole distortion, iterated from the radial one."""
         limit = self.limit
         target = np.hypot(distorted[..., 0], distorted[..., 1])
         plane, _ = self._undistort_radial(distorted)

@@ -1,4 +1,4 @@
-"""The omnidirectional polynomial model of Scaramuzza, as MATLAB fits it."""
+"""Omnidirectional polynomial model of Scaramuzza, as fitted by MATLAB."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _WIDEST = 1e3
-"""Largest image radius that is looked at, in units of a0: where f(r) = a0 it is 89.94°."""
+"""Maximum image radius that is considered, in units of a0: 89.94° where f(r) = a0."""
 
 
 @dataclass(frozen=True)
 class LensScaramuzza:
-    """The ray of image point (x, y), r = |(x, y)|, is along ``(x, y, f(r))``.
+    """Scaramuzza's model: the ray of image point (x, y), r = |(x, y)|, is ``(x, y, f(r))``.
 
     ``f(r) = a0 + a2 r² + a3 r³ + a4 r⁴`` and ``(u, v) = [[c, d], [e, 1]] (x, y) + (cx, cy)``
     (Scaramuzza, Martinelli, Siegwart, IROS 2006, eq. 3 and 5; MATLAB's `fisheyeIntrinsics`;
@@ -81,7 +81,7 @@ class LensScaramuzza:
 
     @property
     def limit(self) -> float:
-        """Largest image radius r in the field [px]."""
+        """Maximum image radius r in the field [px]."""
         turn = first_positive_root((self.a0, 0.0, -self.a2, -2.0 * self.a3, -3.0 * self.a4))
         widest = min(turn, _WIDEST * self.a0)
         if self.max_angle is None or self._angle(np.array(widest)) <= self.max_angle:

@@ -1,8 +1,8 @@
 """Lenses on PyTorch tensors: the same formulas, with gradients by autograd.
 
-Methods of a lens that are decorated with `on_tensors` take tensors beside arrays. They compute with
-what `namespace` gives: NumPy, or this module, whose functions are PyTorch's. An inverse that has no
-closed form is found by NumPy, and one more step of Newton's method in PyTorch gives its gradient.
+Lens methods decorated with `on_tensors` accept tensors as well as arrays. They compute with the
+result of `namespace`: NumPy, or this module, whose functions are PyTorch's. An inverse without
+closed form is solved by NumPy; one more Newton step in PyTorch gives its gradient.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ _TINY = float(np.finfo(float).tiny)
 
 
 def __getattr__(name: str) -> Any:
-    """A function of PyTorch, which takes what NumPy's takes."""
-    if name.startswith("_"):  # the import system asks for such names
+    """PyTorch function that accepts the arguments of its NumPy counterpart."""
+    if name.startswith("_"):  # the import system requests such names
         raise AttributeError(name)
     import torch
 
@@ -29,25 +29,25 @@ def __getattr__(name: str) -> Any:
 
 
 def hypot(x: Any, y: Any) -> Any:
-    """Length of (x, y) with a gradient at zero, too: a ray on the optical axis has one."""
+    """Length of (x, y) with a defined gradient at zero, where a ray on the optical axis lies."""
     return (x * x + y * y + _TINY).sqrt()
 
 
 def is_tensor(values: Any) -> bool:
-    """Whether they are a tensor; does not load PyTorch."""
+    """Check whether values are a tensor, without loading PyTorch."""
     torch = sys.modules.get("torch")
     return torch is not None and isinstance(values, torch.Tensor)
 
 
 def namespace(values: Any) -> Any:
-    """What computes with values: NumPy, or this module for tensors."""
+    """Return the namespace for values: NumPy, or this module for tensors."""
     return sys.modules[__name__] if is_tensor(values) else np
 
 
 def on_tensors(method: Method) -> Method:
-    """Let a method of a lens take tensors; it computes in double precision, in NumPy and PyTorch.
+    """Let a lens method accept tensors; it computes in double precision, in NumPy and PyTorch.
 
-    A tensor of floats is given back in its own precision and on its own device.
+    A floating-point tensor is returned in its own precision and on its own device.
     """
 
     @wraps(method)
@@ -65,12 +65,12 @@ def solved(
     newton_step: Callable[[Any, Any], Any],
     target: Any,
 ) -> Any:
-    """Solution x of f(x) = target; that of a tensor has the gradient of the inverse function.
+    """Solve f(x) = target; the solution for a tensor has the gradient of the inverse function.
 
     With x held fixed, the gradient of ``x - newton_step(x, target)`` is that of the inverse of f.
 
     Args:
-        solve: Finds x to rounding, on arrays.
+        solve: Solver for x on arrays, accurate to rounding.
         newton_step: ``(f(x) - target) / f'(x)``.
         target: Array or tensor.
     """
@@ -81,5 +81,5 @@ def solved(
     found = torch.from_numpy(np.asarray(solve(target.detach().cpu().numpy())))
     found = found.to(target.device)
     has_none = found.isnan()
-    start = found.masked_fill(has_none, 0.0)  # NaN would enter the gradients of all
+    start = found.masked_fill(has_none, 0.0)  # NaN would spread to all gradients
     return (start - newton_step(start, target)).masked_fill(has_none, torch.nan)

@@ -1,4 +1,4 @@
-"""The catalog of organs that need no file: each declared organ has a generator."""
+"""Catalog of generated organs: each declared organ has a generator."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ if TYPE_CHECKING:
     Generator = Callable[[PatientAnatomy], OrganSurface]
 
 DISTENSIONS: tuple[str, ...] = get_args(Distension)
-"""How full a generated organ can be."""
+"""Distensions of a generated organ."""
 
 _GENERATORS: dict[str, Generator] = {}
 
 
 def organ_generator(name: str) -> Callable[[Generator], Generator]:
-    """Declare a function as the generator of an organ.
+    """Register a function as the generator of an organ.
 
-    It takes a patient and returns the organ's surface, without appearance unless its mucosa is
-    not that of its first segment. The catalog bakes the appearance and caches the organ. The
-    generator of an organ of vrcaps stands in the folder `vrcaps.anatomy` of its name.
+    The function takes a patient and returns the organ's surface, without appearance unless its
+    mucosa is not that of its first segment. The catalog bakes the appearance and caches the organ.
+    The generators of built-in organs are in the folders of `vrcaps.anatomy` with the organs' names.
 
     Args:
-        name: Of the organ, one of `vrcaps.organ.segments.ORGANS`.
+        name: Name of the organ, one of `vrcaps.organ.segments.ORGANS`.
     """
 
     def declare(generator: Generator) -> Generator:
@@ -45,20 +45,20 @@ def organ_generator(name: str) -> Callable[[Generator], Generator]:
 def generate_organ(
     name: str, *, seed: int, distension: str | None = None, mucosa: str | None = None
 ) -> OrganSurface:
-    """A generated organ with its appearance, a different patient for each seed.
+    """Generate an organ with its appearance; each seed is a different patient.
 
-    It is made once and then read from the user's cache folder (see `cache_folder`). One seed is
-    one patient: the stomach of seed 3 belongs to the colon of seed 3.
+    The result is stored in the user's cache folder (see `cache_folder`) and read from there
+    afterwards. Organs of the same seed belong together, as the stomach and the colon of seed 3.
 
     Args:
         name: One of `ORGANS`.
-        seed: Of the patient; not negative.
-        distension: How full it is: `inflated`, `normal` or `collapsed`; None is the usual, the
-            colon inflated, all else normal.
-        mucosa: Look of the wall, see `bake_appearance`; None is the organ's own.
+        seed: Seed of the patient; not negative.
+        distension: `inflated`, `normal` or `collapsed`; None is the default: inflated for the
+            colon, normal for all other organs.
+        mucosa: Appearance of the wall, see `bake_appearance`; None is the organ's default.
 
     Raises:
-        UnknownNameError: If the catalog has no such organ, or there is no such mucosa.
+        UnknownNameError: If the catalog has no such organ or mucosa.
         InputError: If the seed is negative, or there is no such distension or texture.
     """
     from vrcaps.anatomy.full_tract.patient import draw_patient_anatomy
@@ -84,7 +84,7 @@ def generate_organ(
 
 
 def _with_mucosa(name: str, seed: int, distension: str | None, mucosa: str) -> OrganSurface:
-    """A generated organ with another mucosa than its own."""
+    """Generated organ with a mucosa other than its default."""
     from vrcaps.mucosa.bake import bake_appearance
     from vrcaps.mucosa.mucosa import mucosa_fingerprint
 
@@ -103,7 +103,7 @@ def _generator(name: str) -> Generator:
 
 
 def organ_segments(name: str) -> tuple[str, ...]:
-    """Names of the segments of a generated organ, from its oral end.
+    """Names of the segments of a generated organ, in order from its oral end.
 
     Raises:
         UnknownNameError: If the catalog has no such organ.

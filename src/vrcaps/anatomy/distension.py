@@ -1,4 +1,4 @@
-"""Distension: how full of gas or liquid the organs of a patient are."""
+"""Distension: filling of a patient's organs with gas or liquid."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ T = TypeVar("T")
 
 
 def at_distension(values: Mapping[str, T], distension: str) -> T:
-    """Value for a distension.
+    """Return the value for a distension.
 
     Raises:
         InputError: If there is no such distension.

@@ -16,5 +16,5 @@ if TYPE_CHECKING:
 
 @organ_generator("colon")
 def colon_of(patient: PatientAnatomy) -> OrganSurface:
-    """A patient's colon."""
+    """Generate a patient's colon."""
     return generate_colon(patient.colon, seed=patient.seed)

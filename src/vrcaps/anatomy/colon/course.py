@@ -1,9 +1,8 @@
-"""Colon course: a centerline through the abdomen with anatomy, loops and flexures.
+"""Colon course: a centerline through the abdomen with loops and flexures.
 
-A chain is laid through the anatomical waypoints and grows to the patient's length. It
-buckles as it grows, held where the colon is fixed to the body, kept from
-bending tighter than its own diameter, and from touching itself: a relaxation by position
-based dynamics (Müller et al. 2007).
+A chain through anatomical waypoints grows to the patient's length and buckles. It is held where
+the colon is fixed to the body, does not bend more tightly than its own diameter allows, and does
+not touch itself. The relaxation uses position-based dynamics (Müller et al. 2007).
 """
 
 from __future__ import annotations
@@ -26,16 +25,16 @@ if TYPE_CHECKING:
     from vrcaps.anatomy.colon.parameters import ColonParameters
 
 FLEXURE_REACH = 5 * CM
-"""A flexure turns the lumen by more than 90° from this far before it to this far after it [m]."""
+"""Half length over which a flexure turns the lumen by more than 90° [m]."""
 
 _SPACING = 12.5 * MM
 _GAP = 4 * MM
 _NUM_STEPS = 150
 _NUM_TRIES, _MOST_MISSING = 80, 2
 
-# Waypoints of the segments in a mean body, patient frame [cm]: x left, y posterior, z up, the
-# origin in the middle of the abdomen at the height of the navel. A segment starts where the
-# one before it ends.
+# Waypoints of the segments in a mean body, patient frame [cm]: x left, y posterior, z up, origin
+# at the center of the abdomen at the height of the navel. Each segment starts at the end of the
+# previous one.
 _WAYPOINTS_CM = (
     [(-9.5, -1.0, -9.5), (-10.8, 0.5, -5.0)],
     [(-11.5, 3.0, 2.0), (-10.8, 3.2, 8.0)],
@@ -52,30 +51,30 @@ _WAYPOINTS_CM = (
     ],
     [(0.0, 6.8, -15.0), (0.0, 5.5, -19.5), (0.0, 3.4, -21.5), (0.0, 4.8, -24.5)],
 )
-# How firmly each segment is held to the body (the fixed ones lie behind the peritoneum), and
-# how readily it takes a further flexure (those with a long mesentery).
+# Stiffness with which each segment is held to the body (highest for retroperitoneal segments),
+# and tendency to form additional flexures (highest for segments with a long mesentery).
 _HOLD = (0.08, 0.02, 0.10, 0.002, 0.10, 0.015, 0.002, 0.15)
 _MOBILITY = (0.0, 0.5, 0.0, 1.0, 0.0, 0.7, 1.0, 0.0)
 _CAVITY_CM = np.array([[-14.5, -10.5, -26.0], [14.5, 7.5, 20.0]])
-# Lowest and highest position of each segment: the transverse colon hangs between the flexures,
+# Minimum and maximum position of each segment: the transverse colon hangs between the flexures;
 # all but the rectum stay above the pelvic floor.
 _LOWEST_CM = (-15.0, -15.0, -10.0, -9.0, 0.0, -12.0, -18.0, -26.0)
 _HIGHEST_CM = (0.0, 14.0, 14.0, 19.0, 20.0, 18.0, 3.0, -7.0)
 
 
 def colon_rng(seed: int) -> np.random.Generator:
-    """Source of the course, then the wall, of a seed's colon, alone or in the whole tract."""
+    """Random generator of a seed's colon (course, then wall), alone or in the full tract."""
     return vrcaps.rng.stream(seed, "colon")
 
 
 def generate_course(parameters: ColonParameters, rng: np.random.Generator) -> Course:
-    """A course of the asked length and number of flexures, with clearance for the lumen all along.
+    """Generate a course of given length and number of flexures, with clearance for the lumen.
 
-    Some lengths do not coil up so often: where no try gives the asked number of flexures, the
-    nearest found is taken, up to two off.
+    Some lengths rarely form the requested number of flexures. If no attempt does, the nearest
+    result is used, at most two off.
 
     Raises:
-        InputError: If no such course is found in the abdomen.
+        InputError: If no such course fits into the abdomen.
     """
     wanted = float(parameters.flexures - 5)
     nearest, least = None, _MOST_MISSING + 1
@@ -97,7 +96,7 @@ def generate_course(parameters: ColonParameters, rng: np.random.Generator) -> Co
 
 
 def count_flexures(course: Course) -> int:
-    """Number of acute flexures: separate stretches where the lumen turns by more than 90°."""
+    """Number of acute flexures: separate intervals in which the lumen turns by more than 90°."""
     spacing = course.arc_length[-1] / (len(course.points) - 1)
     reach = max(1, round(FLEXURE_REACH / spacing))
     tangents = np.gradient(course.points, axis=0)
@@ -107,7 +106,7 @@ def count_flexures(course: Course) -> int:
 
 
 def has_clearance(course: Course, parameters: ColonParameters) -> bool:
-    """Whether the lumen fits along the whole course without touching itself."""
+    """Check that the lumen fits along the whole course without touching itself."""
     step = max(1, round(6 * MM / course.arc_length[1]))
     points, arc_length = course.points[::step], course.arc_length[::step]
     radius = outer_radius(parameters, arc_length)
@@ -121,26 +120,26 @@ def has_clearance(course: Course, parameters: ColonParameters) -> bool:
 def outer_radius(
     parameters: ColonParameters, arc_length: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Distance from the centerline that the haustra reach [m]."""
+    """Distance of the outer wall of the haustra from the centerline [m]."""
     return lumen_radius(parameters, arc_length) * (1.0 + parameters.haustra_depth)
 
 
 def lumen_radius(
     parameters: ColonParameters, arc_length: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Radius of the lumen between folds [m], blended from segment to segment."""
+    """Radius of the lumen between folds [m], blended between segments."""
     return blend(parameters, [0.5 * s.diameter for s in parameters.segments], arc_length)
 
 
 def blend(
     parameters: ColonParameters, values: list[float], arc_length: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """A value per segment, constant within and blended over 4 cm where two segments meet.
+    """Value per segment, constant within segments and blended over 4 cm between them.
 
     Args:
         parameters: The patient's dimensions.
-        values: One for each segment.
-        arc_length: Along the centerline [m].
+        values: One value per segment.
+        arc_length: Arc length along the centerline [m].
     """
     blended = np.full(np.shape(arc_length), float(values[0]))
     ends = np.cumsum([segment.length for segment in parameters.segments])
@@ -152,7 +151,7 @@ def blend(
 def _draw_bends(
     parameters: ColonParameters, num_bends: int, rng: np.random.Generator
 ) -> np.ndarray:
-    """Number of bends to put into each segment, by its mobility and length."""
+    """Number of bends to insert into each segment, by its mobility and length."""
     length = np.array([segment.length for segment in parameters.segments])
     capacity = np.round(np.array(_MOBILITY) * length / (8.5 * CM)).astype(int)
     slots = np.repeat(np.arange(len(capacity)), capacity)
@@ -161,7 +160,7 @@ def _draw_bends(
 
 
 def _is_apart(arc_length: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Pairs of samples so far from each other along the course that they could be apart."""
+    """Pairs of samples far enough apart along the course to be separable."""
     along = np.abs(arc_length[:, None] - arc_length)
     return along > 0.65 * np.pi * (radius[:, None] + radius)
 
@@ -169,7 +168,7 @@ def _is_apart(arc_length: np.ndarray, radius: np.ndarray) -> np.ndarray:
 def _relax(
     parameters: ColonParameters, bends: np.ndarray, swing: float, rng: np.random.Generator
 ) -> Course:
-    """Let a chain with the given bends, `swing` times as wide, grow inside the abdomen."""
+    """Grow a chain with the given bends, scaled by `swing`, inside the abdomen."""
     num_nodes = round(parameters.length / _SPACING) + 1
     arc_length = np.linspace(0.0, parameters.length, num_nodes)
     ends = np.cumsum([segment.length for segment in parameters.segments])
@@ -196,7 +195,7 @@ def _relax(
 def _anchors(
     parameters: ColonParameters, arc_length: np.ndarray, segment: np.ndarray
 ) -> np.ndarray:
-    """Where each node lies in the textbook abdomen [m], scaled to the colon's length."""
+    """Positions of the nodes in the textbook abdomen [m], scaled to the length of the colon."""
     anchors = np.empty((len(arc_length), 3))
     end, start = 0.0, _WAYPOINTS_CM[0][0]
     for k, waypoints in enumerate(_WAYPOINTS_CM):
@@ -219,7 +218,7 @@ def _meander(
     """Sideways displacement that makes each segment buckle into its number of bends [m].
 
     A sine of n half-waves and amplitude a over the straight length d has a length of about
-    d √(1 + (π n a / d)² / 2); the amplitude takes up most of what the segment is longer.
+    d √(1 + (π n a / d)² / 2); the amplitude takes up most of the segment's excess length.
     """
     offset = 1 * MM * rng.standard_normal(anchors.shape)
     tangents = np.gradient(anchors, axis=0)
@@ -240,7 +239,7 @@ def _meander(
 
 
 def _push_apart(nodes: np.ndarray, needed: np.ndarray) -> np.ndarray:
-    """Displacement that separates nodes nearer to each other than needed [m]."""
+    """Displacement that separates nodes closer to each other than needed [m]."""
     offset = nodes[:, None] - nodes
     distance = np.sqrt(np.einsum("ijk,ijk->ij", offset, offset)) + 1e-9
     weight = np.clip(needed - distance, 0.0, None) / distance
@@ -250,7 +249,7 @@ def _push_apart(nodes: np.ndarray, needed: np.ndarray) -> np.ndarray:
 
 
 def _cavity(parameters: ColonParameters, segment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest coordinates of each node in the abdomen [m]."""
+    """Minimum and maximum coordinates of each node in the abdomen [m]."""
     low, high = (np.repeat(corner[None], len(segment), axis=0) for corner in _CAVITY_CM)
     low[:, 2] = np.array(_LOWEST_CM)[segment]
     high[:, 2] = np.array(_HIGHEST_CM)[segment]
@@ -263,18 +262,18 @@ def _cavity(parameters: ColonParameters, segment: np.ndarray) -> tuple[np.ndarra
 
 
 def _body_size(parameters: ColonParameters) -> float:
-    """Size of the abdomen relative to the mean: a longer colon lies in a larger body."""
+    """Size of the abdomen relative to the mean: longer colons belong to larger bodies."""
     return float(np.clip(np.sqrt(parameters.length / 1.895), 0.85, 1.1))
 
 
 def _unbend(nodes: np.ndarray, radius: np.ndarray, spacing: float) -> np.ndarray:
-    """Displacement that opens bends tighter than the lumen allows [m]."""
+    """Displacement that opens bends tighter than the lumen permits [m]."""
     move = np.zeros_like(nodes)
     for reach in (1, 2):
         middle = nodes[reach:-reach]
         sagitta = 0.5 * (nodes[: -2 * reach] + nodes[2 * reach :]) - middle
         depth = np.linalg.norm(sagitta, axis=1) + 1e-12
-        # A circle of radius R has the sagitta d²/2R over chords of about d.
+        # A circle of radius R has the sagitta d²/2R over chords of length about d.
         limit = (reach * spacing) ** 2 / (2.0 * 1.5 * radius[reach:-reach])
         pull = 0.5 * sagitta * (np.clip(depth - limit, 0.02 * depth, None) / depth)[:, None]
         move[reach:-reach] += pull
@@ -284,7 +283,7 @@ def _unbend(nodes: np.ndarray, radius: np.ndarray, spacing: float) -> np.ndarray
 
 
 def _set_spacing(nodes: np.ndarray, spacing: float) -> np.ndarray:
-    """Displacement that brings neighbors to the asked distance [m]."""
+    """Displacement that restores the spacing of neighbors [m]."""
     edges = np.diff(nodes, axis=0)
     length = np.linalg.norm(edges, axis=1, keepdims=True) + 1e-12
     pull = 0.5 * edges * (1.0 - spacing / length)
@@ -295,12 +294,12 @@ def _set_spacing(nodes: np.ndarray, spacing: float) -> np.ndarray:
 
 
 def _chord_length(nodes: np.ndarray) -> np.ndarray:
-    """Distance of each node along the chain from the first [m]."""
+    """Distance of each node from the first along the chain [m]."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(nodes, axis=0), axis=1))])
 
 
 def _smooth_course(nodes: np.ndarray, length: float) -> Course:
-    """An evenly sampled smooth curve through the chain, of exactly the asked length."""
+    """Smooth, evenly sampled curve of exactly the given length through the chain."""
     for _ in range(4):
         nodes[1:-1] += 0.25 * (nodes[:-2] - 2.0 * nodes[1:-1] + nodes[2:])
     for _ in range(3):

@@ -25,18 +25,18 @@ from vrcaps.organ.surface import OrganSurface
 
 _NUM_TRIES = 5
 _SPARE = 1.02
-"""Triangles made per triangle asked for, so that there are hardly ever fewer."""
+"""Ratio of generated to requested triangles, so that there are rarely too few."""
 
 
 def generate_colon(parameters: ColonParameters, *, seed: int) -> OrganSurface:
-    """A colon with the given dimensions, different for each seed.
+    """Generate a colon with the given dimensions, different for each seed.
 
     Args:
-        parameters: The patient's dimensions; `ColonParameters.draw` draws a patient.
-        seed: Of the course, folds and irregularities.
+        parameters: Dimensions of the patient; `ColonParameters.draw` draws a patient.
+        seed: Seed of the course, folds and irregularities.
 
     Returns:
-        A closed surface in the patient frame that nowhere cuts itself, without appearance.
+        Closed surface in the patient frame without self-intersections and without appearance.
 
     Raises:
         InputError: If the lumen does not fit into the abdomen.
@@ -60,7 +60,7 @@ def generate_colon(parameters: ColonParameters, *, seed: int) -> OrganSurface:
 
 
 def colon_surface(wall: ColonWall) -> SweptSurface:
-    """The wall, with edges that give about the asked number of triangles: wide in wide parts."""
+    """Wall with edge lengths for about the requested number of triangles, longer in wide parts."""
     parameters = wall.parameters
     mean = 0.5 * np.average(
         [segment.diameter for segment in parameters.segments],
@@ -83,6 +83,6 @@ def colon_surface(wall: ColonWall) -> SweptSurface:
 
 
 def colon_labels(parameters: ColonParameters, arc_length: np.ndarray) -> np.ndarray:
-    """Segment number of each arc length [m], 1 for the first of `SEGMENTS`."""
+    """Label of the segment at each arc length [m], 1 for the first of `SEGMENTS`."""
     ends = np.cumsum([segment.length for segment in parameters.segments])[:-1]
     return (1 + np.searchsorted(ends, arc_length, side="right")).astype(np.uint8)

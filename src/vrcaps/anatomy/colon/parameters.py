@@ -1,4 +1,4 @@
-"""Colon parameters: every dimension of a generated colon, and its variation over patients."""
+"""Colon parameters: dimensions of a generated colon and their variation between patients."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ SEGMENTS = COLON.labels
 
 @dataclass(frozen=True)
 class ColonSegment:
-    """One segment of the colon.
+    """Segment of the colon.
 
     Attributes:
-        length: Along the centerline [m].
-        diameter: Of the distended lumen between the folds [m].
+        length: Length along the centerline [m].
+        diameter: Diameter of the distended lumen between the folds [m].
         haustra_spacing: Mean distance from fold to fold in one of the three strips between
             the taeniae [m].
-        fold_height: Mean height of the semilunar folds over the wall [m]; 0 for none.
+        fold_height: Mean height of the semilunar folds above the wall [m]; 0 for none.
         triangularity: Flattening of the lumen between the taeniae as a fraction of its radius,
             0 for round.
     """
@@ -39,42 +39,42 @@ class ColonSegment:
     triangularity: float = 0.05
 
     def __post_init__(self) -> None:
-        """Check what the construction relies on."""
+        """Check the assumptions of the construction."""
         check_fields(self)
 
 
 @dataclass(frozen=True)
 class ColonParameters:
-    """A patient's colon; the defaults are the mean adult.
+    """Dimensions of a patient's colon; the defaults are the mean adult.
 
-    The total length, 1.895 m, and the flexures are means of 505 adults at CT colonography
+    The total length, 1.895 m, and the number of flexures are means of 505 adults at CT colonography
     (Khashab et al. 2009, Endoscopy 41:674). Its division keeps the proportions of the
     textbook lengths (Standring, Gray's Anatomy: caecum 6, ascending 15, transverse 50,
-    descending 25, sigmoid 40, rectum 15 cm), the two flexures taken from their neighbors.
-    Diameters stay under the radiological limits for the distended colon: caecum 9 cm,
-    transverse 6 cm, descending and sigmoid 4 to 5 cm. Fold dimensions are read off CT
+    descending 25, sigmoid 40, rectum 15 cm); the two flexures are taken from their neighbors.
+    Diameters are within the radiological limits for the distended colon: caecum 9 cm,
+    transverse 6 cm, descending and sigmoid 4 to 5 cm. Fold dimensions are estimated from CT
     colonography and endoscopy images, not from a measured series.
 
     Attributes:
-        caecum: The blind pouch, to the upper lip of the ileocaecal valve.
-        ascending: Up the patient's right flank.
-        hepatic_flexure: The bend under the liver.
+        caecum: Blind pouch, up to the upper lip of the ileocaecal valve.
+        ascending: Along the patient's right flank, upwards.
+        hepatic_flexure: Bend under the liver.
         transverse: Hangs anteriorly across the abdomen; the most triangular lumen.
-        splenic_flexure: The bend under the spleen, the highest point.
-        descending: Down the patient's left flank.
-        sigmoid: The loops from the left iliac fossa to the sacrum; tight folds.
+        splenic_flexure: Bend under the spleen, the highest point.
+        descending: Along the patient's left flank, downwards.
+        sigmoid: Loops from the left iliac fossa to the sacrum; tight folds.
         rectum: Along the sacrum to the anus; no haustra.
         flexures: Number of acute flexures, bends of the lumen by more than 90°.
         taenia_width: Width of each of the three muscle bands [m].
-        taenia_depth: How far a band stands into the lumen [m].
+        taenia_depth: Height of a band above the wall, into the lumen [m].
         haustra_depth: Outward bulge of a sacculation as a fraction of the lumen's radius.
         fold_thickness: Full width of a fold at half its height [m].
-        fold_irregularity: Relative deviation of the folds' spacing and height.
+        fold_irregularity: Relative standard deviation of the spacing and height of the folds.
         valve_height: Height of the three valves of Houston in the rectum [m].
-        ileocaecal_height: Height of the ileocaecal valve's lips over the wall [m].
+        ileocaecal_height: Height of the lips of the ileocaecal valve above the wall [m].
         roughness: Standard deviation of the smooth irregularity of the wall [m].
-        closing: How far the slack wall closes between pockets of gas: 0 not at all, 1 to a star of
-            pleats that nearly touch.
+        closing: Degree to which the slack wall closes between gas pockets: from 0, open, to 1, a
+            star of pleats that nearly touch.
         triangles: Approximate number of triangles.
     """
 
@@ -99,13 +99,13 @@ class ColonParameters:
     triangles: Annotated[int, Range(20_000, 5_000_000)] = 110_000
 
     def __post_init__(self) -> None:
-        """Check what the construction relies on."""
+        """Check the assumptions of the construction."""
         check_fields(self)
         require(0.9 <= self.length <= 3.0, "colon length", f"{self.length:g} m", "0.9 to 3 m")
 
     @property
     def segments(self) -> tuple[ColonSegment, ...]:
-        """The segments from the oral to the anal end."""
+        """Segments from the oral to the anal end."""
         return tuple(getattr(self, name) for name in SEGMENTS)
 
     @property
@@ -115,11 +115,11 @@ class ColonParameters:
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> ColonParameters:
-        """A patient drawn from the adult population.
+        """Draw a patient from the adult population.
 
-        Total length 1.895 ± 0.263 m and 10.9 ± 2.4 acute flexures, normal (Khashab et al.
-        2009), without the tails beyond 2.5 deviations. How the two go together is not published:
-        a correlation of 0.8 is assumed. The division and the diameters vary by 10 % and 6 %.
+        Total length 1.895 ± 0.263 m and 10.9 ± 2.4 acute flexures, normally distributed (Khashab et
+        al. 2009), truncated at 2.5 standard deviations. Their correlation is not published; 0.8 is
+        assumed. The division and the diameters vary by 10 % and 6 %.
         """
         mean = cls()
         deviation = truncated_normal(rng, 2.3)

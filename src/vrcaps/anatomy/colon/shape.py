@@ -1,9 +1,9 @@
 """Colon wall shape: distance from the centerline at every arc length and angle.
 
-The lumen's cross-section is a star-shaped curve r(s, θ). Three taeniae run along it; in each
-of the three strips between them sacculations bulge outward, parted by semilunar folds whose
-crests are chords across the strip, so that three folds leave a triangular opening. Without gas
-the slack wall closes to a star of pleats, with pockets of gas left between.
+The cross-section of the lumen is a star-shaped curve r(s, θ) with three taeniae. In each of the
+three strips between them sacculations bulge outwards, separated by semilunar folds whose crests
+are chords across the strip, so that three folds leave a triangular opening. Without gas the slack
+wall closes to a star of pleats with gas pockets in between.
 """
 
 from __future__ import annotations
@@ -29,30 +29,31 @@ if TYPE_CHECKING:
 _STRIP = 2.0 * np.pi / 3.0
 _ANAL_RADIUS = 9 * MM
 _PLEATS = 6
-"""Pleats of the closed wall around the lumen: one at each taenia and one in each strip."""
+"""Number of pleats of the closed wall: one at each taenia and one in each strip."""
 _GAP = 0.9 * MM
-"""Distance of the pleats' crests from the centerline where the lumen is closed."""
+"""Distance of the pleat crests from the centerline where the lumen is closed."""
 _SHRUNK = 0.8
-"""Radius of a closed stretch between its pleats, relative to that of a pocket of gas."""
+"""Radius between the pleats of a closed region relative to that of a gas pocket."""
 _VALVES_FROM_ANUS = (12 * CM, 9 * CM, 6.5 * CM)
-"""The valves of Houston, upper, middle, lower (Gray's Anatomy: at 11 to 13, 8 to 9, 5 to 7 cm)."""
+"""Distances of the upper, middle and lower valve of Houston from the anus [m] (Gray's Anatomy:
+11 to 13, 8 to 9, 5 to 7 cm)."""
 
 
 @dataclass(frozen=True)
 class ColonWall:
-    """What is drawn once per colon so that r(s, θ) is a plain function.
+    """Random properties of a colon that define r(s, θ).
 
     Attributes:
-        parameters: The patient's dimensions.
-        tube: The course with its frames.
+        parameters: Dimensions of the patient.
+        tube: Course with its frames.
         strips: Semilunar folds of each of the three strips.
-        valves: The valves of Houston.
+        valves: Valves of Houston.
         taenia_angle: Angle of the first taenia at arc length 0 and its drift [rad, rad/m].
         ileocaecal: Arc length [m] and angle [rad] of the ileocaecal valve.
         diameter_waves: Slow relative variation of the diameter: (amplitude, 1/m, lobes, phase).
         relief_waves: Fine irregularity of the wall: (amplitude [m], 1/m, lobes, phase).
-        closing_waves: Where a lumen without gas is closed (above −0.5) and where some is left.
-        pleat_waves: Shift of its pleats around the lumen [rad].
+        closing_waves: Field that closes the lumen without gas where it is above −0.5.
+        pleat_waves: Angular shift of the pleats [rad].
     """
 
     parameters: ColonParameters
@@ -71,9 +72,9 @@ def draw_colon_wall(parameters: ColonParameters, tube: Tube, rng: np.random.Gene
     """Draw a patient's folds, taeniae and irregularities.
 
     Args:
-        parameters: The patient's dimensions.
-        tube: The course with its frames.
-        rng: Draws folds, taeniae and irregularities.
+        parameters: Dimensions of the patient.
+        tube: Course with its frames.
+        rng: Random generator of folds, taeniae and irregularities.
     """
     taenia_angle = (rng.uniform(-np.pi, np.pi), rng.uniform(-1.5, 1.5))
     strips = tuple(_draw_strip(parameters, (k + 0.5) * _STRIP, k, rng) for k in range(3))
@@ -104,7 +105,7 @@ def draw_colon_wall(parameters: ColonParameters, tube: Tube, rng: np.random.Gene
 def envelope_radius(
     parameters: ColonParameters, arc_length: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Radius of the plain tube: diameter, closed caecal dome, anal canal and its closed end [m]."""
+    """Radius of the plain tube [m]: segments, closed caecal dome, anal canal and its closed end."""
     full = lumen_radius(parameters, arc_length)
     from_anus = parameters.length - arc_length
     fraction = smoothstep((from_anus - 2.2 * CM) / (3.5 * CM))
@@ -124,12 +125,12 @@ def wall_radius(
 
     Args:
         wall: The colon.
-        arc_length: Along the centerline [m].
+        arc_length: Arc length along the centerline [m].
         theta: Angle around it [rad].
     """
     s, parameters = arc_length, wall.parameters
     envelope = envelope_radius(parameters, s)
-    # Everything that depends on θ fades out where the tube closes.
+    # All terms that depend on θ fade out where the tube closes.
     plain = lumen_radius(parameters, s)
     fade = np.clip(envelope / plain, 0.0, 1.0) ** 2
     from_taenia = theta - wall.taenia_angle[0] - wall.taenia_angle[1] * s
@@ -150,7 +151,7 @@ def wall_radius(
 
 
 def wall_crests(wall: ColonWall, angles: Float[np.ndarray, " k"]) -> Crests:
-    """Crests of all folds at angles [rad]; they fade out towards the folds' ends."""
+    """Crests of all folds at given angles [rad]; their weight fades towards the ends of folds."""
     lines, weights = [], []
     for folds in (*wall.strips, wall.valves):
         s = folds.arc_length[:, None]
@@ -166,17 +167,17 @@ def wall_crests(wall: ColonWall, angles: Float[np.ndarray, " k"]) -> Crests:
 def _closed(
     wall: ColonWall, s: np.ndarray, from_taenia: np.ndarray, radius: np.ndarray, fade: np.ndarray
 ) -> np.ndarray:
-    """Radius of a slack wall: closed to pleats that meet in the middle, but for pockets of gas."""
+    """Radius of the slack wall: pleats that meet at the center, except in gas pockets."""
     share = smoothstep(sum_waves(wall.closing_waves, s, np.zeros_like(s)) / 0.8 + 1.1)
     around = from_taenia + sum_waves(wall.pleat_waves, s, from_taenia)
-    # 0 on the crests; their flanks are steep, so that crests are broad and the clefts narrow.
+    # 0 on the crests; steep flanks make the crests broad and the clefts narrow.
     cleft = (0.5 - 0.5 * np.cos(_PLEATS * around)) ** 1.3
     closed = _GAP + np.maximum(_SHRUNK * radius - _GAP, 0.0) * cleft
     return radius + wall.parameters.closing * share * fade * (np.minimum(closed, radius) - radius)
 
 
 def _sacculation(wall: ColonWall, s: np.ndarray, from_taenia: np.ndarray) -> np.ndarray:
-    """Relative outward bulge of the haustra, less the flattening to a triangle."""
+    """Relative outward bulge of the haustra, minus the flattening to a triangle."""
     parameters = wall.parameters
     height = blend(parameters, [p.fold_height for p in parameters.segments], s)
     triangle = blend(parameters, [p.triangularity for p in parameters.segments], s)
@@ -195,7 +196,7 @@ def _sacculation(wall: ColonWall, s: np.ndarray, from_taenia: np.ndarray) -> np.
 def _fold_relief(
     folds: Folds, s: np.ndarray, from_taenia: np.ndarray, plain: np.ndarray
 ) -> np.ndarray:
-    """Height of the nearest folds over the wall [m]; `plain` is the lumen's radius."""
+    """Height of the nearest folds above the wall [m]; `plain` is the radius of the lumen."""
     relief = np.zeros_like(s)
     last = len(folds.height) - 1
     after = np.searchsorted(folds.arc_length, s)
@@ -214,7 +215,7 @@ def _fold_relief(
 def _taenia_relief(
     wall: ColonWall, s: np.ndarray, from_taenia: np.ndarray, radius: np.ndarray
 ) -> np.ndarray:
-    """Height of the three bands over the wall, none in the rectum [m]."""
+    """Height of the three bands above the wall [m]; none in the rectum."""
     parameters = wall.parameters
     present = blend(parameters, [1.0] * 6 + [0.6, 0.0], s)
     distance = radius * (np.mod(from_taenia + 0.5 * _STRIP, _STRIP) - 0.5 * _STRIP)
@@ -228,7 +229,7 @@ def _taenia_relief(
 def _ileocaecal_relief(
     wall: ColonWall, s: np.ndarray, theta: np.ndarray, radius: np.ndarray
 ) -> np.ndarray:
-    """Height of the valve's two lips, closed to a slit around the circumference [m]."""
+    """Height of the valve's two lips [m], closed to a slit along the circumference."""
     along = (s - wall.ileocaecal[0]) / (9 * MM)
     across = radius * wrap(theta - wall.ileocaecal[1]) / (15 * MM)
     lips = np.exp(-((along**2 + across**2) ** 1.5))
@@ -239,7 +240,7 @@ def _ileocaecal_relief(
 def _clear_of_valve(
     wall: ColonWall, s: np.ndarray, theta: np.ndarray, radius: np.ndarray
 ) -> np.ndarray:
-    """Factor that ends the folds before the ileocaecal valve, 0 at its middle."""
+    """Factor that fades the folds near the ileocaecal valve, 0 at its center."""
     along = (s - wall.ileocaecal[0]) / (15 * MM)
     across = radius * wrap(theta - wall.ileocaecal[1]) / (20 * MM)
     return 1.0 - np.exp(-((along**2 + across**2) ** 2))
@@ -248,7 +249,7 @@ def _clear_of_valve(
 def _draw_strip(
     parameters: ColonParameters, angle: float, number: int, rng: np.random.Generator
 ) -> Folds:
-    """Semilunar folds along one strip, from above the caecal pole to the rectum."""
+    """Draw the semilunar folds of one strip, from above the caecal pole to the rectum."""
     end = parameters.length - parameters.rectum.length
     spread = parameters.fold_irregularity
     spacings = [segment.haustra_spacing for segment in parameters.segments]
@@ -279,7 +280,7 @@ def _draw_valves(
     taenia_angle: tuple[float, float],
     rng: np.random.Generator,
 ) -> Folds:
-    """The three valves of Houston, from the left, the right and the left wall."""
+    """Draw the three valves of Houston, on the left, the right and the left wall."""
     s = parameters.length - np.array(_VALVES_FROM_ANUS) * (parameters.rectum.length / (17.7 * CM))
     left = np.array([1.0, 0.0, 0.0])
     sides = [

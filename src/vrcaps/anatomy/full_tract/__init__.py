@@ -1,4 +1,4 @@
-"""Full tract of one patient: stomach, small bowel and colon, apart or as one wall."""
+"""Full tract of one patient: stomach, small bowel and colon, separately or as one wall."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ if TYPE_CHECKING:
     from vrcaps.anatomy.full_tract.patient import PatientAnatomy
 
 FULL_TRACT_COLON_TRIANGLES = 150_000
-"""Of the colon in the joint tract, so that its edges are 2 mm long too."""
+"""Number of triangles of the colon in the joint tract, for the same edge length of 2 mm."""
 
 
 @organ_generator("full-tract")
 def full_tract_of(patient: PatientAnatomy) -> OrganSurface:
-    """A patient's whole tract, with the appearance of its parts."""
+    """Generate a patient's full tract with the appearance of its parts."""
     from vrcaps.anatomy.full_tract.appearance import with_appearance
     from vrcaps.anatomy.full_tract.generate import generate_full_tract
 

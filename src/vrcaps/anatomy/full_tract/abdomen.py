@@ -1,4 +1,4 @@
-"""Placement of one patient's stomach and colon, and the space they leave to the small bowel."""
+"""Placement of a patient's stomach and colon, and the remaining space for the small bowel."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ _BULB, _BULB_RADIUS = 5 * CM, 23 * MM
 GAP = 4 * MM
 """Clearance between the mean outlines of stomach and colon [m]."""
 VALVE_DEPTH = 7 * MM
-"""The small bowel ends this far inside the colon's outline, on the lips of the valve [m]."""
+"""Depth inside the colon's outline at which the small bowel ends, on the lips of the valve [m]."""
 
 
 @dataclass(frozen=True)
 class ColonPlacement:
-    """Where a colon lies, as far as other organs must know.
+    """Placement of a colon, as needed by other organs.
 
     Attributes:
-        course: Its centerline.
-        radius: Of its outside at each sample [m].
-        valve: Middle of the ileocaecal valve at the level of the wall [m].
+        course: Centerline of the colon.
+        radius: Outer radius at each sample [m].
+        valve: Center of the ileocaecal valve at the level of the wall [m].
         inward: Unit direction through the valve into the colon.
-        along: Unit direction along the colon there, towards the anus.
-        size: Of the abdomen relative to the mean.
+        along: Unit direction along the colon at the valve, towards the anus.
+        size: Size of the abdomen relative to the mean.
     """
 
     course: Course
@@ -56,12 +56,12 @@ class ColonPlacement:
 
 
 def place_colon(parameters: ColonParameters, course: Course) -> ColonPlacement:
-    """A colon's placement from its dimensions and course."""
+    """Compute the placement of a colon from its dimensions and course."""
     tube = make_tube(course)
     radius = outer_radius(parameters, course.arc_length)
     at = int(np.argmin(np.abs(course.arc_length - parameters.caecum.length)))
     frame = tube.frames[at]
-    # The same direction as the generator's: medial, slightly posterior.
+    # Same direction as in the generator: medial, slightly posterior.
     theta = tube.angle_of(parameters.caecum.length, np.array([1.0, 0.4, 0.0]))
     outward = np.cos(theta) * frame[:, 0] + np.sin(theta) * frame[:, 1]
     plain = 0.5 * (parameters.caecum.diameter + parameters.ascending.diameter) / 2.0
@@ -71,21 +71,21 @@ def place_colon(parameters: ColonParameters, course: Course) -> ColonPlacement:
 
 
 def draw_colon_placement(parameters: ColonParameters, seed: int) -> ColonPlacement:
-    """Where the colon of a seed lies, without making its wall."""
+    """Compute the placement of a seed's colon without its wall."""
     tube = make_tube(generate_course(parameters, colon_rng(seed)))
-    # The same points, to the last bit, as the centerline of the finished colon.
+    # Points identical, to the last bit, to the centerline of the finished colon.
     return place_colon(parameters, Course(tube.curve(tube.arc_length), tube.arc_length))
 
 
 def place_stomach(
     parameters: StomachParameters, colon: ColonPlacement, seed: int, *, gap: float = GAP
 ) -> Course:
-    """The axis of a seed's stomach and of the duodenal bulb, a gap [m] clear of the colon.
+    """Axis of a seed's stomach and of the duodenal bulb, with a gap [m] to the colon.
 
     Args:
         parameters: The patient's stomach.
-        colon: Where the colon lies.
-        seed: Of the stomach.
+        colon: Placement of the colon.
+        seed: Seed of the stomach.
         gap: Clearance to the colon [m].
     """
     plain = stomach_course(parameters, stomach_course_rng(seed))
@@ -95,7 +95,7 @@ def place_stomach(
     nodes = np.stack([np.interp(s, plain.arc_length, plain.points[:, k]) for k in range(3)], axis=1)
     nodes += np.maximum(s - length, 0.0)[:, None] * _towards_duodenum(plain)
     radius = stomach_envelope(parameters)(np.clip(s, 0.3 * parameters.fundus_diameter, None))
-    # The duodenum needs space where the stomach ends.
+    # The duodenum needs space at the end of the stomach.
     radius = np.maximum(1.04 * radius, _BULB_RADIUS)
     chain = TubeChain(
         radius=radius,
@@ -109,35 +109,35 @@ def place_stomach(
     )
     nodes = relax_chain(chain, nodes, s[1], colon_spheres(colon), num_steps=200)
     course = smooth_course(nodes)
-    # Its length is the patient's: what relaxation changed by a percent is scaled back.
+    # Restore the patient's length, which relaxation changes by about a percent.
     scale = s[-1] / course.arc_length[-1]
     pivot = course.points[len(course.points) // 2]
     return Course(pivot + scale * (course.points - pivot), scale * course.arc_length)
 
 
 def pylorus_sample(parameters: StomachParameters, axis: Course) -> int:
-    """Number of the axis's sample at the pyloric ring, where the small bowel begins."""
+    """Index of the axis sample at the pyloric ring, where the small bowel starts."""
     return int(np.argmin(np.abs(axis.arc_length - parameters.length)))
 
 
 def _towards_duodenum(course: Course) -> Float[np.ndarray, " 3"]:
-    """Direction of the bulb [unit]: on from the pylorus, turning to the right, back and down."""
+    """Unit direction of the bulb: onwards from the pylorus, turning right, posterior and down."""
     onward = course.points[-1] - course.points[-5]
     direction = onward / np.linalg.norm(onward) + np.array([-0.2, 0.7, -0.4])
     return direction / np.linalg.norm(direction)
 
 
 def colon_spheres(colon: ColonPlacement) -> ObstacleSpheres:
-    """Space the colon takes."""
+    """Spheres that cover the colon."""
     step = round(_STEP / colon.course.arc_length[1])
     return ObstacleSpheres(colon.course.points[::step], colon.radius[::step])
 
 
 def stomach_spheres(parameters: StomachParameters, course: Course) -> ObstacleSpheres:
-    """Space the stomach takes, up to the pyloric canal."""
+    """Spheres that cover the stomach up to the pyloric canal."""
     step = max(1, round(_STEP / course.arc_length[1]))
     s = course.arc_length[::step]
-    # A sphere must not reach beyond the pyloric ring, where the small bowel begins.
+    # No sphere may extend beyond the pyloric ring, where the small bowel starts.
     reach = 0.95 * np.maximum(parameters.length - s, 0.0)
     radius = np.minimum(stomach_envelope(parameters)(np.maximum(s, 2 * CM)), reach)
     inside = s < parameters.length - 12 * MM
@@ -147,10 +147,10 @@ def stomach_spheres(parameters: StomachParameters, course: Course) -> ObstacleSp
 def make_neighboring_organs(
     colon: ColonPlacement, stomach: StomachParameters, stomach_at: Course
 ) -> NeighboringOrgans:
-    """What a patient's small bowel is laid between.
+    """Neighboring organs of a patient's small bowel.
 
     Args:
-        colon: Where the colon lies.
+        colon: Placement of the colon.
         stomach: The patient's stomach.
         stomach_at: Axis of the stomach.
     """

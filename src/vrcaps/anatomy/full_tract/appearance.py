@@ -1,4 +1,4 @@
-"""Appearance of a full tract: each part has its own mucosa, baked side by side."""
+"""Appearance of a full tract: the mucosa of each part, baked side by side."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _MAX_TEXELS = 90_000_000
 
 @dataclass(frozen=True)
 class _Part:
-    """One organ of a tract.
+    """Organ of a tract.
 
     Attributes:
-        is_in: Which faces of the tract are its own.
-        uv: Texture coordinates of their corners in its own unit square.
-        fraction: Of all texels.
-        mucosa: Name of its mucosa.
+        is_in: Mask of the organ's faces in the tract.
+        uv: Texture coordinates of their corners in the organ's own unit square.
+        fraction: Fraction of all texels.
+        mucosa: Name of the organ's mucosa.
     """
 
     is_in: Bool[np.ndarray, " m"]
@@ -40,12 +40,12 @@ class _Part:
 def with_appearance(
     organ: OrganSurface, *, seed: int, max_texels: int = _MAX_TEXELS
 ) -> OrganSurface:
-    """A tract of `generate_full_tract` with textures and the texture coordinates that fit them.
+    """Add textures and matching texture coordinates to a tract of `generate_full_tract`.
 
     Args:
-        organ: The tract; `metadata["texture_parts"]` tells where its parts lie side by side.
-        seed: Of the patient.
-        max_texels: Most texels of all textures, about.
+        organ: The tract; `metadata["texture_parts"]` states the side-by-side layout of its parts.
+        seed: Seed of the patient.
+        max_texels: Approximate maximum number of texels of all textures.
     """
     parts = list(_parts(organ))
     baked = [
@@ -85,7 +85,7 @@ def _parts(organ: OrganSurface) -> Iterator[_Part]:
 
 
 def _side_by_side(images: list[np.ndarray]) -> np.ndarray:
-    """Images next to each other; row 0 is v = 1, so that lower ones are filled up at the top."""
+    """Concatenate images horizontally; row 0 is v = 1, so shorter images are padded at the top."""
     height, width = max(len(image) for image in images), sum(image.shape[1] for image in images)
     joint = np.empty((height, width, *images[0].shape[2:]), images[0].dtype)
     left = 0

@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class JoinedFaces:
-    """The faces of a tract in order: what is kept of the upper mesh, of the colon, and a band.
+    """Faces of a tract in order: kept faces of the upper mesh and of the colon, and a band.
 
     Attributes:
         upper: Stomach and small bowel.
-        in_stomach: Which of its faces belong to the stomach, all of which are kept.
-        in_bowel: Which of its faces belong to the small bowel and are kept.
+        in_stomach: Mask of its faces that belong to the stomach; all of them are kept.
+        in_bowel: Mask of its faces that belong to the small bowel and are kept.
         band: Faces between the small bowel and the colon.
-        colon_uv: Texture coordinates of the colon's corners that are kept, in the unit square.
-        colon_area: Of the colon's wall [m²].
+        colon_uv: Texture coordinates of the kept corners of the colon, in the unit square.
+        colon_area: Area of the colon's wall [m²].
     """
 
     upper: TubeMesh
@@ -42,11 +42,11 @@ class JoinedFaces:
 def tract_coordinates(
     joined: JoinedFaces, vertices: Float[np.ndarray, "n 3"]
 ) -> tuple[Float[np.ndarray, "m 3 2"], list[float]]:
-    """Texture coordinates of stomach, small bowel and colon side by side, and where they part.
+    """Side-by-side texture coordinates of stomach, small bowel and colon, and their boundaries.
 
     Args:
         joined: The faces; the band belongs to the small bowel.
-        vertices: Of the joint wall [m].
+        vertices: Vertices of the joint wall [m].
     """
     tubes = [_stomach_chart(joined, vertices), _bowel_chart(joined, vertices)]
     charts = [*(chart_coordinates(tube) for tube in tubes), joined.colon_uv]
@@ -73,7 +73,7 @@ def _stomach_chart(joined: JoinedFaces, vertices: np.ndarray) -> TubeChart:
 
 
 def _bowel_chart(joined: JoinedFaces, vertices: np.ndarray) -> TubeChart:
-    """The small bowel with the band at its end."""
+    """Chart of the small bowel including the band at its end."""
     upper, is_in = joined.upper, joined.in_bowel
     turn, beyond = _on_band(joined)
     start, end = upper.along[is_in].min(), upper.along[is_in].max()
@@ -85,7 +85,7 @@ def _bowel_chart(joined: JoinedFaces, vertices: np.ndarray) -> TubeChart:
 def _on_band(joined: JoinedFaces) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
     """Circumferential fraction of the band's corners, and distance beyond the bowel's end [m].
 
-    Corners on the colon's rim lie just beyond it, at the angle of the face's other corners.
+    Corners on the rim of the colon lie just beyond it, at the angle of the face's other corners.
     """
     is_own = joined.band < len(joined.upper.vertices)
     own = np.where(is_own, joined.band, 0)

@@ -54,27 +54,27 @@ def generate_full_tract(
     *,
     seed: int,
 ) -> OrganSurface:
-    """Stomach, small bowel and colon as one closed wall with one centerline.
+    """Generate stomach, small bowel and colon as one closed wall with one centerline.
 
-    The stomach passes into the bulb at the pyloric ring; the ileum ends in the lips of the
-    ileocaecal valve. The texture coordinates hold the three parts side by side, see
+    The stomach continues into the bulb at the pyloric ring; the ileum ends in the lips of the
+    ileocaecal valve. The texture coordinates place the three parts side by side, see
     `metadata["texture_parts"]`.
 
     Args:
         stomach: The patient's stomach.
         bowel: The patient's small bowel.
         colon: The patient's colon.
-        seed: Of everything drawn.
+        seed: Seed of all random properties.
 
     Raises:
-        InputError: If the organs do not fit into the abdomen, or cut one another.
+        InputError: If the organs do not fit into the abdomen or intersect each other.
     """
     lower = generate_colon(colon, seed=seed)
     line = lower.centerline
     placement = place_colon(colon, Course(line.points, line.arc_length))
     rng = small_bowel_rng(seed)
     for attempt in range(_NUM_TRIES):
-        # A fundus that bulges to one side can reach beyond its mean outline into the colon.
+        # A fundus that bulges to one side can extend beyond its mean outline into the colon.
         gap = GAP + attempt * _GAP_STEP
         tract = lay_upper_tract(stomach, bowel, placement, seed=seed, rng=rng, gap=gap)
         organ = _join(tract, lower, placement, seed)
@@ -89,7 +89,7 @@ def generate_full_tract(
 def _join(
     tract: UpperTract, lower: OrganSurface, placement: ColonPlacement, seed: int
 ) -> OrganSurface:
-    """Both walls stitched at the valve, with labels, gut coordinates and centerline."""
+    """Stitch both walls at the valve, with labels, gut coordinates and centerline."""
     upper = mesh_tube(tract.surface())
     vertices, faces, joined = _stitched(tract, upper, lower, placement)
     uv, parts = tract_coordinates(joined, vertices)
@@ -118,7 +118,7 @@ def _join(
 def _stitched(
     tract: UpperTract, upper: TubeMesh, lower: OrganSurface, placement: ColonPlacement
 ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "m 3"], JoinedFaces]:
-    """Vertices [m] and faces of both walls joined at the valve, and which face is whose."""
+    """Vertices [m] and faces of both walls joined at the valve, and the origin of each face."""
     num = len(upper.vertices)
     kept_upper, rim_upper = without_vertices(upper.faces, upper.arc_length > tract.end - 1.05 * CAP)
     kept_lower, rim_lower = without_vertices(lower.faces, _is_in_valve(lower, placement))
@@ -139,7 +139,7 @@ def _stitched(
 
 
 def _metadata(tract: UpperTract, lower: OrganSurface, seed: int) -> dict:
-    """Where the tract comes from."""
+    """Provenance of the tract."""
     return {
         "generator": "full-tract",
         "seed": seed,
@@ -152,12 +152,12 @@ def _metadata(tract: UpperTract, lower: OrganSurface, seed: int) -> dict:
 
 
 def _is_in_valve(colon: OrganSurface, placement: ColonPlacement) -> np.ndarray:
-    """Vertices of the colon within the opening between the valve's lips."""
+    """Mask of the colon's vertices within the opening between the lips of the valve."""
     offset = colon.vertices - placement.valve
     along = offset @ placement.along / (VALVE_ALONG + _RIM)
     across = offset @ np.cross(placement.inward, placement.along) / (VALVE_ACROSS + _RIM)
     depth = np.abs(offset @ placement.inward)
-    # Another loop of the colon can lie against the valve from outside.
+    # Another loop of the colon can touch the valve from outside.
     is_near = (
         np.abs(colon.arc_length - _valve_arc_length(colon.centerline, placement)) < _VALVE_REACH
     )
@@ -165,7 +165,7 @@ def _is_in_valve(colon: OrganSurface, placement: ColonPlacement) -> np.ndarray:
 
 
 def _labels(tract: UpperTract, upper: TubeMesh, lower: OrganSurface) -> np.ndarray:
-    """Segment numbers of both walls' vertices."""
+    """Segment labels of the vertices of both walls."""
     s, num = upper.arc_length, len(STOMACH_SEGMENTS)
     in_stomach = stomach_labels(tract.stomach, np.minimum(s, tract.pylorus), upper.theta)
     in_bowel = small_bowel_labels(tract.bowel.parameters, s - tract.pylorus)
@@ -180,7 +180,7 @@ def _centerline(
     vertices: np.ndarray,
     faces: np.ndarray,
 ) -> Centerline:
-    """From inside the cardia down the tube, through the valve and along the colon."""
+    """Centerline from inside the cardia along the tube, through the valve and along the colon."""
     start = stomach_path(tract.stomach)
     start = start[: len(start) - 6]
     _, nearest = min(
@@ -202,7 +202,7 @@ def _centerline(
 
 
 def _valve_arc_length(colon: Centerline, placement: ColonPlacement) -> float:
-    """Arc length on the colon's own centerline at which the valve lies [m]."""
+    """Arc length of the valve on the colon's own centerline [m]."""
     nearest = np.argmin(np.linalg.norm(colon.points - placement.valve, axis=1))
     return float(colon.arc_length[nearest])
 
@@ -210,7 +210,7 @@ def _valve_arc_length(colon: Centerline, placement: ColonPlacement) -> float:
 def _arc_length(
     tract: UpperTract, upper: TubeMesh, lower: OrganSurface, centerline: Centerline
 ) -> Float[np.ndarray, " n"]:
-    """Gut coordinate of both walls' vertices: that of their section on the joint centerline."""
+    """Arc length of the vertices of both walls: that of their section on the joint centerline."""
     entry = tract.tube.curve(np.array([tract.end]))[0]
     split = int(np.argmin(np.linalg.norm(centerline.points - entry, axis=1)))
     before, after = (

@@ -1,4 +1,4 @@
-"""Patient anatomy: one patient's organs by seed, drawn from the populations, at a distension."""
+"""Patient anatomy: dimensions of a patient's organs, drawn by seed, at a distension."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from vrcaps.anatomy.tube_mesh.tube import Course
 from vrcaps.units import CM
 
 COLON_DISTENSIONS = {"inflated": 1.0, "normal": 0.85, "collapsed": 0.65}
-"""Diameters of the colon relative to that under gas, for which the published figures hold."""
+"""Diameters of the colon relative to the insufflated one, to which published values refer."""
 
 _PLEATED_TRIANGLES = 2
-"""Triangles of a closed colon per triangle of an open one: its pleats are narrower than folds."""
+"""Triangles of a closed colon per triangle of an open one, as pleats are narrower than folds."""
 
 
 @dataclass(frozen=True)
@@ -30,10 +30,10 @@ class PatientAnatomy:
     """Dimensions of one patient's organs.
 
     Attributes:
-        seed: Of the patient.
-        stomach: Of the stomach.
-        small_bowel: Of the small bowel.
-        colon: Of the colon.
+        seed: Seed of the patient.
+        stomach: Dimensions of the stomach.
+        small_bowel: Dimensions of the small bowel.
+        colon: Dimensions of the colon.
     """
 
     seed: int
@@ -43,12 +43,12 @@ class PatientAnatomy:
 
 
 def draw_patient_anatomy(seed: int, distension: str | None = None) -> PatientAnatomy:
-    """The patient of a seed; the same seed is the same patient whatever the organ or distension.
+    """Draw the patient of a seed, the same for every organ and distension.
 
     Args:
         seed: Not negative.
-        distension: Distension of all organs, one of `COLON_DISTENSIONS`; None is the usual one, the
-            colon under gas and the others after a drink.
+        distension: Distension of all organs, one of `COLON_DISTENSIONS`; None is the default: the
+            colon insufflated, the other organs after a drink.
 
     Raises:
         InputError: If there is no such distension.
@@ -63,7 +63,7 @@ def draw_patient_anatomy(seed: int, distension: str | None = None) -> PatientAna
 
 
 def widest_diameter(patient: PatientAnatomy, organ: str) -> float:
-    """Largest diameter of an organ of `ORGANS` between its folds [m]."""
+    """Maximum diameter of an organ of `ORGANS` between its folds [m]."""
     colon = [getattr(patient.colon, name).diameter for name in SEGMENTS]
     found = {"colon": max(colon)}
     for name, part in (("stomach", patient.stomach), ("small-bowel", patient.small_bowel)):
@@ -73,9 +73,9 @@ def widest_diameter(patient: PatientAnatomy, organ: str) -> float:
 
 
 def colon_at(parameters: ColonParameters, distension: str) -> ColonParameters:
-    """The same colon at another distension: narrower, its folds as high as the lumen allows.
+    """The same colon at another distension: narrower, with folds as high as the lumen permits.
 
-    A collapsed one is closed between pockets of gas.
+    A collapsed colon is closed between gas pockets.
     """
     factor = at_distension(COLON_DISTENSIONS, distension)
     if factor == 1.0:
@@ -93,14 +93,14 @@ def colon_at(parameters: ColonParameters, distension: str) -> ColonParameters:
 
 
 def stomach_axis(patient: PatientAnatomy) -> Course:
-    """Where the patient's stomach lies, without making the colon's wall."""
+    """Axis of the patient's stomach, without generating the wall of the colon."""
     return place_stomach(
         patient.stomach, draw_colon_placement(patient.colon, patient.seed), patient.seed
     )
 
 
 def neighboring_organs(patient: PatientAnatomy) -> NeighboringOrgans:
-    """What the patient's small bowel is laid between, without making the other organs' walls."""
+    """Neighboring organs of the patient's small bowel, without generating their walls."""
     colon = draw_colon_placement(patient.colon, patient.seed)
     return make_neighboring_organs(
         colon, patient.stomach, place_stomach(patient.stomach, colon, patient.seed)

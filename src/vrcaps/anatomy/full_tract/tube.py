@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 _BLEND = 3 * MM
 VALVE_ALONG, VALVE_ACROSS = 5.4 * MM, 9.0 * MM
-"""Half axes of the open ileocaecal valve along and around the colon [m]: two lips."""
+"""Half axes of the open ileocaecal valve (two lips) along and around the colon [m]."""
 _TAPER = 24 * MM
 CAP = 3 * MM
 """Length of the closed end that is cut off at the valve [m]."""
@@ -49,9 +49,9 @@ class UpperTract:
     Attributes:
         stomach: Wall of the stomach.
         bowel: Wall of the small bowel.
-        tube: The course of both.
-        pylorus: Arc length of the pyloric ring on it [m].
-        valve_angle: Angle in the tube's frame at which the colon runs on, at its end [rad].
+        tube: Course of both.
+        pylorus: Arc length of the pyloric ring on the course [m].
+        valve_angle: Angle in the tube's frame, at its end, of the colon's onward direction [rad].
     """
 
     stomach: StomachWall
@@ -62,11 +62,11 @@ class UpperTract:
 
     @property
     def end(self) -> float:
-        """Arc length where the small bowel enters the colon [m]."""
+        """Arc length at which the small bowel enters the colon [m]."""
         return float(self.tube.arc_length[-1])
 
     def surface(self) -> SweptSurface:
-        """The wall of both, closed at the top of the fundus and at the valve."""
+        """Wall of both, closed at the top of the fundus and at the valve."""
         return SweptSurface(self.tube, self.end, self._envelope, self._radius, self._edge)
 
     def _envelope(self, s: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
@@ -99,7 +99,7 @@ class UpperTract:
         return self._closed(s) * (radius + narrow * (lips - radius))
 
     def _narrowing(self, s: np.ndarray) -> np.ndarray:
-        """0 up to the last part of the ileum, 1 where it has the shape of the valve."""
+        """Blending weight of the valve's shape: 0 up to the last part of the ileum, then to 1."""
         return smoothstep((s - (self.end - CAP - _TAPER)) / (_TAPER - 4 * MM))
 
     def _closed(self, s: np.ndarray) -> np.ndarray:
@@ -120,18 +120,18 @@ def lay_upper_tract(
     rng: np.random.Generator,
     gap: float = GAP,
 ) -> UpperTract:
-    """A patient's stomach and small bowel laid beside the colon.
+    """Lay a patient's stomach and small bowel next to the colon.
 
     Args:
         stomach: The patient's stomach.
         bowel: The patient's small bowel.
-        colon: Where the colon lies.
-        seed: Of the stomach, as in `generate_stomach`.
-        rng: Source of the small bowel, as in `generate_small_bowel`.
+        colon: Placement of the colon.
+        seed: Seed of the stomach, as in `generate_stomach`.
+        rng: Random generator of the small bowel, as in `generate_small_bowel`.
         gap: Clearance between stomach and colon [m].
 
     Raises:
-        InputError: If they do not fit.
+        InputError: If the organs do not fit.
     """
     axis = place_stomach(stomach, colon, seed, gap=gap)
     around = make_neighboring_organs(colon, stomach, axis)

@@ -1,4 +1,4 @@
-"""Ileocaecal valve: mesh stitching of the end of one wall into an opening of another."""
+"""Ileocaecal valve: stitching of the end of one wall into an opening of another."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ _NUM_RINGS = 4
 def without_vertices(
     faces: Int[np.ndarray, "m 3"], is_removed: Bool[np.ndarray, " n"]
 ) -> tuple[Bool[np.ndarray, " m"], Int[np.ndarray, " k"]]:
-    """Which faces are left when vertices are taken out, and the rim of the hole in order.
+    """Mask of the faces left after removing vertices, and the ordered rim of the hole.
 
-    The rim runs as its faces do; where the vertices leave several holes, it is the longest.
+    The rim has the orientation of its faces; of several holes, the longest rim is returned.
     """
     is_kept = np.logical_not(is_removed[faces].any(axis=1))
     halves = directed_edges(faces[is_kept])
@@ -45,12 +45,12 @@ def stitch(
     one: Int[np.ndarray, " k"],
     other: Int[np.ndarray, " l"],
 ) -> Int[np.ndarray, "m 3"]:
-    """Faces of the band between two rims that face each other.
+    """Faces of the band between two opposite rims.
 
     Args:
-        vertices: Of both walls [m].
-        one: A rim, in the direction of its faces.
-        other: The other rim, in the direction of its own faces, so against the first.
+        vertices: Vertices of both walls [m].
+        one: First rim, in the orientation of its faces.
+        other: Second rim, in the orientation of its own faces, thus opposite to the first.
     """
     other = other[::-1]
     nearest = np.linalg.norm(vertices[other] - vertices[one[0]], axis=1).argmin()
@@ -68,12 +68,12 @@ def soften(
     faces: Int[np.ndarray, "m 3"],
     rim: Int[np.ndarray, " k"],
 ) -> Float[np.ndarray, "n 3"]:
-    """Vertices moved towards the mean of their neighbors, less the farther from a rim.
+    """Smooth vertices towards the mean of their neighbors, with strength falling off from a rim.
 
     Args:
         vertices: Positions [m].
-        faces: Vertex numbers.
-        rim: Vertices about which the wall is smoothed.
+        faces: Vertex indices.
+        rim: Vertices around which the wall is smoothed.
     """
     edges = directed_edges(faces)
     ring = np.full(len(vertices), _NUM_RINGS)
@@ -95,6 +95,6 @@ def soften(
 
 
 def _fractions(vertices: np.ndarray, rim: np.ndarray) -> Float[np.ndarray, " k"]:
-    """Fraction of a closed rim's length at each of its vertices and, last, back at the first."""
+    """Fraction of a closed rim's length at each vertex and, last, back at the first."""
     step = np.linalg.norm(vertices[np.roll(rim, -1)] - vertices[rim], axis=1)
     return np.append(0.0, np.cumsum(step)) / step.sum()

@@ -1,4 +1,4 @@
-"""Small bowel generator: the duodenum's C, jejunum and ileum coiled in the abdomen."""
+"""Small bowel generator: C-shaped duodenum, and jejunum and ileum coiled in the abdomen."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @organ_generator("small-bowel")
 def small_bowel_of(patient: PatientAnatomy) -> OrganSurface:
-    """A patient's small bowel, laid between stomach and colon."""
+    """Generate a patient's small bowel between stomach and colon."""
     from vrcaps.anatomy.full_tract.patient import neighboring_organs
 
     around = neighboring_organs(patient)

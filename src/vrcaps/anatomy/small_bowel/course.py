@@ -1,7 +1,7 @@
-"""Small bowel course: the duodenum's C, then coils on their mesentery.
+"""Small bowel course: C-shaped duodenum, then coils on the mesentery.
 
 The jejunum and ileum hang from the root of the mesentery, which runs from the duodenojejunal
-flexure to the ileocaecal valve, and cannot get further from it than the mesentery is deep.
+flexure to the ileocaecal valve. Their distance from it is limited by the depth of the mesentery.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ if TYPE_CHECKING:
 _SPACING = 10 * MM
 _GAP = 3 * MM
 _MESENTERY = 16 * CM
-"""Greatest distance from the root to the bowel (Gray's Anatomy: about 15 to 20 cm)."""
+"""Maximum distance from the root to the bowel (Gray's Anatomy: about 15 to 20 cm)."""
 _NUM_STEPS = 240
 _NUM_TRIES, _NUM_WIDTHS = 48, 24
-"""The abdomen widens over so many tries; then they begin anew, at the last allowed clearance."""
+"""Number of attempts, and of abdomen widths, which then repeat with the last clearance allowed."""
 _NUM_REFINED = 80
 _SPREAD = 1.25
 _TOLERANCE = 0.015
-_MIN_CLEARANCE = -0.3 * MM  # of the outlines, which lie a tenth beyond the mean wall
+_MIN_CLEARANCE = -0.3 * MM  # between outlines, a tenth outside the mean wall
 _HOPELESS = -3.5 * MM
 _NUM_FIXED = 3
 _APPROACH = 3.5 * CM
 _FILLING = 0.42
-"""Fraction of the free space that the bowel can fill at most."""
+"""Maximum fraction of the free space that the bowel can fill."""
 _BULGE = 8 * CM
 _SHARPEST = 1.9
 
@@ -66,7 +66,7 @@ _DUODENUM_CM = np.array(
     ]
 )
 _LOW_CM, _HIGH_CM = np.array([-13.0, -10.0, -20.0]), np.array([13.0, 6.0, 9.0])
-# Before they are relaxed, coils sweep from side to side at these depths and heights.
+# Initial depths and heights between which the coils sweep from side to side.
 _SWEEP_CM = 14.5
 _BACK_CM, _NUM_LAYERS = 0.5, 3
 _HEIGHTS_CM = (2.0, -15.0)
@@ -75,16 +75,16 @@ _NUM_CANDIDATES = 16
 
 @dataclass(frozen=True)
 class NeighboringOrgans:
-    """Neighboring organs that a small bowel is laid between.
+    """Neighboring organs of a small bowel.
 
     Attributes:
-        pylorus: Where it begins [m], patient frame.
+        pylorus: Start of the small bowel [m], patient frame.
         pylorus_direction: Unit direction in which it leaves the stomach.
-        beyond: Where it comes by after about 6 cm [m], clear of the other organs.
-        valve: Where it ends [m]: the ileocaecal valve on the colon's wall.
+        beyond: Position that it passes after about 6 cm [m], clear of the other organs.
+        valve: End of the small bowel [m]: the ileocaecal valve on the colon's wall.
         valve_direction: Unit direction in which it enters the colon.
-        obstacles: Space the other organs take.
-        size: Of the abdomen relative to the mean.
+        obstacles: Space occupied by the other organs.
+        size: Size of the abdomen relative to the mean.
     """
 
     pylorus: Float[np.ndarray, " 3"]
@@ -102,16 +102,16 @@ def generate_course(
     around: NeighboringOrgans,
     rng: np.random.Generator,
 ) -> Course:
-    """A course from the pylorus to the ileocaecal valve with clearance for the bowel all along.
+    """Generate a course from the pylorus to the ileocaecal valve with clearance for the bowel.
 
     Args:
         parameters: The patient's dimensions.
         radius_of: Outer radius at even fractions of the length [m].
-        around: The organs beside it.
-        rng: Source of the coils.
+        around: The neighboring organs.
+        rng: Random generator of the coils.
 
     Raises:
-        InputError: If no such course is found in the abdomen.
+        InputError: If no such course fits into the abdomen.
     """
     fractions = np.linspace(0.0, 1.0, len(radius_of))
     num = round(parameters.length / _SPACING) + 1
@@ -138,7 +138,7 @@ def generate_course(
 def _settling(
     length: float, chain: TubeChain, nodes: Float[np.ndarray, "n 3"], obstacles: ObstacleSpheres
 ) -> Iterator[Course]:
-    """Courses of a grown chain that come nearer and nearer to the asked length."""
+    """Courses of a grown chain that converge to the requested length."""
     spacing = length / (len(nodes) - 1)
     nodes = relax_chain(chain, nodes, spacing, obstacles, num_steps=_NUM_STEPS, spread=_SPREAD)
     for _ in range(4):
@@ -151,7 +151,7 @@ def _settling(
 def _abdomen(
     length: float, radius: np.ndarray, around: NeighboringOrgans, attempt: int
 ) -> RoutingGrid:
-    """The space for the bowel: a full belly bulges anteriorly, and widens with each attempt."""
+    """Space for the bowel: a full abdomen bulges anteriorly and widens with each attempt."""
     low, high = (1.0 + 0.012 * attempt) * around.size * CM * np.array([_LOW_CM, _HIGH_CM])
     clearance = float(radius.mean())
     needed = length * np.pi * float(np.mean(radius**2)) / _FILLING
@@ -171,14 +171,14 @@ def _start(
     attempt: int,
     rng: np.random.Generator,
 ) -> tuple[TubeChain, Float[np.ndarray, "n 3"]]:
-    """The chain's conditions and its nodes before growth: the duodenum, then waves to the valve."""
+    """Constraints of the chain and its nodes before growth: duodenum, then waves to the valve."""
     num = len(radius)
     spacing = parameters.length / (num - 1)
     num_duodenum = round(parameters.duodenum_length / spacing)
     size = around.size
     exits = around.pylorus + np.outer(np.arange(_NUM_FIXED), around.pylorus_direction * spacing)
     waypoints = size * CM * (_DUODENUM_CM + rng.normal(0.0, 0.3, _DUODENUM_CM.shape))
-    # Where the colon hangs anterior to the duodenojejunal flexure, a lower one goes under it.
+    # Where the colon hangs anterior to the duodenojejunal flexure, a lower flexure passes below it.
     waypoints[4:] += min(attempt, 6) * rng.uniform(0.0, 1.0) * CM * np.array([0.0, 0.0, -0.8])
     waypoints[0] = around.beyond
     path = route_around(np.concatenate([exits[-1:], waypoints]), grid)
@@ -212,10 +212,10 @@ def _sweeps(
     start: Float[np.ndarray, " 3"],
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "k 3"]:
-    """Turning points of about so much bowel [m] that sweeps to and fro, layer under layer [m].
+    """Turning points of a bowel of about the given length that sweeps back and forth in layers [m].
 
-    Of several random sweeps at a layer's height the one is taken that crosses other organs
-    least: relaxation can push the bowel off an organ, not out of its loops.
+    Of several random sweeps at the height of a layer, the one with the fewest crossings of other
+    organs is used: relaxation can push the bowel off an organ, but not out of its loops.
     """
     num = max(8, round(length / (_SWEEP_CM * CM)))
     last_level = max((num - 1) // _NUM_LAYERS, 1)
@@ -228,13 +228,13 @@ def _sweeps(
         best, chosen = np.inf, np.zeros((2, 3))
         for _ in range(_NUM_CANDIDATES):
             middle = np.array([0.0, depth, height]) + rng.normal(0.0, [0.0, 1.2, 1.0])
-            # In the right lower part space is left for the path back up to the valve.
+            # In the lower right, leave space for the path back up to the valve.
             sides = np.array([rng.uniform(3.0, 9.5), rng.uniform(-6.5, -1.0)])
             if rng.uniform() < 0.5:
                 sides = sides[::-1]
             ends = around.size * CM * (middle + np.outer(sides, [1.0, 0.0, 0.0]))
             cost = _crossing(np.array([points[-1], *ends]), around.obstacles)
-            # A long path to where the sweep begins is a detour.
+            # Penalize a long path to the start of the sweep as a detour.
             cost += 0.5 * float(np.linalg.norm(ends[0] - points[-1])) ** 2 / (10 * CM)
             if cost < best:
                 best, chosen = cost, ends
@@ -243,7 +243,7 @@ def _sweeps(
 
 
 def _crossing(waypoints: Float[np.ndarray, "k 3"], obstacles: ObstacleSpheres) -> float:
-    """How much of a polyline runs through obstacles: depth [m] summed over centimeters."""
+    """Penetration of a polyline into obstacles: depth [m] summed over centimeters."""
     points = _along(waypoints, 30)
     distance, nearest = obstacles.tree.query(points, min(3, len(obstacles.radius)))
     depth = np.maximum(obstacles.radius[nearest] - distance, 0.0).reshape(len(points), -1)
@@ -262,13 +262,13 @@ def _swing(num: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
 
 
 def _ramp(num: int) -> Float[np.ndarray, " n"]:
-    """How firmly the duodenum is held to the back of the abdomen: less at both of its ends."""
+    """Stiffness of the duodenum's attachment to the back of the abdomen, lower at both ends."""
     from_end = np.minimum(np.arange(num), np.arange(num)[::-1])
     return 0.15 * np.clip((from_end - 2.0) / 4.0, 0.0, 1.0)
 
 
 def _along(waypoints: Float[np.ndarray, "k 3"], num: int) -> Float[np.ndarray, "n 3"]:
-    """Points at even distances along a polyline, both ends included."""
+    """Evenly spaced points along a polyline, including both ends."""
     chord = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(waypoints, axis=0), axis=1)))
     even = np.linspace(0.0, chord[-1], num)
     return np.stack([np.interp(even, chord, waypoints[:, k]) for k in range(3)], axis=1)

@@ -1,7 +1,7 @@
-"""Distance-field routing: cheapest paths around the other organs on a grid of the abdomen.
+"""Distance-field routing: cheapest paths around other organs on a grid of the abdomen.
 
-Relaxation can push the bowel off an organ, not out of its loops; a course that is routed first
-needs only the former.
+Relaxation can push the bowel off an organ, but not out of its loops. A course that is routed
+first only needs the former.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ _DETOUR = 30.0
 
 @dataclass(frozen=True)
 class RoutingGrid:
-    """A grid of points in the abdomen and the cost of passing from one to the next.
+    """Grid of points in the abdomen with the costs between neighbors.
 
     Attributes:
-        points: Of the grid [m].
-        tree: For nearest-point queries.
+        points: Grid points [m].
+        tree: Tree for nearest-point queries.
         graph: Cost of the edge between neighbors [m], higher where the clearance is too small.
         obstacles: The other organs.
         clearance: Distance to keep from obstacles [m].
-        low: Lowest coordinates of the box [m].
-        high: Highest coordinates of the box [m].
+        low: Minimum coordinates of the box [m].
+        high: Maximum coordinates of the box [m].
     """
 
     points: Float[np.ndarray, "n 3"]
@@ -60,13 +60,13 @@ def make_routing_grid(
     obstacles: ObstacleSpheres,
     clearance: float,
 ) -> RoutingGrid:
-    """A grid over a box, its edges weighted by the distance field of the obstacles.
+    """Create a grid over a box with edges weighted by the distance field of the obstacles.
 
     Args:
-        low: Lowest coordinates of the box [m].
-        high: Highest coordinates of the box [m].
+        low: Minimum coordinates of the box [m].
+        high: Maximum coordinates of the box [m].
         obstacles: The other organs.
-        clearance: Radius of the tube that is routed [m].
+        clearance: Radius of the routed tube [m].
     """
     axes = [np.arange(a, b + _STEP, _STEP) for a, b in zip(low, high, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
@@ -81,7 +81,7 @@ def make_routing_grid(
 
 
 def _grid_edges(shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers of the two ends of every edge of the grid, diagonals included."""
+    """Indices of both ends of every edge of the grid, including diagonals."""
     number = np.arange(int(np.prod(shape))).reshape(shape)
     starts, ends = [], []
     for offset in itertools.product((-1, 0, 1), repeat=3):
@@ -97,9 +97,9 @@ def _grid_edges(shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
 def route_around(
     waypoints: Float[np.ndarray, "k 3"], grid: RoutingGrid
 ) -> Float[np.ndarray, "m 3"]:
-    """A polyline whose legs through obstacles are replaced by detours around them.
+    """Polyline whose legs through obstacles are replaced by detours around them.
 
-    The first and the last waypoint stay; those in between move to where the clearance suffices.
+    The first and the last waypoint are kept; the others move to points of sufficient clearance.
     """
     waypoints = waypoints.copy()
     is_crowded = distance_to_obstacles(waypoints, grid.obstacles) < grid.clearance
@@ -115,7 +115,7 @@ def route_around(
 
 
 def _nearest_free(points: Float[np.ndarray, "k 3"], grid: RoutingGrid) -> Float[np.ndarray, "k 3"]:
-    """The nearest grid point with enough clearance, for each point."""
+    """Nearest grid point with sufficient clearance, for each point."""
     free = grid.points[distance_to_obstacles(grid.points, grid.obstacles) >= grid.clearance]
     if not len(free) or not len(points):
         return points
@@ -125,7 +125,7 @@ def _nearest_free(points: Float[np.ndarray, "k 3"], grid: RoutingGrid) -> Float[
 def _cheapest_path(
     start: np.ndarray, end: np.ndarray, grid: RoutingGrid
 ) -> Float[np.ndarray, "k 3"]:
-    """The cheapest path over the grid between two points, without its first and last point."""
+    """Cheapest path over the grid between two points, without its end points."""
     first, last = grid.tree.query([start, end])[1]
     _, before = scipy.sparse.csgraph.dijkstra(
         grid.graph, directed=False, indices=first, return_predecessors=True
@@ -139,7 +139,7 @@ def _cheapest_path(
 def distance_to_obstacles(
     points: Float[np.ndarray, "n 3"], obstacles: ObstacleSpheres
 ) -> Float[np.ndarray, " n"]:
-    """Distance to the surface of the nearest obstacles [m], negative inside."""
+    """Distance to the surface of the nearest obstacle [m], negative inside."""
     num = min(8, len(obstacles.radius))
     distance, nearest = obstacles.tree.query(points, num)
     return (distance - obstacles.radius[nearest]).reshape(len(points), num).min(axis=1)

@@ -40,15 +40,15 @@ _DOME = 7 * MM
 def generate_small_bowel(
     parameters: SmallBowelParameters, around: NeighboringOrgans, *, seed: int
 ) -> OrganSurface:
-    """A small bowel with the given dimensions between given organs, different for each seed.
+    """Generate a small bowel with the given dimensions between given organs, by seed.
 
     Args:
-        parameters: The patient's dimensions; `SmallBowelParameters.draw` draws a patient.
-        around: Where it begins and ends and what it lies between.
-        seed: Of the coils, folds and irregularities.
+        parameters: Dimensions of the patient; `SmallBowelParameters.draw` draws a patient.
+        around: Its start and end, and the neighboring organs.
+        seed: Seed of the coils, folds and irregularities.
 
     Returns:
-        A closed surface in the patient frame that nowhere cuts itself, without appearance.
+        Closed surface in the patient frame without self-intersections and without appearance.
 
     Raises:
         InputError: If it does not fit between the organs.
@@ -66,19 +66,19 @@ def generate_small_bowel(
 
 
 def small_bowel_rng(seed: int) -> np.random.Generator:
-    """Source of the wall and coils of a seed's small bowel, alone or in the full tract."""
+    """Random generator of a seed's small bowel (wall and coils), alone or in the full tract."""
     return vrcaps.rng.stream(seed, "small-bowel/coils")
 
 
 def lay_small_bowel(
     parameters: SmallBowelParameters, around: NeighboringOrgans, rng: np.random.Generator
 ) -> tuple[SmallBowelWall, Tube]:
-    """A drawn wall and the course it is laid along.
+    """Draw a wall and lay it along a course.
 
     Args:
         parameters: The patient's dimensions.
-        around: The organs beside it.
-        rng: Draws folds and coils.
+        around: The neighboring organs.
+        rng: Random generator of folds and coils.
     """
     wall = draw_small_bowel_wall(parameters, rng)
     course = generate_course(parameters, outer_radius(wall, _NUM_SAMPLES), around, rng)
@@ -86,9 +86,9 @@ def lay_small_bowel(
 
 
 def with_local_bend(tube: Tube, start: float = 0.0) -> Tube:
-    """A tube whose bend is averaged over millimeters only, from an arc length on [m].
+    """Tube whose bend is averaged only over millimeters, from an arc length [m] onwards.
 
-    A narrow tube may bend within a few centimeters: an average over more misses that.
+    A narrow tube may bend within a few centimeters, which a longer average misses.
     """
     sigma = 2.5 * MM / tube.arc_length[1]
     local = scipy.ndimage.gaussian_filter1d(
@@ -100,7 +100,7 @@ def with_local_bend(tube: Tube, start: float = 0.0) -> Tube:
 def small_bowel_labels(
     parameters: SmallBowelParameters, arc_length: Float[np.ndarray, " n"]
 ) -> UInt8[np.ndarray, " n"]:
-    """Segment number of each arc length from the pylorus [m], 1 for the first of `SEGMENTS`."""
+    """Segment label at each arc length from the pylorus [m], 1 for the first of `SEGMENTS`."""
     p = parameters
     jejunum_end = p.duodenum_length + p.jejunum_fraction * (p.length - p.duodenum_length)
     ends = np.array([BULB_LENGTH, p.duodenum_length, jejunum_end])
@@ -110,13 +110,13 @@ def small_bowel_labels(
 def wanted_edge(
     wall: SmallBowelWall, arc_length: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Length of edge [m] by the lumen's diameter: a camera comes nearer in a narrow one."""
+    """Edge length [m] by the lumen's diameter; a camera gets closer to the wall of a narrow one."""
     fraction = wall.envelope(arc_length) / (12.25 * MM)
     return wall.parameters.edge * np.clip(fraction, 0.72, 1.1)
 
 
 def _as_organ(wall: SmallBowelWall, tube: Tube, seed: int) -> OrganSurface:
-    """The finished surface with labels, gut coordinates and centerline."""
+    """Finished surface with labels, gut coordinates and centerline."""
     end = float(tube.arc_length[-1])
 
     def closed(s: np.ndarray) -> np.ndarray:

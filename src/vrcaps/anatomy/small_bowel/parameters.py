@@ -1,4 +1,4 @@
-"""Small bowel parameters: every dimension of a generated one, and its variation over patients."""
+"""Small bowel parameters: dimensions of a generated one and their variation between patients."""
 
 from __future__ import annotations
 
@@ -18,42 +18,42 @@ SEGMENTS = SMALL_BOWEL.labels
 """Segments from the oral to the anal end."""
 
 BULB_LENGTH = 4.5 * CM
-"""Of the smooth first part of the duodenum [m]."""
+"""Length of the smooth first part of the duodenum [m]."""
 
 
 @dataclass(frozen=True)
 class SmallBowelParameters:
-    """A patient's small bowel; the defaults are the mean adult.
+    """Dimensions of a patient's small bowel; the defaults are the mean adult.
 
-    The length in life is 3 to 4 m, 25 cm of it duodenum; by convention two fifths of the rest
-    are jejunum (Steinbrück et al., Atlas of Video Capsule Endoscopy, 2014). Diameters, fold
+    The length in vivo is 3 to 4 m, of which 25 cm are duodenum; by convention two fifths of the
+    rest are jejunum (Steinbrück et al., Atlas of Video Capsule Endoscopy, 2014). Diameters, fold
     thickness and number of folds are those of 65 adults at MR enterography (Cronin et al. 2010,
     Eur J Radiol): duodenum 24.8 ± 4.5 mm, jejunum 24.5 ± 4.2, proximal ileum 19.5 ± 3.6,
     distal ileum 18.9 ± 4.2, terminal ileum 18.7 ± 3.6 mm; 4.6 folds per 2.5 cm in the jejunum,
     1.5 in the terminal ileum, 2.1 mm thick in the duodenum and 1.8 mm in the terminal ileum.
-    Fold heights and contractions are read off endoscopy images, not from a measured series.
+    Fold heights and contractions are estimated from endoscopy images, not from a measured series.
 
     Attributes:
-        length: From the pylorus to the ileocaecal valve [m].
-        duodenum_length: Its first part, bulb included [m].
-        jejunum_fraction: Of the length beyond the duodenum.
-        duodenum_diameter: Of the lumen between folds [m].
-        jejunum_diameter: Of the lumen between folds [m].
-        proximal_ileum_diameter: Of the lumen between folds [m].
-        distal_ileum_diameter: Of the lumen between folds [m].
-        terminal_ileum_diameter: Of the lumen between folds [m].
+        length: Length from the pylorus to the ileocaecal valve [m].
+        duodenum_length: Length of the duodenum, including the bulb [m].
+        jejunum_fraction: Fraction of jejunum in the length beyond the duodenum.
+        duodenum_diameter: Diameter of the lumen between folds [m].
+        jejunum_diameter: Diameter of the lumen between folds [m].
+        proximal_ileum_diameter: Diameter of the lumen between folds [m].
+        distal_ileum_diameter: Diameter of the lumen between folds [m].
+        terminal_ileum_diameter: Diameter of the lumen between folds [m].
         jejunum_folds: Circular folds per meter in duodenum and jejunum.
-        terminal_folds: Circular folds per meter in the terminal ileum; falls evenly to there.
-        jejunum_fold_height: Of the circular folds in duodenum and jejunum [m].
-        terminal_fold_height: Of those in the terminal ileum [m].
+        terminal_folds: Circular folds per meter in the terminal ileum; falls linearly to there.
+        jejunum_fold_height: Height of the circular folds in duodenum and jejunum [m].
+        terminal_fold_height: Height of the circular folds in the terminal ileum [m].
         fold_thickness: Full width at half height in the duodenum [m]; 0.3 mm less at the end.
         contraction_spacing: Mean distance between contractions [m].
-        contraction_depth: Fraction of the radius that a contraction takes away.
-        longitudinal_fold_depth: Of the longitudinal folds of the slack wall, as a fraction of the
-            radius.
-        min_radius: Least radius of the lumen that folds and contractions leave open [m].
+        contraction_depth: Fraction of the radius taken by a contraction.
+        longitudinal_fold_depth: Depth of the longitudinal folds of the slack wall, as a fraction of
+            the radius.
+        min_radius: Minimum radius of the lumen between folds and contractions [m].
         roughness: Standard deviation of the smooth irregularity of the wall [m].
-        edge: Mean length of the triangles' edges in a lumen of 24.5 mm, less in narrower ones [m].
+        edge: Mean edge length of the triangles in a lumen of 24.5 mm, less in narrower ones [m].
     """
 
     length: Annotated[float, Range(1.5, 5.0, unit="m")] = 3.5
@@ -77,15 +77,16 @@ class SmallBowelParameters:
     edge: Annotated[float, Range(0.6 * MM, 5 * MM, unit="m")] = 1.75 * MM
 
     def __post_init__(self) -> None:
-        """Check what the construction relies on."""
+        """Check the assumptions of the construction."""
         check_fields(self)
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> SmallBowelParameters:
-        """A small bowel from the population at MR enterography.
+        """Draw a small bowel from the population at MR enterography.
 
-        Length 3.5 ± 0.25 m, so that 95 % have 3 to 4 m; diameters with the published deviations,
-        nine tenths of the variance shared by all parts of one patient; folds varied by a tenth.
+        The length is 3.5 ± 0.25 m, so that 95 % have 3 to 4 m. Diameters have the published
+        deviations, with nine tenths of the variance shared by all parts of a patient. Folds vary by
+        a tenth.
         """
         mean, whole = cls(), truncated_normal(rng)
         diameters = {
@@ -96,7 +97,7 @@ class SmallBowelParameters:
             name: getattr(mean, name) * (1.0 + 0.1 * truncated_normal(rng))
             for name in ("jejunum_folds", "jejunum_fold_height", "contraction_spacing")
         }
-        # Folds are as high as the lumen allows.
+        # Folds are as high as the lumen permits.
         varied["jejunum_fold_height"] *= diameters["jejunum_diameter"] / mean.jejunum_diameter
         return cls(
             length=mean.length + 0.25 * truncated_normal(rng),
@@ -115,7 +116,7 @@ class SmallBowelParameters:
         scaled = {f: getattr(self, f) * factor for f, factor in factors.items() if f != "diameter"}
         for name in _DEVIATIONS:
             diameter = getattr(self, name)
-            # What is narrow already collapses no further.
+            # Parts that are already narrow do not collapse further.
             least = min(diameter, _COLLAPSED)
             scaled[name] = max(diameter * factors.get("diameter", 1.0), least)
         return replace(self, **scaled)
@@ -143,7 +144,7 @@ DISTENSIONS: dict[str, dict[str, float]] = {
         "edge": 0.75,
     },
 }
-"""Factors on the dimensions at MR enterography for each distension: gas; drink; nothing.
+"""Factors on the dimensions at MR enterography for each distension: with gas, a drink, or empty.
 
-Collapsed walls lie on the camera: triangles are smaller, lest the crests of folds show corners.
+Triangles of collapsed walls, which touch the camera, are smaller to hide corners of fold crests.
 """

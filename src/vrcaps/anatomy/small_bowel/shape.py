@@ -1,7 +1,7 @@
 """Small bowel wall shape: distance from the course at every arc length and angle.
 
 Circular folds, each over part of the circumference, stand on a tube that narrows towards the
-ileocaecal valve. Here and there it is contracted, and its slack wall closes to a star.
+ileocaecal valve. At contractions the slack wall closes to a star.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 PYLORUS_RADIUS = 6.6 * MM
 _PAPILLA = 9 * CM
-"""Arc length of the major papilla on the inner wall of the duodenum's second part [m]."""
+"""Arc length of the major papilla, on the inner wall of the second part of the duodenum [m]."""
 _CALIBRE_SPREAD = 0.035
 
 
@@ -37,11 +37,11 @@ class Contractions:
     """Contractions, sorted by arc length.
 
     Attributes:
-        arc_length: Of the middle of each [m].
-        depth: Fraction of the radius each takes away.
-        width: Reach along the gut [m].
-        lobes: Number of longitudinal folds its wall is thrown into.
-        phase: Of those folds [rad].
+        arc_length: Center of each contraction [m].
+        depth: Fraction of the radius taken by each.
+        width: Extent along the gut [m].
+        lobes: Number of longitudinal folds of its wall.
+        phase: Phase of those folds [rad].
     """
 
     arc_length: Float[np.ndarray, " n"]
@@ -53,17 +53,17 @@ class Contractions:
 
 @dataclass(frozen=True)
 class SmallBowelWall:
-    """What is drawn once per small bowel so that r(s, θ) is a plain function.
+    """Random properties of a small bowel that define r(s, θ).
 
     Attributes:
-        parameters: The patient's dimensions.
+        parameters: Dimensions of the patient.
         envelope: Radius of the plain tube [m] at arc lengths [m].
-        folds: The circular folds.
-        contractions: Where the lumen is narrowed.
-        papilla_angle: Of the major papilla [rad].
+        folds: Circular folds.
+        contractions: Contractions of the lumen.
+        papilla_angle: Angle of the major papilla [rad].
         diameter_waves: Slow relative variation of the diameter.
         star_waves: Slow variation of the longitudinal folds' phase [rad].
-        crest_waves: Relative variation of the folds' height along and around.
+        crest_waves: Relative variation of the fold height along and around the gut.
         relief_waves: Fine irregularity of the wall [m].
     """
 
@@ -97,7 +97,7 @@ def draw_small_bowel_wall(
 
 
 def outer_radius(wall: SmallBowelWall, num: int) -> Float[np.ndarray, " n"]:
-    """Distance from the course that the wall reaches [m], at even fractions of the length."""
+    """Distance of the outer wall from the course [m], at even fractions of the length."""
     s = np.linspace(0.0, wall.parameters.length, num)
     bulge = np.abs(wall.diameter_waves[:, 0]).sum()
     return wall.envelope(s) * (1.0 + min(bulge, 3.0 * _CALIBRE_SPREAD))
@@ -106,7 +106,7 @@ def outer_radius(wall: SmallBowelWall, num: int) -> Float[np.ndarray, " n"]:
 def small_bowel_envelope(
     parameters: SmallBowelParameters,
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """Radius of the plain tube: pyloric ring, bulb, duodenum, jejunum, ileum [m]."""
+    """Radius of the plain tube [m]: pyloric ring, bulb, duodenum, jejunum, ileum."""
     p = parameters
     jejunum_end = p.duodenum_length + p.jejunum_fraction * (p.length - p.duodenum_length)
     ileum = p.length - jejunum_end
@@ -135,7 +135,7 @@ def small_bowel_radius(
     Args:
         wall: The small bowel.
         tube: Its course.
-        arc_length: From the pylorus [m].
+        arc_length: Arc length from the pylorus [m].
         theta: Angle in the tube's frames [rad].
         start: Arc length of the pylorus on the tube [m].
     """
@@ -152,16 +152,16 @@ def small_bowel_radius(
     relief = fade * relief + _papilla(wall, s, theta, radius)
     least = np.minimum(p.min_radius, 0.6 * plain)
     lumen = radius - relief - least
-    # A smooth maximum, so that folds that meet in the middle do not cut each other.
+    # Smooth maximum, so that folds that meet at the center do not intersect.
     radius = least + 0.5 * (lumen + np.sqrt(lumen**2 + (1.5 * MM) ** 2))
-    # The curvature is an average: bends are a little sharper here and there.
+    # The curvature is an average; the actual bends are locally slightly sharper.
     return within_bend(radius, 1.12 * curvature)
 
 
 def _squeeze(
     wall: SmallBowelWall, s: np.ndarray, theta: np.ndarray
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Fraction of the radius that contractions take, and height of longitudinal folds over it."""
+    """Fraction of the radius taken by contractions, and height of longitudinal folds above it."""
     c = wall.contractions
     after = np.searchsorted(c.arc_length, s)
     squeeze, petals = np.zeros_like(s), np.zeros_like(s)
@@ -174,7 +174,7 @@ def _squeeze(
         squeeze = np.maximum(squeeze, c.depth[k] * near)
         cords = 0.5 + 0.5 * np.cos(c.lobes[k] * theta + c.phase[k] + 0.6 * swing)
         petals += 0.42 * near * cords**1.5
-    # Five cords of unequal width and height: no star of a real gut is regular.
+    # Five cords of unequal width and height: the star of a real gut is irregular.
     uneven = theta + 0.25 * np.sin(theta + 0.7 * swing)
     lobes = 0.5 + 0.5 * np.cos(5.0 * uneven + swing)
     height = 1.0 + 0.25 * np.cos(2.0 * theta - 1.3 * swing)
@@ -184,7 +184,7 @@ def _squeeze(
 def _fold_relief(
     wall: SmallBowelWall, s: np.ndarray, theta: np.ndarray, plain: np.ndarray
 ) -> np.ndarray:
-    """Height of the circular folds over the wall [m]: the highest of those near by, rounded."""
+    """Height of the circular folds above the wall [m]: rounded maximum of the nearby folds."""
     folds = wall.folds
     last = len(folds.height) - 1
     after = np.searchsorted(folds.arc_length, s)
@@ -203,7 +203,7 @@ def _fold_relief(
 def _papilla(
     wall: SmallBowelWall, s: np.ndarray, theta: np.ndarray, radius: np.ndarray
 ) -> np.ndarray:
-    """Height of the major papilla over the wall [m], with the dimple of its opening."""
+    """Height of the major papilla above the wall [m], with the dimple of its orifice."""
     along = s - _PAPILLA
     across = radius * wrap(theta - wall.papilla_angle)
     hill = np.exp(-((along / (5.5 * MM)) ** 2) - (across / (3.8 * MM)) ** 2)
@@ -212,7 +212,7 @@ def _papilla(
 
 
 def _draw_folds(parameters: SmallBowelParameters, rng: np.random.Generator) -> Folds:
-    """Circular folds from the second part of the duodenum to the ileocaecal valve."""
+    """Draw circular folds from the second part of the duodenum to the ileocaecal valve."""
     p = parameters
     jejunum_end = p.duodenum_length + p.jejunum_fraction * (p.length - p.duodenum_length)
     knots = [BULB_LENGTH, jejunum_end - 20 * CM, jejunum_end + 60 * CM, p.length]
@@ -241,7 +241,7 @@ def _draw_folds(parameters: SmallBowelParameters, rng: np.random.Generator) -> F
 
 
 def _draw_contractions(parameters: SmallBowelParameters, rng: np.random.Generator) -> Contractions:
-    """Contractions at irregular distances beyond the bulb."""
+    """Draw contractions at irregular distances beyond the bulb."""
     p = parameters
     num = int(p.length / p.contraction_spacing * 3.0) + 4
     s = BULB_LENGTH + np.cumsum(p.contraction_spacing * rng.uniform(0.4, 1.6, num))

@@ -1,4 +1,4 @@
-"""Stomach generator: J shape, rugae that flatten as it fills, antral waves, pyloric ring."""
+"""Stomach generator: J shape, rugae that flatten on filling, antral waves, pyloric ring."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @organ_generator("stomach")
 def stomach_of(patient: PatientAnatomy) -> OrganSurface:
-    """A patient's stomach, where it lies beside the colon."""
+    """Generate a patient's stomach next to the colon."""
     from vrcaps.anatomy.full_tract.patient import stomach_axis
 
     return generate_stomach(patient.stomach, seed=patient.seed, course=stomach_axis(patient))

@@ -41,21 +41,21 @@ _BULB_DEPTH = 8 * MM
 def generate_stomach(
     parameters: StomachParameters, *, seed: int, course: Course | None = None
 ) -> OrganSurface:
-    """A stomach with the given dimensions, different for each seed.
+    """Generate a stomach with the given dimensions, different for each seed.
 
-    It is closed at the cardia and ends as a closed pouch just beyond the pyloric ring. Its
-    centerline runs from the cardia to there.
+    It is closed at the cardia and ends in a closed pouch just beyond the pyloric ring. Its
+    centerline connects the two.
 
     Args:
-        parameters: The patient's dimensions; `StomachParameters.draw` draws a patient.
-        seed: Of the axis, folds and irregularities.
-        course: The axis, displaced by other organs; None is that of a stomach alone.
+        parameters: Dimensions of the patient; `StomachParameters.draw` draws a patient.
+        seed: Seed of the axis, folds and irregularities.
+        course: Axis displaced by other organs; None is that of an isolated stomach.
 
     Returns:
-        A closed surface in the patient frame that nowhere cuts itself, without appearance.
+        Closed surface in the patient frame without self-intersections and without appearance.
 
     Raises:
-        InputError: If the wall cuts itself however it is drawn.
+        InputError: If no drawn wall is free of self-intersections.
     """
     course = course or stomach_course(parameters, stomach_course_rng(seed))
     tube, rng = make_tube(course), stomach_wall_rng(seed)
@@ -71,7 +71,7 @@ def generate_stomach(
 
 
 def stomach_path(wall: StomachWall) -> Float[np.ndarray, "n 3"]:
-    """Points down the lumen from just inside the cardia, joining the axis in the body [m]."""
+    """Points along the lumen from just inside the cardia, joining the axis in the body [m]."""
     p, axis = wall.parameters, wall.tube.curve
     s, theta = cardia_position(wall)
     radius = float(stomach_radius(wall, np.array([s]), np.array([theta]))[0])
@@ -85,11 +85,11 @@ def stomach_path(wall: StomachWall) -> Float[np.ndarray, "n 3"]:
 def stomach_labels(
     wall: StomachWall, arc_length: Float[np.ndarray, " n"], theta: Float[np.ndarray, " n"]
 ) -> UInt8[np.ndarray, " n"]:
-    """Segment number of each point of the wall, 1 for the first of `SEGMENTS`.
+    """Segment label of each point of the wall, 1 for the first of `SEGMENTS`.
 
     Args:
         wall: The stomach.
-        arc_length: Along the axis [m].
+        arc_length: Arc length along the axis [m].
         theta: Angle around it [rad].
     """
     p = wall.parameters
@@ -103,7 +103,7 @@ def stomach_labels(
 
 
 def _surface(wall: StomachWall) -> SweptSurface:
-    """The wall, closed beyond the pyloric ring."""
+    """Wall, closed beyond the pyloric ring."""
     end = wall.parameters.length + STUB
 
     def closed(s: np.ndarray) -> np.ndarray:
@@ -119,7 +119,7 @@ def _surface(wall: StomachWall) -> SweptSurface:
 
 
 def _as_organ(wall: StomachWall, seed: int) -> OrganSurface:
-    """The finished surface, whose centerline starts at the cardia."""
+    """Finished surface with a centerline that starts at the cardia."""
     return surface_to_organ(
         _surface(wall),
         "stomach",

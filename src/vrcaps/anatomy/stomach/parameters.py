@@ -1,4 +1,4 @@
-"""Stomach parameters: every dimension of a generated stomach, and its variation over patients."""
+"""Stomach parameters: dimensions of a generated stomach and their variation between patients."""
 
 from __future__ import annotations
 
@@ -21,31 +21,31 @@ SEGMENTS = STOMACH.labels
 
 @dataclass(frozen=True)
 class StomachParameters:
-    """A patient's stomach, distended; the defaults are the mean adult.
+    """Dimensions of a patient's distended stomach; the defaults are the mean adult.
 
-    Textbooks give the distended stomach 1 to 1.5 l and its greater curvature 25 to 30 cm, which
-    no J of that volume can have: here the greater curvature is 29 cm in the nearly empty stomach
-    and grows to 40 cm at 1.1 l (`curvatures`). In 851 resected, fixed stomachs it was
+    Textbooks state 1 to 1.5 l for the distended stomach and 25 to 30 cm for its greater curvature,
+    which is impossible for a J of that volume. Here the greater curvature is 29 cm in the nearly
+    empty stomach and grows to 40 cm at 1.1 l (`curvatures`). In 851 resected, fixed stomachs it was
     22.2 ± 3.1 cm, the lesser curvature 16.3 ± 2.6 cm (Seoul National University Hospital
-    2008-2013, anthropometric reference for gastric cancer surgery): the spread of the drawn
-    patients follows them. Folds and ring are read off endoscopy and barium images, not from a
-    measured series; normal rugae are up to 5 mm thick when distended, thicker when not.
+    2008-2013, anthropometric reference for gastric cancer surgery); the variation between drawn
+    patients follows these values. Folds and ring are estimated from endoscopy and barium images,
+    not from a measured series; normal rugae are up to 5 mm thick when distended, thicker when not.
 
     Attributes:
-        length: Along the axis from the top of the fundus to the pyloric ring [m].
-        fundus_diameter: Of the fundus [m].
-        body_diameter: Of the body at its widest [m].
-        antrum_diameter: Of the antrum at its widest [m].
-        pylorus_diameter: Of the open pyloric ring [m]; a capsule of 11 mm passes.
-        flattening: How much less deep than wide the section is, 0 for round.
-        cardia_distance: Along the axis from the top of the fundus to the cardia [m].
-        incisura_depth: How far the angular notch stands into the lumen [m].
+        length: Length along the axis from the top of the fundus to the pyloric ring [m].
+        fundus_diameter: Diameter of the fundus [m].
+        body_diameter: Maximum diameter of the body [m].
+        antrum_diameter: Maximum diameter of the antrum [m].
+        pylorus_diameter: Diameter of the open pyloric ring [m]; a capsule of 11 mm passes.
+        flattening: Flattening of the section, 1 minus depth over width; 0 for round.
+        cardia_distance: Distance along the axis from the top of the fundus to the cardia [m].
+        incisura_depth: Height of the angular notch above the wall, into the lumen [m].
         num_rugae: Number of longitudinal folds around the body.
-        rugae_height: Of the folds of the greater curvature [m].
+        rugae_height: Height of the folds of the greater curvature [m].
         rugae_winding: Sideways swing of the folds as a fraction of their spacing.
-        wave_depth: Fraction of the antrum's radius that a peristaltic wave takes away.
+        wave_depth: Fraction of the antrum's radius taken by a peristaltic wave.
         roughness: Standard deviation of the smooth irregularity of the wall [m].
-        edge: Mean length of the triangles' edges [m].
+        edge: Mean edge length of the triangles [m].
     """
 
     length: Annotated[float, Range(0.10, 0.35, unit="m")] = 196 * MM
@@ -64,7 +64,7 @@ class StomachParameters:
     edge: Annotated[float, Range(0.0008, 0.005, unit="m")] = 1.7 * MM
 
     def __post_init__(self) -> None:
-        """Check what the construction relies on."""
+        """Check the assumptions of the construction."""
         check_fields(self)
         low, high = 0.2 * self.length, 0.35 * self.length
         is_valid = low <= self.cardia_distance <= high
@@ -78,11 +78,11 @@ class StomachParameters:
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> StomachParameters:
-        """A distended stomach from the population.
+        """Draw a distended stomach from the population.
 
-        Its length varies by 13 %, so that the lesser curvature has the published relative spread,
-        its diameter by 7 %, long stomachs being the narrower ones (a correlation of -0.3 is
-        assumed); the fractions of fundus, antrum and folds by 4 to 15 % on their own.
+        The length varies by 13 %, so that the lesser curvature has the published relative spread,
+        and the diameter by 7 %, with narrower long stomachs (an assumed correlation of -0.3). The
+        fractions of fundus, antrum and folds vary independently by 4 to 15 %.
         """
 
         def vary(deviation: float) -> float:
@@ -143,5 +143,5 @@ DISTENSIONS: dict[str, dict[str, float]] = {
         "wave_depth": 1.4,
     },
 }
-"""Factors on the distended dimensions for each distension: gas or a liter of water; half a liter;
-nearly empty. As the wall slackens its surplus area gathers in the rugae."""
+"""Factors on the distended dimensions for each distension: with gas or a liter of water, half a
+liter, or nearly empty. As the wall slackens, its surplus area forms rugae."""

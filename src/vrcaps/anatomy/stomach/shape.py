@@ -1,7 +1,7 @@
 """Stomach wall shape: distance from the axis at every arc length and angle.
 
-The axis runs from the top of the fundus to the pyloric ring and a little beyond; the section is
-an ellipse, wide along the curvatures and flat anteroposteriorly, on which rugae stand.
+The axis runs from the top of the fundus to slightly beyond the pyloric ring. The section is an
+ellipse, wide along the curvatures and flat anteroposteriorly, with rugae on it.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ _AXIS_CM = np.array(
         [-3.6, 1.4, 13.2],
     ]
 )
-"""Axis of a mean stomach from fundus to duodenal bulb, patient frame, the origin in the middle
-of the abdomen at the height of the navel; the pylorus lies right of the midline."""
+"""Axis of a mean stomach from fundus to duodenal bulb, patient frame, origin at the center of the
+abdomen at the height of the navel; the pylorus is to the right of the midline."""
 
 STUB = 16 * MM
-"""The stomach ends this far beyond the pyloric ring, in the duodenal bulb [m]."""
+"""Distance beyond the pyloric ring, in the duodenal bulb, at which the stomach ends [m]."""
 
 _DOME = 0.62
-"""Depth of the fundus' dome in radii of the fundus."""
+"""Depth of the dome of the fundus in radii of the fundus."""
 _INCISURA, _WAVES = 0.655, (0.76, 0.875)
 """Positions along the axis as fractions of its length."""
 _CANAL = 7 * MM
@@ -54,15 +54,15 @@ _CANAL = 7 * MM
 
 @dataclass(frozen=True)
 class StomachWall:
-    """What is drawn once per stomach so that r(s, θ) is a plain function.
+    """Random properties of a stomach that define r(s, θ).
 
     Attributes:
-        parameters: The patient's dimensions.
-        tube: The axis with its frames.
+        parameters: Dimensions of the patient.
+        tube: Axis with its frames.
         envelope: Radius of the plain tube [m] at arc lengths [m].
         greater: Angle of the greater curvature [rad] at arc lengths [m].
-        winding: Phase swing of the rugae: waves [rad].
-        branching: Waves that make rugae end, fork and join, deviation 1.
+        winding: Waves that swing the phase of the rugae [rad].
+        branching: Waves that make rugae end, fork and join, standard deviation 1.
         diameter_waves: Slow relative variation of the diameter.
         relief_waves: Fine irregularity of the wall [m].
     """
@@ -78,7 +78,7 @@ class StomachWall:
 
 
 def stomach_course(parameters: StomachParameters, rng: np.random.Generator) -> Course:
-    """The axis from the top of the fundus to the pyloric ring and the stub beyond it."""
+    """Axis from the top of the fundus to the pyloric ring and the stub beyond it."""
     points = _AXIS_CM * CM + rng.normal(0.0, 3 * MM, _AXIS_CM.shape)
     fine = scipy.interpolate.CubicSpline(np.arange(len(points)), points)(
         np.linspace(0.0, len(points) - 1, 2000)
@@ -87,7 +87,7 @@ def stomach_course(parameters: StomachParameters, rng: np.random.Generator) -> C
         scipy.ndimage.gaussian_filter1d(_resample(fine, 600), 45, axis=0, mode="nearest"), 600
     )
     length = parameters.length + STUB
-    # The stomach hangs from the diaphragm: the top of the fundus stays where it is.
+    # The stomach hangs from the diaphragm: the top of the fundus is kept in position.
     fine = fine[0] + (fine - fine[0]) * (
         length / np.linalg.norm(np.diff(fine, axis=0), axis=1).sum()
     )
@@ -96,19 +96,19 @@ def stomach_course(parameters: StomachParameters, rng: np.random.Generator) -> C
 
 
 def _resample(points: Float[np.ndarray, "n 3"], num: int) -> Float[np.ndarray, "m 3"]:
-    """Points at even distances along a polyline."""
+    """Evenly spaced points along a polyline."""
     chord = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
     even = np.linspace(0.0, chord[-1], num)
     return np.stack([np.interp(even, chord, points[:, k]) for k in range(3)], axis=1)
 
 
 def stomach_wall_rng(seed: int) -> np.random.Generator:
-    """Source of the wall of a seed's stomach, alone or in the whole tract."""
+    """Random generator of the wall of a seed's stomach, alone or in the full tract."""
     return vrcaps.rng.stream(seed, "stomach/wall")
 
 
 def stomach_course_rng(seed: int) -> np.random.Generator:
-    """Source of the axis of a seed's stomach, alone or in the whole tract."""
+    """Random generator of the axis of a seed's stomach, alone or in the full tract."""
     return vrcaps.rng.stream(seed, "stomach/course")
 
 
@@ -118,9 +118,9 @@ def draw_stomach_wall(
     """Draw a patient's rugae and irregularities.
 
     Args:
-        parameters: The patient's dimensions.
-        tube: The axis with its frames.
-        rng: Draws rugae and irregularities.
+        parameters: Dimensions of the patient.
+        tube: Axis with its frames.
+        rng: Random generator of rugae and irregularities.
     """
     lobes = np.array([-4, -3, -2, -1, 0, 1, 2, 3, 4])
     return StomachWall(
@@ -166,18 +166,18 @@ def stomach_radius(
 
     Args:
         wall: The stomach.
-        arc_length: Along the axis [m].
+        arc_length: Arc length along the axis [m].
         theta: Angle around it [rad].
     """
     s, p = arc_length, wall.parameters
     envelope = wall.envelope(s)
-    # Everything that depends on θ fades out at the top and from the pyloric ring on.
+    # All terms that depend on θ fade out at the top and beyond the pyloric ring.
     fade = np.clip(envelope / (0.42 * p.fundus_diameter), 0.0, 1.0) ** 2
     fade = np.where(s > 0.5 * p.length, smoothstep((p.length - s) / (2 * CM)), fade)
     around = wrap(theta - wall.greater(s))
     radius = envelope * (1.0 + fade * sum_waves(wall.diameter_waves, s, theta))
     flat = p.flattening * fade * smoothstep((p.length - s) / (5 * CM))
-    # Polar form of an ellipse whose mean radius is kept.
+    # Polar form of an ellipse with unchanged mean radius.
     radius = (
         radius
         * (1.0 - flat) ** 0.5
@@ -201,7 +201,7 @@ def cardia_position(wall: StomachWall) -> tuple[float, float]:
 def curvatures(wall: StomachWall) -> tuple[float, float]:
     """Lengths of the greater and the lesser curvature on the wall without folds [m].
 
-    The greater one starts at the cardiac notch and runs over the fundus, the lesser one at the
+    The greater curvature starts at the cardiac notch and runs over the fundus, the lesser at the
     lower edge of the cardia; both end at the pyloric ring.
     """
     p, half_cardia = wall.parameters, 8 * MM
@@ -226,7 +226,7 @@ def stomach_volume(wall: StomachWall) -> float:
 
 
 def _outline(wall: StomachWall, s: np.ndarray, around: float) -> Float[np.ndarray, "n 3"]:
-    """Points of the wall without folds at an angle from the greater curvature [m]."""
+    """Points of the wall without folds, at an angle from the greater curvature [m]."""
     theta = wall.greater(s) + around
     radius = within_bend(wall.envelope(s), wall.tube.curvature_towards(s, theta))
     return wall.tube.points(s, theta, radius)
@@ -239,12 +239,12 @@ def _polyline_length(points: Float[np.ndarray, "n 3"]) -> float:
 def from_cardia(
     wall: StomachWall, arc_length: Float[np.ndarray, " n"], around: Float[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Distance along and around the wall from the middle of the cardia [m].
+    """Distance along and around the wall from the center of the cardia [m].
 
     Args:
         wall: The stomach.
-        arc_length: Of the points asked for [m].
-        around: Their angle from the greater curvature [rad].
+        arc_length: Arc lengths of the points [m].
+        around: Their angles from the greater curvature [rad].
     """
     along = arc_length - wall.parameters.cardia_distance
     return along, 0.5 * wall.parameters.fundus_diameter * wrap(around - np.pi)
@@ -253,12 +253,12 @@ def from_cardia(
 def _greater_curvature(
     parameters: StomachParameters, tube: Tube
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """Angle of the outer side of the J at arc lengths, by the plane the axis lies in."""
+    """Angle of the outer side of the J at arc lengths, from the plane of the axis."""
     is_in = tube.arc_length <= parameters.length
     points = tube.curve(tube.arc_length[is_in])
     normal = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][2]
     outward = np.cross(tube.frames[:, :, 2], normal)
-    # At the lowest bend the outer side faces down.
+    # At the lowest bend the outer side faces downwards.
     lowest = np.argmin(points[:, 2])
     outward *= -np.sign(outward[lowest, 2])
     angle = np.unwrap(
@@ -282,13 +282,13 @@ def _antral_waves(parameters: StomachParameters, s: np.ndarray) -> np.ndarray:
 def _rugae(wall: StomachWall, s: np.ndarray, around: np.ndarray) -> np.ndarray:
     """Height of the longitudinal folds [m].
 
-    They are thick and winding on the greater curvature, thin and straight on the lesser, low
-    in the antrum, and fork where the waves say so.
+    The folds are thick and winding on the greater curvature, thin and straight on the lesser, low
+    in the antrum, and fork according to the branching waves.
     """
     p = wall.parameters
     on_greater = 0.5 + 0.5 * np.cos(around)
     swing = sum_waves(wall.winding, s, around) * (0.25 + 0.75 * on_greater)
-    # Narrower folds on the lesser curvature: the phase runs faster there.
+    # Narrower folds on the lesser curvature: the phase changes faster there.
     phase = p.num_rugae * (around - 0.35 * np.sin(around)) + swing
     # Broad cords between narrow, rounded grooves.
     crest = 0.5 + 0.5 * np.cos(phase)
@@ -307,7 +307,7 @@ def _notch(parameters: StomachParameters, s: np.ndarray, around: np.ndarray) -> 
 
 
 def _cardia(wall: StomachWall, s: np.ndarray, around: np.ndarray) -> np.ndarray:
-    """Height of the closed cardia over the wall [m]: a rosette with a dimple in its middle."""
+    """Height of the closed cardia above the wall [m]: a rosette with a dimple at its center."""
     along, across = from_cardia(wall, s, around)
     distance = np.hypot(along, across) / (11 * MM)
     petals = 1.0 + 0.22 * np.cos(6.0 * np.arctan2(across, along)) * np.exp(-((distance - 0.8) ** 2))

@@ -1,1 +1,1 @@
-"""Toolkit for tubular organs: tube packing, swept surfaces, tube mesher, random waves."""
+"""Tools for tubular organs: tube packing, swept surfaces, tube mesher, random waves."""

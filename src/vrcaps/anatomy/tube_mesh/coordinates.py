@@ -1,4 +1,4 @@
-"""Gut coordinates of a generated wall, whose sections along the course are known."""
+"""Gut coordinates of a generated wall with known sections along the course."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ def arc_length_of_sections(
 ) -> Float[np.ndarray, " n"]:
     """Arc length [m] at which a centerline passes the sections of a tube.
 
-    The centerline may start beside the tube's course and join it: sections before its start
-    belong to its start. Continuous and monotonic in the section.
+    The centerline may start next to the tube's course and join it; sections before its start map
+    to its start. The result is continuous and monotonic in the section.
 
     Args:
         sections: Arc lengths on the tube's course [m].
         tube: The course.
-        centerline: In the same frame; it follows the course in its direction.
+        centerline: In the same frame; follows the course in the same direction.
     """
     _, nearest = scipy.spatial.KDTree(tube.curve(tube.arc_length)).query(centerline.points)
     passed = np.maximum.accumulate(tube.arc_length[nearest])
@@ -44,7 +44,7 @@ def angle_and_radius(
 
     Args:
         points: Positions [m].
-        arc_length: Of each on the centerline [m].
+        arc_length: Arc length of each point on the centerline [m].
         centerline: In the same frame.
     """
     at, frames, _ = interpolate(centerline, arc_length)
@@ -55,7 +55,7 @@ def angle_and_radius(
 
 
 def tube_centerline(tube: Tube, vertices: Float[np.ndarray, "n 3"]) -> Centerline:
-    """The course of a tube with the clearance to the nearest vertex of its wall."""
+    """Course of a tube as a centerline, with the clearance to the nearest vertex of its wall."""
     points = tube.curve(tube.arc_length)
     clearance, _ = scipy.spatial.KDTree(vertices).query(points)
     return Centerline(points, tube.arc_length, clearance, tube.frames)

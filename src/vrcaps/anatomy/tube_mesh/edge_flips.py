@@ -1,6 +1,6 @@
-"""Edge flips: edges of a surface with tube coordinates are flipped until it is Delaunay.
+"""Edge flips that make a surface with tube coordinates Delaunay.
 
-Whole arrays at once: candidates that do not touch each other are flipped together.
+The flips are vectorized: candidates that do not touch each other are flipped together.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def chart_area(
     chart: Float[np.ndarray, "n 2"], faces: Int[np.ndarray, "m 3"]
 ) -> Float[np.ndarray, " m"]:
-    """Area of each face in the chart (along [m], θ [rad]), positive if it is not turned over."""
+    """Area of each face in the chart (along [m], θ [rad]), negative if it is flipped over."""
     one, two = (chart[faces[:, k]] - chart[faces[:, 0]] for k in (1, 2))
     for offset in (one, two):
         offset[:, 1] = wrap(offset[:, 1])
@@ -34,17 +34,17 @@ def flip_edges(
     pinned: Int[np.ndarray, " n"],
     num_rounds: int = 3,
 ) -> Int[np.ndarray, "m 3"]:
-    """Faces after edges are flipped that are not Delaunay, on nearly flat pairs only.
+    """Flip edges that are not Delaunay, on nearly flat pairs of faces only.
 
-    Edges between two seam vertices and the faces at the poles stay, and no face turns over in
+    Edges between two seam vertices and faces at the poles are kept, and no face flips over in
     the chart.
 
     Args:
         vertices: Positions [m].
         chart: Meridian length [m] and angle [rad] of each vertex.
-        faces: Vertex numbers.
+        faces: Vertex indices.
         pinned: `FREE`, `SEAM` or `POLE` of each vertex.
-        num_rounds: Most rounds of flips.
+        num_rounds: Maximum number of rounds of flips.
     """
     faces = faces.copy()
     for _ in range(num_rounds):
@@ -56,7 +56,7 @@ def flip_edges(
         is_seam, is_pole = pinned > 0, pinned > 1
         one, other = (_cotangent(a, vertices[apex[:, k]], b) for k in range(2))
         excess = -(one + other)
-        # The two opposite angles add up to more than π where their cotangents' sum is negative.
+        # The two opposite angles add up to more than π if the sum of their cotangents is negative.
         want = (excess > 1e-3) & ~(is_seam[edges[:, 0]] & is_seam[edges[:, 1]])
         # Seam vertices on both sides would give an edge along or across the seam.
         want &= ~(is_seam[apex[:, 0]] & is_seam[apex[:, 1]])
@@ -78,7 +78,7 @@ def flip_edges(
 def _independent_flips(
     candidates: np.ndarray, excess: np.ndarray, beside: np.ndarray, num_faces: int
 ) -> Int[np.ndarray, " k"]:
-    """Candidates that share no face, the worst edges first."""
+    """Candidates that share no face, worst edges first."""
     order = candidates[np.argsort(-excess[candidates], kind="stable")]
     rank = np.full(num_faces, len(order))
     np.minimum.at(rank, beside[order].ravel(), np.repeat(np.arange(len(order)), 2))
@@ -86,7 +86,7 @@ def _independent_flips(
 
 
 def _distinct_flips(chosen: Int[np.ndarray, " k"], apex: np.ndarray) -> Int[np.ndarray, " l"]:
-    """Flips of which no two make the same edge: it would have four faces."""
+    """Flips without pairs that create the same edge, which would then have four faces."""
     _, first = np.unique(np.sort(apex[chosen], axis=1), axis=0, return_index=True)
     return chosen[np.sort(first)]
 
@@ -97,10 +97,10 @@ def _flip(
     faces: np.ndarray,
     flips: tuple[np.ndarray, np.ndarray, np.ndarray],
 ) -> None:
-    """Replace the two faces of each edge by those of the other diagonal, where sound."""
+    """Replace the two faces of each edge by those of the other diagonal, where valid."""
     edges, beside, apex = flips
     first = faces[beside[:, 0]]
-    # The direction in which the first face runs along the edge.
+    # Direction in which the first face traverses the edge.
     is_forward = (np.roll(first, -1, axis=1) == edges[:, 1:]) & (first == edges[:, :1])
     start = np.where(is_forward.any(axis=1), edges[:, 0], edges[:, 1])
     end = edges.sum(axis=1) - start
@@ -116,7 +116,7 @@ def _flip(
 
 
 def _is_in(pairs: np.ndarray, edges: np.ndarray, num_vertices: int) -> Bool[np.ndarray, " n"]:
-    """Whether each pair is one of the edges, which are sorted."""
+    """Check which pairs are among the sorted edges."""
     known = edges[:, 0] * num_vertices + edges[:, 1]
     key = pairs[:, 0] * num_vertices + pairs[:, 1]
     return known[np.minimum(np.searchsorted(known, key), len(known) - 1)] == key

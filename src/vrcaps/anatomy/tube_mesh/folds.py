@@ -16,12 +16,12 @@ class Folds:
     """Folds sorted by arc length.
 
     Attributes:
-        arc_length: Where the middle of each crest lies [m].
-        angle: Middle of each crest around the lumen [rad], from where its organ counts.
-        height: Over the wall [m].
-        extent: Half the angle each crest spans [rad]; beyond π it is a full ring.
+        arc_length: Center of each crest [m].
+        angle: Center of each crest around the lumen [rad], from the reference angle of the organ.
+        height: Height above the wall [m].
+        extent: Half angle spanned by each crest [rad]; beyond π it is a full ring.
         thickness: Full width at half height [m].
-        tilt: Slope of the crest against the circumference.
+        tilt: Slope of the crest relative to the circumference.
         bow: Curvature of the crest along the gut, per radius.
     """
 
@@ -39,12 +39,12 @@ class Folds:
         offset: Float[np.ndarray, "*shape"],
         radius: Float[np.ndarray, "*shape"],
     ) -> Float[np.ndarray, "*shape"]:
-        """Arc length [m] of crests at angles from their middles.
+        """Arc length [m] of crests at angles from their centers.
 
         Args:
-            number: Of each fold asked for.
-            offset: Angle from its middle [rad].
-            radius: Of the plain lumen there [m].
+            number: Index of each fold.
+            offset: Angle from its center [rad].
+            radius: Radius of the plain lumen there [m].
         """
         slope = self.tilt[number] * np.sin(offset) + self.bow[number] * (1.0 - np.cos(offset))
         return self.arc_length[number] + radius * slope

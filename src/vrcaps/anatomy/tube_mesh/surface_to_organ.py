@@ -1,4 +1,4 @@
-"""Conversion of a swept surface to the finished surface of an organ."""
+"""Conversion of a swept surface to the surface of an organ."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from vrcaps.anatomy.tube_mesh.swept_surface import SweptSurface
 
 CENTERLINE_STEP = 1.5 * MM
-"""Between the samples of a centerline that does not keep to the course [m]."""
+"""Sample spacing of a centerline that deviates from the course [m]."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,8 @@ class TubeMesh:
 
     Attributes:
         vertices: Positions [m].
-        faces: Vertex numbers, counter-clockwise from inside.
-        arc_length: Of each vertex's section on the course [m].
+        faces: Vertex indices, counter-clockwise as seen from inside.
+        arc_length: Arc length of each vertex's section on the course [m].
         theta: Angle of each vertex [rad].
         radius: Distance of each vertex from the course [m].
         turn: Fraction of the circumference from the seam at each corner, 0 to 1.
@@ -55,7 +55,7 @@ class TubeMesh:
 
 
 def mesh_tube(surface: SweptSurface) -> TubeMesh:
-    """Triangle mesh over a swept surface."""
+    """Mesh a swept surface with triangles."""
     grid = mesh_swept_surface(surface)
     s = make_meridian(surface).to_arc_length(grid.along)
     radius = surface.radius(s, grid.theta)
@@ -73,14 +73,14 @@ def surface_to_organ(
     metadata: dict,
     path: Float[np.ndarray, "k 3"] | None = None,
 ) -> OrganSurface:
-    """A swept surface as a closed triangle surface with labels, gut coordinates and centerline.
+    """Convert a swept surface to a closed mesh with labels, gut coordinates and centerline.
 
     Args:
         surface: The wall.
-        name: Of the organ.
-        segments: Names of the labels from 1 on.
-        label: Segment number, from 1, of arc lengths [m] and angles [rad] on the surface.
-        metadata: Where the organ comes from.
+        name: Name of the organ.
+        segments: Names of the labels from 1 upwards.
+        label: Segment label, from 1, at arc lengths [m] and angles [rad] on the surface.
+        metadata: Provenance of the organ.
         path: Points that the centerline follows [m]; None is the tube's course.
     """
     mesh = mesh_tube(surface)

@@ -1,4 +1,4 @@
-"""Swept surface: a tube's wall as a function r(s, θ), and the triangle grid that samples it."""
+"""Swept surface: a tube's wall as a function r(s, θ), and its triangle grid."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ FREE, SEAM, POLE = 0, 1, 2
 
 @dataclass(frozen=True)
 class Crests:
-    """Lines around the lumen, each given at the same angles.
+    """Lines around the lumen, all sampled at the same angles.
 
     Attributes:
-        arc_length: Of each line at each angle [m].
-        weight: How firmly a row follows it there, 0 to 1.
+        arc_length: Arc length of each line at each angle [m].
+        weight: Strength with which a row of vertices follows it there, 0 to 1.
     """
 
     arc_length: Float[np.ndarray, "n k"]
@@ -31,15 +31,15 @@ class Crests:
 
 @dataclass(frozen=True)
 class SweptSurface:
-    """A star-shaped wall r(s, θ) around a course, closed at both ends.
+    """Star-shaped wall r(s, θ) around a course, closed at both ends.
 
     Attributes:
-        tube: The course with its frames.
-        length: Of the course [m].
+        tube: Course with its frames.
+        length: Length of the course [m].
         envelope: Radius [m] of the plain tube at arc lengths [m]; 0 at both ends.
         radius: Distance of the wall from the course [m] at arc lengths [m] and angles [rad].
-        edge: Length of edge wanted at arc lengths [m].
-        crests: Sharp folds at angles [rad], along which rows of vertices are laid.
+        edge: Target edge length at arc lengths [m].
+        crests: Sharp folds at angles [rad], along which rows of vertices are aligned.
     """
 
     tube: Tube
@@ -58,7 +58,7 @@ class SweptSurface:
 
 @dataclass(frozen=True)
 class Meridian:
-    """Length along the plain tube's outline: like arc length, but fair over the closed ends.
+    """Length along the outline of the plain tube: like arc length, but uniform over closed ends.
 
     Attributes:
         arc_length: Samples [m].
@@ -69,16 +69,16 @@ class Meridian:
     along: Float[np.ndarray, " n"]
 
     def to_arc_length(self, along: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-        """Arc length [m] of a meridian length [m]."""
+        """Arc length [m] at a meridian length [m]."""
         return np.interp(along, self.along, self.arc_length)
 
     def to_along(self, arc_length: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-        """Meridian length [m] of an arc length [m]."""
+        """Meridian length [m] at an arc length [m]."""
         return np.interp(arc_length, self.arc_length, self.along)
 
 
 def make_meridian(surface: SweptSurface) -> Meridian:
-    """Outline of a plain tube, sampled densely where it closes."""
+    """Outline of a plain tube, sampled densely at its closed ends."""
     middle = np.linspace(0.0, surface.length, max(8001, round(surface.length / 2.5e-4)))
     near = min(0.05, 0.3 * surface.length) * np.linspace(0.0, 1.0, 400) ** 2
     s = np.unique(np.concatenate([middle, near, surface.length - near]))
@@ -88,13 +88,13 @@ def make_meridian(surface: SweptSurface) -> Meridian:
 
 @dataclass(frozen=True)
 class Grid:
-    """Vertices of a closed tube by their surface coordinates, joined by faces.
+    """Vertices of a closed tube by surface coordinates, and their faces.
 
     Attributes:
         along: Meridian length from the oral pole [m].
         theta: Angle, −π at the seam [rad].
         pinned: `FREE`, `SEAM` or `POLE`.
-        faces: Vertex numbers, counter-clockwise from inside.
+        faces: Vertex indices, counter-clockwise as seen from inside.
     """
 
     along: Float[np.ndarray, " n"]
@@ -104,7 +104,7 @@ class Grid:
 
 
 def turn_fractions(grid: Grid) -> Float[np.ndarray, "m 3"]:
-    """Fraction of the circumference from the seam at each corner, without jumps within faces."""
+    """Fraction of the circumference from the seam at each corner, continuous within faces."""
     pinned = grid.pinned[grid.faces]
     theta = grid.theta[grid.faces]
     side = np.sum(np.where(pinned == FREE, theta, 0.0), axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Rotation-minimizing frames along a course: from tube coordinates (s, θ, r) to space."""
+"""Rotation-minimizing frames along a course: map from tube coordinates (s, θ, r) to space."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Course:
-    """Where a tubular organ runs.
+    """Course of a tubular organ.
 
     Attributes:
         points: Samples from the oral to the anal end [m], patient frame, evenly spaced.
-        arc_length: Of each sample [m].
+        arc_length: Arc length of each sample [m].
     """
 
     points: Float[np.ndarray, "n 3"]
@@ -29,10 +29,10 @@ class Course:
 
 @dataclass(frozen=True)
 class Tube:
-    """A smooth curve with transverse axes.
+    """Smooth curve with transverse axes.
 
     Attributes:
-        curve: Position [m] of an arc length [m], patient frame.
+        curve: Function from arc length [m] to position [m], patient frame.
         arc_length: Samples of the frames [m].
         frames: Rotation at each sample; columns are two transverse axes and the tangent.
         bend: Curvature vector at each sample, averaged over about 2 cm [1/m].
@@ -49,10 +49,10 @@ class Tube:
         theta: Float[np.ndarray, " n"],
         radius: Float[np.ndarray, " n"],
     ) -> Float[np.ndarray, "n 3"]:
-        """Positions of tube coordinates [m].
+        """Convert tube coordinates to positions [m].
 
         Args:
-            arc_length: Along the course [m].
+            arc_length: Arc length along the course [m].
             theta: Angle around it [rad].
             radius: Distance from it [m].
         """
@@ -66,7 +66,7 @@ class Tube:
         return np.einsum("ji,ij->i", np.array(bend), self._outward(arc_length, theta))
 
     def angle_of(self, arc_length: float, direction: Float[np.ndarray, " 3"]) -> float:
-        """The angle θ [rad] that faces nearest to a direction."""
+        """Angle θ [rad] whose transverse direction is nearest to a direction."""
         frame = self.frames[np.argmin(np.abs(self.arc_length - arc_length))]
         return float(np.arctan2(direction @ frame[:, 1], direction @ frame[:, 0]))
 
@@ -89,7 +89,7 @@ def make_tube(course: Course) -> Tube:
     points, tangents = course.points, curve(course.arc_length, 1)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
     axes = np.empty_like(points)
-    # The angle 0 starts posteriorly, where the ascending colon is fixed.
+    # Angle 0 starts posteriorly, where the ascending colon is fixed.
     axes[0] = np.cross(tangents[0], np.cross([0.0, 1.0, 0.0], tangents[0]))
     axes[0] /= np.linalg.norm(axes[0])
     for i in range(len(points) - 1):

@@ -1,4 +1,4 @@
-"""Tube mesher: rows of vertices around a tube, as many as its girth needs, joined by triangles."""
+"""Tube mesher: rows of vertices around a tube, in numbers given by its girth, and triangles."""
 
 from __future__ import annotations
 
@@ -29,25 +29,25 @@ _NUM_ANGLES = 36
 _NUM_FINE_ANGLES = 240
 _STEP, _COARSE_STEP = 0.4 * MM, 2 * MM
 _ROW_TO_COLUMN = 0.8
-"""Spacing of the rows over that of the columns; √3/2 makes staggered triangles equilateral."""
+"""Ratio of row to column spacing; √3/2 makes staggered triangles equilateral."""
 _LOCAL = 25 * MM
 _DRIFT = 70 * MM
 _FEWEST = 6
 _LEAST_GAP = 0.33
-"""Fraction of the rows' plain distance that equal steps over folds leave between them."""
+"""Minimum fraction of the plain row spacing that equal steps over folds may leave."""
 _STRAIGHT = 15
-"""Rows over which columns keep their direction."""
+"""Number of rows over which columns keep their direction."""
 _CREST_REACH = 12
 _CREST_FADE = 5.0
-"""Rows beside a crest that move along with it, and the distance where they do so by a third."""
+"""Rows next to a crest that move along with it, and distance at which they do by about a third."""
 
 
 def mesh_swept_surface(surface: SweptSurface, *, num_smoothings: int = 2) -> Grid:
-    """Well-shaped triangles over a wall, denser where it is steep.
+    """Mesh a wall with well-shaped triangles, denser where it is steep.
 
     Args:
         surface: The wall.
-        num_smoothings: Rounds of moving vertices to the middle of their neighbors.
+        num_smoothings: Number of rounds that move vertices to the center of their neighbors.
     """
     meridian = make_meridian(surface)
     angles = np.linspace(-np.pi, np.pi, _NUM_ANGLES, endpoint=False)
@@ -57,7 +57,7 @@ def mesh_swept_surface(surface: SweptSurface, *, num_smoothings: int = 2) -> Gri
 
 
 def count_triangles(surface: SweptSurface) -> float:
-    """About how many triangles `mesh_swept_surface` makes of a wall."""
+    """Approximate number of triangles of `mesh_swept_surface`."""
     meridian = make_meridian(surface)
     end = meridian.along[-1]
     along = np.linspace(0.0, end, round(end / _COARSE_STEP) + 1)
@@ -73,7 +73,7 @@ def count_triangles(surface: SweptSurface) -> float:
 def _place_rows(
     surface: SweptSurface, meridian: Meridian, angles: Float[np.ndarray, " k"]
 ) -> Float[np.ndarray, "rows k"]:
-    """Meridian length [m] of each row at each angle: even steps over folds as on plain wall."""
+    """Meridian length [m] of each row at each angle, with even steps over folds and plain wall."""
     end = meridian.along[-1]
     along = np.linspace(0.0, end, round(end / _STEP) + 1)
     pace = _pace(surface, meridian, along, angles)
@@ -103,14 +103,14 @@ def _place_rows(
 
 
 def _smooth_around(rows: Float[np.ndarray, "rows k"]) -> Float[np.ndarray, "rows k"]:
-    """Mean with both neighbors around the tube, weights 1, 2, 1."""
+    """Average with both neighbors around the tube, with weights 1, 2, 1."""
     return 0.25 * (np.roll(rows, 1, axis=1) + 2.0 * rows + np.roll(rows, -1, axis=1))
 
 
 def _towards_crests(
     rows: Float[np.ndarray, "rows k"], crests: Crests, meridian: Meridian
 ) -> Float[np.ndarray, "rows k"]:
-    """Shift [m] that lays the nearest row along each crest and takes its neighbors along."""
+    """Shift [m] that aligns the nearest row with each crest and moves its neighbors along."""
     shift = np.zeros_like(rows)
     for along, weight in zip(meridian.to_along(crests.arc_length), crests.weight, strict=True):
         middle = np.argmax(weight)
@@ -124,7 +124,7 @@ def _towards_crests(
 def _pace(
     surface: SweptSurface, meridian: Meridian, along: np.ndarray, angles: np.ndarray
 ) -> Float[np.ndarray, "n k"]:
-    """Length of wall per step of meridian length at each angle [m]."""
+    """Length of wall per meridian length at each angle [m]."""
     shape = (len(along), len(angles))
     s = np.repeat(meridian.to_arc_length(along), len(angles))
     points = surface.points(s, np.tile(angles, len(along))).reshape(*shape, 3)
@@ -135,9 +135,9 @@ def _pace(
 def _in_order(
     base: Float[np.ndarray, " rows"], shift: Float[np.ndarray, "rows k"]
 ) -> Float[np.ndarray, "rows k"]:
-    """Shifted rows, kept `_LEAST_GAP` of their plain distance apart by the least largest change.
+    """Shifted rows, kept `_LEAST_GAP` of their plain distance apart by the smallest maximum change.
 
-    They lie midway between the least such rows above the shifted ones and the greatest below.
+    They are midway between the lowest such rows above the shifted ones and the highest below.
     """
     floor = _LEAST_GAP * base[:, None]
     rest = base[:, None] + shift - floor
@@ -149,16 +149,16 @@ def _in_order(
 def _place_columns(
     surface: SweptSurface, meridian: Meridian, rows: np.ndarray, angles: np.ndarray
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Int[np.ndarray, " rows"]]:
-    """Meridian length, angle of each vertex, and number of vertices of each row.
+    """Meridian length and angle of each vertex, and number of vertices of each row.
 
-    A row's vertices lie at even distances around its section, the first on the seam; every
-    other row is staggered by half a distance, with one vertex more.
+    The vertices of a row are evenly spaced around its section, with the first on the seam. Every
+    other row is staggered by half a spacing and has one vertex more.
     """
     fine = np.linspace(-np.pi, np.pi, _NUM_FINE_ANGLES + 1)
     middle = rows.mean(axis=1)
     step = _steps_around(surface, meridian.to_arc_length(middle), fine)
     girth = step.sum(axis=1)
-    # Blurred over many rows, lest columns weave in and out of folds.
+    # Averaged over many rows, so that columns do not weave in and out of folds.
     fraction = scipy.ndimage.uniform_filter1d(step / girth[:, None], _STRAIGHT, axis=0)
     fraction = np.pad(np.cumsum(fraction, axis=1), ((0, 0), (1, 0)))
     plain = 2.0 * np.pi * np.maximum(surface.envelope(meridian.to_arc_length(middle)), 0.1 * MM)
@@ -181,7 +181,7 @@ def _place_columns(
 def _steps_around(
     surface: SweptSurface, arc_length: Float[np.ndarray, " n"], angles: Float[np.ndarray, " k"]
 ) -> Float[np.ndarray, "n k-1"]:
-    """Distances [m] between points of the wall at successive angles, section by section."""
+    """Distances [m] between points of the wall at successive angles, for each section."""
     s = np.repeat(arc_length, len(angles))
     radius = surface.radius(s, np.tile(angles, len(arc_length))).reshape(len(arc_length), -1)
     across = 0.5 * (radius[:, 1:] + radius[:, :-1]) * np.diff(angles)
@@ -189,7 +189,7 @@ def _steps_around(
 
 
 def _steady(wanted: Float[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-    """Whole numbers near the wanted ones that change only when they are off by more than 4 %."""
+    """Integers near the given values that change only when they are off by more than 4 %."""
     steady, current = np.empty(len(wanted), int), round(wanted[0])
     for i, value in enumerate(wanted):
         if abs(value - current) > 0.5 + 0.04 * value:
@@ -199,13 +199,13 @@ def _steady(wanted: Float[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
 
 
 def _join(along: np.ndarray, theta: np.ndarray, count: np.ndarray, end: float) -> Grid:
-    """Faces between neighboring rows, however many vertices they have, and to two poles."""
+    """Faces between neighboring rows of any numbers of vertices, and to the two poles."""
     start = np.concatenate([[0], np.cumsum(count)])
     row = np.repeat(np.arange(len(count)), count)
     following = np.arange(len(along)) + 1
     following[start[1:] - 1] = start[:-1]
     after = np.where(following > np.arange(len(along)), theta[following], np.pi)
-    # The middle of each edge as a fraction of the circumference, offset by its row: sorted overall.
+    # Midpoint of each edge as a fraction of the circumference, plus its row: a global sort key.
     key = row + (0.5 * (theta + after) + np.pi) / (2.0 * np.pi)
     lower, upper = row < len(count) - 1, row > 0
     above = np.searchsorted(key, key[lower] + 1.0, side="left")
@@ -242,7 +242,7 @@ def _improve(grid: Grid, surface: SweptSurface, meridian: Meridian, num_smoothin
 
 
 def _even_out(grid: Grid) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Half a step of each free vertex towards the mean of its neighbors' coordinates."""
+    """Move each free vertex halfway towards the mean of its neighbors' coordinates."""
     along, theta, faces = grid.along, grid.theta, grid.faces
     ends = directed_edges(faces)
     delta_theta = wrap(theta[ends[:, 1]] - theta[ends[:, 0]])

@@ -1,7 +1,7 @@
-"""Tube packing by position-based dynamics: a long flexible tube laid into a crowded space.
+"""Tube packing by position-based dynamics: a long flexible tube in a crowded space.
 
-The tube grows, buckles and touches nothing. A chain of nodes (Müller et al. 2007) keeps its
-spacing, a least bend radius, clearance for its own girth and from obstacles, tethers and a box.
+The tube grows and buckles without contact. A chain of nodes (Müller et al. 2007) is constrained
+by spacing, minimum bend radius, clearance to itself and to obstacles, tethers and a box.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ if TYPE_CHECKING:
 _NUM_NEAREST = 10
 _MARGIN = 4 * MM
 _BEND = 1.55
-"""Least bend radius in radii of the tube."""
+"""Minimum bend radius in radii of the tube."""
 
 
 @dataclass(frozen=True)
 class ObstacleSpheres:
-    """Obstacle spheres: the space that other organs take.
+    """Spheres that cover the space of other organs.
 
     Attributes:
-        center: Of each sphere [m].
-        radius: Of each sphere [m].
+        center: Center of each sphere [m].
+        radius: Radius of each sphere [m].
     """
 
     center: Float[np.ndarray, "k 3"]
@@ -39,11 +39,11 @@ class ObstacleSpheres:
 
     @cached_property
     def tree(self) -> scipy.spatial.KDTree:
-        """For the nearest centers."""
+        """Tree for queries of nearest centers."""
         return scipy.spatial.KDTree(self.center)
 
     def __add__(self, other: ObstacleSpheres) -> ObstacleSpheres:
-        """Both together."""
+        """Union of both sets."""
         return ObstacleSpheres(
             np.concatenate([self.center, other.center]), np.concatenate([self.radius, other.radius])
         )
@@ -51,17 +51,17 @@ class ObstacleSpheres:
 
 @dataclass(frozen=True)
 class TubeChain:
-    """Constraints on a tube's course, node by node.
+    """Constraints on the course of a tube, per node.
 
     Attributes:
-        radius: Of the tube's outside [m].
-        anchor: Where each node is drawn to [m].
-        hold: How firmly, 0 to 1 per step.
-        reach: How far from its anchor each node may get at most [m].
+        radius: Outer radius of the tube [m].
+        anchor: Position towards which each node is pulled [m].
+        hold: Strength of the pull, 0 to 1 per step.
+        reach: Maximum distance of each node from its anchor [m].
         is_fixed: Nodes that stay on their anchors and may touch obstacles.
-        low: Lowest coordinates of the box [m].
-        high: Highest coordinates of the box [m].
-        gap: Clearance to leave between walls [m].
+        low: Minimum coordinates of the box [m].
+        high: Maximum coordinates of the box [m].
+        gap: Clearance between walls [m].
     """
 
     radius: Float[np.ndarray, " n"]
@@ -83,16 +83,16 @@ def relax_chain(
     num_steps: int,
     spread: float = 1.0,
 ) -> Float[np.ndarray, "n 3"]:
-    """Let a chain grow to a spacing while it keeps clear of itself and of obstacles.
+    """Grow a chain to a spacing while it keeps clear of itself and of obstacles.
 
     Args:
-        chain: What is asked of the course.
-        nodes: Where it starts [m].
-        spacing: Distance of neighboring nodes in the end [m].
-        obstacles: What it keeps clear of.
+        chain: Constraints on the course.
+        nodes: Initial positions [m].
+        spacing: Final distance between neighboring nodes [m].
+        obstacles: Obstacles to keep clear of.
         num_steps: Number of steps; growth takes the first 40 % of them.
-        spread: Girth of the growing tube relative to its real one. Above 1 it starts thin, so
-            that it passes through itself and untangles, then takes space before it needs it.
+        spread: Girth of the growing tube relative to its final girth. Above 1 the tube starts thin,
+            so that it passes through itself and untangles, and then reserves space early.
     """
     nodes = nodes.copy()
     start = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
@@ -117,13 +117,13 @@ def relax_chain(
 def min_clearance(
     course: Course, radius: Float[np.ndarray, " n"], obstacles: ObstacleSpheres, ignored: float
 ) -> float:
-    """Least distance [m] between the walls of a tube, and from it to obstacles.
+    """Minimum distance [m] of a tube to itself and to obstacles.
 
     Args:
-        course: The tube's course.
-        radius: Of its outside at each sample [m].
-        obstacles: What it should keep clear of.
-        ignored: Length at either end that may touch obstacles [m].
+        course: Course of the tube.
+        radius: Outer radius at each sample [m].
+        obstacles: Obstacles to keep clear of.
+        ignored: Length at each end that may touch obstacles [m].
     """
     step = max(1, round(4 * MM / course.arc_length[1]))
     points, s, radius = course.points[::step], course.arc_length[::step], radius[::step]
@@ -139,14 +139,14 @@ def min_clearance(
 
 
 def sharpest_bend(course: Course, radius: Float[np.ndarray, " n"]) -> float:
-    """Greatest radius of the tube over radius of its bend."""
+    """Maximum ratio of the radius of the tube to the radius of its bend."""
     velocity = np.gradient(course.points, course.arc_length, axis=0)
     curvature = np.linalg.norm(np.gradient(velocity, course.arc_length, axis=0), axis=1)
     return float((curvature * radius)[3:-3].max())
 
 
 def smooth_course(nodes: Float[np.ndarray, "n 3"], *, step: float = 1 * MM) -> Course:
-    """A smooth curve through a chain, evenly sampled about every `step` [m]; the ends stay."""
+    """Smooth curve through a chain, evenly sampled about every `step` [m], with the same ends."""
     nodes = nodes.copy()
     for _ in range(2):
         nodes[2:-2] += 0.25 * (nodes[1:-3] - 2.0 * nodes[2:-2] + nodes[3:-1])
@@ -160,7 +160,7 @@ def smooth_course(nodes: Float[np.ndarray, "n 3"], *, step: float = 1 * MM) -> C
 
 
 def _blurred(points: Float[np.ndarray, "n 3"], sigma: float) -> Float[np.ndarray, "n 3"]:
-    """Points blurred along a curve that goes straight on beyond its ends, which stay."""
+    """Blur points along a curve that is extended straight; its ends are kept."""
     if sigma == 0.0:
         return points
     num = round(4.0 * sigma)
@@ -174,7 +174,7 @@ def _blurred(points: Float[np.ndarray, "n 3"], sigma: float) -> Float[np.ndarray
 def _neighbors(
     nodes: np.ndarray, chain: TubeChain, spacing: float, obstacles: ObstacleSpheres
 ) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"], Int[np.ndarray, "n k"]]:
-    """Pairs of nodes that may come to touch, and the obstacles nearest to each node."""
+    """Pairs of nodes that may come into contact, and the nearest obstacles of each node."""
     radius = chain.radius
     reach = 2.0 * radius.max() + chain.gap + _MARGIN
     i, j = scipy.spatial.KDTree(nodes).query_pairs(reach, output_type="ndarray").T
@@ -195,7 +195,7 @@ def _push_apart(
 ) -> Float[np.ndarray, "n 3"]:
     """Displacement away from other parts of the tube and from obstacles [m].
 
-    `fraction` scales the distance that the tube keeps from itself.
+    `fraction` scales the clearance of the tube to itself.
     """
     radius, gap = chain.radius, chain.gap
     i, j, nearest = near
@@ -217,7 +217,7 @@ def _push_apart(
 
 
 def _within_reach(nodes: np.ndarray, chain: TubeChain) -> Float[np.ndarray, "n 3"]:
-    """Nodes drawn back into the box and to within reach of their anchors [m]."""
+    """Nodes moved back into the box and to within reach of their anchors [m]."""
     nodes = nodes + 0.12 * (np.clip(nodes, chain.low, chain.high) - nodes)
     offset = nodes - chain.anchor
     distance = np.linalg.norm(offset, axis=1) + 1e-12
@@ -226,14 +226,14 @@ def _within_reach(nodes: np.ndarray, chain: TubeChain) -> Float[np.ndarray, "n 3
 
 
 def _unbend(nodes: np.ndarray, radius: np.ndarray, spacing: float) -> Float[np.ndarray, "n 3"]:
-    """Displacement that opens bends tighter than the tube allows [m]."""
+    """Displacement that opens bends tighter than the tube permits [m]."""
     move = np.zeros_like(nodes)
     for reach in (1, 2, 3):
         middle = nodes[reach:-reach]
         sagitta = 0.5 * (nodes[: -2 * reach] + nodes[2 * reach :]) - middle
         depth = np.linalg.norm(sagitta, axis=1) + 1e-12
         stiff = np.maximum(_BEND * radius[reach:-reach], 1.7 * spacing)
-        # A circle of radius R has the sagitta d²/2R over chords of about d.
+        # A circle of radius R has the sagitta d²/2R over chords of length about d.
         limit = (reach * spacing) ** 2 / (2.0 * stiff)
         pull = 0.4 * sagitta * (np.clip(depth - limit, 0.01 * depth, None) / depth)[:, None]
         move[reach:-reach] += pull
@@ -243,7 +243,7 @@ def _unbend(nodes: np.ndarray, radius: np.ndarray, spacing: float) -> Float[np.n
 
 
 def _set_spacing(nodes: np.ndarray, lengths: np.ndarray) -> Float[np.ndarray, "n 3"]:
-    """Displacement that brings neighbors to the asked distances [m]."""
+    """Displacement that restores the spacing of neighbors [m]."""
     edges = np.diff(nodes, axis=0)
     pull = 0.5 * edges * (1.0 - lengths / (np.linalg.norm(edges, axis=1) + 1e-12))[:, None]
     move = np.zeros_like(nodes)

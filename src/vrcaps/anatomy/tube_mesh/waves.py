@@ -20,14 +20,14 @@ def draw_waves(
     deviation: float,
     lobes: Int[np.ndarray, " k"],
 ) -> Float[np.ndarray, "n 4"]:
-    """Random plane waves whose sum has a given standard deviation.
+    """Draw random plane waves whose sum has a given standard deviation.
 
     Args:
-        rng: Source of wavelengths, lobes and phases.
-        num_waves: How many.
-        wavelengths: Shortest and longest along the tube [m]; longer ones are stronger.
+        rng: Random generator of wavelengths, lobes and phases.
+        num_waves: Number of waves.
+        wavelengths: Minimum and maximum wavelength along the tube [m]; longer waves are stronger.
         deviation: Standard deviation of the sum, any unit.
-        lobes: Numbers of periods around the tube to choose from.
+        lobes: Allowed numbers of periods around the tube.
 
     Returns:
         Amplitude, wavenumber [rad/m], lobes and phase [rad] of each wave.
@@ -47,14 +47,13 @@ def sum_waves(
 ) -> Float[np.ndarray, " m"]:
     """Sum of the waves at arc lengths [m] and angles [rad].
 
-    Where there are many points, waves with the same number of lobes are summed first, on a table
-    over the arc length: a sin(k s + φ + l θ) is the imaginary part of a exp(i(k s + φ)) exp(i l θ).
-    The table is linear between its rows, which changes no wave by more than 0.2 % of its height,
-    (2π / `_ROWS`)² / 8.
+    For many points, waves with the same number of lobes are first summed in a table over arc
+    length: a sin(k s + φ + l θ) is the imaginary part of a exp(i(k s + φ)) exp(i l θ). Linear
+    interpolation of the table changes a wave by at most (2π / `_ROWS`)² / 8, 0.2 % of its height.
 
     Args:
         waves: As `draw_waves` returns them.
-        arc_length: Along the tube [m].
+        arc_length: Arc length along the tube [m].
         theta: Angle around it [rad].
     """
     span = np.ptp(arc_length) if len(arc_length) else 0.0
@@ -71,7 +70,7 @@ def sum_waves(
         table = np.zeros(len(rows), complex)
         for amplitude, wavenumber, lobes, phase in waves[np.abs(waves[:, 2]) == count]:
             angle = wavenumber * (arc_length.min() + step * rows) + phase
-            # −conj(exp(i x)) stands for the waves of the opposite winding.
+            # −conj(exp(i x)) represents the waves of the opposite winding.
             table += amplitude * (np.copysign(1.0, lobes) * np.cos(angle) + 1j * np.sin(angle))
         total += ((table[row] + between * np.diff(table, append=0.0)[row]) * winding).imag
         winding = winding * once
@@ -79,13 +78,13 @@ def sum_waves(
 
 
 def wrap(angle: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-    """Angles brought to −π to π [rad]."""
+    """Wrap angles to −π to π [rad]."""
     return np.mod(angle + np.pi, 2.0 * np.pi) - np.pi
 
 
 def within_bend(
     radius: Float[np.ndarray, " n"], curvature: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Smooth minimum of a radius [m] and 0.72 of the bend's, so that sections never cross."""
+    """Smooth minimum of a radius [m] and 0.72 of the bend radius, so that sections never cross."""
     ratio = radius * np.clip(curvature, 0.0, None) / 0.72
     return radius * (1.0 + ratio**8) ** -0.125

@@ -38,7 +38,7 @@ STALE = re.compile(r"\.tmp$|\.partial$|\.lock$|^\.resume$")
 VOLATILE = {"progress.csv", "checkpoint.pt", "checkpoint.npz"}
 """Files of a training that hold the seconds that it took."""
 
-RAY_KEY = {"RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0"}
+
 HEAD = ("verb", "kills", "while files are written", "longest life of a process", "repeated")
 HEAD += ("same files", "stale files")
 
@@ -103,7 +103,7 @@ class Place:
         return subprocess.Popen(
             [sys.executable, script, *given],
             cwd=self.folder,
-            env={**os.environ, **RAY_KEY, MARK: mark, "VRCAPS_CACHE": str(self.cache)},
+            env={**os.environ, MARK: mark, "VRCAPS_CACHE": str(self.cache)},
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
@@ -129,7 +129,7 @@ def main() -> None:
     given = made.parse_args()
     rows = []
     with tempfile.TemporaryDirectory(prefix="vrcaps-kills-") as name:
-        place = prepared(Path(name))
+        place = prepared(Path(name), given.verbs)
         for verb in given.verbs:
             count = max(1, round(VERBS[verb].share * given.size / 100))
             rows.append(row(verb, count, killed(place, verb, count)))
@@ -147,16 +147,18 @@ partial folders and locks in the output folder, beside it and in the cache.
     write_section(given.out, Path(__file__).name, text)
 
 
-def prepared(folder: Path) -> Place:
-    """Small inputs of all verbs."""
+def prepared(folder: Path, verbs: list[str]) -> Place:
+    """Small inputs of some verbs."""
     from tiny_dataset import write_tiny_plan
 
     write_tiny_plan(folder, 6)
     place = Place(folder)
     record = VERBS["record"].words
-    place.run(record.replace("120", "24"), folder / "images")
-    place.run(VERBS["train"].words, folder / "trained")
-    shutil.copy(folder / "trained" / "best.safetensors", folder / "best.safetensors")
+    if {"train", "predict", "export"} & {*verbs}:
+        place.run(record.replace("120", "24"), folder / "images")
+    if "predict" in verbs:
+        place.run(VERBS["train"].words, folder / "trained")
+        shutil.copy(folder / "trained" / "best.safetensors", folder / "best.safetensors")
     return place
 
 

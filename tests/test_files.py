@@ -152,10 +152,12 @@ def test_only_temporary_files_are_removed(tmp_path):
         (tmp_path / each).touch()
     (tmp_path / f".b.{'1' * 32}.tmp").mkdir()
     (tmp_path / f".c.{'2' * 32}.tmp").symlink_to(tmp_path / "a.tmp")
-    (tmp_path / name).touch()
+    of_core = f".a.png.{'3' * 16}.tmp"
+    for each in (name, of_core):
+        (tmp_path / each).touch()
     before = set(tmp_path.iterdir())
     remove_stale(tmp_path)
-    assert before - set(tmp_path.iterdir()) == {tmp_path / name}
+    assert before - set(tmp_path.iterdir()) == {tmp_path / name, tmp_path / of_core}
     remove_stale(tmp_path / "none")
 
 

@@ -20,11 +20,11 @@ TEMPORARY = ".tmp"
 
 _SCRATCH, _HELD = "vrcaps-scratch-", ".lock"
 
-_NAME = re.compile(rf"\..+\.[0-9a-f]{{32}}{re.escape(TEMPORARY)}")
+_NAME = re.compile(rf"\..+\.([0-9a-f]{{16}}|[0-9a-f]{{32}}){re.escape(TEMPORARY)}")
 
 
 def is_temporary(name: str) -> bool:
-    """Whether a file name is one that `temporary_beside` gives."""
+    """Whether a file name is one that `temporary_beside` or the core gives."""
     return _NAME.fullmatch(name) is not None
 
 

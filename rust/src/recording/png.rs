@@ -76,25 +76,41 @@ fn big_endian(numbers: &[u16]) -> Vec<u8> {
     bytes
 }
 
-/// Writes a file under a temporary name of its own, to the disk, then renames it: it is whole or
-/// not there.
+const ATTEMPTS: usize = 3;
+
+/// Writes a file under a unique temporary name, to the disk, then renames it: it is whole or not
+/// there.
 fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let unique = RandomState::new().build_hasher().finish(); // seeded anew by the system
-    let temporary = path.with_file_name(format!(".{name}.{unique:016x}.tmp"));
-    let written = write_through(&temporary, bytes).and_then(|()| fs::rename(&temporary, path));
-    if written.is_err() {
-        // The error that counts is the first one; a temporary file may not even exist.
-        let _ = fs::remove_file(&temporary);
+    let mut written = Ok(());
+    for _ in 0..ATTEMPTS {
+        let unique = RandomState::new().build_hasher().finish(); // seeded anew by the system
+        let temporary = path.with_file_name(format!(".{name}.{unique:016x}.tmp"));
+        written = write_and_rename(&temporary, path, bytes);
+        match &written {
+            // `temporary_files.remove_stale` of another process came before the lock.
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+            Err(_) => {
+                // The error that counts is the first one; a temporary file may not even exist.
+                let _ = fs::remove_file(&temporary);
+                break;
+            }
+            Ok(()) => break,
+        }
     }
     written
 }
 
-/// Writes a file whose bytes have reached the disk when this returns.
-fn write_through(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let mut file = File::create(path)?;
+/// Writes a file, locked as one of a running process, and renames it when its bytes have reached
+/// the disk.
+fn write_and_rename(temporary: &Path, path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let mut file = File::create(temporary)?;
+    if cfg!(unix) {
+        let _ = file.try_lock(); // some file systems have no locks
+    }
     file.write_all(bytes)?;
-    file.sync_data() // with the length, but without the time
+    file.sync_data()?; // with the length, but without the time
+    fs::rename(temporary, path)
 }
 
 fn os_error(path: &str, error: &io::Error) -> PyErr {

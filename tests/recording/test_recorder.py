@@ -109,7 +109,7 @@ def test_missing_files_are_made_again(recorded, scenario, tmp_path, name):
     out = record(scenario, tmp_path / "episode")
     (out / name).unlink()
     (out / "front/rgb/000002.png").unlink()
-    stale = out / f"front/rgb/.000002.png.{'0' * 32}.tmp"
+    stale = out / f"front/rgb/.000002.png.{'0' * 16}.tmp"
     stale.write_bytes(b"left by a run that was killed")
     record(scenario, out)
     assert _digests(out) == _digests(recorded)

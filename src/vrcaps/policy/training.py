@@ -7,6 +7,7 @@ import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
@@ -108,15 +109,23 @@ def train(
     if start is not None:
         stated["start"] = file_sha256(start_file(start))
     require_learner()
-    begin_training(out, stated, _PACKAGES, is_forced=is_forced, growing=("learner.num_actions",))
+    begin = partial(
+        begin_training,
+        *(out, stated, _PACKAGES),
+        is_forced=is_forced,
+        growing=("learner.num_actions",),
+    )
+    if start is None:
+        begin()
     with exact_torch(threads):
         learner = Ppo(settings.env, settings.learner, settings.seed)
+        if start is not None:
+            warm_start(learner, start_file(start))  # one that does not fit leaves no folder
+            begin()
         if tensorboard is not None:
             learner.log_to(tensorboard)
         score = Score(settings.env, settings.learner.evaluation_episodes, settings.seed)
         progress = _read_checkpoint(out, learner)
-        if start is not None and not progress.num_rounds:
-            warm_start(learner, start_file(start))
         report(progress)
         while progress.num_rounds < progress.total:
             progress = _round(settings, out, learner, score, progress)

@@ -1,4 +1,4 @@
-"""The camera pipelines of a capsule: all its cameras, and which frames it captures."""
+"""Camera pipelines of all cameras of a capsule, and the timing of captured frames."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
 SPEED = "image_speed_ndc_per_s"
 CAPTURED = "captured"
-"""Readings of the adaptive frame rate: speed of the fastest image, and 1 where it is captured."""
+"""Columns of the adaptive frame rate: speed of the fastest image, and 1 for captured frames."""
 
 
 @dataclass(frozen=True)
 class CamerasState:
-    """What the cameras carry from frame to frame.
+    """State carried by the cameras from frame to frame.
 
     Attributes:
         pipelines: State of each camera's pipeline by its name.
@@ -33,7 +33,7 @@ class CamerasState:
 
 
 class CapsuleCameras:
-    """All cameras of a capsule: turns steps into frames by camera.
+    """All cameras of a capsule; converts steps to frames by camera.
 
     Attributes:
         pipelines: Pipeline of each camera by its name.
@@ -48,13 +48,13 @@ class CapsuleCameras:
         seed: int = 0,
         channels: Sequence[str] = ("rgb",),
     ) -> None:
-        """Makes the pipelines of the cameras of the renderer's device.
+        """Create the pipelines of the cameras of the renderer's device.
 
         Args:
-            renderer: Of the world.
-            effects: With each range of severities sampled.
+            renderer: Renderer of the world.
+            effects: Effects, with each range of severities sampled.
             fps: Frames per second.
-            seed: Of all random numbers.
+            seed: Seed of all random numbers.
             channels: Channels of the frames.
         """
         self.pipelines = {
@@ -69,7 +69,7 @@ class CapsuleCameras:
 
     @property
     def state(self) -> CamerasState:
-        """What the next frame depends on beside its step."""
+        """State that the next frame depends on, besides its step."""
         states = {name: pipeline.state for name, pipeline in self.pipelines.items()}
         return CamerasState(states, self._last_captured)
 
@@ -80,9 +80,9 @@ class CapsuleCameras:
         self._last_captured = state.last_captured
 
     def expose(self, step: Step) -> dict[str, float]:
-        """Readings of a step's exposure and of the adaptive frame rate, by column.
+        """Exposure and adaptive frame rate of a step, by column.
 
-        To be called for each step in turn, also where no frame is captured.
+        Call it for each step in turn, even if no frame is captured.
         """
         readings: dict[str, float] = {}
         for name, pipeline in self.pipelines.items():
@@ -92,14 +92,14 @@ class CapsuleCameras:
         return readings | self._timing(step)
 
     def capture(self, step: Step) -> dict[str, Frame]:
-        """The frame of each camera at a step."""
+        """Capture the frame of each camera at a step."""
         return {name: pipeline.capture(step) for name, pipeline in self.pipelines.items()}
 
     def resume(self, last: Mapping[str, float], last_captured: int | None) -> None:
-        """Sets the state that follows a frame.
+        """Restore the state after a frame.
 
         Args:
-            last: Readings of the frame.
+            last: Values of `expose` for the frame.
             last_captured: Index of the last frame that the capsule captured.
         """
         for name, pipeline in self.pipelines.items():

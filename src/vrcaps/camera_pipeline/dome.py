@@ -1,4 +1,4 @@
-"""Geometry of the dome before a camera: directions laid flat, and the disk that a pixel sees."""
+"""Geometry of the dome in front of a camera: planar projection and the disk seen by a pixel."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 DOME_NAMES = CHANNELS["dome_label"].class_names
-"""Classes of what lies on the dome: numbers of the channel `dome_label`."""
+"""Classes of matter on the dome: values of the channel `dome_label`."""
 
 _LENS = DepthOfField(0.5 * MM)
-"""Aperture and focus where depth of field is off."""
+"""Aperture and focus if depth of field is off."""
 
 
 def dome_rng(setup: CameraSetup, name: str) -> np.random.Generator:
-    """Random numbers of `drop` or `smear` on the dome of a camera."""
+    """Random numbers for `drop` or `smear` on the dome of a camera."""
     rngs = vrcaps.rng.stream(setup.seed, "camera/dome", setup.number).spawn(2)
     return rngs[DOME_NAMES.index(name) - 1]
 
@@ -36,18 +36,18 @@ def dome_lens(setup: CameraSetup) -> DepthOfField:
 
 
 def lit_rays(setup: CameraSetup) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
-    """Rays of the pixels in the camera frame, and which pixels have one."""
+    """Rays of the pixels in the camera frame, and a mask of the pixels that have one."""
     rays = camera_rays(setup.camera).astype(float)
     return rays, np.asarray(np.isfinite(rays).all(axis=-1))
 
 
 def pupil_disk_radius(lens: DepthOfField, distance: float) -> float:
-    """Radius of the disk on a dome at a distance [m] that a pixel sees at once [m]."""
+    """Radius of the disk [m] that a pixel sees on a dome at a distance [m]."""
     return 0.5 * lens.aperture * abs(1.0 - distance / lens.focus_distance)
 
 
 def disk_points(count: int) -> Float[np.ndarray, "k 2"]:
-    """Points even over the unit disk (Vogel 1979)."""
+    """Points evenly distributed over the unit disk (Vogel 1979)."""
     radius = np.sqrt((np.arange(count) + 0.5) / count)
     angle = np.arange(count) * np.pi * (3.0 - np.sqrt(5.0))
     return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
@@ -61,7 +61,7 @@ def flatten(rays: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
 
 
 def unflatten(points: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 3"]:
-    """Unit directions of points that `flatten` gives."""
+    """Inverse of `flatten`: unit directions of points."""
     angle = np.linalg.norm(points, axis=-1, keepdims=True)
     return np.concatenate([points * np.sinc(angle / np.pi), np.cos(angle)], axis=-1)
 

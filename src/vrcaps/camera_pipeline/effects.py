@@ -1,4 +1,4 @@
-"""All effects of a recording: each by severity, by a range of these, or in exact parameters."""
+"""Effects of a recording: each by severity, by a range of severities, or by exact parameters."""
 
 from __future__ import annotations
 
@@ -49,9 +49,9 @@ if TYPE_CHECKING:
 class Effects:
     """Effects of lens, sensor and recorder on the images, in this order.
 
-    Each field is a severity from 0 (off) to 4, a range of severities that a recording samples one
-    of, or the effect with exact parameters; None is the capsule's own, see `of_device`, and leaves
-    the scene as it is. The class of a field documents the effect. An effect is added by its file
+    Each field is a severity from 0 (off) to 4, a range of severities from which a recording samples
+    one, or the effect with exact parameters. None is the capsule's own, see `of_device`, and leaves
+    the scene unchanged. The class of a field documents the effect. To add an effect, add its file
     in `camera_pipeline/effect` and its field here.
 
     Example:
@@ -84,11 +84,11 @@ class Effects:
             _check(kind, getattr(self, name))
 
     def of_device(self, device: Device) -> Effects:
-        """The effects with each that is None as a capsule has it.
+        """Return the effects with each None replaced by the capsule's own.
 
-        A capsule with automatic exposure has it settled in every frame; one that states a lowest
-        frame rate adapts its frame rate. All other effects of the camera are off; the scene stays
-        as it is.
+        A capsule with automatic exposure has it settled in every frame; one that states a minimum
+        frame rate adapts its frame rate. All other effects of the camera are off; the scene is
+        unchanged.
         """
         own: dict[str, Any] = dict.fromkeys(_OF_CAMERA, 0)
         if device.auto_exposure:
@@ -100,15 +100,15 @@ class Effects:
         return replace(self, **{k: v for k, v in own.items() if getattr(self, k) is None})
 
     def without_device(self, device: Device) -> Effects:
-        """The inverse of `of_device`: None for each effect that is as a capsule has it."""
+        """Return the inverse of `of_device`: None for each effect equal to the capsule's own."""
         own = Effects().of_device(device)
         same = [name for name in _OF_CAMERA if getattr(self, name) == getattr(own, name)]
         return replace(self, **dict.fromkeys(same))
 
     def sample(self, seed: int) -> Effects:
-        """The effects with a severity sampled from each range, the same for the same seed.
+        """Return the effects with a severity sampled from each range, determined by the seed.
 
-        A severity does not depend on which other effects there are.
+        A severity does not depend on the presence of other effects.
         """
         chosen: dict[str, int] = {}
         for name in SEVERITIES:
@@ -119,7 +119,7 @@ class Effects:
         return replace(self, **chosen)  # type: ignore[arg-type]
 
     def resolve(self, name: str) -> Any:
-        """One effect with its parameters; None where it is off.
+        """Return one effect with its parameters; None if it is off.
 
         Raises:
             InputError: If it is still a range of severities.
@@ -144,20 +144,20 @@ class Effects:
         return all(getattr(self, name) in (0, None) for name in names)
 
     def device(self, device: Device) -> Device:
-        """The capsule with its cameras changed by the camera effects."""
+        """Return the capsule with the camera effects applied to its cameras."""
         cameras = device.cameras
         for effect in self.of_kind(CameraEffect):
             cameras = tuple(effect.on(camera) for camera in cameras)
         return replace(device, cameras=cameras)
 
     def organ(self, organ: OrganSurface) -> OrganSurface:
-        """The organ changed by the scene effects."""
+        """Return the organ with the scene effects applied."""
         for effect in self.of_kind(SceneEffect):
             organ = effect.on_organ(organ)
         return organ
 
     def contents(self, contents: Contents) -> Contents:
-        """The contents of the lumen changed by the scene effects."""
+        """Return the contents of the lumen with the scene effects applied."""
         for effect in self.of_kind(SceneEffect):
             contents = effect.on_contents(contents)
         return contents
@@ -167,7 +167,7 @@ def _check(kind: type[Effect], value: Any) -> None:
     """Check the value of an effect's field.
 
     Raises:
-        InputError: If it is no severity, no range of severities, and no effect of its class.
+        InputError: If it is not a severity, a range of severities or an effect of its class.
     """
     if value is None or value == 0 or isinstance(value, kind):
         return
@@ -185,7 +185,7 @@ def _check(kind: type[Effect], value: Any) -> None:
 
 
 def _effect_of(hint: Any) -> type[Effect]:
-    """The class of effect among the types of a field."""
+    """Effect class among the types of a field."""
     members = get_args(hint)
     return next(m for m in members if isinstance(m, type) and issubclass(m, Effect))
 
@@ -200,7 +200,7 @@ SEVERITIES: dict[str, tuple[Any, ...]] = {
     for name, kind in EFFECTS.items()
     if kind.severities
 }
-"""Each effect at every severity; None where it is off."""
+"""Each effect at every severity; None if it is off."""
 
 _OF_CAMERA = [name for name, kind in EFFECTS.items() if not issubclass(kind, SceneEffect)]
 
@@ -217,16 +217,16 @@ class _All(Effect):
 
 
 def parse_effects(text: str) -> Effects:
-    """Effects from a text such as `specular=3,dof=1`.
+    """Parse effects from a text such as `specular=3,dof=1`.
 
-    Items are separated by commas, and a later one overrides an earlier: `none` for an ideal camera
-    of fixed exposure, `NAME=SEVERITY`, `NAME=FIRST..LAST` to sample a severity, `all=SEVERITY` for
-    every effect, `random` for `all=0..4`; `ae=settled`, `bayer=rggb`, and `afr=MIN..MAX` in frames
-    a second. An effect that is not named is as the capsule has it.
+    Items are separated by commas; later items override earlier ones: `none` for an ideal camera
+    with fixed exposure, `NAME=SEVERITY`, `NAME=FIRST..LAST` to sample a severity, `all=SEVERITY`
+    for every effect, `random` for `all=0..4`; `ae=settled`, `bayer=rggb`, and `afr=MIN..MAX` in
+    frames per second. Effects that are not named are the capsule's own.
 
     Raises:
-        UnknownNameError: If there is no such effect.
-        InputError: If an item or a severity cannot be.
+        UnknownNameError: If an effect does not exist.
+        InputError: If an item or a severity is invalid.
     """
     chosen: dict[str, Any] = {}
     for item in (part.strip() for part in text.split(",")):

@@ -1,4 +1,4 @@
-"""Tables of the effects for people, made from their declarations."""
+"""Markdown tables of the effects, generated from their declarations."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def severity_table() -> str:
 
 
 def effect_table() -> str:
-    """Name, short name and summary of each effect in its order, as Markdown."""
+    """Name, short name and summary of each effect in order, as Markdown."""
     lines = ["| effect | short | acts on | what it does |", "|---|---|---|---|"]
     for name, kind in EFFECTS.items():
         short = f"`{kind.short}`" if kind.short else ""
@@ -34,7 +34,7 @@ def effect_table() -> str:
 
 
 def with_tables(page: str) -> str:
-    """A page with both tables between their marks, such as `<!-- severities -->`."""
+    """Return a page with both tables between their marks, such as `<!-- severities -->`."""
     for mark, table in (("severities", severity_table()), ("effects", effect_table())):
         start, end = _MARK.format(mark), _END.format(mark)
         before, after = page.split(start, maxsplit=1)[0], page.split(end)[1]
@@ -43,7 +43,7 @@ def with_tables(page: str) -> str:
 
 
 def _described(effect: Effect | None) -> str:
-    """Parameters of an effect that differ from the defaults of its class."""
+    """Parameters of an effect that differ from its class defaults."""
     if effect is None:
         return "–"
     parts = []

@@ -1,4 +1,4 @@
-"""Camera pipeline: from the world to the image that a capsule's camera sends."""
+"""Camera pipeline: from the world to the image that a capsule's camera transmits."""
 
 from __future__ import annotations
 
@@ -29,15 +29,16 @@ if TYPE_CHECKING:
     from vrcaps.render.renderer import Renderer
 
 _MOTION_CHANNELS = {"foreground_label", "foreground_depth"}
-"""Channels that the motion of the image is found from."""
+"""Channels from which the image motion is computed."""
 
 
 @dataclass(frozen=True)
 class PipelineState:
-    """What a pipeline carries from frame to frame.
+    """State carried by a pipeline from frame to frame.
 
     Attributes:
-        exposure: Of the next frame, relative to the camera's own, as automatic exposure sets it.
+        exposure: Exposure of the next frame, relative to the camera's own, set by automatic
+            exposure.
     """
 
     exposure: float = 1.0
@@ -45,10 +46,10 @@ class PipelineState:
 
 @dataclass(frozen=True)
 class Exposure:
-    """How a frame was exposed.
+    """Exposure of a frame.
 
     Attributes:
-        exposure: Relative to the camera's own.
+        exposure: Exposure relative to the camera's own.
         luminance: Metered mean linear luminance; NaN without automatic exposure.
     """
 
@@ -62,9 +63,9 @@ class SceneRadiance:
 
     Attributes:
         step: The step.
-        channels: Those asked for, and those that stages need; with `rgb` if there are no stages.
+        channels: Channels requested, and those that stages need; with `rgb` if there are no stages.
         planes: Radiance by color [W/(sr·m²)] with a margin; None if there are no stages.
-        points: What subsampled pixels see; None if no motion is needed.
+        points: Surface points of subsampled pixels; None if no motion is needed.
     """
 
     step: Step
@@ -74,17 +75,17 @@ class SceneRadiance:
 
 
 class CameraPipeline:
-    """Lens, sensor and image signal processor of one camera: turns steps into frames.
+    """Lens, sensor and image signal processor of one camera; converts steps to frames.
 
-    Steps are captured in the order of time. What is carried from one to the next is `state`, a
-    value that can be kept and set.
+    Steps are captured in order of time. The only state carried from one to the next is `state`, a
+    value that can be saved and restored.
 
     Example:
         >>> pipeline = vrcaps.CameraPipeline(renderer, "front", channels=("rgb", "depth"))
         >>> frame = pipeline.capture(vrcaps.Step(0, model.place(0.1)))
 
     Attributes:
-        state: What the next frame depends on beside its step.
+        state: State that the next frame depends on, besides its step.
     """
 
     def __init__(
@@ -98,20 +99,20 @@ class CameraPipeline:
         seed: int = 0,
         channels: Sequence[str] = ("rgb",),
     ) -> None:
-        """Makes the stages.
+        """Create the stages.
 
         Args:
-            renderer: Of the world.
-            camera: As `Effects.device` has changed it; or the name of a camera of the device.
-            effects: With each range of severities sampled; None is the capsule's own.
-            fps: Frames per second; None is the capsule's own.
-            number: Which of the capsule's cameras.
-            seed: Of all random numbers.
+            renderer: Renderer of the world.
+            camera: Camera as changed by `Effects.device`, or the name of a camera of the device.
+            effects: Effects, with each range of severities sampled; None for the capsule's own.
+            fps: Frames per second; None for the capsule's own.
+            number: Index of the camera in the capsule.
+            seed: Seed of all random numbers.
             channels: Channels of the frames.
 
         Raises:
-            InputError: If a severity is a range still.
-            UnknownNameError: If there is no such camera.
+            InputError: If a severity is still a range.
+            UnknownNameError: If the camera does not exist.
         """
         device = renderer.model.device
         camera = device.camera(camera) if isinstance(camera, str) else camera
@@ -144,7 +145,7 @@ class CameraPipeline:
         self._neighbor: tuple[SceneRadiance, tuple[Any, ...] | None] | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """A copy goes on to the same frames."""
+        """Copy the pipeline with its state, so that the copy gives the same frames."""
         make = partial(
             CameraPipeline,
             fps=self._fps,
@@ -156,13 +157,13 @@ class CameraPipeline:
 
     @property
     def is_active(self) -> bool:
-        """Whether the pipeline changes the image or says which frames are captured."""
+        """Whether the pipeline changes the image or selects the frames to capture."""
         return self._rate_adapts or ("rgb" in self.channels and not self._is_ideal)
 
     def capture(self, step: Step) -> Frame:
-        """The frame of a step: rendered, exposed, and sent by the camera.
+        """Capture the frame of a step: rendered, exposed and transmitted by the camera.
 
-        Only color is changed by lens and sensor; depth, labels and flow stay exact.
+        Lens and sensor change only color; depth, labels and flow stay exact.
         """
         if not self.is_active:
             return _without_neighbor(self._ideal(step), step)
@@ -175,7 +176,7 @@ class CameraPipeline:
         return _without_neighbor(frame, step)
 
     def expose(self, step: Step) -> Exposure:
-        """Exposure of a step; meters it, and sets the exposure of the next."""
+        """Meter a step, return its exposure and set the exposure of the next step."""
         if self._exposed is None or self._exposed[0] is not step:
             exposure, luminance = self.state.exposure, float("nan")
             if self._automatic is not None and self.is_active:
@@ -188,16 +189,16 @@ class CameraPipeline:
         return self._exposed[1]
 
     def resume(self, last: Exposure) -> None:
-        """Sets the state that follows a frame."""
+        """Restore the state after a frame."""
         if self._automatic is not None and not self._automatic.is_settled:
             interval = 1.0 / self._fps
             after = self._automatic.next_exposure(last.exposure, last.luminance, interval)
             self.state = replace(self.state, exposure=after)
 
     def render(self, step: Step) -> SceneRadiance:
-        """Light that reaches the lens; rendered once for metering, motion and image.
+        """Render the light that reaches the lens, once for metering, motion and image.
 
-        A neighbor in time that there is none of is as now.
+        A missing neighbor in time is replaced by the current state.
         """
         if self._rendered is None or self._rendered.step is not step:
             self._rendered = self._render(step)
@@ -214,7 +215,7 @@ class CameraPipeline:
             states, self.camera, tuple(sorted(needed)), points=points, planes=planes
         )
         if planes is not None and self.renderer.settings.is_supersampled:
-            # Rays beside that of a pixel that sees nothing may see something.
+            # Sub-pixel rays of a pixel whose own ray sees nothing may hit a surface.
             crop_margin(planes, *self._lit.shape)[:, ~self._lit] = 0.0
         return SceneRadiance(step, channels, planes, points)
 
@@ -223,11 +224,11 @@ class CameraPipeline:
         return np.empty(self._core.planes_shape, np.float32)
 
     def process(self, radiance: SceneRadiance, exposure: float = 1.0) -> Frame:
-        """The frame that the camera sends of the light that reaches it.
+        """Process the light that reaches the lens to the frame that the camera transmits.
 
         Args:
-            radiance: Of `render`; its planes' margin is overwritten.
-            exposure: Relative to the camera's own; counts with automatic exposure only.
+            radiance: Result of `render`; the margin of its planes is overwritten.
+            exposure: Exposure relative to the camera's own; used with automatic exposure only.
         """
         if radiance.planes is None:
             return Frame(**radiance.channels)
@@ -240,7 +241,7 @@ class CameraPipeline:
         return Frame(**radiance.channels | made)
 
     def _frame_params(self, radiance: SceneRadiance, context: FrameContext) -> dict[str, object]:
-        """What the core's stages need to know of a frame."""
+        """Parameters of a frame for the stages of the core."""
         stages = {name: stage.frame_params(context) for name, stage in self._stages.items()}
         has_shutter = {"motion_blur", "rolling_shutter"} & self._stages.keys()
         return {
@@ -264,9 +265,9 @@ class CameraPipeline:
         return image_speed(motion, half_side_px(self.camera), self._fps)
 
     def image_motion(self, radiance: SceneRadiance) -> Float[np.ndarray, "hc wc 2"] | None:
-        """Motion of the image in a frame's time [px] at subsampled pixels.
+        """Image motion per frame interval [px] at subsampled pixels.
 
-        None where there is no neighboring frame.
+        None if there is no neighboring frame.
         """
         points = self._neighbor_points(radiance)
         if points is None:
@@ -275,9 +276,9 @@ class CameraPipeline:
         return -flow if radiance.step.next is None else flow
 
     def _neighbor_points(self, radiance: SceneRadiance) -> tuple[Any, ...] | None:
-        """Where what is seen appears in a neighboring frame, its camera, and what is in front.
+        """Apparent surface points in a neighboring frame, its camera pose and the foreground.
 
-        Kept for the frame rate and the image alike.
+        Cached, since the frame rate and the image both use them.
         """
         if self._neighbor is None or self._neighbor[0] is not radiance:
             self._neighbor = (radiance, self._find_neighbor_points(radiance))
@@ -300,7 +301,7 @@ class CameraPipeline:
         return np.ascontiguousarray(apparent, np.float32), pose, front
 
     def _ideal(self, step: Step) -> Frame:
-        """The frame of a camera without lens and sensor."""
+        """Frame of an ideal camera, without effects of lens and sensor."""
         return self.renderer.render(
             step.state,
             self.camera,
@@ -311,7 +312,7 @@ class CameraPipeline:
 
 
 def _without_neighbor(frame: Frame, step: Step) -> Frame:
-    """The frame with no flow to a frame that the motion does not have, and nothing seen in it."""
+    """Return the frame with flow invalid and all pixels occluded if the neighbor is missing."""
     if step.previous is None and frame.flow_backward is not None:
         frame = replace(frame, flow_backward=np.full_like(frame.flow_backward, np.nan))
     if step.next is None and frame.flow_forward is not None:

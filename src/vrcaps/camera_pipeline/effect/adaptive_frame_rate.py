@@ -15,24 +15,25 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _SLACK = 1e-6
-"""Rounding allowed in a time, as a fraction of a frame's."""
+"""Rounding tolerance of a time, as a fraction of the frame interval."""
 
 
 @dataclass(frozen=True)
 class AdaptiveFrameRate(TimingEffect):
-    """Frame rate that rises with the motion of the image.
+    """Frame rate that increases with image motion.
 
-    The rate goes from `min_fps` to `max_fps` in proportion as the image motion goes from
-    `low_motion` to `high_motion`. A frame is captured once the rate's interval has passed since
-    the last one captured. Frames are recorded at the recording's own rate, which should be
-    `max_fps` or more; the table says which were captured. PillCam SB 3 has 2 to 6 frames a second,
-    PillCam COLON 2 has 4 to 35 (makers' figures); their laws are not published.
+    The rate increases linearly from `min_fps` to `max_fps` as the image motion increases from
+    `low_motion` to `high_motion`. A frame is captured once the interval of the rate has passed
+    since the last captured frame. Frames are recorded at the recording's own rate, which should be
+    `max_fps` or more; a column of the table marks the captured ones. PillCam SB 3 captures 2 to 6
+    frames per second, PillCam COLON 2 captures 4 to 35 (manufacturers' data); their control laws
+    are not published.
 
     Attributes:
-        min_fps: Lowest frame rate [1/s].
-        max_fps: Highest frame rate [1/s].
-        low_motion: Speed of the image up to which the rate is lowest [half sides of the image/s].
-        high_motion: Speed from which it is highest [half sides/s].
+        min_fps: Minimum frame rate [1/s].
+        max_fps: Maximum frame rate [1/s].
+        low_motion: Image speed up to which the rate is minimal [half sides of the image/s].
+        high_motion: Image speed from which the rate is maximal [half sides/s].
     """
 
     min_fps: float
@@ -52,10 +53,10 @@ class AdaptiveFrameRate(TimingEffect):
 
     @classmethod
     def parse(cls, text: str) -> AdaptiveFrameRate:
-        """A range `MIN..MAX` in frames a second.
+        """Parse a range `MIN..MAX` in frames per second.
 
         Raises:
-            InputError: If it is none.
+            InputError: If the text is not a range.
         """
         low, dots, high = text.partition("..")
         try:
@@ -69,17 +70,17 @@ class AdaptiveFrameRate(TimingEffect):
             ) from error
 
     def frame_rate(self, speed: float) -> float:
-        """Frames a second at a speed of the image [half sides/s]."""
+        """Frames per second at an image speed [half sides/s]."""
         weight = (speed - self.low_motion) / (self.high_motion - self.low_motion)
         return self.min_fps + (self.max_fps - self.min_fps) * min(max(weight, 0.0), 1.0)
 
     def is_due(self, speed: float, frames: int, fps: float) -> bool:
-        """Whether a frame is captured.
+        """Check whether a frame is captured.
 
         Args:
-            speed: Of the image [half sides/s].
-            frames: Frames of the recording since the last that was captured.
-            fps: The recording's frames a second.
+            speed: Image speed [half sides/s].
+            frames: Frames of the recording since the last captured one.
+            fps: Frames per second of the recording.
         """
         return frames >= fps / self.frame_rate(speed) - _SLACK
 
@@ -87,9 +88,9 @@ class AdaptiveFrameRate(TimingEffect):
 def image_speed(
     motion: Float[np.ndarray, "h w 2"] | None, half_side_px: float, fps: float
 ) -> float:
-    """Median speed of an image [half sides/s] from its motion in a frame's time [px].
+    """Median image speed [half sides/s] from the motion per frame interval [px].
 
-    0 where no motion is known.
+    Returns 0 if no motion is known.
     """
     if motion is None:
         return 0.0

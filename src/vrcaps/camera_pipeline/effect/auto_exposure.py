@@ -22,25 +22,26 @@ _HALVINGS = 16
 
 @dataclass(frozen=True)
 class AutoExposure(ImageEffect):
-    """Automatic exposure: LED light, then gain, follow the brightness of the image.
+    """Automatic exposure: LED light and then gain follow the brightness of the image.
 
     With a time constant it is a control loop over frames, an integrator in the logarithm of the
     exposure E. The camera meters the mean linear luminance m of a frame, each pixel clipped at
-    white, and takes for the next, Δt later, ``ln E += (1 − exp(−Δt/τ)) ln(target / m)`` within the
-    limits: in a static scene, and far from white, the error ``ln(target / m)`` shrinks by
-    exp(−Δt/τ) a frame. The loop starts at the camera's own exposure.
+    white. The next exposure, Δt later, follows from ``ln E += (1 − exp(−Δt/τ)) ln(target / m)``
+    within the limits: in a static scene, and far from white, the error ``ln(target / m)`` decreases
+    by exp(−Δt/τ) per frame. The loop starts at the camera's own exposure.
 
     With a time constant of 0 the loop has settled in every frame: m is the target, within the
-    limits, and no frame depends on another. This is the default of a capsule.
+    limits, and frames are independent of each other. This is the default of a capsule.
 
-    The LEDs deliver E until they are at their brightest; the rest is gain, which adds noise because
-    it adds no photons.
+    The LEDs deliver E up to their maximum light; the rest is gain, which adds noise because it adds
+    no photons.
 
     Attributes:
-        time_constant: τ [s]; 0 has settled in every frame.
-        target: Mean linear luminance to reach, 1 = white. Real capsule frames have some 0.15.
-        min_light: Least light, relative to the camera's own fixed exposure.
-        max_light: Most light, relative to the same.
+        time_constant: τ [s]; 0 for a loop that has settled in every frame.
+        target: Target mean linear luminance, 1 = white. Real capsule frames have about 0.15.
+        min_light: Minimum light, relative to the camera's own fixed exposure.
+        max_light: Maximum light, relative to the same.
+        max_gain: Maximum gain.
         max_gain: Largest gain.
     """
 
@@ -70,7 +71,7 @@ class AutoExposure(ImageEffect):
 
     @classmethod
     def parse(cls, text: str) -> Severity | Self:
-        """A severity, a range of severities, or `settled`.
+        """Parse a severity, a range of severities, or `settled`.
 
         Raises:
             InputError: If the text is none of these.
@@ -79,14 +80,14 @@ class AutoExposure(ImageEffect):
 
     @property
     def is_settled(self) -> bool:
-        """Whether each frame is exposed by itself."""
+        """Whether each frame is exposed independently of the others."""
         return self.time_constant == 0.0
 
     def settle(self, meter: Callable[[float], float]) -> float:
         """Exposure at which a frame has the target luminance, within the limits.
 
         Args:
-            meter: Mean luminance of the frame at an exposure; must not fall with it.
+            meter: Mean luminance of the frame as a function of exposure; must not decrease.
         """
         low, high = math.log(self.min_light), math.log(self.max_light * self.max_gain)
         for _ in range(_HALVINGS):
@@ -101,9 +102,9 @@ class AutoExposure(ImageEffect):
         """Exposure of the next frame.
 
         Args:
-            exposure: Of this frame, relative to the camera's own.
+            exposure: Exposure of this frame, relative to the camera's own.
             metered: Mean luminance of this frame.
-            interval: Until the next frame [s].
+            interval: Time to the next frame [s].
         """
         rate = -math.expm1(-interval / self.time_constant)
         error = math.log(self.target / max(metered, 1e-6))
@@ -111,12 +112,12 @@ class AutoExposure(ImageEffect):
         return min(max(exposure * math.exp(rate * error), self.min_light), highest)
 
     def light_and_gain(self, exposure: float) -> tuple[float, float]:
-        """Light and gain whose product is an exposure."""
+        """Split an exposure into light and gain; their product is the exposure."""
         light = min(exposure, self.max_light)
         return light, exposure / light
 
     def stage(self, setup: CameraSetup) -> Stage:
-        """The stage, which takes light and gain of each frame."""
+        """Stage that takes light and gain of each frame."""
         return _AutoExposureStage(self)
 
 

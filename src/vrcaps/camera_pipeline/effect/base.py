@@ -1,4 +1,4 @@
-"""Base classes of the camera effects, and what their stages are told."""
+"""Base classes of the camera effects, and the inputs of their stages."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ if TYPE_CHECKING:
     from vrcaps.organ.surface import OrganSurface
 
 Severity = int | tuple[int, int]
-"""A severity from 0 to `MAX_SEVERITY`, or the first and last of a range to sample one from."""
+"""A severity from 0 to `MAX_SEVERITY`, or the first and last of a range to sample from."""
 
 MAX_SEVERITY = 4
 _SEVERITY = re.compile(r"(\d+)(?:\.\.(\d+))?")
 
 
 class Effect:
-    """One effect of a camera, in physical parameters.
+    """Effect of a camera, in physical parameters.
 
-    A subclass is a frozen dataclass in a file of its own; a field of `Effects` names it.
+    A subclass is a frozen dataclass in a separate file, with a field in `Effects`.
 
     Attributes:
         name: Key in a scenario and in `--effects`.
         short: Short name in `--effects`; empty for none.
-        acts_on: What it changes: the scene, the camera, the image or the timing.
-        severities: Parameters of each severity from 0 to `MAX_SEVERITY`; None where the effect is
-            off. Empty for an effect that has exact parameters only.
+        acts_on: Target of the effect: the scene, the camera, the image or the timing.
+        severities: Parameters of each severity from 0 to `MAX_SEVERITY`; None for off. Empty for an
+            effect that only has exact parameters.
     """
 
     name: ClassVar[str]
@@ -50,21 +50,21 @@ class Effect:
 
     @classmethod
     def at(cls, severity: int) -> Self | None:
-        """The effect at a severity; None where it is off."""
+        """Return the effect at a severity; None for off."""
         parameters = cls.severities[severity]
         return None if parameters is None else cls(**parameters)
 
     @classmethod
     def summary(cls) -> str:
-        """What it does, in a line."""
+        """One-line description: the first line of the docstring."""
         return (inspect.getdoc(cls) or "").partition("\n")[0]
 
     @classmethod
     def parse(cls, text: str) -> Severity | Self:
-        """What `--effects NAME=TEXT` means; by default a severity or a range of severities.
+        """Parse TEXT of `--effects NAME=TEXT`; by default a severity or a range of severities.
 
         Raises:
-            InputError: If the text is none.
+            InputError: If the text is invalid.
         """
         found = _SEVERITY.fullmatch(text)
         if found is None:
@@ -77,35 +77,35 @@ class Effect:
 
 
 class SceneEffect(Effect):
-    """An effect on what the camera sees: on the organ or on the contents of the lumen."""
+    """Effect on the scene: on the organ or on the contents of the lumen."""
 
     acts_on: ClassVar[str] = "scene"
 
     def on_organ(self, organ: OrganSurface) -> OrganSurface:
-        """The organ with the effect."""
+        """Return the organ with the effect applied."""
         return organ
 
     def on_contents(self, contents: Contents) -> Contents:
-        """The contents of the lumen with the effect."""
+        """Return the contents of the lumen with the effect applied."""
         return contents
 
 
 class CameraEffect(Effect):
-    """An effect on the camera itself, which is changed before anything is rendered."""
+    """Effect on the camera itself, which is changed before rendering."""
 
     acts_on: ClassVar[str] = "camera"
 
     def on(self, camera: Camera) -> Camera:
-        """The camera with the effect."""
+        """Return the camera with the effect applied."""
         raise NotImplementedError
 
 
 class ImageEffect(Effect):
-    """An effect on the image: a stage of the pipeline that the compiled core runs.
+    """Effect on the image: a stage of the pipeline in the compiled core.
 
     Attributes:
         needs: Channels of the renderer that the stage reads.
-        needs_motion: Whether the stage reads where points appear in a neighboring frame.
+        needs_motion: Whether the stage reads apparent points in a neighboring frame.
     """
 
     acts_on: ClassVar[str] = "image"
@@ -113,35 +113,35 @@ class ImageEffect(Effect):
     needs_motion: ClassVar[bool] = False
 
     def params(self, setup: CameraSetup) -> Any:
-        """Parameters that no frame changes, as the core's stage of this name takes them."""
+        """Parameters constant over frames, in the form of the core's stage of this name."""
 
     def stage(self, setup: CameraSetup) -> Stage:
-        """The stage of one camera."""
+        """Create the stage for one camera."""
         return Stage(self.params(setup))
 
 
 class TimingEffect(Effect):
-    """An effect on which frames the capsule captures."""
+    """Effect on the timing of captured frames."""
 
     acts_on: ClassVar[str] = "timing"
 
 
 class Stage:
-    """A stage of one camera's pipeline.
+    """Stage of one camera's pipeline.
 
     Attributes:
-        params: Parameters that no frame changes; None where there are none.
+        params: Parameters that are constant over frames; None if there are none.
     """
 
     def __init__(self, params: Any = None) -> None:
-        """Keeps the parameters."""
+        """Set the parameters."""
         self.params = params
 
     def frame_params(self, frame: FrameContext) -> Any:
-        """Parameters of one frame; None where there are none."""
+        """Parameters of one frame; None if there are none."""
 
     def mark_dome(self, label: UInt8[np.ndarray, "h w"], time: float) -> None:
-        """Writes what it puts on the dome into the channel `dome_label`."""
+        """Draw its matter on the dome into the channel `dome_label`."""
 
 
 _Kind = TypeVar("_Kind", bound=ImageEffect)
@@ -149,13 +149,13 @@ _Kind = TypeVar("_Kind", bound=ImageEffect)
 
 @dataclass(frozen=True)
 class CameraSetup:
-    """What a stage may know when the pipeline of a camera is made.
+    """Inputs of a stage on creation of a camera's pipeline.
 
     Attributes:
-        camera: With all camera effects.
-        number: Which of the capsule's cameras.
+        camera: Camera with all camera effects applied.
+        number: Index of the camera in the capsule.
         fps: Frames per second.
-        seed: Of all random numbers.
+        seed: Seed of all random numbers.
         effects: Image effects that are on.
     """
 
@@ -166,18 +166,18 @@ class CameraSetup:
     effects: tuple[ImageEffect, ...] = field(default_factory=tuple)
 
     def find(self, kind: type[_Kind]) -> _Kind | None:
-        """The effect of a class; None where it is off."""
+        """Return the effect of a class; None if it is off."""
         return next((effect for effect in self.effects if isinstance(effect, kind)), None)
 
 
 @dataclass(frozen=True)
 class FrameContext:
-    """What a stage may know of a frame.
+    """Inputs of a stage for one frame.
 
     Attributes:
         step: State of the world, with its neighbors in time.
-        exposure: Relative to the camera's own, as automatic exposure has set it.
-        channels: Channels that the renderer gave, among them those that stages need.
+        exposure: Exposure relative to the camera's own, as set by automatic exposure.
+        channels: Channels from the renderer, including those that stages need.
     """
 
     step: Step

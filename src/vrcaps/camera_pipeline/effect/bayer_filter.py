@@ -9,15 +9,15 @@ from vrcaps.camera_pipeline.effect.base import CameraSetup, ImageEffect
 from vrcaps.errors import InputError
 
 BayerPattern = Literal["rggb", "bggr", "grbg", "gbrg"]
-"""Colors of 2 by 2 sites, row by row."""
+"""Colors of 2 by 2 sites, in row-major order."""
 
 
 @dataclass(frozen=True)
 class BayerFilter(ImageEffect):
-    """Color filter array of the sensor, demosaiced; without it each pixel has all three colors.
+    """Color filter array of the sensor, demosaiced; without it every pixel has all three colors.
 
     Attributes:
-        pattern: Colors of 2 by 2 sites, row by row.
+        pattern: Colors of 2 by 2 sites, in row-major order.
     """
 
     pattern: BayerPattern = "rggb"
@@ -31,10 +31,10 @@ class BayerFilter(ImageEffect):
 
     @classmethod
     def parse(cls, text: str) -> BayerFilter:
-        """A pattern such as `rggb`."""
+        """Parse a pattern such as `rggb`."""
         return cls(text)  # type: ignore[arg-type]
 
     def params(self, setup: CameraSetup) -> tuple[int, int, int, int]:
-        """Plane of each of the 2 by 2 sites, row by row."""
+        """Color plane of each of the 2 by 2 sites, in row-major order."""
         a, b, c, d = ("rgb".index(letter) for letter in self.pattern)
         return a, b, c, d

@@ -12,7 +12,7 @@ from vrcaps.limits import Range
 
 @dataclass(frozen=True)
 class Bloom(ImageEffect):
-    """Light scattered in the lens and its dome: a halo and a veil around what is bright.
+    """Light scattered in the lens and its dome: a halo and a veil around bright areas.
 
     The point-spread function is ``(1 − s) δ + s (G(σ) + G(4σ)) / 2`` with Gaussians G.
 

@@ -11,10 +11,11 @@ from vrcaps.limits import Range
 
 @dataclass(frozen=True)
 class LateralChromaticAberration(ImageEffect):
-    """Red and blue images that are larger or smaller than the green one, where the labels are.
+    """Red and blue images scaled relative to the green one, which matches the labels.
 
     Attributes:
-        red: Magnification of red less 1; a point at radius r is seen `red · r` further out.
+        red: Magnification of red minus 1; a point at radius r appears `red · r` further out.
+        blue: Magnification of blue minus 1.
         blue: Magnification of blue less 1.
     """
 

@@ -19,17 +19,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DepthOfField(ImageEffect):
-    """Defocus blur of a thin lens that is focused at one distance.
+    """Defocus blur of a thin lens focused at one distance.
 
     A point at distance d spreads over a disk, the circle of confusion, whose diameter is
-    ``c = A v |1/s − 1/d|`` with the aperture's diameter A, the distance of focus s and that of the
-    sensor v behind the lens (from 1/f = 1/s + 1/v; Potmesil and Chakravarty, SIGGRAPH 1981). In
-    pixels v is the lens's focal length on the axis. The distance is that along the ray: what is in
-    focus is a sphere, as befits a fisheye lens.
+    ``c = A v |1/s − 1/d|`` with the aperture diameter A, the focus distance s and the distance v of
+    the sensor behind the lens (from 1/f = 1/s + 1/v; Potmesil and Chakravarty, SIGGRAPH 1981). In
+    pixels, v is the focal length of the lens on the axis. Distances are along the ray: the surface
+    in focus is a sphere, as appropriate for a fisheye lens.
 
     Attributes:
         aperture: Diameter of the entrance pupil, focal length over f-number [m].
-        focus_distance: Distance that is in focus [m].
+        focus_distance: Distance in focus [m].
     """
 
     aperture: Annotated[float, Range(above=0.0, below=1.0, unit="m")]
@@ -52,11 +52,11 @@ class DepthOfField(ImageEffect):
         return self._scale(camera) * np.abs(1.0 / self.focus_distance - 1.0 / np.asarray(distance))
 
     def params(self, setup: CameraSetup) -> tuple[float, float]:
-        """Radius per change of 1/d [px·m] and distance of focus [m]."""
+        """Radius per change of 1/d [px·m] and focus distance [m]."""
         return self._scale(setup.camera), self.focus_distance
 
     def stage(self, setup: CameraSetup) -> Stage:
-        """The stage, which takes the distance of what each pixel sees."""
+        """Stage that takes the distance of the surface in each pixel."""
         return _DepthOfFieldStage(self.params(setup))
 
     def _scale(self, camera: Camera) -> float:
@@ -65,5 +65,5 @@ class DepthOfField(ImageEffect):
 
 class _DepthOfFieldStage(Stage):
     def frame_params(self, frame: FrameContext) -> tuple[np.ndarray, ...]:
-        """Distance of the wall, label and depth of what is in front of it."""
+        """Distance of the wall, label and depth of the foreground."""
         return tuple(frame.channels[name] for name in DepthOfField.needs)

@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Distortion(CameraEffect):
-    """Barrel distortion beyond that of the camera's own lens.
+    """Barrel distortion in addition to that of the camera's own lens.
 
-    The middle of the image is magnified, its nearest edge stays.
+    The center of the image is magnified; its nearest edge is preserved.
 
     Attributes:
         strength: Fraction by which the image radius at the nearest edge is smaller than the scale
-            in the middle would make it.
+            at the center implies.
     """
 
     strength: Annotated[float, Range(least=0.0, below=0.5)]
@@ -38,7 +38,7 @@ class Distortion(CameraEffect):
     )
 
     def on(self, camera: Camera) -> Camera:
-        """The camera with such a lens."""
+        """Return the camera with this distortion."""
         edge = half_side_px(camera)
         lens = barrel_lens(camera.lens, self.strength, edge)
         circle = camera.image_circle_px

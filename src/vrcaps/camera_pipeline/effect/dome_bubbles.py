@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DomeBubbles(SceneEffect):
-    """Bubbles that sit on each round end of the capsule, in place of those of the contents.
+    """Bubbles on each round end of the capsule, replacing those of the contents.
 
     Attributes:
-        count: On each end.
+        count: Number of bubbles on each end.
     """
 
     count: Annotated[int, Range(least=0)]
@@ -27,6 +27,6 @@ class DomeBubbles(SceneEffect):
     severities = ({"count": 0}, {"count": 1}, {"count": 2}, {"count": 4}, {"count": 9})
 
     def on_contents(self, contents: Contents) -> Contents:
-        """The contents with these bubbles on the capsule."""
+        """Return the contents with these bubbles on the capsule."""
         bubbles = contents.resolved[0] if contents.bubbles else Bubbles(per_area=0.0)
         return replace(contents, bubbles=replace(bubbles, on_dome=self.count))

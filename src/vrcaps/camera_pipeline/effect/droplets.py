@@ -28,28 +28,28 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int, UInt8
 
 _SAMPLES = 9
-"""Rays through the pupil for each pixel that a drop changes."""
+"""Rays through the pupil per pixel affected by a drop."""
 _TRIES = 12
 
 
 @dataclass(frozen=True)
 class Droplets(ImageEffect):
-    """Drops of water on the dome: plano-convex lenses millimeters before the pupil.
+    """Water drops on the dome: plano-convex lenses a few millimeters in front of the pupil.
 
-    A drop is a cap of a sphere of radius ``R = a / sin γ`` with its base radius a and its contact
-    angle γ. A ray at distance r from its axis meets the cap at the angle α with sin α = r/R and
-    leaves it at β with sin β = n sin α, refracted by β − α towards the axis; none leaves where
-    n sin α > 1, and the rim is dark. A pixel sees through as much of the dome as the pupil's cone
-    covers there, ``A |1 − D/s|`` wide (A the aperture, D the dome's distance, s that of focus).
+    A drop is a cap of a sphere of radius ``R = a / sin γ`` with base radius a and contact angle γ.
+    A ray at distance r from its axis meets the cap at the angle α with sin α = r/R and leaves it at
+    β with sin β = n sin α, refracted by β − α towards the axis; rays with n sin α > 1 are totally
+    reflected, and the rim is dark. A pixel sees the part of the dome covered by the pupil's cone,
+    ``A |1 − D/s|`` wide (A the aperture, D the distance of the dome, s that of focus).
 
     Attributes:
-        count: In the camera's field.
+        count: Number of drops in the camera's field of view.
         radius: Median base radius [m].
         spread: Standard deviation of the logarithm of the radius.
-        contact_angle: γ [rad]. On wet plastic some 30 to 70 degrees.
+        contact_angle: γ [rad]. On wet plastic about 30 to 70 degrees.
         ior: n, refractive index.
-        distance: D, of the dome from the entrance pupil [m].
-        speed: At which all slide across the dome [m/s]; one that has left comes in again.
+        distance: D, distance of the dome from the entrance pupil [m].
+        speed: Speed at which all drops slide across the dome [m/s]; drops that leave re-enter.
     """
 
     count: Annotated[int, Range(least=1, most=200)]
@@ -80,7 +80,7 @@ class Droplets(ImageEffect):
         """Angle by which rays turn towards the axis [rad], and the transmittance.
 
         Args:
-            offset: From the axis [m], at most the base radius.
+            offset: Distance from the axis [m], at most the base radius.
             base: Base radius of the drop [m].
         """
         sine = np.sin(self.contact_angle) * np.minimum(offset / base, 1.0)
@@ -93,19 +93,20 @@ class Droplets(ImageEffect):
     def place(
         self, field: float, rng: np.random.Generator
     ) -> tuple[Float[np.ndarray, " d"], Float[np.ndarray, "d 2"], Float[np.ndarray, " 2"]]:
-        """Radii [m], places laid flat [rad], and the unit direction in which drops slide.
+        """Radii [m], positions in the planar projection [rad] and unit direction of sliding.
 
-        Places are even over the field; of a few tries each takes the one with most room.
+        Positions are uniform over the field; of a few candidates each drop takes the one with the
+        largest clearance.
 
         Args:
             field: Half the camera's angle of view [rad].
-            rng: Source of randomness.
+            rng: Random number generator.
         """
         radius = self.radius * np.exp(self.spread * rng.standard_normal(self.count))
         radius = np.minimum(radius, 0.5 * self.distance)
         places = np.empty((self.count, 2))
         for k in range(self.count):
-            # Even on the sphere: the cosine of the angle to the axis is even.
+            # Uniform on the sphere: the cosine of the angle to the axis is uniform.
             angle = np.arccos(1.0 - rng.random(_TRIES) * (1.0 - np.cos(field)))
             azimuth = rng.uniform(0.0, 2.0 * np.pi, _TRIES)
             tries = np.column_stack([angle * np.cos(azimuth), angle * np.sin(azimuth)])
@@ -116,18 +117,18 @@ class Droplets(ImageEffect):
         return radius, places, np.array([np.cos(azimuth), np.sin(azimuth)])
 
     def stage(self, setup: CameraSetup) -> DropletsStage:
-        """The drops on the dome of one camera."""
+        """Create the drops on the dome of one camera."""
         return DropletsStage(self, setup)
 
 
 @dataclass(frozen=True)
 class DropMap:
-    """What drops do to pixels.
+    """Effect of drops on pixels.
 
     Attributes:
-        pixels: Numbers of the pixels that drops change.
-        sources: Numbers of the pixels that each sees instead.
-        weights: How much each source counts.
+        pixels: Indices of the pixels that drops change.
+        sources: Indices of the pixels that each of them sees instead.
+        weights: Weight of each source.
         coverage: Fraction of each pixel that drops cover.
     """
 
@@ -138,10 +139,10 @@ class DropMap:
 
 
 class DropletsStage(Stage):
-    """Drops on the dome of one camera; keeps the map of their last position."""
+    """Drops on the dome of one camera; caches the map of their last position."""
 
     def __init__(self, droplets: Droplets, setup: CameraSetup) -> None:
-        """Places the drops."""
+        """Distribute the drops."""
         super().__init__()
         self._droplets, self._camera, self._lens = droplets, setup.camera, dome_lens(setup)
         self._rays, self._lit = lit_rays(setup)
@@ -153,18 +154,18 @@ class DropletsStage(Stage):
         self._last: tuple[float, DropMap] | None = None
 
     def frame_params(self, frame: FrameContext) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Pixels that drops change, the pixels that they see instead, and their weights."""
+        """Indices of pixels that drops change, their source pixels, and their weights."""
         found = self.at_time(frame.step.state.time)
         return found.pixels, found.sources, found.weights
 
     def mark_dome(self, label: UInt8[np.ndarray, "h w"], time: float) -> None:
-        """Marks pixels of which drops cover half or more."""
+        """Mark pixels of which drops cover half or more."""
         found = self.at_time(time)
         label.reshape(-1)[found.pixels[found.coverage >= 0.5]] = DOME_NAMES.index("drop")
 
     def at_time(self, time: float) -> DropMap:
-        """The map at a time [s]."""
-        # Drops move by half a pixel at a time.
+        """Return the map at a time [s]."""
+        # Drops move in increments of half a pixel.
         step = 0.5 * self._field / max(self._camera.width, 1)
         speed = self._droplets.speed * time / self._droplets.distance
         path = step * np.floor(speed / step)
@@ -173,7 +174,7 @@ class DropletsStage(Stage):
         return self._last[1]
 
     def _slid(self, path: float) -> Float[np.ndarray, "d 2"]:
-        """Places of the drops after a path [rad], laid flat; they come in where others go out."""
+        """Planar positions of the drops after a path [rad]; drops that leave the field re-enter."""
         along, across = self._heading, np.array([-self._heading[1], self._heading[0]])
         reach = self._field + self._radius / self._droplets.distance
         aside = self._places @ across
@@ -207,10 +208,10 @@ class DropletsStage(Stage):
         pupil: Float[np.ndarray, " 2"],
         centers: Float[np.ndarray, "d 3"],
     ) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, " m"], Bool[np.ndarray, " m"]]:
-        """What rays from a point of the pupil reach at the distance of focus.
+        """Points at the focus distance reached by rays from a point of the pupil.
 
         Returns:
-            Points [m], the transmittance, whether a drop was hit.
+            Points [m], the transmittance, and a mask of rays that hit a drop.
         """
         droplets, focus = self._droplets, self._lens.focus_distance
         right, down = lateral_axes(rays)
@@ -231,7 +232,7 @@ class DropletsStage(Stage):
         return points, np.where(is_in, transmittance, 1.0), is_in
 
     def _pixels_of(self, points: Float[np.ndarray, "m 3"]) -> Int[np.ndarray, " m"]:
-        """Numbers of the lit pixels that see points, or of the nearest to them."""
+        """Indices of the lit pixels that see points, or of the nearest to them."""
         height, width = self._lit.shape
         angle = np.arctan2(np.hypot(points[:, 0], points[:, 1]), points[:, 2])
         scale = np.minimum(1.0, 0.995 * self._field / angle)
@@ -243,7 +244,7 @@ class DropletsStage(Stage):
 
 
 def _nearest_lit(lit: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
-    """Number of the nearest pixel that sees anything."""
+    """Index of the lit pixel nearest to each pixel."""
     from scipy.ndimage import distance_transform_edt  # slow to load
 
     found = distance_transform_edt(~lit, return_distances=False, return_indices=True)

@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FieldOfView(CameraEffect):
-    """A lens of a longer focal length on the same sensor.
+    """Lens with a longer focal length on the same sensor.
 
     Attributes:
-        magnification: Factor on the focal length; above 1 the camera sees less.
+        magnification: Factor on the focal length; above 1 the field of view is narrower.
     """
 
     magnification: Annotated[float, Range(least=0.1, most=10.0)]
@@ -33,7 +33,7 @@ class FieldOfView(CameraEffect):
     )
 
     def on(self, camera: Camera) -> Camera:
-        """The camera with such a lens."""
+        """Return the camera with this lens."""
         lens, scale, circle = camera.lens, self.magnification, camera.image_circle_px
         return replace(
             camera,

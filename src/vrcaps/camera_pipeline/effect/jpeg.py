@@ -11,14 +11,14 @@ from vrcaps.limits import Range
 
 @dataclass(frozen=True)
 class Jpeg(ImageEffect):
-    """Loss of baseline JPEG compression with chroma at half the resolution.
+    """Compression loss of baseline JPEG with chroma at half resolution.
 
-    The image stored is the one decoded from the JPEG.
+    The stored image is the decoded JPEG.
 
     Attributes:
         quality: 1 to 100, on the scale of the Independent JPEG Group's library.
-        max_bytes: Limit of the radio for a frame: the quality goes down until the frame fits;
-            None is no limit.
+        max_bytes: Size limit of a frame, set by the radio: the quality decreases until the frame
+            fits; None is no limit.
     """
 
     quality: Annotated[int, Range(least=1, most=100)]
@@ -28,5 +28,5 @@ class Jpeg(ImageEffect):
     severities = (None, {"quality": 90}, {"quality": 75}, {"quality": 50}, {"quality": 25})
 
     def params(self, setup: CameraSetup) -> tuple[int, int | None]:
-        """Quality, and limit of the file [bytes]."""
+        """Quality, and size limit of the file [bytes]."""
         return self.quality, self.max_bytes

@@ -15,15 +15,15 @@ from vrcaps.limits import Range
 class MotionBlur(ImageEffect):
     """Motion of the capsule and the wall while the shutter is open and the LEDs are lit.
 
-    A row takes light while it is open and the LEDs are lit. It takes as large a part of the light
-    as of the pulse that falls into its time; the LEDs give the same total light, however short the
-    pulse. With a rolling shutter, a pulse in which all rows are open freezes the image as a global
-    shutter does, and a row that is not open then is black.
+    A row collects light while its shutter is open and the LEDs are lit. The fraction of light that
+    it collects is the fraction of the pulse within its exposure; the LEDs emit the same total light
+    for any pulse length. With a rolling shutter, a pulse during which all rows are open freezes the
+    image as a global shutter does; a row that is not open during the pulse is black.
 
     Attributes:
-        exposure_time: How long each row is open [s]; at most a frame's time counts.
-        led_pulse: How long the LEDs are lit, centered on the instant of the image [s]; None is
-            always.
+        exposure_time: Time for which each row is open [s]; limited to the frame interval.
+        led_pulse: Time for which the LEDs are lit, centered on the instant of the image [s]; None
+            for always.
     """
 
     exposure_time: Annotated[float, Range(above=0.0, below=10.0, unit="s")]

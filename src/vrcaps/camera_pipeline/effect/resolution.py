@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Resolution(CameraEffect):
-    """A sensor of the same size with fewer and larger pixels.
+    """Sensor of the same size with fewer and larger pixels.
 
     Attributes:
-        scale: Pixels to a side, relative to the camera's own.
+        scale: Pixels per side, relative to the camera's own.
     """
 
     scale: Annotated[float, Range(above=0.0, most=4.0)]
@@ -27,9 +27,9 @@ class Resolution(CameraEffect):
     severities = (None, {"scale": 0.75}, {"scale": 0.5}, {"scale": 0.375}, {"scale": 0.25})
 
     def on(self, camera: Camera) -> Camera:
-        """The camera with such a sensor.
+        """Return the camera with this sensor.
 
         Raises:
-            InputError: If fewer than 8 pixels are left to a side.
+            InputError: If fewer than 8 pixels per side remain.
         """
         return scaled_camera(camera, self.scale)

@@ -11,11 +11,11 @@ from vrcaps.limits import Range
 
 @dataclass(frozen=True)
 class RollingShutter(ImageEffect):
-    """Rows that are exposed one after another, the top one first.
+    """Rows exposed one after another, from top to bottom.
 
     Attributes:
-        readout_time: From the exposure of the first row to that of the last [s]; at most a
-            frame's time counts.
+        readout_time: Time from the exposure of the first row to that of the last [s]; limited to
+            the frame interval.
     """
 
     readout_time: Annotated[float, Range(above=0.0, below=10.0, unit="s")]

@@ -16,19 +16,19 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _FIXED = 1 << 62
-"""First stream of the fixed pattern, beyond those of all frames."""
+"""First stream of the fixed pattern, beyond the streams of all frames."""
 
 
 @dataclass(frozen=True)
 class SensorNoise(ImageEffect):
-    """Noise from photons to numbers: shot noise, fixed pattern, read noise, gain, quantization.
+    """Noise from photons to digital values: shot, fixed-pattern, read and quantization noise.
 
     This is the photon-transfer model (Janesick 2007; EMVA 1288). The number of electrons of a site
     is a Poisson variable (below a mean of 12 drawn exactly, above it a normal variable with the
-    Poisson skewness, rounded). Read noise, a normal variable, and the site's offset are added;
-    where read noise hides that electrons are whole, from 3.5 of them on, both are drawn as one
-    variable with the variance and skewness of their sum. Amplified and rounded it is a number from
-    0 to 2^bits − 1. White is the full well at gain 1. So a number's variance is
+    Poisson skewness, rounded). Read noise, a normal variable, and the site's offset are added. From
+    a read noise of 3.5 electrons, which hides that electrons are discrete, both are drawn as one
+    variable with the variance and skewness of their sum. Amplification and rounding give a digital
+    value from 0 to 2^bits − 1. White is the full well at gain 1. The variance of a value is then
     `K · (mean − black) + K² read_noise²`, plus quantization, with K the overall system gain.
 
     Attributes:
@@ -36,8 +36,8 @@ class SensorNoise(ImageEffect):
         read_noise: Standard deviation of reading a site [electrons].
         prnu: Photo response non-uniformity: standard deviation of the sites' responses, relative.
         dsnu: Dark signal non-uniformity: standard deviation of the sites' offsets [electrons].
-        bits: Of the converter.
-        black_level: Number for no light.
+        bits: Bits of the converter.
+        black_level: Digital value without light.
         sensor_seed: Seed of the sites' responses and offsets.
     """
 
@@ -71,7 +71,7 @@ class SensorNoise(ImageEffect):
         require(seed >= 0, "SensorNoise's sensor_seed", seed, "0, 1, 2, …")
 
     def system_gain(self, gain: float = 1.0) -> float:
-        """K: what one electron adds to a number, at a gain."""
+        """System gain K at a gain: digital value per electron."""
         return gain * (2**self.bits - 1 - self.black_level) / self.full_well
 
     def fixed_pattern(
@@ -80,8 +80,8 @@ class SensorNoise(ImageEffect):
         """Response of each site relative to the mean, and its offset [electrons].
 
         Args:
-            shape: Of the sites; three times the image's height without a Bayer filter.
-            camera: Which of the capsule's cameras.
+            shape: Shape of the sites; three times the image's height without a Bayer filter.
+            camera: Index of the camera in the capsule.
         """
         first, second = (
             _core.standard_normal(shape, self.sensor_seed, _FIXED + 2 * camera + k) for k in (0, 1)
@@ -90,7 +90,7 @@ class SensorNoise(ImageEffect):
         return response.astype(np.float32), (self.dsnu * second).astype(np.float32)
 
     def params(self, setup: CameraSetup) -> dict[str, object]:
-        """The converter and the fixed pattern."""
+        """Converter parameters and fixed pattern."""
         camera, planes = setup.camera, 3 if setup.find(BayerFilter) is None else 1
         return {
             "full_well": self.full_well,

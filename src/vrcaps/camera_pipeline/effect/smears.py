@@ -30,29 +30,30 @@ SUBSTANCES: dict[str, tuple[tuple[float, float, float], float]] = {
     "bile": ((600.0, 1.5e3, 9e3), 3e3),
     "blood": ((150.0, 1.1e4, 1.4e4), 1.2e3),
 }
-"""Absorption for red, green and blue, and transport scattering [1/m]. Blood is oxygenated at some
-0.4 of its hemoglobin (Bosschaart et al., Lasers Med. Sci. 29, 2014); the others go by eye."""
+"""Absorption for red, green and blue, and transport scattering [1/m]. About 0.4 of the hemoglobin
+of blood is oxygenated (Bosschaart et al., Lasers Med. Sci. 29, 2014); the others are chosen by
+eye."""
 
 _WAVES = 64
 _MARKED = 0.1
-"""Fraction of the light that a smear absorbs or scatters where `dome_label` shows it."""
+"""Fraction of light absorbed or scattered by a smear from which `dome_label` marks it."""
 
 
 @dataclass(frozen=True)
 class Smears(ImageEffect):
     """Streaks of mucus, bile or blood on the dome that tint and scatter the light.
 
-    Where a smear is t thick, ``exp(−(a + s) t)`` of the light goes straight on, with its absorption
-    a and its transport scattering s; ``exp(−a t) (1 − exp(−s t))`` comes from all of the image
-    alike.
+    Through a smear of thickness t with absorption a and transport scattering s, a fraction
+    ``exp(−(a + s) t)`` of the light is transmitted unscattered; ``exp(−a t) (1 − exp(−s t))`` comes
+    evenly from the whole image.
 
     Attributes:
         thickness: One standard deviation of the smear's relief above the edge of a streak [m].
         coverage: Fraction of the dome that it covers.
-        substance: What it is.
-        width: Of a streak [m].
+        substance: Substance of the smear.
+        width: Width of a streak [m].
         aspect_ratio: Length of a streak over its width.
-        distance: Of the dome from the entrance pupil [m].
+        distance: Distance of the dome from the entrance pupil [m].
     """
 
     thickness: Annotated[float, Range(above=0.0, below=0.01, unit="m")]
@@ -74,13 +75,13 @@ class Smears(ImageEffect):
     def relief(
         self, points: Float[np.ndarray, "*n 2"], blur: float, rng: np.random.Generator
     ) -> Float[np.ndarray, "*n"]:
-        """Thickness at points of the dome, laid flat [m].
+        """Thickness at points of the dome in the planar projection [m].
 
         Args:
-            points: [m].
-            blur: Radius of the disk that a pixel sees at once [m]; a wave k loses
-                exp(−(k · blur)² / 8) of its height, as in a Gaussian of the disk's variance.
-            rng: Source of randomness.
+            points: Points [m].
+            blur: Radius of the disk that a pixel sees [m]; a wave k loses
+                exp(−(k · blur)² / 8) of its height, as in a Gaussian with the variance of the disk.
+            rng: Random number generator.
         """
         angle = rng.uniform(0.0, np.pi)
         size = self.width * np.array([self.aspect_ratio, 1.0])
@@ -96,7 +97,7 @@ class Smears(ImageEffect):
         return self.thickness * np.maximum(height - edge, 0.0)
 
     def stage(self, setup: CameraSetup) -> SmearsStage:
-        """The smears on the dome of one camera."""
+        """Create the smears on the dome of one camera."""
         return SmearsStage(self, setup)
 
 
@@ -105,11 +106,11 @@ class SmearsStage(Stage):
 
     Attributes:
         params: Transmittance of each color [3 h w], fraction that is not scattered [h w], number
-            of pixels that see anything.
+            of lit pixels.
     """
 
     def __init__(self, smears: Smears, setup: CameraSetup) -> None:
-        """Places the streaks."""
+        """Distribute the streaks."""
         rays, lit = lit_rays(setup)
         blur = pupil_disk_radius(dome_lens(setup), smears.distance)
         points = smears.distance * flatten(np.nan_to_num(rays))
@@ -123,5 +124,5 @@ class SmearsStage(Stage):
         self._is_marked: Bool[np.ndarray, "h w"] = is_marked
 
     def mark_dome(self, label: UInt8[np.ndarray, "h w"], time: float) -> None:
-        """Marks the smears where there is no drop."""
+        """Mark the smears where there is no drop."""
         label[self._is_marked & (label == 0)] = DOME_NAMES.index("smear")

@@ -15,15 +15,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SpecularReflection(SceneEffect):
-    """Strength of the wall's specular reflection, in place of the organ's own.
+    """Strength of the wall's specular reflection, replacing the organ's own.
 
-    This is the clear coat of the wall's material (Burley 2012). The thickness of the mucus film
-    with its own geometry is `RenderSettings.mucus_film_um`.
+    This is the clearcoat of the wall's material (Burley 2012). The thickness of the mucus film,
+    with its own geometry, is `RenderSettings.mucus_film_um`.
 
     Attributes:
-        clearcoat: Strength of the clear coat, 0 (dry) to 1 (whole).
-        clearcoat_gloss: Gloss of the clear coat, 0 (satin) to 1 (mirror-like).
-        ior: Refractive index of the wall under it, 1 (no reflection) or more.
+        clearcoat: Strength of the clearcoat, 0 (dry) to 1 (full).
+        clearcoat_gloss: Gloss of the clearcoat, 0 (satin) to 1 (mirror-like).
+        ior: Refractive index of the wall below it, 1 (no reflection) or more.
     """
 
     clearcoat: Annotated[float, Range(least=0.0, most=1.0)]
@@ -40,7 +40,7 @@ class SpecularReflection(SceneEffect):
     )
 
     def on_organ(self, organ: OrganSurface) -> OrganSurface:
-        """The organ with this clear coat.
+        """Return the organ with this clearcoat.
 
         Raises:
             InputError: If the organ has no appearance.

@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Vignetting(ImageEffect):
-    """Darkening of the image towards its edge.
+    """Darkening towards the edge of the image.
 
-    A pixel at distance ρ from the lens's center, in halves of the image's shorter side, and at
-    angle θ to the axis gets ``(1 + Σ kᵢ ρ²ⁱ) cosⁿ θ`` of the light, at least none.
+    A pixel at distance ρ from the lens center, in halves of the image's shorter side, and at angle
+    θ to the axis receives ``(1 + Σ kᵢ ρ²ⁱ) cosⁿ θ`` of the light, but not less than 0.
 
     Attributes:
         coefficients: k₁, k₂, k₃.
@@ -47,7 +47,7 @@ class Vignetting(ImageEffect):
         require(0.0 <= power <= 16.0, "Vignetting's cosine_power", power, "0 to 16")
 
     def params(self, setup: CameraSetup) -> Float[np.ndarray, "h w"]:
-        """Fraction of the light that each pixel gets, as float32."""
+        """Fraction of the light that each pixel receives, as float32."""
         camera = setup.camera
         offset = pixel_grid(camera.width, camera.height) - (camera.lens.cx, camera.lens.cy)
         square = (offset**2).sum(axis=-1) / half_side_px(camera) ** 2

@@ -12,12 +12,12 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class WhiteBalance(ImageEffect):
-    """Gains against the sensor's lower response to red and blue, with a color cast that is left.
+    """Gains that compensate the sensor's response to red and blue, with a residual color cast.
 
     Attributes:
-        gains: What is left of each color after balancing; 1, 1, 1 is neutral.
-        response: Of red, green and blue sites to white; the lower, the more a color is amplified,
-            with its noise.
+        gains: Residual factor of each color after balancing; 1, 1, 1 is neutral.
+        response: Response of red, green and blue sites to white; the lower, the more a color is
+            amplified, with its noise.
     """
 
     gains: Triple = (1.0, 1.0, 1.0)

@@ -1,4 +1,4 @@
-"""An organ taken apart into arrays and plain values, as files hold it, and put together again."""
+"""Conversion between organs and the arrays and plain values that files store."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vrcaps.organ.surface import Appearance, Centerline, OrganSurface
 
 
 def organ_to_arrays(organ: OrganSurface) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """An organ's arrays and its plain values, each under ``field`` or ``part.field``."""
+    """Arrays and plain values of an organ, under ``field`` or ``part.field``."""
     arrays: dict[str, np.ndarray] = {}
     plain: dict[str, Any] = {}
     for prefix, part in (
@@ -32,7 +32,7 @@ def organ_to_arrays(organ: OrganSurface) -> tuple[dict[str, np.ndarray], dict[st
 
 
 def organ_from_arrays(values: Mapping[str, Any]) -> OrganSurface:
-    """The organ whose arrays and plain values `organ_to_arrays` named.
+    """Reconstruct an organ from the arrays and plain values of `organ_to_arrays`.
 
     Raises:
         KeyError, TypeError: If a value is missing or unknown.
@@ -50,7 +50,7 @@ def organ_from_arrays(values: Mapping[str, Any]) -> OrganSurface:
 
 
 def organ_sha256(organ: OrganSurface) -> str:
-    """SHA-256 checksum of all that an organ is, in hexadecimal: alike for equal organs only."""
+    """SHA-256 checksum of an organ's contents, in hexadecimal; the same only for equal organs."""
     arrays, plain = organ_to_arrays(organ)
     types = {name: (array.dtype.str, array.shape) for name, array in sorted(arrays.items())}
     text = json.dumps([types, json_safe(plain)], sort_keys=True)
@@ -61,7 +61,7 @@ def organ_sha256(organ: OrganSurface) -> str:
 
 
 def json_safe(value: Any) -> Any:
-    """A value as JSON can hold it: arrays as lists, other objects as text."""
+    """Convert a value to JSON types: arrays to lists, other objects to text."""
     if isinstance(value, dict):
         return {str(k): json_safe(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""Organs on disk under the user's cache folder, so that each is generated only once."""
+"""Disk cache of generated organs in the user's cache folder."""
 
 from __future__ import annotations
 
@@ -29,25 +29,25 @@ from vrcaps.temporary_files import is_temporary
 Stored = TypeVar("Stored")
 
 _BROKEN = (OSError, ValueError, LookupError, TypeError, AttributeError)
-"""What reading a truncated, overwritten or outdated file raises."""
+"""Exceptions raised by reading a truncated, overwritten or outdated file."""
 
 _MAKERS = ("mesh", "organ", "mucosa", "anatomy", "lesion")
-"""Packages whose code decides what an organ is."""
+"""Packages whose code determines an organ."""
 
 _MAKER_MODULES = (
     *("color", "errors", "files", "geometry", "limits", "locks", "made_with", "narrow"),
     *("rng", "scenario/build", "temporary_files", "transforms", "units"),
 )
-"""Other modules that they use, and the one that calls them."""
+"""Other modules used by them, and their caller."""
 
 _MOST_BYTES = 10 * 10**9
-"""Size of the kept organs beyond which those that were not used for longest are removed.
+"""Maximum size of the cache; beyond it the least recently used organs are removed.
 
-Organs that an older version made are among them: no other version reads them.
+These include organs of older versions, which no other version reads.
 """
 
 _MOST_PASSING_BYTES = 4 * 10**9
-"""The same for organs that are needed for a short time only (`passing_organs`)."""
+"""Maximum size for organs that are needed only briefly (`passing_organs`)."""
 
 _is_passing: ContextVar[bool] = ContextVar("is_passing", default=False)
 
@@ -55,11 +55,11 @@ _other_folder: ContextVar[Path | None] = ContextVar("other_folder", default=None
 
 
 def cache_folder() -> Path:
-    r"""Folder of what vrcaps can make again: ``VRCAPS_CACHE``, or the platform's cache folder.
+    r"""Folder of data that vrcaps can regenerate: ``VRCAPS_CACHE``, or the platform's cache folder.
 
-    The latter is ``~/.cache/vrcaps`` (or below ``XDG_CACHE_HOME``) on Linux,
+    The platform's folder is ``~/.cache/vrcaps`` (or below ``XDG_CACHE_HOME``) on Linux,
     ``~/Library/Caches/vrcaps`` on macOS, ``%LOCALAPPDATA%\vrcaps\Cache`` on Windows. A user
-    without a home folder has a temporary folder, which this process removes when it ends.
+    without a home folder gets a temporary folder, which this process removes when it exits.
     """
     if (other := _other_folder.get()) is not None:
         return other
@@ -73,7 +73,7 @@ def cache_folder() -> Path:
 
 @cache
 def _temporary_folder() -> Path:
-    """A cache folder for as long as this process runs."""
+    """Temporary cache folder for the lifetime of this process."""
     folder, owner = Path(tempfile.mkdtemp(prefix="vrcaps-")), os.getpid()
 
     def remove() -> None:
@@ -90,23 +90,23 @@ def _temporary_folder() -> Path:
 
 
 def cached_organ(name: str, make: Callable[[], OrganSurface]) -> OrganSurface:
-    """The organ stored under a name, or else the made one, stored for the next time.
+    """Load the organ stored under a name, or make it and store it.
 
-    A file that cannot be read is made again. A folder that cannot be written to is a warning. The
-    organs used last are kept, up to 10 GB of them, and 4 GB of `passing_organs`.
+    An unreadable file is replaced. A folder that is not writable causes a warning. The most
+    recently used organs are kept, up to 10 GB, and up to 4 GB of `passing_organs`.
 
     Args:
-        name: Names the organ, all its parameters and the code that makes it.
+        name: Identifies the organ, all its parameters and the code that makes it.
         make: Makes the organ.
     """
     return _cached(name, make, _read_organ, _write_organ)
 
 
 def cached_files(name: str, make: Callable[[], dict[str, bytes]]) -> dict[str, bytes]:
-    """Files that belong to an organ, such as its coded textures, kept as `cached_organ` does.
+    """Load or make files that belong to an organ, such as its coded textures (see `cached_organ`).
 
     Args:
-        name: Names the organ, what the files are and the code that makes them.
+        name: Identifies the organ, the kind of files and the code that makes them.
         make: Makes the files.
     """
     return _cached(name, make, _read_files, _write_files)
@@ -127,7 +127,7 @@ def _cached(
                 _mark_used(path)
                 return found
         except _BROKEN:
-            pass  # Made again and overwritten below.
+            pass  # Regenerated and overwritten below.
     made, path = make(), passing if _is_passing.get() else kept
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -144,10 +144,10 @@ def _cached(
 
 @contextlib.contextmanager
 def passing_organs() -> Iterator[None]:
-    """In this block organs are stored for a short time: few of them, apart from all others.
+    """Store organs made in this block in a separate, smaller part of the cache.
 
-    A data set of many patients needs each organ for the recordings of one patient, and would drive
-    out those that the user comes back to.
+    A data set of many patients needs each organ only for the recordings of one patient, and would
+    otherwise evict the organs that the user needs again.
     """
     token = _is_passing.set(True)
     try:
@@ -158,7 +158,7 @@ def passing_organs() -> Iterator[None]:
 
 @contextlib.contextmanager
 def cache_in(folder: Path) -> Iterator[None]:
-    """In this block another folder is the cache, such as an empty one, to measure without it."""
+    """Use another folder as the cache in this block, such as an empty one for benchmarks."""
     token = _other_folder.set(folder)
     try:
         yield
@@ -167,9 +167,9 @@ def cache_in(folder: Path) -> Iterator[None]:
 
 
 def fingerprint(parameters: dict[str, Any]) -> str:
-    """Changes with the parameters, and with the code and the packages that make organs.
+    """Hash of the parameters and of the code and packages that make organs.
 
-    Comments, docstrings and formatting of that code do not count.
+    Comments, docstrings and formatting of that code do not affect it.
     """
     digest = hashlib.sha256(json.dumps(parameters, sort_keys=True).encode())
     digest.update(_code_digest(Path(__file__).parents[1]))
@@ -195,15 +195,15 @@ def _files(package: Path) -> list[Path]:
 
 
 def _instructions(code: CodeType) -> str:
-    """Bytecode, names and constants of a module or function, those within it included.
+    """Bytecode, names and constants of a module or function, including nested code.
 
-    Of code compiled with `optimize=2`, which has no docstrings. Line numbers are left out.
+    Expects code compiled with `optimize=2`, without docstrings. Line numbers are omitted.
     """
     constants = []
     for constant in code.co_consts:
         if isinstance(constant, CodeType):
             constants.append(_instructions(constant))
-        elif isinstance(constant, frozenset):  # in another order in each process
+        elif isinstance(constant, frozenset):  # the order differs between processes
             constants.append(str(sorted(map(repr, constant))))
         else:
             constants.append(repr(constant))
@@ -214,7 +214,7 @@ def _instructions(code: CodeType) -> str:
 
 
 def _write_organ(path: Path, organ: OrganSurface) -> None:
-    """Write an organ under a temporary name, then rename it, so that no half file is ever seen."""
+    """Write an organ under a temporary name, then rename it, so that no partial file is visible."""
     arrays, plain = organ_to_arrays(organ)
     arrays["plain"] = np.array(json.dumps(plain))
     with atomic_write(path) as temporary, temporary.open("wb") as file:
@@ -222,13 +222,13 @@ def _write_organ(path: Path, organ: OrganSurface) -> None:
 
 
 def _mark_used(path: Path) -> None:
-    """Set a file's time to now."""
-    with contextlib.suppress(OSError):  # a folder that is only read needs no order
+    """Set a file's modification time to now."""
+    with contextlib.suppress(OSError):  # a read-only folder needs no order
         os.utime(path)
 
 
 def _forget_unused(folder: Path, most_bytes: float) -> None:
-    """Remove the organs used longest ago where all take too much space."""
+    """Remove the least recently used organs if the total size exceeds the limit."""
     found, total = [], 0
     for path in folder.iterdir():
         with contextlib.suppress(OSError):  # removed by another process meanwhile
@@ -245,19 +245,19 @@ def _forget_unused(folder: Path, most_bytes: float) -> None:
 
 
 def _read_organ(path: Path) -> OrganSurface:
-    """Read an organ that `_write_organ` wrote."""
+    """Read an organ written by `_write_organ`."""
     values = read_arrays(path)
     values |= json.loads(str(values.pop("plain")))
     return organ_from_arrays(values)
 
 
 def _write_files(path: Path, files: dict[str, bytes]) -> None:
-    """Write files into one archive, under a temporary name at first."""
+    """Write files into one archive, under a temporary name first."""
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         arrays: dict[str, Any] = {n: np.frombuffer(data, np.uint8) for n, data in files.items()}
         np.savez(file, **arrays)
 
 
 def _read_files(path: Path) -> dict[str, bytes]:
-    """Read files that `_write_files` wrote."""
+    """Read files written by `_write_files`."""
     return {name: array.tobytes() for name, array in read_arrays(path).items()}

@@ -1,6 +1,6 @@
-"""Textures of a compact organ file: coded so that they take a fifth and still look the same.
+"""Coded textures of a compact organ file, a fifth of the size at the same appearance.
 
-What each choice costs is in docs/datasets.md, written by benchmarks/organ_files.py.
+The cost of each choice is in docs/datasets.md, written by benchmarks/organ_files.py.
 """
 
 from __future__ import annotations
@@ -26,32 +26,32 @@ if TYPE_CHECKING:
     from vrcaps.organ.surface import Appearance
 
 ALBEDO_STEP = 5
-"""Base color is rounded to multiples of this, by 2 of 255 at most; an odd step has no bias."""
+"""Step to which base color is rounded, by at most 2 of 255; an odd step has no bias."""
 
 RELIEF_STEP = 64 * HEIGHT_STEP
-"""Relief is rounded to multiples of this [m], 3.8 µm."""
+"""Step to which relief is rounded [m], 3.8 µm."""
 
 MOST_NORMALS = 1 << 23
-"""Most texels of the normal texture, which is for viewers only."""
+"""Maximum number of texels of the normal texture, which is for viewers only."""
 
 ROUGHNESS_QUALITY, NORMAL_QUALITY = 30, 75  # of lossy WebP
 
-_ALBEDO = {"lossless": True, "exact": True, "method": 1, "quality": 30}  # below 30 far larger
-_RELIEF = {**_ALBEDO, "quality": 0}  # 1 % larger than at 30, a third faster
-_ZERO = 32768 + 128  # stored for a height of 0; small heights then share their high byte
-_KEPT_TEXELS = 1 << 20  # from which on coding takes long
-_MOST_SIDE = 16383  # of WebP
+_ALBEDO = {"lossless": True, "exact": True, "method": 1, "quality": 30}  # far larger below 30
+_RELIEF = {**_ALBEDO, "quality": 0}  # files 1 % larger than at 30, a third faster
+_ZERO = 32768 + 128  # code of height 0, so that small heights share their high byte
+_KEPT_TEXELS = 1 << 20  # above which coding is slow
+_MOST_SIDE = 16383  # limit of WebP
 
 
 def webp_fits(appearance: Appearance) -> bool:
-    """Whether WebP can hold the textures."""
+    """Check that WebP can hold the textures."""
     return max(appearance.albedo.shape) <= _MOST_SIDE
 
 
 def compact_files(appearance: Appearance, scale: tuple[float, float]) -> dict[str, bytes]:
-    """Base color, roughness, normals and, where 16 bits hold it, relief, in this order.
+    """Base color, roughness, normals and, where 16 bits suffice, relief, in this order.
 
-    Those of a large texture take ten seconds and a gigabyte, and are kept in the user's cache.
+    Coding a large texture takes ten seconds and a gigabyte; the results are cached.
 
     Args:
         appearance: The textures.
@@ -77,25 +77,25 @@ def compact_files(appearance: Appearance, scale: tuple[float, float]) -> dict[st
 
 
 def albedo_webp(albedo: UInt8[np.ndarray, "h w 3"]) -> bytes:
-    """Base color in steps, without further loss."""
+    """Code base color in steps, otherwise lossless."""
     table = np.arange(256) + ALBEDO_STEP // 2
     table = (table // ALBEDO_STEP * ALBEDO_STEP).clip(0, 255).astype(np.uint8)
     return _webp(table[albedo], **_ALBEDO)
 
 
 def roughness_webp(roughness: UInt8[np.ndarray, "h w"]) -> bytes:
-    """Roughness as gray."""
+    """Code roughness as gray."""
     gray = np.repeat(roughness[..., None], 3, axis=-1)
     return _webp(gray, method=2, quality=ROUGHNESS_QUALITY)
 
 
 def normals_webp(normals: UInt8[np.ndarray, "h w 3"]) -> bytes:
-    """Normals for viewers."""
+    """Code normals for viewers."""
     return _webp(normals, method=2, quality=NORMAL_QUALITY)
 
 
 def relief_webp(height: Float[np.ndarray, "h w"]) -> bytes | None:
-    """Relief in steps: their high byte in red, their low byte in green; None beyond 16 bits."""
+    """Code relief in steps: high byte in red, low byte in green; None beyond 16 bits."""
     steps = height * np.float32(1.0 / RELIEF_STEP)
     np.rint(steps, out=steps)
     steps += np.float32(_ZERO)
@@ -108,7 +108,7 @@ def relief_webp(height: Float[np.ndarray, "h w"]) -> bytes | None:
 
 
 def relief_from_image(image: UInt8[np.ndarray, "h w 3"], step: float) -> np.ndarray:
-    """The relief [m] that `relief_webp` wrote, in float32."""
+    """Decode the relief [m] written by `relief_webp`, in float32."""
     height = image[..., 0].astype(np.float32)
     height *= 256
     height += image[..., 1]
@@ -118,10 +118,10 @@ def relief_from_image(image: UInt8[np.ndarray, "h w 3"], step: float) -> np.ndar
 
 
 def decode_webps(files: Sequence[memoryview]) -> list[UInt8[np.ndarray, "h w 3"]]:
-    """Images of the functions above, decoded side by side.
+    """Decode images of the functions above in parallel.
 
     Raises:
-        OSError, ValueError: If one is damaged.
+        OSError, ValueError: If an image is damaged.
     """
     from PIL import Image
 
@@ -130,7 +130,7 @@ def decode_webps(files: Sequence[memoryview]) -> list[UInt8[np.ndarray, "h w 3"]
             return np.array(image.convert("RGB"))
 
     with warnings.catch_warnings(), ThreadPoolExecutor() as pool:
-        # The texture of a full tract is larger than what Pillow expects of a picture.
+        # The texture of a full tract exceeds the size limit of Pillow's warning.
         warnings.simplefilter("ignore", Image.DecompressionBombWarning)
         try:
             return list(pool.map(decode, files))

@@ -1,4 +1,4 @@
-"""The look of an organ as a glTF material: textures and the coat and index extensions."""
+"""Appearance of an organ as a glTF material: textures, and the coat and index extensions."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 
     from vrcaps.organ.surface import Appearance
 
-_PLAIN_MUCOSA = (0.60, 0.22, 0.16, 1.0)  # linear; drawn where there is no appearance
+_PLAIN_MUCOSA = (0.60, 0.22, 0.16, 1.0)  # linear; used without an appearance
 _SAMPLER = {"magFilter": 9729, "minFilter": 9987, "wrapS": 10497, "wrapT": 10497}  # mipmaps, repeat
 _WEBP = "EXT_texture_webp"
 _BLOCK_ROWS = 256
 _MAX_NORMALS = 1 << 25
-"""Most texels of a normal texture; a finer relief is averaged over 2 by 2 texels until it fits."""
+"""Maximum number of texels of a normal texture; larger reliefs are averaged over 2 by 2 texels."""
 
 
 def relief_scale(
@@ -27,7 +27,7 @@ def relief_scale(
     faces: Int[np.ndarray, "m 3"],
     uv: Float[np.ndarray, "m 3 2"],
 ) -> tuple[float, float]:
-    """Length on the wall [m] of one unit of u and of v, the median over texture area."""
+    """Length on the wall [m] of one unit of u and of v, the median weighted by texture area."""
     corners = vertices[faces]
     edge_1, edge_2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     (du_1, dv_1), (du_2, dv_2) = (uv[:, 1] - uv[:, 0]).T, (uv[:, 2] - uv[:, 0]).T
@@ -47,12 +47,12 @@ def texture_images(
 ) -> list[np.ndarray]:
     """Images of base color, roughness and normals, in the order of `material_json`.
 
-    Roughness is gray: glTF reads it from green, and metalness from blue, times a factor of 0.
+    Roughness is gray: glTF reads it from green, and metalness from blue, with a factor of 0.
 
     Args:
         appearance: The textures.
         scale: Length on the wall of one unit of u and v [m], see `relief_scale`.
-        most_normals: Most texels of the normals.
+        most_normals: Maximum number of texels of the normals.
     """
     relief, most = appearance.height, most_normals or _MAX_NORMALS
     while relief.size > most and not any(size % 2 for size in relief.shape):
@@ -61,7 +61,7 @@ def texture_images(
 
 
 def _halved(height: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h/2 w/2"]:
-    """Mean over 2 by 2 texels [m]."""
+    """Average over 2 by 2 texels [m]."""
     total = height[::2, ::2] + height[1::2, ::2]
     total += height[::2, 1::2]
     total += height[1::2, 1::2]
@@ -74,7 +74,7 @@ def normal_texture(
 ) -> UInt8[np.ndarray, "h w 3"]:
     """Tangent-space normals of a relief (x along u, y along v, z out of the wall), 0–255.
 
-    n = (−∂h/∂u, −∂h/∂v, 1) / |·|, with central differences that wrap.
+    n = (−∂h/∂u, −∂h/∂v, 1) / |·|, with periodic central differences.
 
     Args:
         height: Relief towards the lumen [m]; row 0 is v = 1.
@@ -84,7 +84,7 @@ def normal_texture(
     per_column = np.float32(0.5 * num_columns / scale[0])
     per_row = np.float32(0.5 * num_rows / scale[1])
     normals = np.empty((num_rows, num_columns, 3), np.uint8)
-    for start in range(0, num_rows, _BLOCK_ROWS):  # few rows at a time need little memory
+    for start in range(0, num_rows, _BLOCK_ROWS):  # few rows at a time limit memory
         rows = np.arange(start - 1, min(start + _BLOCK_ROWS, num_rows) + 1) % num_rows
         block = height[rows].astype(np.float32)
         middle = block[1:-1]
@@ -100,8 +100,8 @@ def normal_texture(
 def material_json(appearance: Appearance | None, images: list[dict]) -> dict:
     """The glTF `materials`, and their textures, images and samplers.
 
-    The coat of the Disney model (Burley 2012) reflects a quarter of what a film of index
-    1.5 does, and its gloss runs the GTR roughness α from 0.1 to 0.001; a glTF roughness is √α.
+    The coat of the Disney model (Burley 2012) reflects a quarter of a film of index 1.5, and its
+    gloss maps to a GTR roughness α from 0.1 to 0.001; a glTF roughness is √α.
 
     Args:
         appearance: Reflectance; None is a plain mucosa color.
@@ -145,7 +145,7 @@ def material_json(appearance: Appearance | None, images: list[dict]) -> dict:
 
 
 def _weighted_median(values: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"]) -> float:
-    """Median by weight; 1 where there is nothing to weigh."""
+    """Weighted median; 1 without weights."""
     if len(values) == 0:
         return 1.0
     order = np.argsort(values, kind="stable")

@@ -15,11 +15,11 @@ from vrcaps.organ.surface import Centerline
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-_SEED_DISTANCE = 1.3  # from the curve, in local radii, up to which the wall is surely its own
+_SEED_DISTANCE = 1.3  # local radii from the curve within which wall certainly belongs to it
 _SEED_FACING = 0.3  # cosine between the wall's normal and the direction to the curve
-_STEEPEST = 4.0  # change of arc length along an edge, in edge lengths, taken to be true
-_PULL = 1e-3  # weight of a loose vertex's own foot against its ring
-_WINDOW = 24  # samples of the curve on either side that a vertex's foot is sought among
+_STEEPEST = 4.0  # accepted maximum change of arc length along an edge, in edge lengths
+_PULL = 1e-3  # weight of a loose vertex's own foot relative to its ring
+_WINDOW = 24  # curve samples on either side in which a vertex's foot is searched
 
 
 def gut_coordinates(
@@ -27,14 +27,15 @@ def gut_coordinates(
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Arc length [m], angle [rad] and distance [m] of each wall vertex from the centerline.
 
-    The nearest point of the curve may belong to a neighboring loop of gut. So only wall that
-    is near the curve and faces it takes its nearest point; from there the choice spreads over
-    the wall, each vertex seeking its foot near those of its neighbors. Where feet still jump
-    (across a sharp bend) arc length is filled in harmonically: it is continuous.
+    The nearest point of the curve may belong to a neighboring loop of gut. Therefore only wall
+    that is close to the curve and faces it is assigned its nearest point. From there assignments
+    spread over the wall, with each vertex searching for its foot near those of its neighbors.
+    Where feet still jump (across a sharp bend), arc length is filled in harmonically: it is
+    continuous.
 
     Args:
-        vertices: Of the wall [m].
-        faces: Counter-clockwise seen from the lumen.
+        vertices: Vertices of the wall [m].
+        faces: Counter-clockwise as seen from the lumen.
         centerline: In the same frame.
 
     Returns:
@@ -59,9 +60,9 @@ def _seeds(
     graph: scipy.sparse.coo_array,
     centerline: Centerline,
 ) -> Int[np.ndarray, " n"]:
-    """Nearest sample of the curve where it is surely the vertex's own, −1 elsewhere.
+    """Nearest curve sample where it certainly belongs to the vertex, −1 elsewhere.
 
-    Where a connected piece of wall has no such vertex, all of it takes its nearest sample.
+    A connected piece of wall without such a vertex is assigned its nearest samples.
     """
     distance, nearest = scipy.spatial.KDTree(centerline.points).query(vertices)
     towards = centerline.points[nearest] - vertices
@@ -83,7 +84,7 @@ def _patches(
     member: Bool[np.ndarray, " n"],
     length: float,
 ) -> Int[np.ndarray, " n"]:
-    """Number of the patch of each vertex: members joined by edges along which feet agree."""
+    """Patch index of each vertex: members joined by edges along which feet agree."""
     row, column = graph.coords
     agree = np.abs(arc_length[row] - arc_length[column]) < _STEEPEST * graph.data + 0.002 * length
     keep = agree & member[row] & member[column]
@@ -99,7 +100,7 @@ def _spread(
     centerline: Centerline,
     foot: Int[np.ndarray, " n"],
 ) -> Int[np.ndarray, " n"]:
-    """The sample nearest to each vertex among those near its neighbors' feet, ring by ring."""
+    """Nearest sample of each vertex among those near its neighbors' feet, ring by ring."""
     row, column = graph.coords
     step = centerline.length / (len(centerline.points) - 1)
     foot = foot.copy()
@@ -127,9 +128,9 @@ def _spread(
 def _refine(
     vertices: Float[np.ndarray, "n 3"], centerline: Centerline, foot: Int[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Arc length where the curve's normal plane holds the vertex, beside its nearest sample.
+    """Arc length at which the curve's normal plane contains the vertex, near its nearest sample.
 
-    The plane's signed distance is linear between samples to second order in their step.
+    Between samples, the signed distance to the plane is linear to second order in their step.
     """
     last = len(centerline.points) - 1
 
@@ -148,9 +149,9 @@ def _refine(
 def _fill_jumps(
     arc_length: Float[np.ndarray, " n"], graph: scipy.sparse.coo_array
 ) -> Float[np.ndarray, " n"]:
-    """Arc length with vertices at jumps, and those beside them, made the mean of their ring.
+    """Arc length with vertices at and next to jumps replaced by the mean of their ring.
 
-    A slight pull to the former value keeps this solvable where a whole piece of wall is loose.
+    A weak pull to the previous value keeps this solvable where a whole piece of wall is loose.
     """
     row, column = graph.coords
     jump = np.abs(arc_length[row] - arc_length[column]) > _STEEPEST * graph.data

@@ -1,4 +1,4 @@
-"""Measures of an organ: size, volume, diameter along the centerline, defects of the mesh."""
+"""Measurements of an organ: size, volume, diameter along the centerline, defects of the mesh."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ if TYPE_CHECKING:
 
     from vrcaps.organ.surface import Centerline, OrganSurface
 
-_USUAL = (8 * MM, 120 * MM)  # median diameters of guts, from a collapsed small bowel to a stomach
+_USUAL = (8 * MM, 120 * MM)  # median gut diameters, from a collapsed small bowel to a stomach
 _TYPICAL = 30 * MM
 _THIN_QUALITY = 0.1  # a triangle with angles of about 3°, 3° and 174°
 
 
 @dataclass(frozen=True)
 class OrganMeasures:
-    """Measures of an organ.
+    """Measurements of an organ.
 
     Attributes:
-        name: The organ's.
+        name: Name of the organ.
         size: Extent along the axes of the patient frame [m].
         volume: Volume of the lumen [m³]; open ends count as closed.
         area: Area of the wall [m²].
         length: Length of the centerline [m].
-        diameter_min: Diameter of the largest ball that passes the narrowest place [m].
+        diameter_min: Diameter of the largest ball that passes the narrowest point [m].
         diameter_median: Median of that diameter along the centerline [m].
         diameter_max: Diameter of the largest ball that fits [m].
         diameter_by_segment: Its mean in each segment that the centerline passes [m].
@@ -43,7 +43,7 @@ class OrganMeasures:
         num_faces: Number of triangles.
         quality_mean: Mean triangle quality 4 √3 area / Σ edge², 1 for an equilateral one.
         quality_p5: 5th percentile of the same.
-        defects: What is not as it should be, one line each; empty for a clean closed wall.
+        defects: Defects of the wall, one line each; empty for a clean closed wall.
     """
 
     name: str
@@ -88,17 +88,17 @@ def measure_organ(organ: OrganSurface) -> OrganMeasures:
 
 
 def lumen_diameters(centerline: Centerline) -> tuple[float, float, float]:
-    """Least and median diameter of a lumen between its ends, and the largest of all [m]."""
+    """Minimum and median diameter of a lumen between its ends, and the overall maximum [m]."""
     diameter, inner = 2.0 * centerline.radius, _is_inner(centerline)
     return float(diameter[inner].min()), float(np.median(diameter[inner])), float(diameter.max())
 
 
 def unit_question(unit: str, diameter: float) -> str:
-    """Question after the unit that was probably meant, with a space before it; empty if none.
+    """Question that suggests the probable unit, with a leading space; empty if none.
 
     Args:
         unit: Unit in which a mesh file was read.
-        diameter: Median diameter of its lumen, so read [m].
+        diameter: Resulting median diameter of its lumen [m].
     """
     if _USUAL[0] <= diameter <= _USUAL[1]:
         return ""
@@ -109,15 +109,15 @@ def unit_question(unit: str, diameter: float) -> str:
 
 
 def arc_length_bins(organ: OrganSurface) -> int:
-    """Number of parts of the centerline short against the lumen's width, with wall in each."""
+    """Number of centerline bins, short relative to the lumen's width, each with wall."""
     step = 0.3 * float(np.median(organ.radius))
     return int(np.clip(organ.centerline.length / max(step, 1e-9), 40, 800))
 
 
 def segment_spans(organ: OrganSurface) -> list[tuple[int, float, float]]:
-    """Label, first and last arc length [m] of each stretch, from the oral end.
+    """Label, first and last arc length [m] of each interval, from the oral end.
 
-    A stretch has the label that most of its wall's vertices have; without wall, the nearest's.
+    An interval has the most frequent label of its wall vertices; without wall, the nearest label.
     """
     bins, length = arc_length_bins(organ), organ.centerline.length
     part = np.clip(organ.arc_length / length * bins, 0, bins - 1).astype(int)
@@ -135,16 +135,16 @@ def segment_spans(organ: OrganSurface) -> list[tuple[int, float, float]]:
 
 
 def triangle_quality(mesh: Mesh) -> Float[np.ndarray, " m"]:
-    """4 √3 area / Σ edge² of each triangle (Bhatia and Lawrence 1990), 0 to 1."""
+    """Quality 4 √3 area / Σ edge² of each triangle (Bhatia and Lawrence 1990), 0 to 1."""
     corners = mesh.vertices[mesh.faces]
     squares = np.square(np.roll(corners, -1, axis=1) - corners).sum(axis=(1, 2))
     return 4.0 * np.sqrt(3.0) * face_areas(mesh) / np.maximum(squares, np.finfo(float).tiny)
 
 
 def _is_inner(centerline: Centerline) -> Bool[np.ndarray, " n"]:
-    """Samples farther from both ends than the wall is: there the ends do not narrow the lumen.
+    """Samples farther from both ends than from the wall, where the ends do not limit the radius.
 
-    All of them where there is no such sample.
+    All samples if there are none.
     """
     to_end = np.minimum(centerline.arc_length, centerline.length - centerline.arc_length)
     inner = to_end > centerline.radius * (1.0 + 1e-6)

@@ -1,4 +1,4 @@
-"""Reader of organ files: a GLB that `write_organ` made."""
+"""Reader of organ files: GLB files written by `write_organ`."""
 
 from __future__ import annotations
 
@@ -36,22 +36,22 @@ _DAMAGED = (
     struct.error,
     zlib.error,
 )
-"""What parsing a file that was cut short or changed raises."""
+"""Exceptions raised by parsing a truncated or modified file."""
 
 
 def is_organ_file(path: Path) -> bool:
-    """Whether a file is an organ of `write_organ`, in meters, that nothing else has rewritten."""
+    """Check for an organ file of `write_organ`, in meters, not rewritten by other software."""
     return path.suffix.lower() == ".glb" and _format(path) is not None
 
 
 def read_organ_file(path: Path) -> OrganSurface:
-    """The organ that `write_organ` wrote, in the patient frame; equal to the last bit, or compact.
+    """Read an organ of `write_organ`, in the patient frame: identical to the last bit, or compact.
 
-    The file's positions are in the world frame; their pose is not applied. An episode's organ
-    comes back as it was before the patient took the posture of the recording.
+    Positions in the file are in the world frame; their pose is not applied. The organ of an
+    episode is returned as it was before the patient took the posture of the recording.
 
     Raises:
-        InputError: If the file is of another format version, or is damaged.
+        InputError: If the file has another format version or is damaged.
     """
     found = _format(path)
     if found != ORGAN_FORMAT:
@@ -67,7 +67,7 @@ def read_organ_file(path: Path) -> OrganSurface:
 
 
 def _format(path: Path) -> str | None:
-    """The format that an organ file states; None for any other file."""
+    """Format stated by an organ file; None for any other file."""
     try:
         asset = read_document(path)["asset"]
         return str(asset["extras"]["format"]) if asset["generator"] == GENERATOR else None
@@ -96,12 +96,12 @@ def _read(document: dict[str, Any], binary: memoryview) -> OrganSurface:
 def _of_vertices(
     document: dict[str, Any], binary: memoryview, source: Int[np.ndarray, " k"]
 ) -> dict[str, np.ndarray]:
-    """The arrays that the file's vertices hold: those of a compact file.
+    """Arrays stored as vertex attributes: those of a compact file.
 
     Args:
-        document: Of the file.
-        binary: Of the file.
-        source: Number in the organ of each vertex of the file.
+        document: JSON document of the file.
+        binary: Binary chunk of the file.
+        source: Index in the organ of each vertex of the file.
     """
     own = document["asset"]["extras"]
     places = document["meshes"][0]["primitives"][0]["attributes"]
@@ -126,7 +126,7 @@ def _of_vertices(
 
 
 def _relief(image: np.ndarray, entry: dict[str, Any]) -> np.ndarray:
-    """Relief [m] of an image of its steps."""
+    """Relief [m] from an image of its steps."""
     if entry.get("mimeType") == _WEBP:
         return relief_from_image(image, entry["step"])
     height = image.astype(np.float32)
@@ -136,7 +136,7 @@ def _relief(image: np.ndarray, entry: dict[str, Any]) -> np.ndarray:
 
 
 def _decoded(document: dict[str, Any], binary: memoryview) -> dict[str, np.ndarray]:
-    """The arrays that are images, decoded side by side."""
+    """Arrays stored as images, decoded in parallel."""
     own = document["asset"]["extras"]
     entries = {name: entry for name, entry in own["arrays"].items() if "step" in entry}
     entries |= {name: document["images"][p["image"]] for name, p in own["images"].items()}

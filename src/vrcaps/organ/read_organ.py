@@ -1,4 +1,4 @@
-"""Organs from files: the one reader, for mesh files and for organ files."""
+"""Reader of organs from mesh files and organ files."""
 
 from __future__ import annotations
 
@@ -34,24 +34,24 @@ def read_organ(
     keep_uv: bool = False,
     reverse: bool = False,
 ) -> OrganSurface:
-    """Organ of a file: a mesh in a stated unit, or an organ file of `write_organ`.
+    """Read an organ from a mesh in a stated unit, or from an organ file of `write_organ`.
 
     A mesh is repaired and gets a centerline, gut coordinates and texture coordinates. An organ
-    file is in meters and comes back unchanged, equal to the last bit.
+    file is in meters and is returned unchanged, identical to the last bit.
 
     Args:
         path: A .ply, .obj, .stl, .glb or .gltf file, in the patient frame.
-        unit: Length of one unit of the file, e.g. `mm` or `5cm`; an organ file needs none.
-        name: Name of the organ; by default the file's without extension.
+        unit: Length of one unit of the file, e.g. `mm` or `5cm`; not needed for an organ file.
+        name: Name of the organ; by default the file name without extension.
         open_ends: Whether lumen ends are capped or left open.
-        keep_uv: Whether the file's own texture coordinates stay; by default new ones are
-            made from the gut coordinates, to which `appearance` textures fit.
-        reverse: Whether the narrower end of the lumen is the oral one.
+        keep_uv: Whether to keep the file's own texture coordinates; by default new ones are
+            computed from the gut coordinates, as `appearance` textures require.
+        reverse: Whether the narrower end of the lumen is the oral end.
 
     Raises:
-        InputError: If the file cannot be read or repaired, or has no lumen (`read_mesh`, `repair`,
-            `require_lumen_surface`, `compute_centerline`), or has no texture coordinates to keep;
-            if it states no unit, or is an organ file and something is to be changed in it.
+        InputError: If the file cannot be read or repaired, has no lumen (`read_mesh`, `repair`,
+            `require_lumen_surface`, `compute_centerline`), has no texture coordinates to keep, or
+            states no unit; or if it is an organ file to which a change is requested.
     """
     path = Path(path)
     if not path.is_file():
@@ -109,7 +109,7 @@ def _organ_of_mesh_file(
 
 
 def _warn(path: Path, unit: str, report: RepairReport, centerline: Centerline) -> None:
-    """Say where a lumen is of an unusual width, or has more than two ends."""
+    """Warn of a lumen of unusual width or with more than two ends."""
     from vrcaps.organ.measure import lumen_diameters, unit_question
 
     diameter = lumen_diameters(centerline)[1]
@@ -128,7 +128,7 @@ def _warn(path: Path, unit: str, report: RepairReport, centerline: Centerline) -
 
 
 def _labels(mesh: Mesh, path: Path) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Label of each vertex and the label names; all `wall` where the file has no labels."""
+    """Label of each vertex and the label names; all `wall` if the file has no labels."""
     if mesh.label is None:
         return np.ones(len(mesh.vertices), np.uint8), ("background", "wall")
     names = read_label_names(path)
@@ -140,14 +140,14 @@ def _labels(mesh: Mesh, path: Path) -> tuple[np.ndarray, tuple[str, ...]]:
 def organ_from_mesh(
     mesh: Mesh, centerline: Centerline, *, name: str, label_names: tuple[str, ...]
 ) -> OrganSurface:
-    """Organ of a wall mesh: normals, gut coordinates and texture coordinates are computed.
+    """Create an organ from a wall mesh; computes normals, gut and texture coordinates.
 
     Args:
-        mesh: The wall, faces counter-clockwise seen from the lumen, with a label for each
-            vertex; its own texture coordinates stay where it has any.
+        mesh: The wall, faces counter-clockwise as seen from the lumen, with a label for each
+            vertex; existing texture coordinates are kept.
         centerline: In the same frame.
         name: Name of the organ.
-        label_names: Of the labels; 0 is `background`.
+        label_names: Names of the labels; 0 is `background`.
     """
     from vrcaps.organ.gut_coordinates import gut_coordinates
     from vrcaps.organ.uv import texture_coordinates

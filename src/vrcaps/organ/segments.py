@@ -1,8 +1,8 @@
-"""Segments of the organs: the one table of labels, mucosae and motilities.
+"""Segments of the organs: the table of labels, mucosae and motilities.
 
-An organ is declared here by its segments from the oral to the anal end. Generators take their
-labels from it, `bake_appearance` the mucosa and its factors, and the motility of the wall its
-presets. Labels of CT segmentations (TotalSegmentator) that name a whole organ are known, too.
+An organ is declared here by its segments from the oral to the anal end. It provides the labels
+of the generators, the mucosa and its factors of `bake_appearance`, and the motility presets of
+the wall. Labels of CT segmentations (TotalSegmentator) that name a whole organ are also known.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class Segment:
-    """Part of an organ whose wall looks and contracts alike.
+    """Part of an organ with uniform appearance and motility.
 
     Attributes:
         label: Name in `OrganSurface.label_names`.
         mucosa: Name in `vrcaps.mucosa.mucosa.MUCOSAE`.
         motility: Name in `vrcaps.tissue.motility.segment.MOTILITIES`.
-        pits: Factor on the pits or villi of its mucosa.
+        pits: Factor on the pits or villi of the mucosa.
         bile: Factor on the bile.
         vessels: Factor on the vessels.
     """
@@ -37,9 +37,9 @@ class OrganSegments:
     """An organ and its segments.
 
     Attributes:
-        name: In texts, flags and keys.
-        segments: From the oral to the anal end.
-        fractions: Division of its length by segment, for a wall that is labeled as a whole.
+        name: Name in texts, flags and keys.
+        segments: Segments from the oral to the anal end.
+        fractions: Fractions of its length by segment, for a wall with a single label.
     """
 
     name: str
@@ -58,7 +58,7 @@ class OrganSegments:
 
     @property
     def mucosa(self) -> str:
-        """Mucosa of its first segment."""
+        """Mucosa of the first segment."""
         return self.segments[0].mucosa
 
 
@@ -67,19 +67,19 @@ ORGANS: dict[str, OrganSegments] = {}
 
 
 def declare_organ(organ: OrganSegments) -> OrganSegments:
-    """Enter an organ into `ORGANS`."""
+    """Add an organ to `ORGANS`."""
     ORGANS[organ.name] = organ
     return organ
 
 
 def find_segment(label: str) -> Segment | None:
-    """The declared segment with a label, or None."""
+    """Declared segment with a label, or None."""
     segments = (segment for organ in ORGANS.values() for segment in organ.segments)
     return next((segment for segment in segments if segment.label == label), None)
 
 
 def find_mucosa(label: str) -> str | None:
-    """Mucosa of a segment, or of an organ whose segments have the same; None if unknown."""
+    """Mucosa of a segment, or of an organ with one mucosa for all segments; None if unknown."""
     if (segment := find_segment(label)) is not None:
         return segment.mucosa
     organ = next((organ for organ in ORGANS.values() if organ.label == label), None)
@@ -117,7 +117,7 @@ SMALL_BOWEL = declare_organ(
     )
 )
 """Villi are tall and bile is strong in duodenum and jejunum; in the ileum villi are short and
-vessels shine through (Steinbrück et al., Atlas of Video Capsule Endoscopy, 2014, chapter 5)."""
+vessels are visible (Steinbrück et al., Atlas of Video Capsule Endoscopy, 2014, chapter 5)."""
 
 COLON = declare_organ(
     OrganSegments(

@@ -1,4 +1,4 @@
-"""The gut wall as a surface: what every organ source makes and every later layer takes."""
+"""Gut wall as a surface: the common organ type of all sources and consumers."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Centerline:
-    """A smooth curve down the middle of a lumen, from the oral to the anal end.
+    """Smooth curve along the middle of a lumen, from the oral to the anal end.
 
     Attributes:
-        points: Samples along the curve [m], frame of the surface it belongs to.
+        points: Samples along the curve [m], in the frame of its surface.
         arc_length: Distance along the curve from the oral end [m], strictly increasing from 0.
         radius: Distance from each sample to the nearest wall [m].
         frames: Rotation at each sample; columns are two transverse axes and the tangent
@@ -35,25 +35,25 @@ class Centerline:
 
 
 HEIGHT_STEP = 2.0**-24
-"""Relief comes in multiples of this [m], 60 nm, so that files hold it exactly in 16 bits."""
+"""Quantum of relief [m], 60 nm, so that files store it exactly in 16 bits."""
 
 
 @dataclass(frozen=True)
 class Appearance:
-    """How the wall reflects light, as textures over its texture coordinates.
+    """Reflectance of the wall, as textures over its texture coordinates.
 
     The reflectance is the Disney principled model (Burley 2012) without metal or sheen:
-    a diffuse base under a rough dielectric, under a clear coat for the wet film.
+    a diffuse base under a rough dielectric, under a clearcoat for the wet film.
     Row 0 of a texture is v = 1 (top), as in image files; u and v wrap.
 
     Attributes:
         albedo: Base color, sRGB-encoded.
         roughness: Perceptual roughness α^½ of the base, 255 = 1.
-        height: Relief of the wall towards the lumen [m]; only its slope is used. Smallest in
-            files where it is in multiples of `HEIGHT_STEP` (`round_height`).
-        ior: Refractive index of the base's dielectric layer relative to the lumen's gas.
-        clearcoat: Strength of the clear coat, 0 (dry) to 1 (wet).
-        clearcoat_gloss: Gloss of the clear coat, 0 (satin) to 1 (mirror-like).
+        height: Relief of the wall towards the lumen [m]; only its slope is used. Files are
+            smallest if it is in multiples of `HEIGHT_STEP` (`round_height`).
+        ior: Refractive index of the base's dielectric layer relative to the gas in the lumen.
+        clearcoat: Strength of the clearcoat, 0 (dry) to 1 (wet).
+        clearcoat_gloss: Gloss of the clearcoat, 0 (satin) to 1 (mirror-like).
     """
 
     albedo: UInt8[np.ndarray, "h w 3"]
@@ -66,26 +66,26 @@ class Appearance:
 
 @dataclass(frozen=True)
 class OrganSurface:
-    """A gut wall: a triangle surface whose normals point into the lumen.
+    """Gut wall: a triangle surface whose normals point into the lumen.
 
-    Faces are counter-clockwise seen from the lumen. Positions are in the `patient` frame
-    (DICOM LPS, meters) for organs, in whatever frame a mesh file states otherwise.
+    Faces are counter-clockwise as seen from the lumen. Positions are in the `patient` frame
+    (DICOM LPS, meters) for organs, otherwise in the frame of the mesh file.
 
     Attributes:
-        name: What the organ is called in files and messages.
+        name: Name of the organ in files and messages.
         vertices: Positions [m].
-        faces: Vertex numbers of each triangle.
+        faces: Vertex indices of each triangle.
         normals: Unit vertex normals, into the lumen.
         uv: Texture coordinates of each corner of each face.
-        label: Segment or tissue class of each vertex, a number into `label_names`.
+        label: Segment or tissue class of each vertex, an index into `label_names`.
         label_names: Class names; 0 is `background` (no surface).
-        instance: Lesion number of each vertex, 0 for plain wall.
+        instance: Lesion ID of each vertex, 0 for plain wall.
         arc_length: Gut coordinate of each vertex: distance along the centerline [m].
         theta: Gut coordinate of each vertex: angle around the centerline [rad], −π to π.
         radius: Distance of each vertex from the centerline [m].
-        centerline: The curve the gut coordinates refer to.
+        centerline: Reference curve of the gut coordinates.
         appearance: Reflectance; None draws a plain mucosa color.
-        metadata: Where it came from: generator parameters or source file, seed, repairs.
+        metadata: Provenance: generator parameters or source file, seed, repairs.
     """
 
     name: str
@@ -105,19 +105,19 @@ class OrganSurface:
 
 
 def round_height(height: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """Relief [m] to the nearest multiple of `HEIGHT_STEP`."""
+    """Round relief [m] to the nearest multiple of `HEIGHT_STEP`."""
     steps = height / HEIGHT_STEP
     np.rint(steps, out=steps)
     steps *= HEIGHT_STEP
-    steps += 0.0  # no −0
+    steps += 0.0  # avoid −0
     return steps.astype(np.float32, copy=False)
 
 
 def clearcoat_alpha(gloss: float) -> float:
-    """Roughness α of the clear coat's lobe: 0.1 for gloss 0 to 0.001 for 1 (Burley 2012, 5.4)."""
+    """Roughness α of the clearcoat lobe: 0.1 for gloss 0 to 0.001 for 1 (Burley 2012, 5.4)."""
     return 0.1 + (0.001 - 0.1) * gloss
 
 
 def face_label(label: Int[np.ndarray, " n"], faces: Int[np.ndarray, "m 3"]) -> np.ndarray:
-    """Label of each face: the median of its corners' labels, so the majority if there is one."""
+    """Label of each face: the median of its corners' labels, equal to any majority."""
     return np.median(label[faces], axis=1).astype(label.dtype)

@@ -1,4 +1,4 @@
-"""Texture coordinates of a wall: around and along the tube where it is one, else an atlas."""
+"""Texture coordinates of a wall: tube coordinates where possible, else an atlas."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from vrcaps.organ.centerline.lumen import grid_crossings
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-_STRETCH = 2.0  # the tube's texels may be so much longer or shorter than the median, at p1, p99
-_RESOLUTION = 2048  # texels on a side for which the atlas is packed
+_STRETCH = 2.0  # maximum ratio of the tube's texel length to its median, at p1 and p99
+_RESOLUTION = 2048  # texels per side for which the atlas is packed
 _PADDING = 4  # texels between charts at that resolution
-_CHART_FRACTION = 0.02  # of the wall that one chart may take; large ones are slow to flatten
+_CHART_FRACTION = 0.02  # maximum part of the wall in one chart; large charts are slow to flatten
 _SHARP = 0.5  # cosine of the angle between faces, below which no chart spans their edge
-_MOST_WORK = 6e8  # sharp edges times faces, to which the time for charts grows: about 1.5 minutes
-_CHART_COST = 1.0  # bound on the distortion of a growing chart (xatlas' measure; its default 2)
+_MOST_WORK = 6e8  # sharp edges times faces, proportional to time: about 1.5 minutes
+_CHART_COST = 1.0  # maximum distortion of a growing chart (xatlas metric; its default is 2)
 
 
 def texture_coordinates(
@@ -32,18 +32,18 @@ def texture_coordinates(
 ) -> Float[np.ndarray, "m 3 2"]:
     """Texture coordinates of each corner of each face, without overlap.
 
-    Where `tube_coordinates` folds no face and stretches none much, they are taken: u around
-    the gut (beyond 1 on the faces across ±π, where the texture wraps), v along it. Otherwise
-    the wall is cut into flat charts, packed apart in the unit square by `atlas_coordinates`.
+    `tube_coordinates` are used if they fold no face and stretch none much: u around the gut
+    (beyond 1 on faces across ±π, where the texture wraps), v along it. Otherwise the wall is cut
+    into flat charts, packed without overlap in the unit square by `atlas_coordinates`.
 
     Args:
-        mesh: The wall [m]; faces counter-clockwise seen from the lumen.
+        mesh: The wall [m]; faces counter-clockwise as seen from the lumen.
         arc_length: Gut coordinate of each vertex [m].
         theta: Gut coordinate of each vertex [rad].
         radius: Distance of each vertex from the centerline [m].
 
     Raises:
-        InputError: If a face has no area.
+        InputError: If a face has zero area.
     """
     vertices, faces = np.asarray(mesh.vertices, float), mesh.faces
     flat = np.flatnonzero(triangle_areas(vertices[faces]) <= 0.0)
@@ -65,9 +65,9 @@ def tube_coordinates(
     arc_length: Float[np.ndarray, " n"],
     theta: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, "m 3 2"]:
-    """Around the gut u = ½ − θ / 2π, along it v = share of arc length; u is 0 to 1.5.
+    """Tube coordinates: u = ½ − θ / 2π around the gut (0 to 1.5), v = fraction of arc length.
 
-    Only faces across ±π reach beyond u = 1. Seen from the lumen, textures are not mirrored.
+    Only faces across ±π extend beyond u = 1. Seen from the lumen, textures are not mirrored.
     """
     u = 0.5 - theta[faces] / (2.0 * np.pi)
     u = u - np.rint(u - u[:, :1])
@@ -83,8 +83,8 @@ def texture_stretch(
     """Singular values of each face's map to texture space, the smaller negative if mirrored.
 
     Args:
-        corners: Of each face [m].
-        uv: Of each corner of each face.
+        corners: Corners of each face [m].
+        uv: Texture coordinates of each corner of each face.
     """
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     length = np.linalg.norm(first, axis=1)
@@ -101,13 +101,13 @@ def texture_stretch(
 def atlas_coordinates(
     vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
 ) -> Float[np.ndarray, "m 3 2"]:
-    """Charts of low distortion and even texel density, packed apart in the unit square.
+    """Charts of low distortion and even texel density, packed without overlap in the unit square.
 
-    What lies double within a chart becomes a chart of its own, charts that come out mirrored
-    are turned over, then all are packed once more.
+    Parts of a chart that overlap become separate charts, mirrored charts are flipped, then all
+    charts are packed again.
 
     Raises:
-        InputError: If the faces are in such disorder that charts would take minutes.
+        InputError: If the faces are so irregular that charts would take minutes.
     """
     import xatlas
 
@@ -133,7 +133,7 @@ def atlas_coordinates(
 
 
 def _require_smooth(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> None:
-    """Refuse a wall of so many sharp edges that nearly every face would be a chart of its own.
+    """Reject a wall with so many sharp edges that nearly every face would be a separate chart.
 
     Raises:
         InputError: If the work would exceed `_MOST_WORK`.
@@ -152,14 +152,14 @@ def _require_smooth(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "
 
 
 def _pack_options():
-    """Options of every packing: reproducible, no chart mirrored, room for filtering."""
+    """Packing options: reproducible, no chart mirrored, room for filtering."""
     import xatlas
 
     options = xatlas.PackOptions()
     options.resolution = _RESOLUTION
     options.padding = _PADDING
     options.bilinear = True
-    options.rotate_charts = False  # it swaps axes, which mirrors
+    options.rotate_charts = False  # swaps axes, which mirrors
     options.rotate_charts_to_axis = True
     return options
 
@@ -167,9 +167,9 @@ def _pack_options():
 def _unfolded(
     uv: Float[np.ndarray, "k 2"], index: Int[np.ndarray, "m 3"]
 ) -> tuple[Float[np.ndarray, "l 2"], Int[np.ndarray, "m 3"]]:
-    """Coordinates [texels] and corners with doubly covered patches moved out beyond the rest.
+    """Coordinates [texels] and corners with doubly covered patches moved outside the atlas.
 
-    Of two patches over one another the one of fewer faces is moved, with u beyond the atlas.
+    Of two overlapping patches, the one with fewer faces is moved, with u beyond the atlas.
     """
     moved = _smaller_of_doubles(uv, index)
     if not moved:
@@ -177,7 +177,7 @@ def _unfolded(
     beyond = 2.0 * (np.ptp(uv[:, 0]) + 1.0)
     faces = np.concatenate(moved)
     patch_id = np.repeat(np.arange(1, len(moved) + 1), [len(patch) for patch in moved])
-    # One vertex for each of a patch's own.
+    # Each patch gets separate vertices.
     keys, local = np.unique(patch_id[:, None] * len(uv) + index[faces], return_inverse=True)
     index = index.copy()
     index[faces] = len(uv) + local.reshape(-1, 3)
@@ -202,7 +202,7 @@ def _smaller_of_doubles(
     links = (np.repeat(np.arange(len(faces)), 3), index[faces].ravel())
     touch = coo_array((np.ones(3 * len(faces)), links), shape=(len(faces), len(uv))).tocsr()
     count, patch = connected_components(touch @ touch.T >= 2.0)
-    # The texels of each patch, and how often each is covered by patches that stay.
+    # Texels of each patch, and how often each is covered by remaining patches.
     patch_of = patch[np.searchsorted(faces, face)]
     texel = np.unique(texel, return_inverse=True)[1]
     covered = np.bincount(texel)
@@ -226,7 +226,7 @@ def _smaller_of_doubles(
 def _unmirrored(
     uv: Float[np.ndarray, "k 2"], index: Int[np.ndarray, "m 3"]
 ) -> Float[np.ndarray, "k 2"]:
-    """Coordinates with mirrored charts turned over into u < 0, where nothing else is."""
+    """Coordinates with mirrored charts flipped into the empty region u < 0."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -239,6 +239,6 @@ def _unmirrored(
 
 
 def _signed_areas(uv: Float[np.ndarray, "m 3 2"]) -> Float[np.ndarray, " m"]:
-    """Area of each face, positive counter-clockwise."""
+    """Area of each face, positive if counter-clockwise."""
     first, second = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
     return 0.5 * (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])

@@ -17,26 +17,26 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 GAP = 1.25 * MM
-"""Between charts [m of wall]: 10 texels at 8 per mm, half of which continue either chart."""
+"""Gap between charts [m of wall]: 10 texels at 8 per mm, half of which extend each chart."""
 
-_SIDE = 30 * MM  # of a chart, about
+_SIDE = 30 * MM  # approximate side of a chart
 _NUM_ROUNDS = 11
-_GROUP = 48  # charts that are flattened at once
+_GROUP = 48  # charts flattened at once
 _GROWTH_ROUNDS = (6, 8, 10)
-_MOST_GROWTH = 1.25  # of a squeezed face in one such round
+_MOST_GROWTH = 1.25  # maximum growth of a squeezed face per such round
 _ANGLES = np.linspace(-0.25, 0.25, 16, endpoint=False) * np.pi
-_STEPS = 2.0**26  # of a coordinate, so that the last bits of the solver do not show
+_STEPS = 2.0**26  # coordinate quantization that hides the last bits of the solver
 
 
 @dataclass(frozen=True)
 class TubeChart:
-    """A tube's faces unrolled: where their corners lie around and along it.
+    """Unrolled faces of a tube: positions of their corners around and along it.
 
     Attributes:
-        faces: Vertex numbers.
+        faces: Vertex indices.
         corners: Positions of the corners [m].
-        turn: Way around the tube from the seam, 0 to 1; a corner on the seam takes the value of
-            its face's side.
+        turn: Fraction of the circumference from the seam, 0 to 1; a corner on the seam takes the
+            value of its face's side.
         along: Length along the tube from 0 [m].
     """
 
@@ -49,16 +49,16 @@ class TubeChart:
 def chart_coordinates(tube: TubeChart) -> Float[np.ndarray, "m 3 2"]:
     """Texture coordinates of each corner of each face, without overlap, in the unit square.
 
-    The tube is cut into charts about 3 cm wide and long, each is flattened as rigidly as it can
-    be, and their boxes are packed. A face belongs to the chart that holds its middle.
+    The tube is cut into charts about 3 cm wide and long. Each is flattened as rigidly as possible,
+    and their boxes are packed. A face belongs to the chart that contains its center.
 
-    Texels are then as dense on the sides of folds as between them: a face that comes out squeezed
-    is flattened again as if it were larger, so that few texels are wider than the mean.
+    The texel density on the sides of folds equals that between them: a face that comes out squeezed
+    is flattened again with a larger target, so that few texels are wider than the mean.
     """
     chart, circumference = _cut(tube)
     index, place = _unroll(tube, chart, circumference)
     flat = _relax_groups(_flat_faces(tube.corners), index, place, chart)
-    # A chart with a mirrored face stays as it was unrolled.
+    # A chart with a mirrored face keeps its unrolled shape.
     is_mirrored = texture_stretch(tube.corners, flat[index])[:, 0] <= 0.0
     stays = np.isin(chart, chart[is_mirrored])
     flat[index[stays]] = place[index[stays]]
@@ -69,7 +69,7 @@ def chart_coordinates(tube: TubeChart) -> Float[np.ndarray, "m 3 2"]:
 
 
 def _cut(tube: TubeChart) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-    """Chart of each face, numbered without gaps, and the tube's circumference there [m]."""
+    """Chart index of each face, without gaps, and local circumference of the tube [m]."""
     area = triangle_areas(tube.corners)
     length = tube.along.max()
     num_rows = max(1, round(length / _SIDE))
@@ -85,7 +85,7 @@ def _cut(tube: TubeChart) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"
 def _unroll(
     tube: TubeChart, chart: Int[np.ndarray, " m"], circumference: Float[np.ndarray, " m"]
 ) -> tuple[Int[np.ndarray, "m 3"], Float[np.ndarray, "k 2"]]:
-    """Each face's numbers among the charts' own vertices, and their places around and along [m]."""
+    """Indices of each face into the charts' vertices, and their positions around and along [m]."""
     key = chart[:, None] * (int(tube.faces.max()) + 1) + tube.faces
     keys, index = np.unique(key, return_inverse=True)
     index = index.reshape(-1, 3)
@@ -96,7 +96,7 @@ def _unroll(
 
 
 def _flat_faces(corners: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "m 3 2"]:
-    """Each face laid into a plane of its own [m]."""
+    """Each face laid flat in its own plane [m]."""
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     length = np.maximum(np.linalg.norm(first, axis=1), 1e-12)
     flat = np.zeros((len(corners), 3, 2))
@@ -112,7 +112,7 @@ def _relax_groups(
     place: Float[np.ndarray, "k 2"],
     chart: Int[np.ndarray, " m"],
 ) -> Float[np.ndarray, "k 2"]:
-    """`_relax` of a few charts at a time, side by side; as many, whatever the threads."""
+    """Apply `_relax` to fixed-size groups of charts, independent of the number of threads."""
     flat = place.copy()
 
     def relax(faces: Int[np.ndarray, " l"]) -> None:
@@ -133,11 +133,11 @@ def _relax(
     place: Float[np.ndarray, "k 2"],
     chart: Int[np.ndarray, "m 1"],
 ) -> Float[np.ndarray, "k 2"]:
-    """Flattens charts as rigidly as possible, from the places given.
+    """Flatten charts as rigidly as possible, starting from given positions.
 
-    Local and global steps by turns: each face finds the rotation of its own shape that fits best,
-    then all vertices find the places that fit the rotated edges best (Liu, Zhang, Xu, Gotsman and
-    Gortler, "A local/global approach to mesh parameterization", SGP 2008).
+    Alternates local and global steps: each face finds the best-fitting rotation of its own shape,
+    then all vertices find the positions that best fit the rotated edges (Liu, Zhang, Xu, Gotsman
+    and Gortler, "A local/global approach to mesh parameterization", SGP 2008).
     """
     weight = _cotangents(shape)
     solve, pin = _factored(weight, index, len(place), chart)
@@ -172,7 +172,7 @@ def _factored(
     count: int,
     chart: Int[np.ndarray, "m 1"],
 ):
-    """Solver of the charts' Laplacian with a vertex of each held, and the weights that hold."""
+    """Solver of the charts' Laplacian with one vertex fixed per chart, and the fixing weights."""
     from scipy.sparse import coo_array
     from scipy.sparse.linalg import splu
 
@@ -200,7 +200,7 @@ def _cross(a: Float[np.ndarray, "*shape 2"], b: Float[np.ndarray, "*shape 2"]) -
 
 
 def _cotangents(shape: Float[np.ndarray, "m 3 2"]) -> Float[np.ndarray, "m 3"]:
-    """Half the cotangent of the angle at each corner; flat angles are kept positive."""
+    """Half the cotangent of the angle at each corner; kept positive at flat angles."""
     to_next, to_last = np.roll(shape, -1, axis=1) - shape, np.roll(shape, 1, axis=1) - shape
     area = np.maximum(_cross(to_next, to_last), 1e-14)
     return 0.5 * np.clip((to_next * to_last).sum(axis=2) / area, 0.02, 20.0)
@@ -209,7 +209,7 @@ def _cotangents(shape: Float[np.ndarray, "m 3 2"]) -> Float[np.ndarray, "m 3"]:
 def _least_stretch(
     edges: Float[np.ndarray, "m 3 2"], flat: Float[np.ndarray, "m 3 2"]
 ) -> Float[np.ndarray, " m"]:
-    """Smaller singular value of each face's map from the edges it wants to those it has."""
+    """Smaller singular value of each face's map from target edges to actual edges."""
     solid = np.zeros((len(edges), 3, 3))
     solid[..., :2] = np.cumsum(edges, axis=1)
     return texture_stretch(solid, np.cumsum(flat, axis=1))[:, 0]
@@ -218,7 +218,7 @@ def _least_stretch(
 def _pack(
     place: Float[np.ndarray, "k 2"], chart: Int[np.ndarray, " k"]
 ) -> Float[np.ndarray, "k 2"]:
-    """Charts turned into small boxes, laid on shelves in the unit square."""
+    """Rotate charts into small boxes and pack them on shelves in the unit square."""
     num = int(chart.max()) + 1
     order = np.argsort(chart, kind="stable")
     first = np.searchsorted(chart[order], np.arange(num))
@@ -241,7 +241,7 @@ def _pack(
 def _shelves(
     box: Float[np.ndarray, "n 2"], width: float
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, " 2"]]:
-    """Lower left corner of each box, tall ones first, and the size that holds them all."""
+    """Lower left corner of each box, tall ones first, and the size that contains them all."""
     width = max(width, float(box[:, 0].max()))
     corner = np.zeros_like(box)
     x = y = height = 0.0

@@ -1,4 +1,4 @@
-"""An organ as a GLB file (binary glTF 2.0, Khronos 2021), exact or compact: any viewer opens it."""
+"""Writer of organs as GLB files (binary glTF 2.0, Khronos 2021), exact or compact."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from vrcaps.organ.surface import Appearance, OrganSurface
 
 ORGAN_FORMAT = "vrcaps-organ/1"
-"""Names the layout of `write_organ`, in the file's ``asset.extras.format``."""
+"""Format name of `write_organ`, in the file's ``asset.extras.format``."""
 
 GENERATOR = "vrcaps"
 
@@ -31,18 +31,17 @@ TEXTURES = {
     "appearance.albedo": {"image": 0},
     "appearance.roughness": {"image": 1},
 }
-"""Arrays that the file's images hold."""
+"""Arrays stored as images of the file."""
 
 ATTRIBUTES = {
     **{"vertices": "POSITION", "normals": "NORMAL", "uv": "TEXCOORD_0"},
     **{"label": "_LABEL", "instance": "_INSTANCE"},
     **{"arc_length": "_ARC_LENGTH", "theta": "_THETA", "radius": "_RADIUS"},
 }
-"""Arrays that the vertices of the file hold too, in single precision; of a compact file only they
-do."""
+"""Arrays also stored as vertex attributes in single precision; in a compact file, only there."""
 
-_NUM_IMAGES = 3  # of the material; the relief follows where it is in steps
-_ZERO = 32768  # stored for a height of 0
+_NUM_IMAGES = 3  # of the material; followed by the relief if it is in steps
+_ZERO = 32768  # code of height 0
 
 
 def write_organ(
@@ -52,7 +51,7 @@ def write_organ(
     T_world_patient: Float[np.ndarray, "4 4"] | None = None,
     compact: bool = False,
 ) -> None:
-    """Write `organ_glb` to a file, which is replaced; it appears whole or not at all."""
+    """Write `organ_glb` to a file, replacing it atomically."""
     write_bytes(path, organ_glb(organ, T_world_patient=T_world_patient, compact=compact))
 
 
@@ -62,25 +61,26 @@ def organ_glb(
     T_world_patient: Float[np.ndarray, "4 4"] | None = None,
     compact: bool = False,
 ) -> list[bytes]:
-    """An organ file with texture coordinates, textures, labels, lesions and centerline, in pieces.
+    """Encode an organ with texture coordinates, textures, labels, lesions and centerline.
 
     For viewers, positions are in the world frame [m], in single precision, without a node
-    transform. Vertices are copied where their texture coordinates differ. The vertex
+    transform. Vertices are duplicated where their texture coordinates differ. The vertex
     attributes ``_LABEL``, ``_INSTANCE``, ``_ARC_LENGTH`` [m], ``_THETA`` [rad] and ``_RADIUS``
-    [m] carry the organ's own, the mesh's ``extras`` the label names and lesions.
+    [m] hold those of the organ, the mesh's ``extras`` the label names and lesions.
 
     For `read_organ`, ``asset.extras`` names a buffer view for each array of the organ that glTF
-    would round, in the patient frame and in its own type (docs/episode-format.md): what is read
-    back equals what was written, to the last bit. The same organ gives the same bytes.
+    would round, in the patient frame and in its own type (docs/episode-format.md). Reading it
+    back gives identical values to the last bit. The same organ gives the same bytes, returned in
+    pieces.
 
-    A compact file takes a fifth. Its textures are coded with a small loss (`compact_textures`), and
-    what its vertices hold in single precision is not there a second time. Vertices, triangles,
-    labels and lesions keep their order.
+    A compact file takes a fifth of the space. Its textures are coded with a small loss
+    (`compact_textures`), and vertex attributes in single precision are not stored again exactly.
+    Vertices, triangles, labels and lesions keep their order.
 
     Args:
         organ: The organ, in the patient frame.
-        T_world_patient: Pose of the patient in the world; None: they coincide.
-        compact: Whether the file shall be small rather than exact.
+        T_world_patient: Pose of the patient in the world; None means that the frames coincide.
+        compact: Whether to write a small instead of an exact file.
     """
     pose = np.eye(4) if T_world_patient is None else T_world_patient
     glb = Glb()
@@ -107,10 +107,10 @@ def organ_glb(
 def split_at_seams(
     faces: Int[np.ndarray, "m 3"], uv: Float[np.ndarray, "m 3 2"]
 ) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, "m 3"], Float[np.ndarray, "k 2"]]:
-    """One vertex for each pair of vertex and texture coordinate that occurs.
+    """Create one vertex per distinct pair of vertex and texture coordinate.
 
     Returns:
-        The old number of each vertex (ascending), faces over the new vertices, and their uv.
+        The original index of each vertex (ascending), faces over the new vertices, and their uv.
     """
     corners, flat_uv = faces.reshape(-1), uv.reshape(-1, 2)
     u, v = (np.ascontiguousarray(column, float).view(np.uint64) for column in flat_uv.T)
@@ -128,11 +128,11 @@ def split_at_seams(
 def _add_geometry(
     glb: Glb, organ: OrganSurface, pose: Float[np.ndarray, "4 4"], split: tuple[np.ndarray, ...]
 ) -> dict:
-    """Accessors of the vertex attributes and of the triangles, as a primitive holds them."""
+    """Accessors of the vertex attributes and triangles, as stored in a primitive."""
     source, faces, uv = split
     positions = transform_points(pose, organ.vertices).astype(np.float32)[source]
     normals = rotate_vectors(pose, organ.normals).astype(np.float32)[source]
-    flipped_uv = np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=1)  # glTF counts v from the top down
+    flipped_uv = np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=1)  # glTF v points down
     attributes = {
         "POSITION": glb.add_vertices(positions, "VEC3", has_bounds=True),
         "NORMAL": glb.add_vertices(normals, "VEC3"),
@@ -149,7 +149,7 @@ def _add_geometry(
 def _add_images(
     glb: Glb, organ: OrganSurface, *, compact: bool
 ) -> tuple[list[dict[str, Any]], dict[str, Any] | None]:
-    """The material's images, and where the relief is, unless it is to be stored as it is."""
+    """Images of the material, and the entry of the relief unless it is stored unchanged."""
     look = organ.appearance
     if look is None:
         return [], None
@@ -166,7 +166,7 @@ def _add_images(
 def _add_webps(
     glb: Glb, look: Appearance, scale: tuple[float, float]
 ) -> tuple[list[dict[str, Any]], dict[str, Any] | None]:
-    """What `_add_images` does, in little space."""
+    """Compact version of `_add_images`."""
     files = compact_files(look, scale)
     views = {name: glb.add_bytes(file, {}) for name, file in files.items()}
     relief = views.pop("relief", None)
@@ -184,15 +184,15 @@ def _add_own(
     *,
     compact: bool,
 ) -> dict[str, Any]:
-    """What `read_organ` reads: plain values, arrays, and which images and attributes hold arrays.
+    """Entries read by `read_organ`: plain values, arrays, and the images and attributes of arrays.
 
-    ``faces`` and ``uv`` are stored for each vertex of the file, in their place in the organ:
+    ``faces`` and ``uv`` are stored for each vertex of the file, in the organ's order:
     ``faces[m, c] = source[index]`` and ``uv[m, c] = uv[index]`` with the file's own indices.
     """
     arrays, plain = organ_to_arrays(organ)
     arrays |= {"faces": source.astype(organ.faces.dtype), "uv": uv}
     images = {name: place for name, place in TEXTURES.items() if name in arrays}
-    # A vertex of no triangle is not in the file.
+    # Vertices without triangles are not in the file.
     is_all_there = len(np.unique(source)) == len(organ.vertices)
     attributes = dict(ATTRIBUTES) if compact and is_all_there else {}
     elsewhere = {*images, *attributes, *(["appearance.height"] if relief else [])}
@@ -207,7 +207,7 @@ def _add_own(
 
 
 def _height_steps(height: Float[np.ndarray, "h w"]) -> list[np.ndarray]:
-    """Relief as a 16-bit image of its steps (`HEIGHT_STEP`); none where that would not be exact."""
+    """Relief as a 16-bit image of its steps (`HEIGHT_STEP`); empty if that would not be exact."""
     if height.dtype != np.float32:
         return []
     steps = height * np.float32(1.0 / HEIGHT_STEP)

@@ -1,4 +1,4 @@
-"""The centerline of a lumen: a minimum-cost path through its distance field, made smooth."""
+"""Centerline of a lumen: a smoothed minimum-cost path through its distance field."""
 
 from vrcaps.organ.centerline.compute import compute_centerline as compute_centerline
 from vrcaps.organ.centerline.compute import reversed_centerline as reversed_centerline

@@ -1,4 +1,4 @@
-"""The centerline of a surface: voxels, path, smoothing, and which end is oral."""
+"""Centerline of a surface: voxelization, path, smoothing and detection of the oral end."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _VOXELS_PER_RADIUS = 10.0
-_MOST_INSIDE = 8_000_000  # voxels of a lumen that are walked through, in seconds
+_MOST_INSIDE = 8_000_000  # voxels of a lumen, searched within seconds
 _REFINEMENTS = 3
-_END_FRACTION = 1 / 3  # of the length, over which the width of an end is measured
-_REACH = 3.0  # radii from the curve up to which the lumen counts as its own
-_MOST_LEFT_OUT = 0.1  # of the lumen, beyond that reach
-_NUM_PROBES = 20_000  # places in the lumen where that is looked for
+_END_FRACTION = 1 / 3  # of the length, to measure the width of an end
+_REACH = 3.0  # radii from the curve within which the lumen is covered
+_MOST_LEFT_OUT = 0.1  # of the lumen may lie beyond that reach
+_NUM_PROBES = 20_000  # points in the lumen to estimate that fraction
 
 _log = logging.getLogger(__name__)
 
@@ -47,28 +47,28 @@ def compute_centerline(
     end: Float[np.ndarray, " 3"] | None = None,
     reverse: bool = False,
 ) -> Centerline:
-    """The smooth curve down the middle of a lumen, from end to end.
+    """Compute the smooth centerline of a lumen from end to end.
 
-    A minimum-cost path through the lumen's distance field, made central and smooth. Where the
-    wall has handles (loops that touch are open to each other) it keeps to the lumen's course, see
-    `without_short_cuts`; a curve that leaves out over a tenth of the lumen is warned of. Its two
-    ends are those farthest apart inside the lumen. A mesh does not say which is the oral
-    one: it is taken to be that of the wider third, which holds for a colon (caecum to
-    rectum) and for a stomach (fundus to pylorus). State `start`, `end` or `reverse` where it
-    does not.
+    The centerline is a centered and smoothed minimum-cost path through the lumen's distance field.
+    Where the wall has handles (touching loops that are open to each other) it follows the course of
+    the lumen, see `without_short_cuts`. A curve that omits over a tenth of the lumen causes a
+    warning. The two ends are the points farthest apart inside the lumen. A mesh does not state
+    which is the oral one; it is assumed to be the end with the wider third, which holds for a
+    colon (caecum to rectum) and a stomach (fundus to pylorus). Otherwise set `start`, `end` or
+    `reverse`.
 
     Args:
         mesh: The wall of one lumen [m]; its ends may be open.
-        voxel: Edge of the voxels [m]; by default 1/10 of the lumen's mean radius, or more where
-            a lumen of rough wall would hold over 8 million of them. It is refined, within that
-            bound, where a narrow place would be closed.
+        voxel: Edge length of the voxels [m]; by default 1/10 of the lumen's mean radius, or more if
+            a lumen with a rough wall would have over 8 million voxels. It is refined, within that
+            limit, where a narrow passage would be closed.
         start: Oral end [m], a point inside the lumen.
         end: Anal end [m], a point inside the lumen.
-        reverse: Whether the narrower end is the oral one; only without `start` and `end`.
+        reverse: Whether the narrower end is the oral end; only without `start` and `end`.
 
     Raises:
-        InputError: If there is no lumen, an end lies outside of it, or no curve keeps clear
-            of the wall.
+        InputError: If there is no lumen, an end lies outside it, or no curve stays clear of the
+            wall.
     """
     vertices, faces = np.asarray(mesh.vertices, float), mesh.faces
     if reverse and (start is not None or end is not None):
@@ -76,7 +76,7 @@ def compute_centerline(
     if voxel is not None and not (np.isfinite(voxel) and voxel > 0.0):
         raise InputError(f"The voxel is {voxel} m. Give a positive length in meters.")
     radius = mean_radius(vertices, faces)
-    # A rough wall has a large area, so a small mean radius: its lumen would be cut too finely.
+    # A rough wall has a large area and so a small mean radius, which would give too fine voxels.
     volume = 0.5 * radius * float(triangle_areas(vertices[faces]).sum())
     least = (volume / _MOST_INSIDE) ** (1 / 3)
     if voxel is None:
@@ -93,16 +93,16 @@ def _trace(
     start: Float[np.ndarray, " 3"] | None,
     end: Float[np.ndarray, " 3"] | None,
 ) -> Centerline:
-    """The curve on ever finer voxels; on the finest it may also cross closed places.
+    """Trace the curve on ever finer voxels; on the finest it may also cross closed passages.
 
     Args:
         mesh: The wall.
-        voxels: Edge of the first voxels, and the least of those made finer [m].
+        voxels: Edge length of the first voxels and minimum edge length [m].
         start: Oral end [m], or None.
         end: Anal end [m], or None.
 
     Raises:
-        InputError: If no curve keeps clear of the wall.
+        InputError: If no curve stays clear of the wall.
     """
     vertices, faces = np.asarray(mesh.vertices, float), mesh.faces
     voxel, least = voxels
@@ -116,7 +116,7 @@ def _trace(
         grid, num_cut = without_short_cuts(grid) if handles else (grid, 0)
         is_last = level == len(sizes) - 1
         path = find_path(grid, start, end)
-        if path is None and is_last:  # a walk through all voxels, those of the tissue too
+        if path is None and is_last:  # search all voxels, including those of the tissue
             path = find_path(grid, start, end, cross_gaps=True)
         if path is None and (pieces := num_pieces(closed[1])) > 1:
             raise InputError(f"The wall is in {pieces} pieces. Give that of one lumen, repaired.")
@@ -139,7 +139,7 @@ def _trace(
 
 
 def _warn(grid: LumenGrid, centerline: Centerline, handles: int, num_cut: int) -> None:
-    """Say where loops that touch were parted, and where the curve leaves out part of the lumen."""
+    """Warn of touching loops that were separated, and of parts of the lumen the curve omits."""
     if num_cut:
         _log.warning(
             "the wall has %d handles: loops that touch are open to each other; the centerline goes "
@@ -158,7 +158,7 @@ def _warn(grid: LumenGrid, centerline: Centerline, handles: int, num_cut: int) -
 
 
 def _left_out(grid: LumenGrid, centerline: Centerline) -> float:
-    """Share of the lumen that is farther from the curve than 3 of its radii there."""
+    """Fraction of the lumen farther from the curve than 3 of its local radii."""
     ids = np.argwhere(grid.inside)
     points = grid.points(ids[:: max(1, len(ids) // _NUM_PROBES)])
     away, nearest = scipy.spatial.KDTree(centerline.points).query(points)
@@ -166,13 +166,13 @@ def _left_out(grid: LumenGrid, centerline: Centerline) -> float:
 
 
 def _widens(centerline: Centerline) -> bool:
-    """Whether the lumen is wider near the last point than near the first."""
+    """Check whether the lumen is wider near the last point than near the first."""
     count = max(1, round(_END_FRACTION * len(centerline.radius)))
     return bool(centerline.radius[-count:].mean() > centerline.radius[:count].mean())
 
 
 def reversed_centerline(centerline: Centerline) -> Centerline:
-    """The same curve from its other end."""
+    """The same curve in the opposite direction."""
     points, tangents = centerline.points[::-1], -centerline.frames[::-1, :, 2]
     arc_length = centerline.length - centerline.arc_length[::-1]
     radius = centerline.radius[::-1].copy()

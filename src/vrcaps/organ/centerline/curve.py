@@ -1,4 +1,4 @@
-"""A smooth curve with arc length, clearance and frames, from points along it."""
+"""Smooth curve with arc length, clearance and frames through given points."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ def centerline_from_points(
     *,
     step: float | None = None,
 ) -> Centerline:
-    """The smooth curve through points that run down a lumen, from the oral to the anal end.
+    """Smooth curve through points along a lumen, from the oral to the anal end.
 
     Args:
-        points: Along the lumen [m]; a cubic spline passes through all of them.
-        vertices: Of the wall [m], same frame.
-        faces: Of the wall.
+        points: Points along the lumen [m]; a cubic spline passes through all of them.
+        vertices: Vertices of the wall [m], same frame.
+        faces: Faces of the wall.
         step: Distance between samples [m]; by default 1/16 of the median radius.
 
     Raises:
-        InputError: If the points make no curve, or the curve crosses or touches the wall.
+        InputError: If the points form no curve, or the curve crosses or touches the wall.
     """
     points = np.asarray(points, float)
     if points.ndim != 2 or points.shape[1:] != (3,) or not np.isfinite(points).all():
@@ -61,7 +61,7 @@ def centerline_from_points(
 def _uniform(
     spline: scipy.interpolate.CubicSpline, stop: float, num: int
 ) -> Float[np.ndarray, " n"]:
-    """Parameters of `num` + 1 points at equal distances along a spline."""
+    """Parameters of `num` + 1 evenly spaced points along a spline."""
     dense = np.linspace(0.0, stop, 8 * num + 1)
     length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(spline(dense), axis=0), axis=1)))
     return np.interp(np.linspace(0.0, length[-1], num + 1), length, dense)
@@ -70,7 +70,7 @@ def _uniform(
 def _check_clear(
     points: Float[np.ndarray, "n 3"], radius: Float[np.ndarray, " n"], gaps: Float[np.ndarray, " g"]
 ) -> None:
-    """Refuse a curve that the wall crosses: each step must lie in its two ends' free balls."""
+    """Reject a curve that crosses the wall: each step must lie in the free balls of its ends."""
     blocked = np.flatnonzero(radius[1:] + radius[:-1] <= gaps)
     if len(blocked):
         at = points[blocked[0]]
@@ -83,15 +83,15 @@ def _check_clear(
 def transport_frames(
     points: Float[np.ndarray, "n 3"], tangents: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3 3"]:
-    """Frames along a curve that do not twist about it (Wang et al. 2008, double reflection).
+    """Rotation-minimizing frames along a curve (Wang et al. 2008, double reflection).
 
     Args:
         points: Samples of the curve.
-        tangents: Unit tangents there.
+        tangents: Unit tangents at the samples.
 
     Returns:
         Rotations; columns are two transverse axes and the tangent. The first transverse axis
-        of the first frame is as near as can be to the axis least aligned with the tangent.
+        of the first frame is as close as possible to the axis least aligned with the tangent.
     """
     nearest = np.eye(3)[np.argmin(np.abs(tangents[0]))]
     x = nearest - (nearest @ tangents[0]) * tangents[0]
@@ -113,9 +113,9 @@ def transport_frames(
 def polyline_points(
     centerline: Centerline, arc_length: Float[np.ndarray, "*batch"] | float
 ) -> Float[np.ndarray, "*batch 3"]:
-    """Points [m] at arc lengths [m], on the straight lines between the samples.
+    """Points [m] at arc lengths [m], interpolated linearly between the samples.
 
-    It is much faster than `interpolate`. Beyond an end, the end's.
+    Much faster than `interpolate`. Arc lengths are clamped to the ends.
     """
     knots = centerline.arc_length
     return np.stack([np.interp(arc_length, knots, axis) for axis in centerline.points.T], axis=-1)
@@ -128,12 +128,12 @@ def interpolate(
 ]:
     """Points [m], frames and radius [m] at any arc lengths along a centerline.
 
-    Points lie on the cubic Hermite curve through the samples and their tangents; frames turn
-    at a constant rate from sample to sample; radius is linear. Beyond an end, the end's.
+    Points lie on the cubic Hermite curve through the samples and their tangents; frames rotate
+    at a constant rate between samples; the radius is linear. Arc lengths are clamped to the ends.
 
     Args:
         centerline: The curve.
-        arc_length: Where [m]; any shape.
+        arc_length: Arc lengths [m]; any shape.
     """
     at = np.clip(arc_length, 0.0, centerline.length)
     knots = centerline.arc_length

@@ -10,7 +10,7 @@ import scipy
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-_CHUNK = 64  # points at a time, to bound memory
+_CHUNK = 64  # points per batch, to limit memory
 
 
 def wall_distance(
@@ -18,15 +18,15 @@ def wall_distance(
     vertices: Float[np.ndarray, "n 3"],
     faces: Int[np.ndarray, "m 3"],
 ) -> Float[np.ndarray, " k"]:
-    """Distance from each point to the nearest point of any triangle [m], exact.
+    """Exact distance from each point to the nearest point of any triangle [m].
 
-    No triangle whose bounding sphere lies beyond the nearest vertex can be nearer than it.
+    Triangles whose bounding sphere lies beyond the nearest vertex are skipped.
     """
     corners = vertices[faces]
     middle = 0.5 * (corners.min(axis=1) + corners.max(axis=1))
     reach = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
     limit, _ = scipy.spatial.KDTree(vertices[np.unique(faces)]).query(points)
-    # Triangles by size, so that a few large ones do not widen the search among all others.
+    # Group triangles by size, so that a few large ones do not widen the search for all others.
     bounds = np.quantile(reach, [0.0, 0.5, 0.9, 0.99, 1.0])
     bin_of = np.clip(np.searchsorted(bounds, reach, side="left") - 1, 0, 3)
     distance = limit.copy()
@@ -53,7 +53,7 @@ def wall_distance(
 def triangle_distance(
     points: Float[np.ndarray, "k 3"], corners: Float[np.ndarray, "k 3 3"]
 ) -> Float[np.ndarray, " k"]:
-    """Distance from each point to its own triangle: over its face if there, else to an edge."""
+    """Distance from each point to its own triangle: to the face if above it, else to an edge."""
     edges = np.roll(corners, -1, axis=1) - corners
     offset = points[:, None] - corners
     length2 = (edges**2).sum(axis=2)

@@ -1,4 +1,4 @@
-"""The ends of a lumen: the middles of the two pouches that are farthest apart inside it."""
+"""Ends of a lumen: the centers of the two pouches farthest apart inside it."""
 
 from __future__ import annotations
 
@@ -12,37 +12,37 @@ if TYPE_CHECKING:
 
     from vrcaps.organ.centerline.lumen import LumenGrid
 
-_WALL_COST = 2.0  # of a step beside the wall, in steps through free lumen
-_SLENDER = 3.0  # volume of an end pouch, in cubes of its depth
-_LEAST_DEPTH = 4.0  # of an end pouch [voxels]
-_CENTRAL = 4.0  # power of the distance from the wall by which a pouch's voxels count
+_WALL_COST = 2.0  # of a step next to the wall, in steps through free lumen
+_SLENDER = 3.0  # maximum volume of an end pouch, in cubes of its depth
+_LEAST_DEPTH = 4.0  # minimum depth of an end pouch [voxels]
+_CENTRAL = 4.0  # exponent of the wall distance that weights a pouch's voxels
 
 
 def far_end(
     grid: LumenGrid, seed: Float[np.ndarray, " 3"], outside_cost: float
 ) -> Float[np.ndarray, " 3"] | None:
-    """Middle [voxels] of the pouch farthest from a seed; None if over 1 % is out of reach.
+    """Center [voxels] of the pouch farthest from a seed; None if over 1 % is unreachable.
 
-    Which voxel of a wide pouch is the farthest hangs on the last detail of its wall; the mean
-    of all that lie less than a depth w before it does not. w is the least depth at which
-    their volume is at most 3 w³ (in the end of a tube, its radius), so that a narrow end
-    is its own pouch. Voxels count by the fourth power of their distance from the wall.
+    The farthest voxel of a wide pouch depends on small details of its wall; the mean of all voxels
+    less than a depth w before it does not. w is the minimum depth at which their volume is at most
+    3 w³ (at the end of a tube, its radius), so that a narrow end is its own pouch. Voxels are
+    weighted by the fourth power of their distance from the wall.
 
     Args:
         grid: The lumen.
-        seed: Where to walk from [voxels].
-        outside_cost: Of a step outside the lumen, in steps inside; negative forbids it.
+        seed: Start of the search [voxels].
+        outside_cost: Cost of a step outside the lumen, in steps inside; negative forbids it.
     """
     depth = _depth(grid, seed, outside_cost)
     return None if depth is None else _middle(grid, depth)
 
 
 def any_end(grid: LumenGrid, outside_cost: float) -> Float[np.ndarray, " 3"] | None:
-    """Middle [voxels] of the pouch farthest from the widest place; see `far_end`.
+    """Center [voxels] of the pouch farthest from the widest point; see `far_end`.
 
-    In a round lumen the farthest voxels lie all around the widest place. Their middle is then
-    no end: it lies nearer to the widest place than to them. The farthest voxel alone is on one
-    side, so the end is sought from there.
+    In a round lumen the farthest voxels lie all around the widest point. Their center is then
+    not an end: it is nearer to the widest point than to them. A single farthest voxel is on one
+    side, so the search for the end starts there.
     """
     widest = np.array(np.unravel_index(np.argmax(grid.clearance), grid.inside.shape))
     depth = _depth(grid, widest, outside_cost)
@@ -56,7 +56,7 @@ def any_end(grid: LumenGrid, outside_cost: float) -> Float[np.ndarray, " 3"] | N
 
 
 def _middle(grid: LumenGrid, depth: Float[np.ndarray, "x y z"]) -> Float[np.ndarray, " 3"]:
-    """Middle [voxels] of the farthest pouch; its most central voxel if that is near a wall."""
+    """Center [voxels] of the farthest pouch; its most central voxel if that is near a wall."""
     pouch = _pouch(depth, _pouch_depth(depth))
     weight = grid.clearance[tuple(pouch.T)] ** _CENTRAL
     middle = weight @ pouch / weight.sum()
@@ -68,15 +68,15 @@ def _middle(grid: LumenGrid, depth: Float[np.ndarray, "x y z"]) -> Float[np.ndar
 def _depth(
     grid: LumenGrid, seed: Float[np.ndarray, " 3"], outside_cost: float
 ) -> Float[np.ndarray, "x y z"] | None:
-    """How much nearer to a seed than the farthest voxel each one is, in steps; see `far_end`.
+    """Distance from the seed relative to the farthest voxel, in steps; see `far_end`.
 
-    Infinite outside the lumen and beside its wall; None if over 1 % is out of reach.
+    Infinite outside the lumen and next to its wall; None if over 1 % is unreachable.
     """
     from skimage.graph import MCP_Geometric
 
     free = grid.clearance >= grid.voxel
     cost = np.where(grid.inside, np.where(free, 1.0, _WALL_COST), outside_cost)
-    # Steps across faces only: a diagonal one may slip through a thin wall.
+    # Steps across faces only: a diagonal step may slip through a thin wall.
     walked, _ = MCP_Geometric(cost, fully_connected=False).find_costs([nearest_voxel(seed)])
     reached = np.isfinite(walked) & grid.inside
     if np.count_nonzero(reached) < 0.99 * np.count_nonzero(grid.inside):
@@ -87,13 +87,13 @@ def _depth(
 
 
 def nearest_voxel(place: Float[np.ndarray, " 3"]) -> tuple[int, int, int]:
-    """Index of the voxel at a place [voxels]."""
+    """Index of the voxel at a position [voxels]."""
     x, y, z = np.rint(place).astype(int).tolist()
     return x, y, z
 
 
 def _pouch_depth(depth: Float[np.ndarray, "x y z"]) -> float:
-    """The least depth [voxels] whose volume is at most that of so many cubes of it."""
+    """Minimum depth [voxels] whose volume is at most `_SLENDER` cubes of it."""
     depth = np.sort(depth[np.isfinite(depth)])
     slender = np.arange(1, len(depth) + 1) <= _SLENDER * depth**3
     slender &= depth >= _LEAST_DEPTH
@@ -101,7 +101,7 @@ def _pouch_depth(depth: Float[np.ndarray, "x y z"]) -> float:
 
 
 def _pouch(depth: Float[np.ndarray, "x y z"], limit: float) -> Int[np.ndarray, "n 3"]:
-    """Voxels up to a depth that hang together with the farthest, within twice this depth."""
+    """Voxels up to a depth that are connected to the farthest, within twice this depth."""
     wide = np.empty(depth.shape, np.int32)
     scipy.ndimage.label(depth <= 2.0 * limit, output=wide)
     farthest = np.unravel_index(np.argmin(depth), depth.shape)

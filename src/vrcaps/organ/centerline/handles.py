@@ -1,4 +1,4 @@
-"""Handles of a lumen: places where loops that touch are open to each other, and ways past them."""
+"""Handles of a lumen: openings between touching loops, and their removal."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from vrcaps.organ.centerline.lumen import LumenGrid, num_pieces
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-_APART = 5  # least distance between the middles of two chambers [voxels]
-_DETOUR = 2.5  # way along the lumen, in diameters of its chambers, that makes a contact a short cut
+_APART = 5  # minimum distance between the centers of two chambers [voxels]
+_DETOUR = 2.5  # path along the lumen, in chamber diameters, beyond which a contact is a short cut
 _OFFSETS = [
     (i, j, k) for i in (0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if (i, j, k) > (0, 0, 0)
 ]
-"""Half of a voxel's 26 neighbors; the other half are theirs."""
+"""Half of a voxel's 26 neighbors; symmetry covers the other half."""
 
 
 def num_handles(faces: Int[np.ndarray, "m 3"]) -> int:
-    """Handles of a closed surface, by Euler's formula V − E + F = 2 pieces − 2 handles."""
+    """Number of handles of a closed surface, by Euler: V − E + F = 2 pieces − 2 handles."""
     euler = len(np.unique(faces)) - len(find_edges(faces).counts) + len(faces)
     return max(0, (2 * num_pieces(faces) - euler) // 2)
 
 
 def without_short_cuts(grid: LumenGrid) -> tuple[LumenGrid, int]:
-    """The lumen with its short cuts from loop to loop closed, and how many there were.
+    """Close the short cuts between loops of a lumen, and count them.
 
-    The lumen is parted into chambers around its widest places (a watershed of the distance from
-    the wall). Their contacts make a graph; its maximum spanning tree by the width of contacts is
-    the course of the lumen, since of the contacts on a cycle it leaves out the narrowest
-    (Cormen et al., Introduction to Algorithms, ch. 23). A contact it leaves out is closed if the
-    way around along the tree is long; a short one only goes around a fold.
+    The lumen is divided into chambers around its widest points (a watershed of the distance from
+    the wall). Their contacts form a graph; its maximum spanning tree by contact width is the
+    course of the lumen, since it omits the narrowest contact of each cycle (Cormen et al.,
+    Introduction to Algorithms, ch. 23). An omitted contact is closed if the path along the tree
+    is long; a short one only goes around a fold.
     """
     from skimage.segmentation import watershed
 
@@ -76,9 +76,9 @@ def without_short_cuts(grid: LumenGrid) -> tuple[LumenGrid, int]:
 def _contacts(
     chamber: Int[np.ndarray, "x y z"], clearance: Float[np.ndarray, "x y z"], num: int
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Voxels beside another chamber, of the lower number; the pair's key; and clearance there.
+    """Voxels next to another chamber, of the lower index; key of the pair; and clearance there.
 
-    The key of chambers a < b is a (num + 1) + b. The clearance is the lesser of both voxels'.
+    The key of chambers a < b is a (num + 1) + b. The clearance is the minimum of both voxels.
     """
     label, clear = chamber.ravel(), clearance.ravel()
     ids = np.flatnonzero(label)

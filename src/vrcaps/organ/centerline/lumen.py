@@ -1,4 +1,4 @@
-"""A lumen as a grid of voxels: inside by ray parity, and its distance from the wall."""
+"""Voxel grid of a lumen: interior by ray parity, and distance from the wall."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 MAX_VOXELS = 30_000_000
-_MOST_CROSSINGS = 50_000_000  # of boxes about triangles with grid lines: 10 GB
-_COARSE_VOXELS = 1_000_000  # of the first look, which measures volume and diameter
+_MOST_CROSSINGS = 50_000_000  # of triangle bounding boxes with grid lines: 10 GB
+_COARSE_VOXELS = 1_000_000  # of the first pass, which measures volume and diameter
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class LumenGrid:
 
     Attributes:
         inside: Whether the center of each voxel lies in the lumen.
-        clearance: Distance of each voxel's center from the wall, to about half a voxel [m].
+        clearance: Distance of each voxel's center from the wall [m], to about half a voxel.
         origin: Center of voxel (0, 0, 0) [m].
         voxel: Edge length [m].
     """
@@ -40,7 +40,7 @@ class LumenGrid:
         return self.origin + self.voxel * np.asarray(ids, float)
 
     def clearance_at(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-        """Distance from the wall at points, interpolated; 0 outside the lumen [m]."""
+        """Interpolated distance from the wall at points [m]; 0 outside the lumen."""
         ids = (points - self.origin) / self.voxel
         return scipy.ndimage.map_coordinates(self.clearance, ids.T, order=1, mode="constant")
 
@@ -48,12 +48,12 @@ class LumenGrid:
 def voxelize(
     vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"], voxel: float
 ) -> LumenGrid:
-    """Voxels of the lumen that a surface encloses, whatever its winding.
+    """Voxelize the lumen enclosed by a surface of any winding.
 
-    A voxel is inside where a line from its center along z crosses the wall an odd number of
-    times. Open ends are closed by `close_ends` first, so that this is defined everywhere.
-    Voxels on either side of a sheet of tissue thinner than a voxel are not inside, so that no
-    two neighbors are inside with the wall between them.
+    A voxel is inside if a line from its center along z crosses the wall an odd number of times.
+    Open ends are first closed by `close_ends`, so that this is defined everywhere. Voxels on
+    either side of a sheet of tissue thinner than a voxel are not inside, so that no two inside
+    neighbors are separated by the wall.
 
     Raises:
         InputError: If the grid would have more than `MAX_VOXELS` voxels.
@@ -73,7 +73,7 @@ def voxelize(
     inside = np.zeros(shape, np.uint8)
     for axes in ((1, 2, 0), (2, 0, 1), (0, 1, 2)):
         columns, _, height = grid_crossings(scaled[:, axes], faces, shape[list(axes)])
-        # Views whose last axis is the lines' own.
+        # Views with the direction of the lines as the last axis.
         wall.transpose(axes)[(*columns.T, np.rint(height).astype(int))] = True
         above = np.ceil(height).astype(int)
         line = np.ravel_multi_index((*columns.T, above), tuple(shape[list(axes)]))
@@ -94,10 +94,10 @@ def voxelize(
 def close_ends(
     vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
 ) -> tuple[Float[np.ndarray, "k 3"], Int[np.ndarray, "l 3"]]:
-    """The surface with vertices at one place merged and every open end closed by a cone.
+    """Merge coincident vertices of a surface and close every open end by a cone.
 
-    Edges with an odd number of faces form loops; each is joined to its centroid, after
-    which every line crosses the surface an even number of times.
+    Edges with an odd number of faces form loops; each is joined to its centroid. Every line
+    then crosses the surface an even number of times.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -124,7 +124,7 @@ def close_ends(
 
 
 def num_pieces(faces: Int[np.ndarray, "m 3"]) -> int:
-    """Number of pieces of a surface that share no vertex."""
+    """Number of pieces of a surface that share no vertices."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -137,19 +137,19 @@ def num_pieces(faces: Int[np.ndarray, "m 3"]) -> int:
 def grid_crossings(
     vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"], shape: Int[np.ndarray, " 3"]
 ) -> tuple[Int[np.ndarray, "k 2"], Int[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """Grid lines along z that meet triangles, the triangles, and at what height.
+    """Grid lines along z that intersect triangles, the triangles, and the heights.
 
-    The test (an odd number of the triangle's edges lies to the right of the line) takes each
-    edge by its lower vertex first, so that two triangles of one edge never both miss or both
-    hit a line through it.
+    The test (an odd number of the triangle's edges lies to the right of the line) takes the
+    lower vertex of each edge first, so that two triangles that share an edge never both miss or
+    both hit a line through it.
 
     Args:
-        vertices: In voxels, grid lines at whole x and y.
-        faces: Vertex numbers of each triangle.
-        shape: Of the grid.
+        vertices: Vertices in voxels, with grid lines at integer x and y.
+        faces: Vertex indices of each triangle.
+        shape: Shape of the grid.
 
     Raises:
-        InputError: If the triangles are so many and so large that memory would run out.
+        InputError: If the triangles are so many and so large that memory would be exhausted.
     """
     corners = vertices[faces]
     first = np.ceil(corners[..., :2].min(axis=1)).astype(int)
@@ -182,7 +182,7 @@ def grid_crossings(
 
 
 def mean_radius(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> float:
-    """Twice the lumen's volume over its wall's area [m]: the radius, were it a long cylinder.
+    """Twice the volume of the lumen over the area of its wall [m]: the radius of a long cylinder.
 
     Raises:
         InputError: If the surface encloses no lumen.

@@ -1,4 +1,4 @@
-"""The path through the middle of a lumen: its two ends and the cheapest way between them."""
+"""Path through the middle of a lumen: its two ends and the cheapest route between them."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from vrcaps.organ.centerline.lumen import LumenGrid
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-_CENTERING = 3.0  # a step costs clearance^-3: short cuts near the wall never pay
-_LEAST_SPAN = 3.0  # between the two ends [voxels]
-_GAP_COST = 1e4  # of a step outside the lumen, in steps beside the wall
+_CENTERING = 3.0  # a step costs clearance^-3, which prevents short cuts near the wall
+_LEAST_SPAN = 3.0  # minimum distance between the two ends [voxels]
+_GAP_COST = 1e4  # of a step outside the lumen, in steps next to the wall
 
 _log = logging.getLogger(__name__)
 
@@ -28,22 +28,22 @@ def find_path(
     *,
     cross_gaps: bool = False,
 ) -> Float[np.ndarray, "k 3"] | None:
-    """Voxel centers along the middle of the lumen, from one end to the other [m].
+    """Find voxel centers along the middle of the lumen, from one end to the other [m].
 
-    The cost of a step falls with the cube of its distance from the wall. Ends not given are
-    sought by `far_end`.
+    The cost of a step falls with the cube of its distance from the wall. Missing ends are found
+    by `far_end`.
 
     Args:
         grid: The lumen.
-        start: Where to begin [m], or None.
-        end: Where to stop [m], or None.
-        cross_gaps: Whether the path may cross what the grid holds to be outside.
+        start: Start of the path [m], or None.
+        end: End of the path [m], or None.
+        cross_gaps: Whether the path may cross voxels that the grid marks as outside.
 
     Returns:
-        The path, or None where parts of the lumen are cut off from each other.
+        The path, or None if parts of the lumen are disconnected.
 
     Raises:
-        InputError: If an end lies outside the lumen, or both are one place.
+        InputError: If an end lies outside the lumen, or both coincide.
     """
     from skimage.graph import MCP_Geometric
 
@@ -77,7 +77,7 @@ def find_path(
 
 
 def _snap(grid: LumenGrid, point: Float[np.ndarray, " 3"], name: str) -> Int[np.ndarray, " 3"]:
-    """The voxel of the lumen nearest to a point.
+    """Voxel of the lumen nearest to a point.
 
     Raises:
         InputError: If the point is not finite or lies outside the lumen.

@@ -1,4 +1,4 @@
-"""A voxel path made smooth and central, without leaving the lumen."""
+"""Smoothing and centering of a voxel path within the lumen."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from vrcaps.units import MM
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-_SMOOTHING = 0.5  # length below which wiggles fade, in local radii
-_KEEP = 0.6  # of its clearance a point must keep when smoothed
+_SMOOTHING = 0.5  # wavelength below which wiggles are damped, in local radii
+_KEEP = 0.6  # fraction of its clearance that a point keeps when smoothed
 _ROUNDS = 30
 _CENTERING_ROUNDS = 12
-_END_WINDOW = 2  # voxels beyond its own clearance over which an end's clearance is compared
-_CENTRAL = 0.9  # of the largest clearance there, from which an end lies in the middle
+_END_WINDOW = 2  # voxels beyond its clearance in which an end is compared
+_CENTRAL = 0.9  # fraction of the maximum clearance there at which an end is central
 
 
 def smooth_path(
     grid: LumenGrid, path: Float[np.ndarray, "k 3"], free: tuple[bool, bool] = (True, True)
 ) -> Float[np.ndarray, "n 3"]:
-    """A smooth curve down the middle of the lumen, from wall to wall [m].
+    """Smooth curve along the middle of the lumen, from wall to wall [m].
 
-    Free ends climb from beside the middle to it: this part is left out. The curve is drawn
-    to where the clearance is largest and smoothed in turn.
+    Free ends first approach the middle from the side; this part is removed. The curve is
+    alternately moved towards maximum clearance and smoothed.
 
     Args:
         grid: The lumen.
@@ -37,7 +37,7 @@ def smooth_path(
         free: Whether the first and the last end may be moved.
 
     Raises:
-        InputError: If nothing is left of it.
+        InputError: If nothing is left of the path.
     """
     path = resample(path, grid.voxel)
     path = _trim(grid, path) if free[0] else path
@@ -54,14 +54,14 @@ def smooth_path(
 
 
 def resample(points: Float[np.ndarray, "k 3"], step: float) -> Float[np.ndarray, "n 3"]:
-    """Points at equal distances of about `step` along a polyline, its ends included."""
+    """Evenly spaced points, about `step` apart, along a polyline including its ends."""
     arc = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
     at = np.linspace(0.0, arc[-1], max(int(np.ceil(arc[-1] / step)), 4) + 1)
     return np.stack([np.interp(at, arc, points[:, axis]) for axis in range(3)], axis=1)
 
 
 def _trim(grid: LumenGrid, path: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "n 3"]:
-    """The path from where its clearance first is nearly the largest within reach."""
+    """Path from the first point whose clearance is nearly the maximum within reach."""
     clearance = grid.clearance_at(path)
     for i in range(len(path) // 3):
         ahead = clearance[i : i + _END_WINDOW + int(clearance[i] / grid.voxel)]
@@ -76,15 +76,15 @@ def to_wall(
     vertices: Float[np.ndarray, "k 3"],
     faces: Int[np.ndarray, "m 3"],
 ) -> Float[np.ndarray, "l 3"]:
-    """The path, then points straight on from its last, until 1.5 voxels before the wall.
+    """Extend the path straight on from its last point until 1.5 voxels before the wall.
 
-    Where it stops is measured exactly: voxels would round it.
+    The end is measured exactly, as voxels would round it.
 
     Args:
         grid: The lumen.
-        path: Points down the middle of the lumen [m], a voxel apart.
-        vertices: Of the wall without open ends [m].
-        faces: Of the wall.
+        path: Points along the middle of the lumen [m], a voxel apart.
+        vertices: Vertices of the wall without open ends [m].
+        faces: Faces of the wall.
     """
     voxel, reach = grid.voxel, grid.clearance_at(path[-1:])[0]
     back = min(len(path) - 1, max(2, int(reach / voxel)))
@@ -102,7 +102,7 @@ def to_wall(
 
 
 def _center(grid: LumenGrid, path: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """Each point moved across the curve towards larger clearance, at most a voxel."""
+    """Move each point across the curve towards larger clearance, by at most a voxel."""
     tangent = np.gradient(path, axis=0)
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-300)
     half = np.maximum(0.2 * grid.clearance_at(path), grid.voxel)[:, None]
@@ -118,9 +118,9 @@ def _center(grid: LumenGrid, path: Float[np.ndarray, "n 3"]) -> Float[np.ndarray
 
 
 def _smooth(grid: LumenGrid, path: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """The curve x that minimizes Σ w |x − path|² + Σ |x″|², w = (step / smoothing length)⁴.
+    """Curve x that minimizes Σ w |x − path|² + Σ |x″|², w = (step / smoothing length)⁴.
 
-    Where x would come too near the wall, w is raised until it does not.
+    Where x would be too close to the wall, w is raised until it is not.
     """
     clearance = grid.clearance_at(path)
     step = np.linalg.norm(path[1] - path[0])
@@ -136,7 +136,7 @@ def _smooth(grid: LumenGrid, path: Float[np.ndarray, "n 3"]) -> Float[np.ndarray
 
 
 def _bending(weight: Float[np.ndarray, " n"]) -> Float[np.ndarray, "3 n"]:
-    """Upper bands of diag(weight) + D'D, D the second difference."""
+    """Upper bands of diag(weight) + DᵀD, with D the second difference."""
     n = len(weight)
     bands = np.zeros((3, n))
     for offset, row in ((0, (1.0, 4.0, 1.0)), (1, (-2.0, -2.0)), (2, (1.0,))):

@@ -27,13 +27,13 @@ _NUM_WAVES = 4
 
 @dataclass(frozen=True)
 class BandLimitedNoise:
-    """Smooth noise along the path: sums of sines, each at most 1 in size."""
+    """Smooth noise along the path: sums of sines, each with absolute values up to 1."""
 
     wave_numbers: Float[np.ndarray, "c k"]
     phases: Float[np.ndarray, "c k"]
 
     def at(self, distance: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n c"]:
-        """The noises at distances along the path [m]."""
+        """Values of the noises at distances along the path [m]."""
         angle = distance[:, None, None] * self.wave_numbers + self.phases
         return np.sin(angle).mean(axis=-1)
 
@@ -53,19 +53,19 @@ def make_noise(smoothness: float, rng: np.random.Generator, *, count: int) -> Ba
 
 @dataclass(frozen=True)
 class CenterlineFollower:
-    """Poses of the capsule by the arc length of its middle on the centerline [m].
+    """Poses of the capsule by the arc length of its center on the centerline [m].
 
     Attributes:
-        centerline: In the world frame.
+        centerline: Centerline in the world frame.
         noise: Noise of two drifts, two tilts and the roll.
         front: Distance of the front point ahead of the capsule's origin [m].
         rear: Distance of the rear point behind it [m].
         sign: 1 to travel towards the anal end, −1 towards the oral end.
-        drift: Largest drift as a fraction of the radius.
-        tilt: Largest angle off the direction of travel [rad].
-        roll: Largest angle about the capsule's axis [rad].
-        amplitude: Fraction of the drift and tilt kept, by arc length.
-        correction: Shift [m] and turn [rad] of the capsule in its own frame, by arc length.
+        drift: Maximum drift as a fraction of the radius.
+        tilt: Maximum angle from the direction of travel [rad].
+        roll: Maximum angle about the capsule's axis [rad].
+        amplitude: Fraction of the drift and tilt retained, by arc length.
+        correction: Shift [m] and rotation [rad] of the capsule in its own frame, by arc length.
     """
 
     centerline: Centerline
@@ -80,13 +80,13 @@ class CenterlineFollower:
     correction: Callable[[np.ndarray], np.ndarray] | None = None
 
     def poses(self, s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 4 4"]:
-        """Poses with the capsule's middle near arc lengths `s` [m]."""
+        """Poses with the capsule's center near arc lengths `s` [m]."""
         amplitude, noise = self.amplitude(s), self.noise.at(s)
         rear, front = self._two_points(s, amplitude)
         forward = front - rear
         forward /= np.linalg.norm(forward, axis=1, keepdims=True)
         _, frame, _ = interpolate(self.centerline, s)
-        if self.sign < 0.0:  # turned about its first axis, so that z points along the travel
+        if self.sign < 0.0:  # rotated about its first axis, so that z points along the travel
             frame = frame * np.array([1.0, -1.0, -1.0])
         rotation = _turn(frame[:, :, 2], forward) @ frame
         tilt, spin = np.zeros((len(s), 3)), np.zeros((len(s), 3))
@@ -97,7 +97,7 @@ class CenterlineFollower:
         return poses if self.correction is None else corrected(poses, self.correction(s))
 
     def _two_points(self, s: np.ndarray, amplitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rear and front points on the rail, a fixed distance apart."""
+        """Rear and front points on the path, a fixed distance apart."""
         wheelbase = self.front + self.rear
         stretch = np.ones_like(s)
         rear, front = self._ends(s, amplitude, stretch)
@@ -120,7 +120,7 @@ class CenterlineFollower:
         offset = np.empty((len(s), 3))
         offset[:, :2] = (amplitude * self.drift * radius)[:, None] * self.noise.at(s)[:, :2]
         offset[:, :2] /= np.sqrt(2.0)
-        # Beyond an end of the centerline the rail goes straight on.
+        # Beyond the ends of the centerline the path continues straight.
         offset[:, 2] = s - np.clip(s, 0.0, self.centerline.length)
         return point + (frame @ offset[:, :, None])[:, :, 0]
 
@@ -128,7 +128,7 @@ class CenterlineFollower:
 def follower_offsets(device: Device) -> tuple[float, float]:
     """Distances of the front and rear points from the capsule's origin [m].
 
-    They are at the outermost cameras, and no nearer than the ends of the body's axis.
+    They are at the outermost cameras, but at least as far out as the ends of the body's axis.
     """
     heights = [camera.T_capsule_camera[2, 3] for camera in device.cameras]
     axis = device.length / 2.0 - device.radius
@@ -136,7 +136,7 @@ def follower_offsets(device: Device) -> tuple[float, float]:
 
 
 def _turn(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
-    """Smallest rotations that take directions a to directions b."""
+    """Minimal rotations from directions a to directions b."""
     a = a / np.linalg.norm(a, axis=1, keepdims=True)
     axis = np.cross(a, b)
     sine = np.linalg.norm(axis, axis=1, keepdims=True)

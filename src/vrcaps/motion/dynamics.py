@@ -1,4 +1,4 @@
-"""Dynamics: settings of a motion that is simulated, by gravity, wall, muscle and commands."""
+"""Dynamics: settings of a motion simulated from gravity, wall, muscle and commands."""
 
 from __future__ import annotations
 
@@ -49,9 +49,9 @@ WRENCH_FRAMES = ("world", "capsule", "gut")
 
 @dataclass(frozen=True)
 class Dynamics:
-    """The capsule moves as gravity, the wall, the muscle and commands make it.
+    """Capsule motion simulated from gravity, wall contact, muscle and commands.
 
-    It is set on the centerline and left to itself for `settle`; then time is 0 and the first
+    The capsule is placed on the centerline and settles for `settle`; then time is 0 and the first
     frame is taken.
 
     Example:
@@ -59,40 +59,40 @@ class Dynamics:
         >>> vrcaps.record(vrcaps.Scenario("small-bowel", motion=motion), "runs/transit")
 
     Attributes:
-        start: Where the capsule is set, as a share of the centerline from the oral end; moved
-            on to where the capsule fits.
-        angle: Between the capsule's front and the way towards the anal end, about the x axis of
-            the centerline's frame [rad]; π looks back.
-        deformation: How the wall gives way: `quick` (the paper's update near the contact), `fem`
-            (an elastic layer) or `rigid` (not at all, but for the softness of `foundation`).
-        quick: Parameters of `quick`.
-        fem: Parameters of `fem`; None takes its defaults.
+        start: Start position of the capsule, as a fraction of the centerline from the oral end;
+            moved on to the next position where the capsule fits.
+        angle: Angle between the capsule's front and the direction to the anal end, about the x axis
+            of the centerline's frame [rad]; π looks back.
+        deformation: Deformation of the wall: `spring` (springs and dampers at the vertices near the
+            contact), `fem` (an elastic layer) or `rigid` (none except the softness of
+            `foundation`).
+        spring: Parameters of `spring`.
+        fem: Parameters of `fem`; None for the defaults.
         foundation: Pressure of the wall against a capsule that presses in.
         drag: Resistance of the wall against a capsule that slides along.
-        motility: What the muscle does: `none`; `fasting`, the migrating motor complex by chance;
+        motility: Motility of the muscle: `none`; `fasting`, the migrating motor complex at random;
             `phase-three`, its strongest phase, whose front has passed the capsule by 5 cm in the
-            first frame;
-            `steady`, every segment contracts evenly.
-        fallback_segment: Segment whose muscle the wall has where its own segment's name is
-            unknown, such as `jejunum`; None makes that an error.
-        propulsion: The force β (v_p − u) of peristalsis in addition to contact; None is without.
+            first frame; `steady`, even contractions of every segment.
+        fallback_segment: Segment whose muscle is used where the wall's own segment name is unknown,
+            such as `jejunum`; None makes that an error.
+        propulsion: Force β (v_p − u) of peristalsis in addition to contact; None for no such force.
         wrenches: Commanded force and torque: linear in time between entries, constant before and
             after them.
         wrench_file: CSV of such entries instead, see `read_wrenches`.
         wrench_frame: Axes of commanded forces and torques: `world`, the `capsule`'s own, or the
             `gut`'s at the capsule: z along the centerline towards the anal end.
-        posture_changes: When the patient turns over.
-        insufflation: How full the gut is in time; empty: as modeled.
-        flushes: When bubbles and chyme around the capsule are washed off.
-        phase_three: Fronts of phase III, each at a place at a time, in place of the next that would
-            come; where `motility` is none the muscle rests until the first.
-        magnet: A magnet outside that steers the capsule; None is without.
-        settle: Time that passes before the first frame, without commands [s]. The gut takes on
-            its first insufflation, and the muscle wakes within 1 s.
-        step: Longest time between updates of muscle and commands [s].
-        substep: Longest substep of the dynamics [s]. Gentle forces bear four times the default.
-        dynamics: `physics`, with inertia; or `quasi-static`, in balance without, many times as
-            fast, see `vrcaps.world.dynamics`.
+        posture_changes: Changes of the patient's posture over time.
+        insufflation: Insufflation over time; empty: as modeled.
+        flushes: Times at which bubbles and chyme around the capsule are flushed off.
+        phase_three: Fronts of phase III, each at a given position and time, replacing the next one
+            due; if `motility` is none, the muscle rests until the first.
+        magnet: External magnet that steers the capsule; None for no magnet.
+        settle: Time before the first frame, without commands [s]. The gut reaches its first
+            insufflation, and muscle activity starts within 1 s.
+        step: Maximum time between updates of muscle and commands [s].
+        substep: Maximum substep of the dynamics [s]. Gentle forces permit four times the default.
+        dynamics: `physics`, with inertia; or `quasi-static`, in equilibrium without inertia and
+            many times as fast, see `vrcaps.world.dynamics`.
     """
 
     start: float = FlyThrough.start
@@ -122,7 +122,7 @@ class Dynamics:
 
     @property
     def column_names(self) -> tuple[str, ...]:
-        """Columns of contact and commands, and of the magnet where there is one."""
+        """Columns of contact and commands, and of the magnet if there is one."""
         magnet = () if self.magnet is None else MAGNET_COLUMNS
         if self.magnet is not None and self.magnet.pose == "located":
             magnet += ESTIMATE_COLUMNS
@@ -131,12 +131,12 @@ class Dynamics:
     def begin(
         self, model: Model, *, frames: int, fps: float, seed: int, shown: Model | None = None
     ) -> Rollout:
-        """The simulation in a model, see `MotionSettings.begin`."""
+        """Start the simulation in a model, see `MotionSettings.begin`."""
         organ = None if shown is None or shown is model else shown.organ
         return Rollout(model, self, frames=frames, fps=fps, seed=seed, shown=organ)
 
     def make_tissue(self, front: float) -> Tissue:
-        """The tissue, with the front of `phase-three` at an arc length in the first frame [m]."""
+        """Tissue, with the front of `phase-three` at an arc length in the first frame [m]."""
         motility = None
         if self.motility != "none" or self.phase_three:
             motility = Motility(

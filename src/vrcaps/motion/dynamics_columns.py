@@ -1,4 +1,4 @@
-"""Columns of `frames.parquet` of a motion by dynamics: contact, commands and magnetic coupling."""
+"""Columns of `frames.parquet` for dynamics: contact, commands and magnetic coupling."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _POSE = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
 
 SPEED_ALONG_GUT = "capsule_along_gut_m_per_s"
-"""Column of every frame that is commanded."""
+"""Column of every commanded frame."""
 
 DYNAMICS_COLUMNS = (
     *(f"contact_force_{axis}_n" for axis in "xyz"),
@@ -32,7 +32,7 @@ DYNAMICS_COLUMNS = (
     *(f"patient_{name}" for name in _POSE),
     "mmc_phase",
 )
-"""Columns of every motion by dynamics."""
+"""Columns of every dynamic motion."""
 
 MAGNET_COLUMNS = (
     *(f"magnet_{name}" for name in _POSE),
@@ -47,7 +47,7 @@ MAGNET_COLUMNS = (
     "magnet_limit",
     "coupling_lost",
 )
-"""Further columns where a magnet steers; those of an arm's joints come after them."""
+"""Further columns with a steering magnet; those of an arm's joints follow."""
 
 ESTIMATE_COLUMNS = (
     *(f"estimated_{name}" for name in _POSE),
@@ -55,11 +55,11 @@ ESTIMATE_COLUMNS = (
     "estimated_position_sigma_m",
     "estimated_roll_sigma_rad",
 )
-"""Further columns where the controller has a located pose."""
+"""Further columns if the controller uses an estimated pose."""
 
 
 def dynamics_row(contact: Contact, command: Command) -> dict[str, float]:
-    """Values of `DYNAMICS_COLUMNS`."""
+    """Row of `DYNAMICS_COLUMNS`."""
     pose = command.T_world_patient
     values = (
         *contact.force_world,
@@ -79,7 +79,7 @@ def dynamics_row(contact: Contact, command: Command) -> dict[str, float]:
 
 
 def magnet_row(coupling: Coupling, status: ControllerStatus) -> dict[str, float | str]:
-    """Values of `MAGNET_COLUMNS`, and the joint angles of an arm."""
+    """Row of `MAGNET_COLUMNS`, and the joint angles of an arm."""
     actuator = status.actuator
     values = (
         *actuator.T_world_magnet[:3, 3],
@@ -100,7 +100,7 @@ def magnet_row(coupling: Coupling, status: ControllerStatus) -> dict[str, float 
 
 
 def estimate_row(belief: PoseBelief) -> dict[str, float]:
-    """Values of `ESTIMATE_COLUMNS`."""
+    """Row of `ESTIMATE_COLUMNS`."""
     pose = belief.T_world_capsule
     values = (
         *pose[:3, 3],

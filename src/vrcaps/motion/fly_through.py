@@ -1,9 +1,9 @@
-"""Fly-through along the centerline: smooth, seeded, and never out of the lumen.
+"""Fly-through along the centerline: smooth, seeded, and always inside the lumen.
 
 The capsule follows the centerline plus a lateral drift (see `centerline_follower`). All noise
-(drift, tilt, roll, speed) goes with the distance traveled, so the path does not
-depend on the frame rate. Where a camera would come too near the wall the wandering is eased;
-where even the centerline brings it there, in an acute bend, the capsule is pushed aside.
+(drift, tilt, roll, speed) is a function of the distance traveled, so the path does not depend on
+the frame rate. The noise is reduced where a camera would come too close to the wall. If even the
+centerline brings it too close, in an acute bend, the capsule is pushed aside.
 """
 
 from __future__ import annotations
@@ -35,39 +35,39 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 DEFAULT_SPEED = 0.01
-"""Mean speed of a flight that states none [m/s], as by peristalsis."""
+"""Default mean speed of a fly-through [m/s], as by peristalsis."""
 
-_KNOT_SPACING = 1.0 * MM  # of the places where the path is checked against the wall
+_KNOT_SPACING = 1.0 * MM  # of the positions where the path is checked against the wall
 _PUSH_BLURS = (3.0 * MM, 1.5 * MM, 0.75 * MM)
-"""Blurs of the push off the wall [m], tried in turn: a narrow bend needs a less smooth path."""
+"""Blurs of the push off the wall [m], tried in turn: a narrow bend requires a less smooth path."""
 
 
 @dataclass(frozen=True)
 class FlyThrough:
-    """Fly along the centerline at a steady speed, or along all of it in the frames given.
+    """Fly-through along the centerline, at a steady speed or over a whole stretch.
 
     Example:
         >>> motion = vrcaps.FlyThrough(start=0.2, end=0.6, speed=0.005)
         >>> vrcaps.record(vrcaps.Scenario(motion=motion), "runs/flight")
 
     Attributes:
-        start: Where the first frame is, as a fraction of the centerline from the oral end.
-        end: Farthest place that the capsule reaches; less than `start` to travel towards the oral
-            end. Both are moved inwards to where the capsule fits.
+        start: Position of the first frame, as a fraction of the centerline from the oral end.
+        end: Farthest position that the capsule reaches; less than `start` to travel towards the
+            oral end. Both are moved inwards to where the capsule fits.
         speed: Mean speed along the centerline [m/s]; None is 0.01 m/s, or less if the frames last
             longer than the stretch from start to end.
-        whole: Whether the frames cover the whole stretch from start to end, at any speed that
-            takes. Many frames or a high frame rate keep the distance between frames small.
-        speed_variation: Largest deviation of the speed from its mean, as a share, below 1.
-        drift: Largest distance from the centerline, as a fraction of the local radius, below 1.
-        tilt: Largest angle between the capsule's axis and its direction of travel [rad].
-        roll: Largest angle about the capsule's axis [rad].
-        smoothness: Shortest wavelength of all these along the path [m].
-        margin: Distance that cameras and body axis keep from the wall where the lumen is wide
-            enough [m]; where it is not, half of what they have on the centerline.
-        rigid_wall: Whether the wall stays as it is where the lumen is narrower than the capsule, so
-            that the shell reaches into it; its center and its cameras never do. Otherwise the
-            wall makes way for the shell.
+        whole: Whether the frames cover the whole stretch from start to end, at the speed that this
+            requires. Many frames or a high frame rate keep the distance between frames small.
+        speed_variation: Maximum deviation of the speed from its mean, as a fraction, below 1.
+        drift: Maximum distance from the centerline, as a fraction of the local radius, below 1.
+        tilt: Maximum angle between the capsule's axis and its direction of travel [rad].
+        roll: Maximum angle about the capsule's axis [rad].
+        smoothness: Minimum wavelength of all these along the path [m].
+        margin: Distance that cameras and body axis keep from the wall if the lumen is wide enough
+            [m]; otherwise half of their distance on the centerline.
+        rigid_wall: Whether the wall keeps its shape where the lumen is narrower than the capsule,
+            so that the shell reaches into it; its center and its cameras never do. Otherwise the
+            wall yields to the shell.
     """
 
     start: Annotated[float, Range(0.0, 1.0)] = 0.03
@@ -97,7 +97,7 @@ class FlyThrough:
     def begin(
         self, model: Model, *, frames: int, fps: float, seed: int, shown: Model | None = None
     ) -> Trajectory:
-        """The flight in a model, see `MotionSettings.begin`."""
+        """Create the fly-through in a model, see `MotionSettings.begin`."""
         rng = vrcaps.rng.stream(seed, "fly-through")
         return fly_through(model, self, frames=frames, fps=fps, rng=rng, shown=shown)
 
@@ -111,15 +111,15 @@ def fly_through(
     rng: np.random.Generator,
     shown: Model | None = None,
 ) -> Trajectory:
-    """Trajectory of the capsule along the centerline, looking where it travels.
+    """Trajectory of the capsule along the centerline, facing the direction of travel.
 
     Args:
         model: The lumen and the capsule.
-        settings: Where from and to, how fast, how much it wanders.
+        settings: Start, end, speed and noise.
         frames: Number of frames, at least 1.
         fps: Frames per second.
-        rng: Source of the wandering.
-        shown: The model whose wall makes way, one with the same triangles; None is `model`.
+        rng: Random number generator of the noise.
+        shown: Model whose wall yields to the shell, with the same triangles; None for `model`.
 
     Raises:
         InputError: If a setting is out of range, the frames at `speed` need more than the
@@ -152,7 +152,7 @@ def _distance(settings: FlyThrough, stretch: float, frames: int, fps: float) -> 
     """Distance along the centerline from the first frame to the last [m].
 
     Raises:
-        InputError: If the frames at the speed that was asked for need more than the stretch.
+        InputError: If the frames at the requested speed need more than the stretch.
     """
     if settings.whole:
         return stretch
@@ -172,7 +172,7 @@ def _distance(settings: FlyThrough, stretch: float, frames: int, fps: float) -> 
 def _traveled(
     nominal: Float[np.ndarray, " n"], distance: float, noise: BandLimitedNoise, variation: float
 ) -> Float[np.ndarray, " n"]:
-    """Distance traveled when steady motion would be at `nominal`; both end at `distance` [m]."""
+    """Distance traveled for nominal distances at steady speed; both end at `distance` [m]."""
     if distance <= 0.0:
         return np.zeros_like(nominal)
     ends = np.array([distance])
@@ -183,7 +183,7 @@ def _traveled(
 def _make_follower(
     model: Model, settings: FlyThrough, rng: np.random.Generator
 ) -> CenterlineFollower:
-    """Follower of the model's capsule on its organ's centerline, not wandering yet."""
+    """Follower of the organ's centerline for the model's capsule, without noise."""
     line = model.organ.centerline
     front, rear = follower_offsets(model.device)
     return CenterlineFollower(
@@ -206,7 +206,7 @@ def _make_follower(
 def _fitted(
     model: Model, settings: FlyThrough, follower: CenterlineFollower, duration: float
 ) -> tuple[CenterlineFollower, float, float, tuple[str, ...]]:
-    """The follower with its poses pushed into the lumen, and the stretch where it fits [m].
+    """Return the follower with its poses pushed into the lumen, and the stretch where it fits [m].
 
     Raises:
         InputError: If the capsule does not fit in, or leaves the lumen in between.
@@ -243,7 +243,7 @@ def _free_part(
     is_free: Bool[np.ndarray, " k"],
     duration: float,
 ) -> tuple[float, float] | None:
-    """First part of a stretch [m] in which the capsule fits for as long as it flies, if any."""
+    """First part of a stretch [m] in which the capsule fits for the whole duration, if any."""
     speed = DEFAULT_SPEED if settings.speed is None else settings.speed
     ends = np.flatnonzero(np.diff(np.concatenate([[False], is_free, [False]]).astype(int)))
     parts = [(float(knots[a]), float(knots[b - 1])) for a, b in ends.reshape(-1, 2)]
@@ -256,10 +256,10 @@ def _free_part(
 def _stretch(
     model: Model, settings: FlyThrough, follower: CenterlineFollower
 ) -> tuple[Float[np.ndarray, " k"], tuple[str, ...]]:
-    """Knots of the stretch asked for, its ends moved inwards to where the capsule fits.
+    """Knots of the requested stretch, its ends moved inwards to where the capsule fits.
 
     Raises:
-        InputError: If it fits nowhere.
+        InputError: If it does not fit anywhere.
     """
     asked = np.sort(np.array([settings.start, settings.end])) * model.organ.centerline.length
     knots = _knots(*asked)
@@ -291,12 +291,12 @@ def _least_clearance(model: Model, settings: FlyThrough) -> float:
 def _eased(
     model: Model, settings: FlyThrough, follower: CenterlineFollower, low: float, high: float
 ) -> CenterlineFollower:
-    """The follower wandering in full, but less wherever it would come too near the wall."""
+    """Return the follower with full noise, reduced wherever it would come too close to the wall."""
     from scipy.interpolate import PchipInterpolator  # slow to load
 
     knots = _knots(low, high)
     bare = capsule_clearance(model, follower.poses(knots))
-    # A point that is outside even without wandering (an end of the shell) is let be.
+    # A point that is outside even without noise (an end of the shell) is ignored.
     need = np.where(bare > 0.0, np.minimum(settings.margin, 0.5 * bare), -np.inf)
     amplitude = np.ones_like(knots)
     slope = knots / settings.smoothness
@@ -319,7 +319,7 @@ def _knots(low: float, high: float) -> Float[np.ndarray, " n"]:
 def _linear(
     knots: Float[np.ndarray, " k"], values: Float[np.ndarray, " k *d"]
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """Values between knots, linear, and those of the end knots beyond."""
+    """Linear interpolation between knots, constant beyond the end knots."""
 
     def at(s: np.ndarray) -> np.ndarray:
         columns = [np.interp(s, knots, column) for column in values.reshape(len(knots), -1).T]

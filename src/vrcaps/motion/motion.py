@@ -1,7 +1,7 @@
-"""Interface of motions: what a scenario asks for, and what runs in a model.
+"""Interface of motions: their settings in a scenario, and the motion in a model.
 
 A new motion is a frozen dataclass with the members of `MotionSettings`, in one file, and its name
-in `vrcaps.motion.registry`. A path that is known beforehand starts as a `Trajectory`.
+in `vrcaps.motion.registry`. A path known in advance is a `Trajectory`.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class MotionState:
-    """All that a motion needs to go on from a frame to the same bytes.
+    """State from which a motion resumes after a frame, to the same bytes.
 
     Attributes:
-        frame: Number of the frame.
-        arrays: What the motion keeps, by name.
+        frame: Index of the frame.
+        arrays: State of the motion, by name.
     """
 
     frame: int
@@ -32,14 +32,14 @@ class MotionState:
 
 
 class Motion(Protocol):
-    """A motion of the capsule in a model, of a known number of frames.
+    """Motion of the capsule in a model, with a known number of frames.
 
-    It can be walked through again and again; each walk gives the same bytes.
+    It can be iterated repeatedly; each iteration gives the same bytes.
     """
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was skipped or changed to make it, one line each."""
+        """Notes on skipped or changed input, one line each."""
         ...
 
     def __len__(self) -> int: ...
@@ -51,56 +51,56 @@ class Motion(Protocol):
         progress: Callable[[float, float], None] | None = None,
         is_due: Callable[[], bool] | None = None,
     ) -> Iterator[Step]:
-        """Its frames with their neighbors in time.
+        """Iterate over the frames with their neighbors in time.
 
         Args:
-            resume: Of `checkpoint`: begin with the frame after; None begins with frame 0.
-            progress: Called with the time simulated so far and in all [s].
-            is_due: Asked at each frame whether `checkpoint` is to know it.
+            resume: Result of `checkpoint`: start with the frame after it; None starts with frame 0.
+            progress: Called with the time simulated so far and the total time [s].
+            is_due: Called at each frame; returns whether `checkpoint` should store it.
         """
         ...
 
     def checkpoint(self) -> MotionState | None:
-        """The state at the step given last; None where none was due or none is needed."""
+        """Return the state at the last step yielded; None if none was due or none is needed."""
         ...
 
     def columns(self, step: Step) -> Mapping[str, float | str]:
-        """Columns of `frames.parquet` that only this motion has, for a step."""
+        """Columns of `frames.parquet` specific to this motion, for a step."""
         ...
 
     def sources(self, step: Step) -> Sequence[Source]:
-        """Sources of magnetic fields outside the capsule at a step."""
+        """Magnetic field sources outside the capsule at a step."""
         ...
 
 
 class MotionSettings(Protocol):
-    """What a scenario says of a motion: a frozen dataclass.
+    """Settings of a motion in a scenario: a frozen dataclass.
 
     Attributes:
-        kind: Its name in scenarios.
+        kind: Name of the motion in scenarios.
     """
 
     kind: ClassVar[str]
 
     @property
     def column_names(self) -> tuple[str, ...]:
-        """Names of the columns of `Motion.columns` that every recording of it has."""
+        """Names of the columns of `Motion.columns` that all its recordings have."""
         ...
 
     def begin(
         self, model: Model, *, frames: int, fps: float, seed: int, shown: Model | None = None
     ) -> Motion:
-        """The motion in a model.
+        """Create the motion in a model.
 
         Args:
             model: The lumen and the capsule.
             frames: Number of frames, at least 1.
             fps: Frames per second.
-            seed: Of all that is random in it.
-            shown: The model whose wall the states hold, one with the same triangles, such as the
-                clean twin; None is `model`.
+            seed: Seed of all random numbers.
+            shown: Model whose wall the states contain, with the same triangles, such as the clean
+                twin; None for `model`.
 
         Raises:
-            InputError: If the capsule cannot move so in the model.
+            InputError: If the motion is not possible in the model.
         """
         ...

@@ -1,4 +1,4 @@
-"""Random views: each frame is a pose of its own, as a set of still images has them."""
+"""Random views: each frame is an independent pose, as in a set of still images."""
 
 from __future__ import annotations
 
@@ -24,31 +24,32 @@ if TYPE_CHECKING:
 
 _MOST_DRAWS = 4000
 _HIT_SLACK = 0.5 * MM
-"""How far before its target a line of sight may end: the wall is bent, its triangles are flat."""
+"""Tolerated gap between line of sight and target: the wall is curved, triangles are flat."""
 
 
 @dataclass(frozen=True)
 class RandomViews:
-    """Look at the wall from places drawn at random, each frame from a place of its own.
+    """Views of the wall from random positions, independent in each frame.
 
-    For still images of many sights: what is near fills the image, and lesions are looked at from
-    all sides, which a fly-through passes at a distance. Nothing moves between frames, so velocities
-    are zero and images have no motion blur.
+    For still images with varied content: near surfaces fill the image, and lesions are seen from
+    all sides, whereas a fly-through passes them at a distance. Nothing moves between frames, so
+    velocities are zero and images have no motion blur.
 
     Example:
         >>> motion = vrcaps.RandomViews(lesion_fraction=0.5, farthest=0.03)
         >>> vrcaps.record(vrcaps.Scenario(motion=motion), "runs/stills")
 
     Attributes:
-        lesion_fraction: Fraction of the frames that look at a lesion, all lesions alike; the others
-            look at any place of the wall. An organ without lesions has none to look at.
-        nearest: Least distance from the first camera to what it looks at [m].
-        farthest: Largest such distance [m]; distances are even in their logarithm.
-        obliqueness: Largest angle between the line of sight and the wall's normal [rad].
-        tilt: Largest angle between the camera's axis and the line of sight [rad].
-        margin: Least distance of the cameras and the capsule's center from the wall [m].
-        rigid_wall: Whether the wall stays as it is where the shell reaches into it. Otherwise the
-            wall makes way for the shell.
+        lesion_fraction: Fraction of the frames that look at a lesion, each lesion with equal
+            probability; the others look at any point of the wall. Without lesions, all do.
+        nearest: Minimum distance from the first camera to its target [m].
+        farthest: Maximum distance from the first camera to its target [m]; the logarithm of
+            distances is uniform.
+        obliqueness: Maximum angle between the line of sight and the wall's normal [rad].
+        tilt: Maximum angle between the camera's axis and the line of sight [rad].
+        margin: Minimum distance of the cameras and the capsule's center from the wall [m].
+        rigid_wall: Whether the wall keeps its shape where the shell reaches into it. Otherwise the
+            wall yields to the shell.
     """
 
     lesion_fraction: Annotated[float, Range(0.0, 1.0)] = 0.8
@@ -70,7 +71,7 @@ class RandomViews:
     def begin(
         self, model: Model, *, frames: int, fps: float, seed: int, shown: Model | None = None
     ) -> Trajectory:
-        """The views in a model, see `MotionSettings.begin`."""
+        """Draw the views in a model, see `MotionSettings.begin`."""
         rng = vrcaps.rng.stream(seed, "random-views")
         still = np.zeros((frames, 3))
         return Trajectory(
@@ -85,16 +86,16 @@ class RandomViews:
 def random_views(
     model: Model, settings: RandomViews, *, frames: int, rng: np.random.Generator
 ) -> Float[np.ndarray, "frames 4 4"]:
-    """``Ts_world_capsule`` of views, each drawn until nothing is in its way.
+    """Draw views ``Ts_world_capsule``, each until its line of sight is free.
 
     Args:
         model: The lumen and the capsule.
-        settings: What is looked at, and from where.
+        settings: Distribution of targets and positions.
         frames: Number of views.
-        rng: Source of all that is random.
+        rng: Random number generator.
 
     Raises:
-        InputError: If a view finds no place.
+        InputError: If no valid pose is found for a view.
     """
     poses = np.empty((frames, 4, 4))
     is_of_lesion = rng.random(frames) < settings.lesion_fraction
@@ -122,13 +123,13 @@ def _targets(
     is_of_lesion: np.ndarray,
     rng: np.random.Generator,
 ) -> Int[np.ndarray, " n"]:
-    """A vertex of the wall for each view: one of a lesion drawn before, or any.
+    """Draw a vertex of the wall for each view: one of a lesion drawn first, or any.
 
     Args:
         lesions: Vertices of each lesion.
-        num_vertices: Of the wall.
-        is_of_lesion: Whether a view is to look at a lesion [n].
-        rng: Draws them.
+        num_vertices: Number of vertices of the wall.
+        is_of_lesion: Whether a view looks at a lesion [n].
+        rng: Random number generator.
     """
     targets = rng.integers(num_vertices, size=len(is_of_lesion))
     if lesions:
@@ -141,7 +142,7 @@ def _targets(
 def _drawn(
     model: Model, settings: RandomViews, targets: Int[np.ndarray, " n"], rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "n 4 4"], np.ndarray]:
-    """A pose of the capsule for each target, and whether the target is seen from there."""
+    """Draw a pose of the capsule for each target, and whether the target is visible from it."""
     count = len(targets)
     normals = model.organ.normals[targets] @ model.T_world_patient[:3, :3].T
     towards_camera = _cone(normals, settings.obliqueness, rng)
@@ -168,7 +169,7 @@ def _drawn(
 def _cone(
     axes: Float[np.ndarray, "n 3"], angle: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "n 3"]:
-    """Directions within an angle [rad] of axes, even over the sphere."""
+    """Random directions within an angle [rad] of axes, uniform over the sphere."""
     cosine = rng.uniform(math.cos(angle), 1.0, len(axes))[:, None]
     around = rng.uniform(-math.pi, math.pi, len(axes))[:, None]
     x = _across(axes)
@@ -178,7 +179,7 @@ def _cone(
 
 
 def _across(axes: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """A unit vector square to each unit vector."""
+    """A unit vector perpendicular to each unit vector."""
     least = np.eye(3)[np.abs(axes).argmin(axis=1)]
     across = np.cross(axes, least)
     return across / np.linalg.norm(across, axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""All motions that a scenario may have."""
+"""Registry of all motions for scenarios."""
 
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.fly_through import FlyThrough

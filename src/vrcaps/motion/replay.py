@@ -1,4 +1,4 @@
-"""Replay of a recorded path: read it, put it into the world, sample it at the frames' times."""
+"""Replay of a recorded path: read it, transform it to the world, sample it at frame times."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _IDENTITY = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (
 
 @dataclass(frozen=True)
 class Replay:
-    """Follow a recorded path.
+    """Replay of a recorded path.
 
     Example:
         >>> motion = vrcaps.Replay("poses.txt", format="tum", unit="m")
@@ -35,15 +35,15 @@ class Replay:
     Attributes:
         path: The file, relative to the working directory.
         format: `tum` (right-handed, OpenCV axes), `euroc` (the same in CSV with nanoseconds and
-            quaternions w first, as EuRoC and TUM-VI have it) or `unity-csv` (y up).
+            quaternions w first, as in EuRoC and TUM-VI) or `unity-csv` (y up).
         unit: Length unit of the file, such as `m`, `dm` or `5cm`.
-        handedness: Of a `unity-csv` file: `left` (Unity: looks along +z) or `right` (looks
-            along −z).
-        pose: Whose pose the file holds: `camera` (the device's first) or `capsule`.
-        frame: Frame that the file's coordinates, with `T_frame_recording` applied, are in.
-        T_frame_recording: Places the path, after its conversion to meters and a right-handed
+        handedness: Handedness of a `unity-csv` file: `left` (Unity: looks along +z) or `right`
+            (looks along −z).
+        pose: Body whose pose is in the file: `camera` (the device's first) or `capsule`.
+        frame: Frame of the file's coordinates after `T_frame_recording` is applied.
+        T_frame_recording: Transform of the path, after its conversion to meters and a right-handed
             z-up (`unity-csv`) frame: four rows of four numbers.
-        start: Time in the file of the first frame, from the file's first pose [s].
+        start: Time in the file of the first frame, relative to the file's first pose [s].
         allow_outside: Accept frames whose camera is outside the lumen.
     """
 
@@ -63,7 +63,7 @@ class Replay:
     def begin(
         self, model: Model, *, frames: int, fps: float, seed: int, shown: Model | None = None
     ) -> Trajectory:
-        """The path in a model, see `MotionSettings.begin`; nothing is random, the wall at rest."""
+        """Read the path in a model, see `MotionSettings.begin`; wall at rest, nothing random."""
         return replay(model, self, frames=frames, fps=fps)
 
     def __post_init__(self) -> None:
@@ -77,13 +77,14 @@ def replay(model: Model, settings: Replay, *, frames: int, fps: float) -> Trajec
     """Trajectory of the capsule along a recorded path, at the frames' times.
 
     Args:
-        model: The capsule and the lumen it must stay in.
-        settings: The path and how to read it.
+        model: The capsule, and the lumen that contains it.
+        settings: The path and its conventions.
         frames: Number of frames, at least 1.
         fps: Frames per second.
 
     Raises:
-        InputError: If the file cannot be read, is too short, or takes a camera out of the lumen.
+        InputError: If the file cannot be read, is too short, or leads a camera out of the
+            lumen.
     """
     recorded = _read(settings)
     placement = np.array(settings.T_frame_recording, float)
@@ -107,7 +108,7 @@ def replay(model: Model, settings: Replay, *, frames: int, fps: float) -> Trajec
 
 
 def _read(settings: Replay) -> Trajectory:
-    """The path of a replay as its file holds it, in meters."""
+    """Path of a replay in the file's own frame, in meters."""
     path, unit = path_of(settings.path), settings.unit
     if settings.format == "unity-csv":
         return read_unity_csv(path, unit=unit, handedness=settings.handedness)

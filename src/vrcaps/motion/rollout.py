@@ -1,4 +1,4 @@
-"""Rollout of a simulation: the world is stepped from frame to frame, one state at a time."""
+"""Rollout of a simulation: steps the world from frame to frame, one state at a time."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ if TYPE_CHECKING:
     from vrcaps.motion.dynamics import Dynamics
 
 _PASSED = 5.0 * CM
-"""How far the front of phase III is beyond the capsule in the first frame: less than the 9 cm that
+"""Distance of the front of phase III beyond the capsule in the first frame: less than the 9 cm that
 phase III covers where its front is slowest, the terminal ileum, at 0.9 cm/min for 10 min."""
 
 _NEARBY = 3.0 * CM
-"""How far along the gut the capsule's place is sought from where it was a step before."""
+"""Search range of the capsule's arc length, from its value one step earlier."""
 
 
 @dataclass(frozen=True)
@@ -59,10 +59,10 @@ class Moment:
     """A simulated frame.
 
     Attributes:
-        index: Number of the frame.
-        state: The world then.
-        command: What was commanded since the frame before.
-        checkpoint: Of the simulation, where one was due.
+        index: Index of the frame.
+        state: State of the world at the frame.
+        command: Commands since the previous frame.
+        checkpoint: Checkpoint of the simulation, if one was due.
     """
 
     index: int
@@ -84,20 +84,20 @@ class Rollout:
         seed: int,
         shown: OrganSurface | None = None,
     ) -> None:
-        """Sets the capsule into the organ.
+        """Place the capsule in the organ.
 
         Args:
             model: The lumen and the capsule.
-            settings: How it moves.
+            settings: Settings of the motion.
             frames: Number of frames, at least 1.
             fps: Frames per second.
-            seed: Of the patient's muscle, 0 or more.
-            shown: Another organ with the same triangles, such as the clean twin: its wall is
-                moved like the model's and is what states hold.
+            seed: Seed of the patient's muscle, 0 or more.
+            shown: Another organ with the same triangles, such as the clean twin: its wall moves
+                like the model's and is stored in the states.
 
         Raises:
-            InputError: If the capsule fits nowhere, a setting is impossible, or the other organ
-                has other triangles.
+            InputError: If the capsule does not fit anywhere, a setting is impossible, or the
+                triangles of the other organ differ.
             UnknownNameError: If the tissue has no muscle for a segment of the wall.
         """
         self.model, self.settings = model, settings
@@ -131,20 +131,20 @@ class Rollout:
 
     @property
     def duration(self) -> float:
-        """Simulated time, with settling [s]."""
+        """Simulated time, including settling [s]."""
         return self.settings.settle + (self.frames - 1) / self.fps
 
     def change(self, settings: Dynamics) -> None:
-        """Takes other commands: turns, insufflation, flushes, fronts of phase III.
+        """Change commands: posture, insufflation, flushes, fronts of phase III.
 
-        A run is the same as if they had been known from the beginning where no step has reached
-        those that are new or left out.
+        The result is the same as if they had been known from the start, provided that no step has
+        reached a command that was added or removed.
 
         Args:
-            settings: As they are but for these commands.
+            settings: Current settings, except for these commands.
 
         Raises:
-            InputError: If no front of phase III passes where one is to begin.
+            InputError: If no front of phase III passes where one is to start.
             UnknownNameError: If there is no muscle for a segment of the wall.
         """
         if settings.phase_three != self.settings.phase_three:
@@ -153,7 +153,7 @@ class Rollout:
         self.settings = settings
 
     def add_muscle(self) -> None:
-        """Makes the muscle, which takes a while, where there is none; it rests for now.
+        """Create the muscle, which takes a while, if there is none; it rests until commanded.
 
         Raises:
             UnknownNameError: If there is no muscle for a segment of the wall.
@@ -163,16 +163,16 @@ class Rollout:
 
     @property
     def front_arc_length(self) -> float:
-        """Where a front of phase III has just passed the capsule [m]."""
+        """Arc length where a front of phase III has just passed the capsule [m]."""
         return min(self._arc_length + _PASSED, self._line.length)
 
     @property
     def arc_length(self) -> float:
-        """Place of the capsule along the gut after the last step [m]."""
+        """Arc length of the capsule after the last step [m]."""
         return self._arc_length
 
     def checkpoint(self) -> MotionState | None:
-        """The simulation at the step given last, if it was due; see `Motion.checkpoint`."""
+        """Return the simulation at the last step yielded, if due; see `Motion.checkpoint`."""
         return self._checkpoint
 
     def steps(
@@ -182,15 +182,15 @@ class Rollout:
         progress: Callable[[float, float], None] | None = None,
         is_due: Callable[[], bool] | None = None,
     ) -> Iterator[Step]:
-        """Frames with their neighbors, see `Motion.steps`.
+        """Iterate over the frames with their neighbors, see `Motion.steps`.
 
         Raises:
-            InputError: If the world cannot be stepped; says at which time.
+            InputError: If the world cannot be stepped; the message states the time.
         """
         moments = self.moments(resume, progress or _silent, is_due or _never)
         for previous, moment, following in with_neighbors(moments):
             if resume is not None and previous is None:
-                continue  # the frame of the checkpoint itself
+                continue  # the frame of the checkpoint was already yielded
             self._checkpoint = moment.checkpoint
             yield Step(
                 moment.index,
@@ -201,7 +201,7 @@ class Rollout:
             )
 
     def columns(self, step: Step) -> dict[str, float | str]:
-        """Contact, commands and, where a magnet steers, its coupling."""
+        """Contact, commands and, with a steering magnet, its coupling."""
         state, command = step.state, step.command
         assert state.contact is not None
         assert command is not None
@@ -213,7 +213,7 @@ class Rollout:
         return row
 
     def sources(self, step: Step) -> tuple[Source, ...]:
-        """The steering magnet."""
+        """Return the steering magnet."""
         status = None if step.command is None else step.command.controller
         if status is None or self.settings.magnet is None:
             return ()
@@ -225,12 +225,12 @@ class Rollout:
         progress: Callable[[float, float], None],
         is_due: Callable[[], bool],
     ) -> Iterator[Moment]:
-        """Frames from the first, or from that of a checkpoint, each as soon as it is simulated.
+        """Iterate over frames from the first or a checkpoint's, each as soon as it is simulated.
 
         Args:
-            resume: A checkpoint, whose frame is the first; None begins with frame 0.
-            progress: Called after each step with the time simulated so far and in all [s].
-            is_due: Asked at each frame whether it is to have a checkpoint.
+            resume: A checkpoint, whose frame comes first; None starts with frame 0.
+            progress: Called after each step with the time simulated so far and the total time [s].
+            is_due: Called at each frame; returns whether it should have a checkpoint.
 
         Raises:
             InputError: If the checkpoint is damaged or the world cannot be stepped.
@@ -265,7 +265,7 @@ class Rollout:
     def _advance(
         self, begin: float, end: float, progress: Callable[[float, float], None]
     ) -> tuple[State, Command]:
-        """The world after steps from one time to another [s]."""
+        """Step the world from one time to another [s]."""
         magnet = self.settings.magnet
         step = self.settings.step if magnet is None else min(self.settings.step, magnet.period)
         count = math.ceil((end - begin) / step * (1.0 - 1e-9))
@@ -304,7 +304,7 @@ class Rollout:
         return self.program.control(self.world, begin, end - begin, self._patient(end))
 
     def _shown(self, state: State, time: float, command: Command) -> State:
-        """A frame's state, at exactly its time, with the wall that is shown."""
+        """State of a frame at exactly its time, with the wall of `shown`."""
         vertices = state.vertices_world
         if vertices is not None and self._offset is not None:
             vertices = vertices + rotate_vectors(command.T_world_patient, self._offset)
@@ -322,13 +322,13 @@ class Rollout:
         return wrench
 
     def _patient(self, time: float) -> Float[np.ndarray, "4 4"]:
-        """How the patient lies; the model's own matrix where nobody turns."""
+        """Pose of the patient; the model's own matrix without changes of posture."""
         if not self.settings.posture_changes:
             return self.model.T_world_patient
         return patient_at(self.model.T_world_patient, self.settings.posture_changes, time)
 
     def _insufflation(self, time: float) -> float:
-        """Factor on the lumen's radius; before the first frame on the way to its first value."""
+        """Factor on the lumen's radius; before the first frame it approaches its first value."""
         if time >= 0.0 or not self.settings.settle:
             return insufflation_at(self.settings.insufflation, max(time, 0.0))
         fraction = 1.0 + time / self.settings.settle
@@ -336,7 +336,7 @@ class Rollout:
         return 1.0 + (first - 1.0) * fraction**2 * (3.0 - 2.0 * fraction)
 
     def _follow(self) -> None:
-        """Brings the capsule's place along the gut up to date, near where it was."""
+        """Update the capsule's arc length, searching near its last value."""
         to_patient = invert(self._patient(self.world.time))
         position = transform_points(to_patient, self.world.T_world_capsule[:3, 3])
         s = self._line.arc_length
@@ -376,7 +376,7 @@ class Rollout:
 
 
 def _offset(organ: OrganSurface, shown: OrganSurface) -> Float[np.ndarray, "n 3"]:
-    """From each vertex of an organ to that of another with the same triangles [m].
+    """Displacement from each vertex of an organ to that of one with the same triangles [m].
 
     Raises:
         InputError: If the triangles differ.

@@ -1,4 +1,4 @@
-"""Start pose of a simulated capsule: the first place along the centerline where it fits."""
+"""Start pose of a simulated capsule: the first position on the centerline where it fits."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _SPACING = 2.0 * MM
-"""Distance between the places that are tried."""
+"""Distance between the positions that are tried."""
 
 _CLEARANCE = 0.5
-"""Distance of the capsule's axis from the wall where it fits, as a fraction of its radius."""
+"""Minimum distance of the capsule's axis from the wall, as a fraction of its radius."""
 
 
 def start_pose(
     model: Model, start: float, angle: float
 ) -> tuple[Float[np.ndarray, "4 4"], float, tuple[str, ...]]:
-    """Pose of the capsule where it fits, its arc length [m], and notes on what was changed.
+    """Pose where the capsule fits, its arc length [m], and notes on changes.
 
     Args:
         model: The lumen and the capsule.
-        start: Wanted place as a fraction of the centerline; moved towards the far end.
-        angle: About the x axis of the centerline's frame [rad].
+        start: Desired position as a fraction of the centerline; moved towards the far end.
+        angle: Angle about the x axis of the centerline's frame [rad].
 
     Raises:
-        InputError: If it fits nowhere.
+        InputError: If it does not fit anywhere.
     """
     line = model.organ.centerline
     wanted = start * line.length
-    # Towards the far end: a capsule that does not fit at an end fits further in.
+    # Towards the far end: a capsule that does not fit at one end fits further in.
     end = line.length if start <= 0.5 else 0.0
     places = np.linspace(wanted, end, max(2, math.ceil(abs(end - wanted) / _SPACING) + 1))
     poses = model.centerline_poses(places, angle=angle)

@@ -20,7 +20,7 @@ _Item = TypeVar("_Item")
 
 @dataclass(frozen=True)
 class Command:
-    """What was commanded in a simulated time step, and what the muscle did meanwhile.
+    """Commands in a simulated time step, and the muscle's phase and controller's status.
 
     Attributes:
         force_world: Mean commanded force since the previous frame [N].
@@ -29,7 +29,8 @@ class Command:
         T_world_patient: Pose of the patient at this frame.
         phase: Phase 1 to 4 of the migrating motor complex (MMC) at the capsule; 0 without one.
         controller: Status of the magnet controller; None without a magnet.
-        estimate: Of the capsule's pose, by which the controller steers; None where it has the true.
+        estimate: Estimate of the capsule's pose used by the controller; None if it uses the true
+            pose.
     """
 
     force_world: Float[np.ndarray, " 3"]
@@ -54,11 +55,11 @@ class Step:
         ...     print(step.index, step.state.time)
 
     Attributes:
-        index: Number of the frame, counted from 0.
-        state: The world at this frame; its contact is the mean since the previous frame.
-        previous: The world one frame earlier; None at the first frame.
-        next: The world one frame later; None at the last frame.
-        command: What was commanded; None where nothing is simulated.
+        index: Index of the frame, counted from 0.
+        state: State of the world at this frame; its contact is the mean since the previous frame.
+        previous: State one frame earlier; None at the first frame.
+        next: State one frame later; None at the last frame.
+        command: Commands since the previous frame; None if nothing is simulated.
     """
 
     index: int
@@ -69,7 +70,7 @@ class Step:
 
 
 def with_neighbors(items: Iterable[_Item]) -> Iterator[tuple[_Item | None, _Item, _Item | None]]:
-    """Each item between the one before and the one after; None beyond the ends."""
+    """Each item with its predecessor and successor; None beyond the ends."""
     previous: _Item | None = None
     current: _Item | None = None
     for following in items:

@@ -1,4 +1,4 @@
-"""A capsule's path in time: poses and velocities, how to resample and to check them."""
+"""Trajectory of a capsule: poses and velocities, with resampling and checks."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Where the capsule is and how it moves, at n instants: a `Motion` known beforehand.
+    """Poses and velocities of the capsule at n instants: a `Motion` known in advance.
 
     Attributes:
         times: Instants [s], strictly increasing.
         Ts_world_capsule: Poses of the capsule.
         linear_velocities_world: Velocities of the capsule's origin [m/s].
         angular_velocities_world: Angular velocities of the capsule [rad/s].
-        notes: What was skipped or changed to make it, one line each.
-        wall_displacement: How the wall makes way for the shell where the lumen is narrower; None
-            keeps the wall at rest.
+        notes: Notes on skipped or changed input, one line each.
+        wall_displacement: Displacement of the wall that yields to the shell where the lumen is
+            narrower; None keeps the wall at rest.
     """
 
     times: Float[np.ndarray, " n"]
@@ -52,7 +52,7 @@ class Trajectory:
         return len(self.times)
 
     def state(self, index: int) -> State:
-        """The world at one of the instants."""
+        """State of the world at one of the instants."""
         pose, displacement = self.Ts_world_capsule[index], self.wall_displacement
         return State(
             time=float(self.times[index]),
@@ -69,21 +69,21 @@ class Trajectory:
         progress: Callable[[float, float], None] | None = None,
         is_due: Callable[[], bool] | None = None,
     ) -> Iterator[Step]:
-        """All frames, see `Motion.steps`; nothing is simulated, so nothing is resumed."""
+        """Iterate over all frames, see `Motion.steps`; there is no simulation to resume."""
         states = (self.state(index) for index in range(len(self)))
         for index, (previous, state, following) in enumerate(with_neighbors(states)):
             yield Step(index, state, previous, following)
 
     def checkpoint(self) -> MotionState | None:
-        """None: a path known beforehand is walked through anew."""
+        """None: a path known in advance restarts from its first frame."""
         return None
 
     def columns(self, step: Step) -> Mapping[str, float | str]:
-        """No columns of its own."""
+        """No specific columns."""
         return {}
 
     def sources(self, step: Step) -> Sequence[Source]:
-        """No sources outside."""
+        """No external sources."""
         return ()
 
 
@@ -98,7 +98,7 @@ def trajectory_from_poses(
     Args:
         times: Instants [s], strictly increasing, at least two.
         Ts_world_capsule: Poses of the capsule.
-        notes: Kept in the trajectory.
+        notes: Notes for the trajectory.
     """
     before = np.maximum(np.arange(len(times)) - 1, 0)
     after = np.minimum(np.arange(len(times)) + 1, len(times) - 1)
@@ -121,11 +121,11 @@ def velocities_between(
 
 
 def resample(trajectory: Trajectory, times: Float[np.ndarray, " k"]) -> Trajectory:
-    """The trajectory at other instants: linear in position, spherical-linear in rotation.
+    """Resample a trajectory: linear in position, spherical-linear in rotation.
 
     Args:
-        trajectory: At least two poses.
-        times: Instants [s] within the trajectory's own, strictly increasing.
+        trajectory: Trajectory with at least two poses.
+        times: Instants [s] within the trajectory, strictly increasing.
 
     Raises:
         InputError: If an instant lies outside the trajectory.
@@ -155,14 +155,14 @@ def resample(trajectory: Trajectory, times: Float[np.ndarray, " k"]) -> Trajecto
 def camera_poses(
     Ts_world_capsule: Float[np.ndarray, "n 4 4"], T_capsule_camera: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "n 4 4"]:
-    """Poses of a camera whose capsule has the given poses."""
+    """Poses of a camera from the poses of its capsule."""
     return Ts_world_capsule @ T_capsule_camera
 
 
 def capsule_poses(
     Ts_world_camera: Float[np.ndarray, "n 4 4"], T_capsule_camera: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "n 4 4"]:
-    """Poses of the capsule whose camera has the given poses."""
+    """Poses of the capsule from the poses of its camera."""
     return Ts_world_camera @ invert(T_capsule_camera)
 
 
@@ -182,7 +182,7 @@ def require_inside(model: Model, trajectory: Trajectory) -> None:
     """Check that every camera stays inside the lumen.
 
     Raises:
-        InputError: If a camera is outside at any instant; names the first and how many there are.
+        InputError: If a camera is outside at any instant; states the first and their number.
     """
     clearance = camera_clearance(model, trajectory)
     outside = np.argwhere(~(clearance > 0.0))

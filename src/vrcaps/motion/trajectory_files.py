@@ -1,7 +1,7 @@
 """Readers of recorded paths: TUM, CSV of EuRoC and TUM-VI (ASL), CSV of Unity's recorders.
 
-Layouts differ in units of time and in the order of the quaternion, so a file of one that is read
-as another gives a wrong path without an error: each reader refuses what is another's.
+Layouts differ in units of time and in the order of the quaternion, so a file read with the wrong
+layout would give a wrong path without an error: each reader rejects the layouts of the others.
 """
 
 from __future__ import annotations
@@ -31,16 +31,17 @@ WORLD_FROM_Y_UP = {
     "left": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]),
     "right": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
 }
-"""The world (z up) from a y-up world: left-handed (x right, y up, z ahead) or right-handed
-(x right, y up, z back)."""
+"""Rotation to the world (z up) from a y-up world: left-handed (x right, y up, z ahead) or
+right-handed (x right, y up, z back)."""
 Y_UP_CAMERA_FROM_CAMERA = {
     "left": np.diag([1.0, -1.0, 1.0]),
     "right": np.diag([1.0, -1.0, -1.0]),
 }
-"""A y-up camera's own axes (y up; looks along +z if left-handed, −z if right-handed) from ours."""
+"""Rotation from OpenCV camera axes to those of a y-up camera (y up; looks along +z if left-handed,
+−z if right-handed)."""
 
 _LATEST = 1e12
-"""Largest time of a file in seconds [s]: later ones, beyond the year 33,000, are nanoseconds."""
+"""Maximum time in a file in seconds [s]: larger values, beyond the year 33,000, are nanoseconds."""
 _NANOSECOND = 1e-9
 _QUATERNION = re.compile(r"\b(?:\w*_)?(?:q_?|q_\w+_)([wxyz])\b")
 """Name of a component of a quaternion in a header: qw, q_w, q_RS_w."""
@@ -53,11 +54,11 @@ def read_tum(path: str | Path, *, unit: str) -> Trajectory:
 
     Args:
         path: The file, relative to the working directory.
-        unit: Its length unit; the format's own definition says `m`.
+        unit: Length unit of the file; the format's definition states `m`.
 
     Raises:
-        InputError: If the file cannot be read, a line is wrong or the layout is another; names the
-            line.
+        InputError: If the file cannot be read, a line is wrong or the layout differs; states
+            the line.
     """
     scale = parse_length(unit)
     numbers, values = tum_rows(path)
@@ -70,7 +71,7 @@ def tum_rows(path: str | Path) -> tuple[list[int], Float[np.ndarray, "n 8"]]:
     """Line numbers and rows ``timestamp tx ty tz qx qy qz qw`` of a TUM file; all finite.
 
     Raises:
-        InputError: If the file cannot be read, a line is wrong or the layout is another.
+        InputError: If the file cannot be read, a line is wrong or the layout differs.
     """
     rows = []
     for number, line in enumerate(_read_lines(path), start=1):
@@ -96,16 +97,16 @@ def _no_tum(path: str | Path, number: int, reason: str) -> InputError:
 
 
 def read_euroc_csv(path: str | Path, *, unit: str) -> Trajectory:
-    """Read a path as EuRoC and TUM-VI store it (ASL): CSV of time [ns], position, quaternion wxyz.
+    """Read a path of EuRoC or TUM-VI (ASL): CSV of time [ns], position, quaternion wxyz.
 
-    Further columns, such as velocities and biases, are not read.
+    Further columns, such as velocities and biases, are ignored.
 
     Args:
         path: The file, relative to the working directory.
-        unit: Its length unit; the format's own definition says `m`.
+        unit: Length unit of the file; the format's definition states `m`.
 
     Raises:
-        InputError: If the file cannot be read, a line is wrong or the layout is another; names the
+        InputError: If the file cannot be read, a line is wrong or the layout differs; states the
             line.
     """
     scale = parse_length(unit)
@@ -128,7 +129,7 @@ def read_euroc_csv(path: str | Path, *, unit: str) -> Trajectory:
 
 
 def quaternion_order(header: str) -> str:
-    """Order of the components of a quaternion that a header names, such as ``wxyz``; or empty."""
+    """Order of a quaternion's components in a header, such as ``wxyz``; or empty."""
     found = "".join(_QUATERNION.findall(header.lower()))
     return found if sorted(found) == sorted("wxyz") else ""
 
@@ -136,10 +137,10 @@ def quaternion_order(header: str) -> str:
 def read_unity_csv(
     path: str | Path, *, unit: str, handedness: Literal["left", "right"]
 ) -> Trajectory:
-    """Read a path as Unity recorders write it: ``tX;tY;tZ;rX;rY;rZ;rW;time(s)`` and one row a pose.
+    """Read a path of Unity recorders: ``tX;tY;tZ;rX;rY;rZ;rW;time(s)`` and one pose per row.
 
     Cells are separated by ``;`` (then decimal commas are allowed) or ``,``. Two faults of such
-    recorders are mended and noted in `Trajectory.notes`: a last row that is cut off is dropped,
+    recorders are corrected and reported in `Trajectory.notes`: a truncated last row is dropped,
     and so is a first row from which the pose jumps (more than 30° and three times any later
     step, or ten times any later distance).
 
@@ -150,11 +151,11 @@ def read_unity_csv(
 
     Args:
         path: The file, relative to the working directory.
-        unit: Its length unit.
-        handedness: Of the file's frame.
+        unit: Length unit of the file.
+        handedness: Handedness of the file's frame.
 
     Raises:
-        InputError: If the file cannot be read or a row is wrong; names the line.
+        InputError: If the file cannot be read or a row is wrong; states the line.
     """
     scale = parse_length(unit)
     if handedness not in WORLD_FROM_Y_UP:
@@ -231,7 +232,7 @@ def _rotations(
 
 
 def _first_jumps(poses: Float[np.ndarray, "n 4 4"]) -> bool:
-    """Whether the step from the first pose stands out from all later ones."""
+    """Check whether the step from the first pose is an outlier compared with all later ones."""
     if len(poses) < 4:
         return False
     turns = np.linalg.norm(rotation_vector(poses[:-1, :3, :3], poses[1:, :3, :3]), axis=1)

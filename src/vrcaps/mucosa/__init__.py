@@ -2,5 +2,5 @@
 
 `mucosa` has the parameters and a preset for each organ, `bake.bake_appearance` bakes one with its
 vessels and relief. `texture` reads and writes textures made from photographs,
-`apply_texture` puts one onto an organ by lapped texturing.
+`apply_texture` applies one to an organ by lapped texturing.
 """

@@ -1,8 +1,8 @@
-"""Lapped texturing: a mucosa texture put onto an organ without seams or repetition.
+"""Lapped texturing: a mucosa texture applied to an organ without seams or repetition.
 
 The wall is covered by overlapping round patches. Each lies flat in the tangent plane of its
-center and shows another part of the texture, rotated at random; where patches meet they are
-blended so that contrast stays (Praun et al. 2000, Lapped textures; blending after Heitz & Neyret
+center and shows a random part of the texture with a random rotation. Overlapping patches are
+blended with preserved contrast (Praun et al. 2000, Lapped textures; blending after Heitz & Neyret
 2018). The result does not depend on the organ's texture coordinates.
 """
 
@@ -30,13 +30,13 @@ if TYPE_CHECKING:
     from vrcaps.organ.surface import OrganSurface
 
 _SPACING = 12.0 * MM  # between centers of patches
-_NORMAL_WEIGHT = 14.0 * MM  # distance that a right angle between normals counts as
-_NEAREST = 4  # patches that a vertex may lie in
+_NORMAL_WEIGHT = 14.0 * MM  # distance equivalent of a right angle between normals
+_NEAREST = 4  # maximum number of patches at a vertex
 _SHARPNESS = 3.0  # of the borders between patches
-_MIN_WEIGHT = 0.06  # weight from which a patch is seen
+_MIN_WEIGHT = 0.06  # weight from which a patch is visible
 _PATIENT = np.array([0.03, 0.10, 0.08], np.float32)  # density of slow variation, r g b
 _GRAIN = 35.0 * MM  # of that variation
-_FACES = 1_500  # worked on at once
+_FACES = 1_500  # processed at a time
 
 
 def apply_texture(
@@ -45,10 +45,10 @@ def apply_texture(
     """Bake a texture onto an organ's texture coordinates.
 
     Args:
-        organ: The wall; its appearance is not looked at.
-        texture: The texture to put on it.
+        organ: The wall; its appearance is ignored.
+        texture: The texture to apply.
         shape: Rows and columns of the baked textures.
-        seed: Chooses patches and slow variation; the same gives the same bytes.
+        seed: Seed of patches and slow variation; the same seed gives the same bytes.
     """
     rng = vrcaps.rng.stream(seed, "mucosa/texture")
     texel = _texel_size(organ, shape)
@@ -63,7 +63,7 @@ def apply_texture(
         inside = texels.weights.astype(np.float32)
         seen = channels.blend(*layout.at(faces[texels.face], inside))
         slow = np.einsum("kc,kc->k", inside, variation[organ.faces[faces[texels.face]]])
-        # sRGB is close to the power 1 / 2.2, so density acts on the code with that factor.
+        # sRGB is approximately the power 1 / 2.2, so density acts on the code with that factor.
         color = seen[:, :3] * np.exp(-slow[:, None] * (_PATIENT / 2.2))
         code = np.clip(np.rint(np.column_stack([color, seen[:, 3]])), 0.0, 255.0).astype(np.uint8)
         position = texels.row % height, texels.column % width
@@ -72,7 +72,7 @@ def apply_texture(
     canvas = _Canvas(shape, channels.mean)
     order = np.argsort(corners[:, 0, 1] // 64, kind="stable")
     groups = [order[first : first + _FACES] for first in range(0, len(order), _FACES)]
-    with ThreadPoolExecutor() as pool:  # results come in order, whatever the number of threads
+    with ThreadPoolExecutor() as pool:  # results are in order for any number of threads
         for painted in pool.map(paint, groups):
             canvas.paint(painted)
     return Appearance(
@@ -85,11 +85,11 @@ def apply_texture(
 
 @dataclass(frozen=True)
 class _Painted:
-    """Texels that some faces cover.
+    """Texels covered by some faces.
 
     Attributes:
         position: Rows and columns.
-        is_inside: Which lie inside their face, not just beside it.
+        is_inside: Whether each lies inside its face, not just next to it.
         code: sRGB color and roughness.
         raised: Relief [m].
     """
@@ -101,7 +101,7 @@ class _Painted:
 
 
 class _Canvas:
-    """Baked textures as they are filled, the texture's mean where no face is."""
+    """Baked textures being filled; the texture's mean where there is no face."""
 
     def __init__(self, shape: tuple[int, int], mean: Float[np.ndarray, " 5"]) -> None:
         self.albedo = np.empty((*shape, 3), np.uint8)
@@ -111,7 +111,7 @@ class _Canvas:
         self.settled = np.zeros(shape, bool)
 
     def paint(self, painted: _Painted) -> None:
-        """Texels just outside a face fill the gaps around charts and replace no inner ones."""
+        """Draw texels; those just outside a face only fill gaps around charts."""
         (row, column), is_inside = painted.position, painted.is_inside
         for chosen in (~is_inside & ~self.settled[row, column], is_inside):
             position = row[chosen], column[chosen]
@@ -122,7 +122,7 @@ class _Canvas:
 
 
 def _texel_size(organ: OrganSurface, shape: tuple[int, int]) -> float:
-    """Mean side of a baked texel on the wall [m]."""
+    """Mean side length of a baked texel on the wall [m]."""
     corners = organ.vertices[organ.faces]
     area = 2.0 * triangle_areas(corners)
     first, second = (organ.uv[:, k] - organ.uv[:, 0] for k in (1, 2))
@@ -132,12 +132,12 @@ def _texel_size(organ: OrganSurface, shape: tuple[int, int]) -> float:
 
 @dataclass(frozen=True)
 class _Channels:
-    """A texture's channels side by side, as deviations from their mean.
+    """Channels of a texture in one array, as deviations from their mean.
 
     Attributes:
-        values: Red, green, blue and roughness [of 255] and relief [m], row by row.
-        mean: Of them.
-        side: Texels on a side.
+        values: Red, green, blue and roughness [of 255] and relief [m], in row-major order.
+        mean: Mean of the channels.
+        side: Texels per side.
     """
 
     values: Float[np.ndarray, "nn 5"]
@@ -146,7 +146,7 @@ class _Channels:
 
     @classmethod
     def of(cls, texture: MucosaTexture, texel: float) -> _Channels:
-        """As fine as texels of that size [m] can show."""
+        """Channels of a texture, reduced to the resolution of texels of a size [m]."""
         stack = np.dstack([texture.albedo, texture.roughness, texture.relief]).astype(np.float32)
         factor = 1
         while factor * 2 * texture.texel <= 1.2 * texel and len(stack) % 2 == 0:
@@ -159,13 +159,13 @@ class _Channels:
     def blend(
         self, point: Int[np.ndarray, " n"], weight: Float[np.ndarray, " n"], position, count: int
     ) -> Float[np.ndarray, "count 5"]:
-        """Mix of patches: mean + Σ w (x − mean) / √Σ w² (Heitz & Neyret 2018, eq. 3).
+        """Blend patches: mean + Σ w (x − mean) / √Σ w² (Heitz & Neyret 2018, eq. 3).
 
         Args:
-            point: Which texel of the wall each entry belongs to.
-            weight: Of the patch there.
-            position: Of it in the texture, in sides (n, 2).
-            count: Texels of the wall.
+            point: Index of the wall's texel that each entry belongs to.
+            weight: Weight of the patch at that texel.
+            position: Position of that texel in the texture, in side lengths (n, 2).
+            count: Number of texels of the wall.
         """
         total = np.zeros((count, 5), np.float32)
         squares = np.bincount(point, weight.astype(np.float64) ** 2, count)
@@ -183,7 +183,7 @@ class _Channels:
 
 
 def _runs(point: Int[np.ndarray, " n"]) -> list[tuple[int, int]]:
-    """Stretches in which no texel comes twice: entries are sorted slot by slot."""
+    """Stretches in which no texel occurs twice: entries are sorted by slot."""
     breaks = np.flatnonzero(np.diff(point) <= 0) + 1
     bounds = [0, *breaks.tolist(), len(point)]
     return list(pairwise(bounds))
@@ -191,12 +191,12 @@ def _runs(point: Int[np.ndarray, " n"]) -> list[tuple[int, int]]:
 
 @dataclass(frozen=True)
 class _PatchLayout:
-    """Which patches cover each face, and where in the texture they put its corners.
+    """Patches that cover each face, and the texture positions of its corners in them.
 
     Attributes:
         slots: Number of patches of each face.
-        weight: Of each patch of each face at the face's corners, greatest first.
-        position: In the texture, in sides, of the same.
+        weight: Weight of each patch of each face at the face's corners, largest first.
+        position: Position in the texture of each patch at the same corners, in side lengths.
     """
 
     slots: Int[np.ndarray, " m"]
@@ -259,7 +259,7 @@ def _centers(organ: OrganSurface, rng: np.random.Generator) -> Int[np.ndarray, "
 
 
 def _frames(normals: Float[np.ndarray, "c 3"], rng: np.random.Generator) -> np.ndarray:
-    """Two axes across each normal, turned at random, as columns (c, 3, 2)."""
+    """Two axes perpendicular to each normal, randomly rotated, as columns (c, 3, 2)."""
     first = np.cross(normals, np.eye(3)[np.argmin(np.abs(normals), axis=1)])
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     second = np.cross(normals, first)
@@ -269,10 +269,10 @@ def _frames(normals: Float[np.ndarray, "c 3"], rng: np.random.Generator) -> np.n
 
 
 def _by_face(faces, nearest, weight) -> tuple[np.ndarray, np.ndarray]:
-    """Patches of each face, −1 where there is none, and their weights at its corners.
+    """Patches of each face, −1 for none, and their weights at its corners.
 
-    A patch weighs something at a corner if it is among that vertex's nearest; so the weights of
-    two faces agree along their common edge.
+    A patch has a weight at a corner if it is among that vertex's nearest, so the weights of two
+    faces agree along their common edge.
     """
     candidates = nearest[faces].reshape(len(faces), -1)
     own = weight[faces]

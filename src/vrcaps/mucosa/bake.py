@@ -1,8 +1,8 @@
 """Texture baking: color, vessels, wetness and relief of a mucosa on the wall of an organ.
 
-Color is a function of the wall's points in space (and of the arc length along the gut),
-evaluated at each texel, so it shows neither the borders of texture charts nor any repetition.
-Vessels are trees grown over the wall itself.
+Color is a function of the wall's points in space (and of the arc length along the gut), evaluated
+at each texel, so neither the borders of texture charts nor repetition are visible. Vessels are
+trees grown on the wall itself.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ if TYPE_CHECKING:
     from vrcaps.mucosa.texture import MucosaTexture
 
 MAX_SIDE = 16384
-"""Longest side of a texture [texels]: what desktop GPUs and viewers accept."""
+"""Maximum side of a texture [texels], as accepted by desktop GPUs and viewers."""
 
 DEFAULT_TEXELS_PER_MM = 8.0
-"""Least texture density sought on 95 % of the wall where the caller names none."""
+"""Default texture density that 95 % of the wall should reach."""
 
-_MOST_STRETCH = 1.6  # of a texel beyond the mean that more texels make up for
+_MOST_STRETCH = 1.6  # limit of a texel's stretch relative to the mean that more texels compensate
 
 _BLUR = 0.03
-"""Standard deviation over which one segment passes into the next, as a share of the length."""
+"""Standard deviation of the transition between segments, as a fraction of the length."""
 
 
 def bake_appearance(
@@ -47,20 +47,20 @@ def bake_appearance(
     texels_per_mm: float | None = None,
     max_texels: int = 48_000_000,
 ) -> Appearance:
-    """Bakes a mucosa into textures over an organ's texture coordinates.
+    """Bake a mucosa into textures over an organ's texture coordinates.
 
     The textures follow the coordinates' aspect: sides of up to `MAX_SIDE` texels, so that a
-    long tube whose v runs its whole length gets fewer texels along it than around it. A texel
+    long tube whose v spans its whole length has fewer texels along it than around it. A texel
     takes 8 bytes in memory. Where faces overlap in the coordinates, the first one is drawn.
 
     Args:
-        organ: The wall; its appearance is not looked at.
-        seed: Chooses the patient: vessels, patches, shade. The same seed gives the same bytes.
-        mucosa: Name in `MUCOSAE`, or a mucosa, or the path of a texture that
-            `vrcaps organ texture` wrote (`read_texture`).
-        texels_per_mm: Mean density to bake at; None takes as many as give 95 % of the wall
-            `DEFAULT_TEXELS_PER_MM` in every direction, or less where the limits bind.
-        max_texels: Most texels a texture may have.
+        organ: The wall; its appearance is ignored.
+        seed: Seed of the patient: vessels, patches, shade. The same seed gives the same bytes.
+        mucosa: Name in `MUCOSAE`, or a mucosa, or the path of a texture written by
+            `vrcaps organ texture` (`read_texture`).
+        texels_per_mm: Mean density to bake at; None: the density at which 95 % of the wall has
+            `DEFAULT_TEXELS_PER_MM` in every direction, or less if the limits apply.
+        max_texels: Maximum number of texels of a texture.
     """
     from vrcaps.mucosa.apply_texture import apply_texture
     from vrcaps.mucosa.texture import MucosaTexture
@@ -101,7 +101,7 @@ def _resolve(mucosa: str | Mucosa) -> Mucosa | MucosaTexture:
 
 
 def _of_patient(mucosa: Mucosa, seed: int) -> Mucosa:
-    """One patient's mucosa: the same draw for every organ."""
+    """Mucosa of one patient: the same draw for every organ."""
     spread = np.array(mucosa.patient_variation)
     densities = spread * vrcaps.rng.stream(seed, "mucosa/densities").standard_normal(2)
     color = np.array(mucosa.base_color) * np.exp(-densities @ ABSORPTION)
@@ -139,7 +139,7 @@ def _meters_per_uv(organ: OrganSurface) -> tuple[float, float]:
 
 
 def _worst_compression(organ: OrganSurface, scale: tuple[float, float]) -> float:
-    """How much wider than the mean texels are, in their wider direction, on 5 % of the wall.
+    """Width of texels in their wider direction, relative to the mean, on 5 % of the wall.
 
     Not below 1, and not above `_MOST_STRETCH`: more texels do not repair bad coordinates.
     """
@@ -170,7 +170,7 @@ def _texture_size(
         )
     width, height = min(width, MAX_SIDE), min(height, MAX_SIDE)
     shrink = min(1.0, (max_texels / (width * height)) ** 0.5)
-    # Down where limits bind, up where the density does.
+    # Round down if limits apply, up if the density does.
     whole = np.floor if shrink < 1.0 or texels_per_mm is not None else np.ceil
     width, height = (max(16, int(whole(side * shrink / 16.0)) * 16) for side in (width, height))
     return height, width
@@ -185,7 +185,7 @@ def _wall_fields(organ: OrganSurface) -> Float[np.ndarray, "n 11"]:
 
 
 def _segment_factors(organ: OrganSurface) -> Float[np.ndarray, "n 3"]:
-    """Factors on pits, bile and vessels at each vertex: one segment passes into the next."""
+    """Factors on pits, bile and vessels at each vertex, with smooth transitions of segments."""
     segments = [find_segment(name) for name in organ.label_names]
     table = np.array([(s.pits, s.bile, s.vessels) if s else (1.0, 1.0, 1.0) for s in segments])
     own = np.zeros(len(organ.vertices), bool)
@@ -195,7 +195,7 @@ def _segment_factors(organ: OrganSurface) -> Float[np.ndarray, "n 3"]:
     place = np.clip((organ.arc_length - start) / span * num_bins, 0.0, num_bins - 1e-6)
     bins = place.astype(int)[own]
     factors = table[organ.label]
-    # A Gaussian over a wall that goes on as it ends.
+    # A Gaussian over a wall extended by its end values.
     offset = np.arange(-num_bins, num_bins + 1) / num_bins
     kernel = np.exp(-0.5 * (offset / _BLUR) ** 2)
     weight = np.convolve(np.bincount(bins, minlength=num_bins), kernel)[num_bins:-num_bins]
@@ -213,7 +213,7 @@ def _mean_curvature(
     normals: Float[np.ndarray, "n 3"],
     faces: Int[np.ndarray, "m 3"],
 ) -> Float[np.ndarray, " n"]:
-    """Mean curvature [1/m], positive where the wall means into the lumen, smoothed.
+    """Mean curvature [1/m], positive where the wall bulges into the lumen, smoothed.
 
     Along an edge e the normal curvature is (Δn · e) / |e|²; a vertex takes the mean over its
     edges.

@@ -1,4 +1,4 @@
-"""Mucosae: color, vessels, wetness and relief of the wall of each organ, and how to name one."""
+"""Mucosae: color, vessels, wetness and relief of each organ's wall, and selection by name."""
 
 from __future__ import annotations
 
@@ -16,41 +16,41 @@ if TYPE_CHECKING:
     from vrcaps.organ.surface import OrganSurface
 
 MUCUS_TINT = (1.2, 2.8, 1.45)
-"""Reflectance of bile-stained mucus over that of the wall, red, green, blue: median ratio, in seven
-real frames of clean colons (docs/mucosa.md), of what is yellow to what is red."""
+"""Reflectance of bile-stained mucus relative to the wall, red, green, blue: median ratio of yellow
+to red areas in seven real frames of clean colons (docs/mucosa.md)."""
 
 
 @dataclass(frozen=True)
 class Mucosa:
-    """Character of a mucosa.
+    """Parameters of a mucosa.
 
-    Colors are those at which frames with indirect light have the colors of real ones
-    (`benchmarks/fit_appearance.py`, docs/gallery.md); the stomach's, of which there were none,
-    change as the colon's did, in blue less, for it has less bile. Shapes and sizes are chosen by
-    eye.
+    Colors are those at which frames with indirect light match the colors of real frames
+    (`benchmarks/fit_appearance.py`, docs/gallery.md). There were no real frames of the stomach; its
+    colors change like the colon's, less in blue, as it has less bile. Shapes and sizes are chosen
+    by eye.
 
     Attributes:
         base_color: Linear reflectance of the wall between its vessels, red, green, blue.
-        redness_variation: Spread of the optical density of blood in the mucosa, over places
+        redness_variation: Spread of the optical density of blood in the mucosa, over positions
             along the gut and patches.
-        patient_variation: Deviation over patients of the optical density of blood in green
+        patient_variation: Standard deviation over patients of the optical density of blood in green
             light, and of bile in blue light.
         bile: Optical density of bile-stained mucus in blue light.
-        vessel_contrast: Share of green light that a wide, shallow vessel takes away, 0 to 1.
+        vessel_contrast: Fraction of green light absorbed by a wide, shallow vessel, 0 to 1.
         vessel_spacing: Distance between the ends of the finest visible branches [m].
-        trunk_spacing: Distance between the places where vessel trunks reach the mucosa [m].
+        trunk_spacing: Distance between the points where vessel trunks reach the mucosa [m].
         capillary_radius: Radius of the finest visible branches [m]; wider ones follow from it
             by Murray's law.
         relief_slope: RMS slope of the millimeter-sized relief, which breaks up highlights.
         pit_spacing: Distance between villi, gastric areae or groups of crypts [m].
         pit_slope: RMS slope of the gaps between them.
-        pit_shade: Optical density of those gaps in green light; bile gathers there too.
+        pit_shade: Optical density of those gaps in green light; bile also collects there.
         network: Weight of the finest network of vessels in the redness.
-        flecks: Share of cells, 3.2 mm wide, that hold a fleck of mucus, on the wall or off it.
-        mucus: Amount of mucus, 0 to 1: film and strands cover a third of this share of the wall.
-        mucus_tint: Reflectance of mucus over that of the wall, red, green, blue.
+        flecks: Fraction of cells, 3.2 mm wide, with a fleck of mucus, on the wall or off it.
+        mucus: Amount of mucus, 0 to 1: film and strands cover a third of this fraction of the wall.
+        mucus_tint: Reflectance of mucus relative to the wall, red, green, blue.
         roughness: Perceptual roughness of the wall under its wet film, 0 to 1.
-        clearcoat: Strength of the wet film, 0 (dry, or broken up) to 1 (whole).
+        clearcoat: Strength of the wet film, 0 (dry, or broken up) to 1 (full).
         clearcoat_gloss: Gloss of the wet film, 0 (satin) to 1 (mirror-like).
     """
 
@@ -118,15 +118,15 @@ MUCOSAE: dict[str, Mucosa] = {
 """Mucosae by organ."""
 
 ABSORPTION = np.array([[0.16, 1.0, 0.92], [0.04, 0.16, 1.0]])
-"""Optical density in red, green and blue of blood, relative to green, and of bile, to blue: as in
-the compiled core (tissue.rs)."""
+"""Optical density in red, green and blue of blood, relative to green, and of bile, relative to
+blue; as in the compiled core (tissue.rs)."""
 
 
 def own_mucosa(organ: OrganSurface) -> str:
-    """Name in `MUCOSAE` of the mucosa that an organ's own labels call for.
+    """Name in `MUCOSAE` of the mucosa that matches an organ's labels.
 
-    The label of most of its wall decides, or the organ's name where that label says nothing; the
-    colon's where neither names a stomach or small bowel.
+    The label of most of its wall decides, or the organ's name if that label is not conclusive; the
+    colon's if neither indicates a stomach or small bowel.
     """
     label = organ.label_names[int(np.bincount(organ.label).argmax())]
     name = organ.name if label == "wall" else label
@@ -134,7 +134,7 @@ def own_mucosa(organ: OrganSurface) -> str:
 
 
 def is_texture_path(mucosa: str) -> bool:
-    """Whether a mucosa is given as the path of a texture rather than a name in `MUCOSAE`.
+    """Check whether a mucosa is given as the path of a texture, not as a name in `MUCOSAE`.
 
     Raises:
         UnknownNameError: If it is neither.
@@ -147,10 +147,10 @@ def is_texture_path(mucosa: str) -> bool:
 
 
 def mucosa_fingerprint(mucosa: str | None) -> dict[str, str]:
-    """What a cached organ's name takes in of its mucosa: nothing of the organ's own.
+    """Contribution of a mucosa to the name of a cached organ; empty for the organ's own.
 
     Raises:
-        UnknownNameError: If there is no such mucosa.
+        UnknownNameError: If the mucosa does not exist.
         InputError: If there is no texture at a path.
     """
     from vrcaps.mucosa.texture import texture_sha256

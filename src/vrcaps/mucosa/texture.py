@@ -1,4 +1,4 @@
-"""A mucosa's texture on disk: a folder of pictures and what they mean."""
+"""Mucosa textures on disk: a folder of images and their metadata."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ if TYPE_CHECKING:
 FORMAT = "vrcaps-mucosa/1"
 HEAD = "mucosa.json"
 HEIGHT_STEP = 1e-8
-"""Of the relief in its 16-bit picture [m]; 32768 is 0."""
+"""Step of the relief in its 16-bit image [m]; 32768 is 0."""
 
 _PICTURES = ("albedo", "roughness", "height")
 
 
 @dataclass(frozen=True)
 class MucosaTexture:
-    """A square of mucosa that continues over its edges.
+    """Square texture of a mucosa, periodic across its edges.
 
     Attributes:
         albedo: Base color, sRGB-encoded.
         roughness: Perceptual roughness, 255 = 1.
         height: Relief towards the lumen in steps of `HEIGHT_STEP`, 32768 = 0.
-        texel: Side of a texel [m].
+        texel: Side length of a texel [m].
         clearcoat_gloss: Gloss of the wet film, 0 (satin) to 1 (mirror-like).
-        metadata: Where it came from: photographs, regions, seed, measures.
+        metadata: Origin: photographs, regions, seed, measurements.
     """
 
     albedo: UInt8[np.ndarray, "n n 3"]
@@ -48,7 +48,7 @@ class MucosaTexture:
 
     @property
     def side(self) -> float:
-        """Length of the square's side [m]."""
+        """Side length of the square [m]."""
         return len(self.albedo) * self.texel
 
     @property
@@ -58,10 +58,10 @@ class MucosaTexture:
 
 
 def write_texture(folder: Path, texture: MucosaTexture) -> None:
-    """Write a texture as a folder; one that is there already is replaced.
+    """Write a texture as a folder, replacing an existing texture.
 
     Raises:
-        InputError: If the folder holds anything but a texture.
+        InputError: If the folder contains anything but a texture.
     """
     check_free(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -79,28 +79,28 @@ def write_texture(folder: Path, texture: MucosaTexture) -> None:
             "sha256": {name: file_sha256(path) for name, path in temporary.items()},
             **texture.metadata,
         }
-        # Before the pictures get their names: a folder with a head is replaced after a kill.
+        # Before the images get their final names: a folder with a head is replaced after a kill.
         write_json(folder / HEAD, head)
 
 
 def check_free(folder: Path) -> None:
-    """Refuse a place where `write_texture` would mix with, or replace, something else.
+    """Check that `write_texture` will not mix with, or replace, anything else at a path.
 
     Raises:
-        InputError: If it is a file, or a folder that holds anything but a texture.
+        InputError: If it is a file, or a folder that contains anything but a texture.
     """
     if not (folder / HEAD).is_file() and not is_new_folder(folder):
         raise InputError(f"{folder} exists and is no texture. Give a new or an empty folder.")
 
 
 def read_texture(path: str | Path) -> MucosaTexture:
-    """Read what `write_texture` wrote.
+    """Read a texture written by `write_texture`.
 
     Args:
         path: The folder, or its `mucosa.json`.
 
     Raises:
-        InputError: If there is no texture, or a picture is not the one written with it.
+        InputError: If there is no texture, or an image is not the one written with it.
     """
     head_path = texture_head(path)
     try:
@@ -133,7 +133,7 @@ def read_texture(path: str | Path) -> MucosaTexture:
 
 
 def texture_head(path: str | Path) -> Path:
-    """The file `mucosa.json` of a texture given by its folder or by that file.
+    """Return the file `mucosa.json` of a texture, given by its folder or by that file.
 
     Raises:
         InputError: If there is none.
@@ -149,7 +149,7 @@ def texture_head(path: str | Path) -> Path:
 
 
 def texture_sha256(path: str | Path) -> str:
-    """Checksum of a texture: of its `mucosa.json`, which holds those of its pictures.
+    """Checksum of a texture: that of its `mucosa.json`, which contains those of its images.
 
     Raises:
         InputError: If there is no texture.

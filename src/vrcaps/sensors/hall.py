@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class HallArray:
-    """Hall sensors at fixed positions in the world, their axes along the world's.
+    """Hall sensors at fixed positions in the world, with axes parallel to the world's.
 
     A reading is ``gain · B + offset + noise``, rounded to the resolution; beyond its
     range it is NaN.
@@ -26,9 +26,9 @@ class HallArray:
     Attributes:
         positions_world: Positions of the sensors [m].
         noise: Standard deviation of a reading [T].
-        resolution: Step of a reading [T]; 0 does not round.
-        range: Largest absolute reading [T].
-        gain: Reading per flux density; 1 is calibrated.
+        resolution: Step of a reading [T]; 0 for no rounding.
+        range: Maximum absolute reading [T].
+        gain: Reading per flux density; 1 if calibrated.
         offset: Reading without a field [T].
     """
 
@@ -52,7 +52,7 @@ class HallArray:
 def hall_grid(
     width: float, count: int, T_world_array: Float[np.ndarray, "4 4"] | None = None
 ) -> HallArray:
-    """A square of `count` by `count` sensors, `width` [m] across, in the plane z = 0 of its frame.
+    """Square of `count` by `count` sensors, `width` [m] across, in the plane z = 0 of its frame.
 
     Raises:
         InputError: If the width is not above 0 or there are fewer than 2 by 2 sensors.
@@ -69,16 +69,16 @@ def hall_grid(
 def perturb_calibration(
     array: HallArray, rng: np.random.Generator, *, gain: float = 0.005, offset: float = 1e-6
 ) -> HallArray:
-    """The array with calibration errors of gain and offset, drawn once.
+    """Return the array with calibration errors of gain and offset, drawn once.
 
     Args:
         array: The array with its nominal gain and offset.
-        rng: Draws the errors.
+        rng: Random number generator of the errors.
         gain: Standard deviation of each component's gain, relative.
         offset: Standard deviation of each component's offset [T].
 
     Raises:
-        InputError: If one of these is negative or not finite.
+        InputError: If a standard deviation is negative or not finite.
     """
     for name, error in (("gain", gain), ("offset", offset)):
         require(0.0 <= error < np.inf, f"A Hall array's error of {name}", error, "0 or more")
@@ -96,7 +96,7 @@ def read_hall(
     """Readings [T] of the array in the field of all sources.
 
     Raises:
-        InputError: If a sensor is in a dipole or on a wire or rim.
+        InputError: If a sensor lies in a dipole or on a wire or rim.
     """
     flux = field(sources, array.positions_world)[0]
     reading = array.gain * flux + array.offset + array.noise * rng.normal(size=flux.shape)

@@ -22,7 +22,7 @@ class CapsuleKinematics:
 
     Attributes:
         R_world_capsule: Rotation.
-        acceleration: Of the origin [m/s²].
+        acceleration: Acceleration of the origin [m/s²].
         angular_velocity: Angular velocity [rad/s].
         angular_acceleration: Angular acceleration [rad/s²].
         gravity: Gravity [m/s²].
@@ -37,20 +37,20 @@ class CapsuleKinematics:
 
 @dataclass(frozen=True)
 class Imu:
-    """An accelerometer and gyroscope with white noise and random-walk bias (IEEE Std 952-1997).
+    """Accelerometer and gyroscope with white noise and random-walk bias (IEEE Std 952-1997).
 
-    The defaults are those of a small MEMS unit: noise from the data sheet of Bosch's BMI270, the
-    random walk of the bias assumed.
+    The defaults are those of a small MEMS unit: noise from the data sheet of Bosch's BMI270; the
+    random walk of the bias is assumed.
 
     Attributes:
         position_capsule: Position in the capsule [m]; its axes are the capsule's.
-        rate: Readings a second [Hz].
+        rate: Readings per second [Hz].
         accelerometer_noise: Noise density [m/s²/√Hz].
         gyroscope_noise: Noise density [rad/s/√Hz].
         accelerometer_walk: Random walk of the bias [m/s²/√s].
         gyroscope_walk: Random walk of the bias [rad/s/√s].
-        accelerometer_range: Largest reading [m/s²]; more is clipped.
-        gyroscope_range: Largest reading [rad/s]; more is clipped.
+        accelerometer_range: Maximum reading [m/s²]; larger values are clipped.
+        gyroscope_range: Maximum reading [rad/s]; larger values are clipped.
     """
 
     position_capsule: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -78,15 +78,15 @@ def read_imu(
 
     Args:
         unit: The unit.
-        motion: How the capsule moves.
-        bias: Bias of accelerometer and gyroscope; zeros to begin with.
-        rng: Draws noise and the bias's next step, 1/`rate` later.
+        motion: Motion of the capsule.
+        bias: Bias of accelerometer and gyroscope; initially zeros.
+        rng: Random number generator of the noise and of the bias's next step, 1/`rate` later.
     """
     rotation = np.asarray(motion.R_world_capsule, float)
     spin, arm = np.array(motion.angular_velocity), rotation @ unit.position_capsule
     swing = np.cross(motion.angular_acceleration, arm) + np.cross(spin, np.cross(spin, arm))
     force = rotation.T @ (np.array(motion.acceleration) + swing - motion.gravity)
-    # White noise of density n, sampled at a rate f, has the standard deviation n √f.
+    # White noise of density n, sampled at a rate f, has a standard deviation of n √f.
     noise = np.sqrt(unit.rate) * rng.normal(size=6)
     force = force + bias[:3] + unit.accelerometer_noise * noise[:3]
     turn = rotation.T @ spin + bias[3:] + unit.gyroscope_noise * noise[3:]

@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 
 _MAX_ITERATIONS = 50
 _CONVERGED = 1e-9
-"""Largest component of a step that ends the iteration, in its units."""
+"""Maximum component of the step at convergence, in its units."""
 _LENGTH = 0.01
-"""Unit of position in a step [m], so that all columns of the Jacobian are of one size."""
+"""Unit of position in a step [m], so that all columns of the Jacobian have similar magnitude."""
 _FLUX = 1e-6
 """Unit of the background in a step [T]."""
 _MIN_READINGS = 8
-"""Unknowns are 8: position, direction and background."""
+"""Minimum number of readings: the 8 unknowns are position, direction and background."""
 _DAMPING = 1e-4
 """Initial damping of the Levenberg-Marquardt method."""
 _MAX_DAMPING = 1e8
@@ -34,7 +34,7 @@ _MAX_DAMPING = 1e8
 class PoseEstimate:
     """Estimated pose of a magnet and its uncertainty.
 
-    The rotation about the magnet's own axis, which changes no reading, is not part of it.
+    It excludes the rotation about the magnet's own axis, which changes no reading.
 
     Attributes:
         T_world_magnet: Pose; +z along its moment.
@@ -67,15 +67,16 @@ def localize(
     positions in front of the array is searched, where moment and background are linear unknowns.
 
     Args:
-        array: The array with its calibrated gain and offset, which are removed.
-        readings: Readings [T]; NaN is left out.
-        magnet: The magnet; its pose does not matter.
-        known: Sources whose field is known and subtracted, such as the steering magnet.
-        start: A nearby pose, such as the last estimate.
-        depths: Least and largest distance of the grid from the array's plane [m], on either side.
+            array: The array; its calibrated gain and offset are removed.
+            readings: Readings [T]; NaN is ignored.
+            magnet: The magnet; its pose is ignored.
+            known: Sources whose field is known and subtracted, such as the steering magnet.
+            start: A nearby pose, such as the last estimate.
+            depths: Minimum and maximum distance of the grid from the array's plane [m], on either
+                side.
 
     Raises:
-        InputError: If fewer than 8 finite numbers were read, or shapes differ.
+        InputError: If there are fewer than 8 finite readings, or shapes differ.
     """
     positions = np.asarray(array.positions_world, float)
     readings = (np.asarray(readings, float) - array.offset) / array.gain
@@ -128,7 +129,7 @@ def _levenberg_marquardt(
 def _model(
     positions: np.ndarray, readings: np.ndarray, magnet: Dipole | Cylinder, background: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals [3n], and Jacobian [3n 9] by position [10 mm], rotation [rad], background [µT]."""
+    """Residuals [3n] and Jacobian [3n 9] by position [10 mm], rotation [rad], background [µT]."""
     flux, by_place, by_turn = magnet_readings(positions, magnet)
     even = np.broadcast_to(_FLUX * np.eye(3), by_place.shape)
     rows = np.concatenate([_LENGTH * by_place, by_turn, even], axis=-1)
@@ -138,7 +139,7 @@ def _model(
 def magnet_readings(
     positions: Float[np.ndarray, "n 3"], magnet: Dipole | Cylinder
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"], Float[np.ndarray, "n 3 3"]]:
-    """Flux density of a magnet at positions [T], and how it changes with the magnet's pose.
+    """Flux density of a magnet at positions [T], and its derivatives by the magnet's pose.
 
     Returns:
         Flux density, its Jacobian by the magnet's position [T/m], and that by its rotation about

@@ -15,15 +15,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Magnetometer:
-    """A three-axis magnetometer in a capsule.
+    """Three-axis magnetometer in a capsule.
 
     The defaults are those of a small unit; a strong magnet nearby saturates it.
 
     Attributes:
         position_capsule: Position in the capsule [m]; its axes are the capsule's.
         noise: Standard deviation of a reading [T].
-        offset: What it reads without a field [T], such as from the capsule's own magnet.
-        range: Largest reading of a component [T]; more is clipped.
+        offset: Reading without a field [T], such as that of the capsule's own magnet.
+        range: Maximum reading of a component [T]; larger values are clipped.
     """
 
     position_capsule: tuple[float, float, float] = (0.0, 0.0, 0.0)

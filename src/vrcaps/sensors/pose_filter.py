@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 _SIZE = 18
 _P, _V, _R, _A, _G, _B = (slice(k, k + 3) for k in range(0, _SIZE, 3))
 _SEEN = np.r_[_P, _R, _B]
-"""Parts of the state that a Hall sensor's reading depends on."""
+"""Parts of the state that a Hall sensor reading depends on."""
 _BACKGROUND_WALK = 1e-8
-"""Random walk of the background field [T/√s]: the earth's field hardly changes."""
+"""Random walk of the background field [T/√s]: the earth's field is nearly constant."""
 _MAX_ITERATIONS = 5
 _CONVERGED = np.repeat([1e-5, 1e-4, 1e-8], 3)
-"""Step [m, rad, T] below which a correction is no longer linearized anew."""
+"""Step [m, rad, T] below which a correction is not relinearized."""
 
 
 @dataclass(frozen=True)
@@ -34,12 +34,12 @@ class PoseBelief:
 
     Attributes:
         T_world_capsule: Pose of the capsule.
-        velocity_world: Of its origin [m/s].
-        accelerometer_bias: [m/s²].
-        gyroscope_bias: [rad/s].
+        velocity_world: Velocity of its origin [m/s].
+        accelerometer_bias: Bias of the accelerometer [m/s²].
+        gyroscope_bias: Bias of the gyroscope [rad/s].
         background: Uniform background field [T].
-        covariance: Of the errors of position [m], velocity [m/s], rotation about the world's axes
-            [rad], both biases and background, in this order.
+        covariance: Covariance of the errors of position [m], velocity [m/s], rotation about the
+            world's axes [rad], both biases and background, in this order.
     """
 
     T_world_capsule: Float[np.ndarray, "4 4"]
@@ -61,7 +61,7 @@ class PoseBelief:
         return float(np.sqrt(axis @ self.covariance[_R, _R] @ axis))
 
     def moved(self, error: Float[np.ndarray, " 18"]) -> PoseBelief:
-        """The same with an error added to its mean."""
+        """Return the belief with an error added to its mean."""
         T = self.T_world_capsule
         pose = transform_from(rotate_by_vector(error[_R], T[:3, :3]), T[:3, 3] + error[_P])
         return PoseBelief(
@@ -74,7 +74,7 @@ class PoseBelief:
         )
 
     def error_from(self, other: PoseBelief) -> Float[np.ndarray, " 18"]:
-        """The error that takes another belief's mean here: ``other.moved(error)``."""
+        """Error from another belief's mean to this one: ``other.moved(error)``."""
         pose, start = self.T_world_capsule, other.T_world_capsule
         return np.concatenate(
             [
@@ -95,13 +95,13 @@ def predict(
     turn: Float[np.ndarray, " 3"],
     dt: float,
 ) -> PoseBelief:
-    """The belief a time `dt` later, by the IMU's reading (Solà 2017, section 7: global errors).
+    """Belief after a time `dt`, from the IMU's reading (Solà 2017, section 7: global errors).
 
     Args:
-        belief: Before.
+        belief: Belief before.
         unit: The IMU, at the capsule's origin; its noise is that of a reading's mean over `dt`.
-        force: Specific force that it read [m/s²].
-        turn: Angular velocity that it read [rad/s].
+        force: Measured specific force [m/s²].
+        turn: Measured angular velocity [rad/s].
         dt: Duration [s].
     """
     T = belief.T_world_capsule
@@ -137,10 +137,10 @@ def _clipping(
     R_world_capsule: Float[np.ndarray, "3 3"],
     dt: float,
 ) -> Float[np.ndarray, "3 3"]:
-    """Covariance of what a clipped reading leaves out, summed over `dt`.
+    """Covariance of the part of a reading lost by clipping, over `dt`.
 
-    A capsule that the field turns over, or that hits a wall, exceeds the range; by how much is not
-    known, and taken to be as much again.
+    A capsule that flips in the field, or hits a wall, exceeds the range by an unknown amount,
+    assumed to equal the range.
     """
     lost = np.where(np.abs(reading) >= largest, largest * dt, 0.0)
     return (R_world_capsule * lost**2) @ R_world_capsule.T
@@ -153,12 +153,12 @@ def correct(
     sigma: Float[np.ndarray, "n 3"],
     magnet: InternalMagnet,
 ) -> PoseBelief:
-    """The belief after readings of Hall sensors: iterated Kalman update (Bell and Cathey 1993).
+    """Belief after readings of Hall sensors: iterated Kalman update (Bell and Cathey 1993).
 
     Args:
-        belief: Before.
-        positions: Of the sensors in the world [m].
-        readings: Flux density without that of known sources [T]; NaN is left out.
+        belief: Belief before.
+        positions: Positions of the sensors in the world [m].
+        readings: Flux density without that of known sources [T]; NaN is ignored.
         sigma: Standard deviation of each reading [T].
         magnet: The capsule's magnet.
     """
@@ -187,7 +187,7 @@ def _innovation(
     readings: Float[np.ndarray, "n 3"],
     magnet: InternalMagnet,
 ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m 9"]]:
-    """Readings less those expected [T], and the Jacobian of the expected by the states seen."""
+    """Innovation of readings [T], and the Jacobian of predicted readings by their states."""
     source, arm = located_magnet(belief.T_world_capsule, magnet)
     flux, by_place, by_turn = magnet_readings(positions, source)
     # Rotation about the capsule's origin also moves the magnet, by δθ × arm.

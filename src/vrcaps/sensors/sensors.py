@@ -19,18 +19,18 @@ from vrcaps.units import MM
 from vrcaps.world.model import Model
 
 EARTH_FIELD = (0.0, 20e-6, -45e-6)
-"""Magnetic field of the earth in the world by default [T]."""
+"""Default magnetic field of the earth in the world [T]."""
 
 
 @dataclass(frozen=True)
 class HallPad:
-    """A square of Hall sensors on the table under the patient.
+    """Square of Hall sensors on the table under the patient.
 
     Attributes:
-        width: Side of the square [m].
+        width: Side length of the square [m].
         count: Number of sensors along a side.
-        gap: Distance from the lowest point of the wall at rest down to it [m].
-        range: Largest absolute reading [T]; beyond it there is none.
+        gap: Distance of the square below the lowest point of the wall at rest [m].
+        range: Maximum absolute reading [T]; larger fields give no reading.
         gain_error: Standard deviation of each gain's calibration error, relative.
         offset_error: Standard deviation of each offset's calibration error [T].
     """
@@ -48,13 +48,14 @@ class HallPad:
 
 @dataclass(frozen=True)
 class Sensors:
-    """Which sensors are read once a frame; none by default.
+    """Sensors that are read once per frame; none by default.
 
     Attributes:
-        imu: In the capsule. A reading is the mean over the time between the frames beside it,
+        imu: IMU in the capsule. A reading is the mean over the time between the adjacent frames,
             so that the unit's `rate` is the recording's.
-        magnetometer: In the capsule; its own magnet is left to the unit's offset.
-        hall: Under the patient; finds the capsule's magnet.
+        magnetometer: Magnetometer in the capsule; the capsule's own magnet is part of the unit's
+            offset.
+        hall: Hall sensors under the patient, which localize the capsule's magnet.
         earth_field: Magnetic field of the earth in the world [T].
     """
 
@@ -68,7 +69,7 @@ def sensors_by_name(names: Sequence[str]) -> Sensors:
     """Sensors with their default parameters.
 
     Raises:
-        UnknownNameError: If there is no sensor of a name.
+        UnknownNameError: If a sensor does not exist.
     """
     kinds = {"imu": Imu, "magnetometer": Magnetometer, "hall": HallPad}
     for name in names:
@@ -78,7 +79,7 @@ def sensors_by_name(names: Sequence[str]) -> Sensors:
 
 
 def hall_array(pad: HallPad, model: Model) -> HallArray:
-    """A pad's sensors in the world, with their nominal gain and offset."""
+    """Sensors of a pad in the world, with their nominal gain and offset."""
     low, high = model.vertices_world.min(axis=0), model.vertices_world.max(axis=0)
     middle = 0.5 * (low + high)
     place = np.array([middle[0], middle[1], low[2] - pad.gap])

@@ -1,4 +1,4 @@
-"""Tracking of a simulated capsule: its sensors are read and fused while a world is stepped."""
+"""Tracking of a simulated capsule: its sensors are read and fused while the world is stepped."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ if TYPE_CHECKING:
     from vrcaps.world.world import World
 
 _CALIBRATION_TIME = 1.0
-"""Time [s] over which a calibration error is taken to stay the same: readings within it repeat the
-error, and do not average it out. The errors change with the fields, as capsule and magnet move."""
+"""Time [s] over which a calibration error is assumed constant: readings within it repeat the error
+and do not average it out. The errors change with the fields, as capsule and magnet move."""
 _INITIAL_SIGMA = np.repeat([0.0, 0.01, 0.0, 0.02, 1e-3, 1e-4], 3)
-"""Standard deviations of the first state: 1 cm/s, 2 mg, 0.06°/s, and the earth's field."""
+"""Standard deviations of the initial state: 1 cm/s, 2 mg, 0.06°/s, and the earth's field."""
 
 
 @dataclass(frozen=True)
 class TrackingSensors:
-    """Sensors by which a controller locates the capsule; all are read once in each of its periods.
+    """Sensors by which a controller localizes the capsule, read once per control period.
 
     Attributes:
-        imu: In the capsule, taken to be at its origin; its `rate` is the controller's.
-        hall: Under the patient.
+        imu: IMU in the capsule, assumed to be at its origin; its `rate` is the controller's.
+        hall: Hall sensors under the patient.
         earth_field: Magnetic field of the earth in the world [T], which the filter estimates.
-        position_error: Standard deviation of each coordinate where tracking begins [m].
-        angle_error: Standard deviation of the rotation about each axis where it begins [rad].
+        position_error: Standard deviation of each coordinate at the start of tracking [m].
+        angle_error: Standard deviation of the rotation about each axis at the start [rad].
     """
 
     imu: Imu = field(default_factory=Imu)
@@ -57,10 +57,10 @@ class TrackingSensors:
 
 
 def check_locatable(device: Device) -> None:
-    """Check that a capsule can be located.
+    """Check that a capsule can be localized.
 
     Raises:
-        InputError: If it holds not just one magnet.
+        InputError: If it does not contain exactly one magnet.
     """
     if len(device.magnets) != 1:
         raise InputError(
@@ -70,14 +70,14 @@ def check_locatable(device: Device) -> None:
 
 
 class CapsuleTracker:
-    """What the sensors say of the capsule in a world: pose, velocity and force of the wall.
+    """Estimate of a capsule in a world from its sensors: pose, velocity and force of the wall.
 
-    Has what a controller asks of a `World`, but from readings alone: the filter's pose and
-    velocity; the wall's force is what the specific force leaves beside that of the magnet.
+    Provides a controller with the same values as a `World`, but from readings alone: the filter's
+    pose and velocity; the wall's force is the specific force less the force of the magnet.
 
     Attributes:
-        size: Of its state as an array.
-        belief: Of the filter.
+        size: Size of its state as an array.
+        belief: Belief of the filter.
     """
 
     size: ClassVar[int] = 16 + 4 * 3 + 18 * 18 + 16 + 6 + 6 + 3 * 3 + 2
@@ -91,17 +91,17 @@ class CapsuleTracker:
         period: float,
         seed: int,
     ) -> None:
-        """Begins near a pose, by chance off it as the settings say.
+        """Start near a pose, with a random offset according to the settings.
 
         Args:
             model: Organ and device.
             settings: The sensors.
             T_world_capsule: Pose of the capsule.
             period: Time between readings [s].
-            seed: Of noise and calibration errors, 0 or more.
+            seed: Seed of noise and calibration errors, 0 or more.
 
         Raises:
-            InputError: If the device holds not just one magnet.
+            InputError: If the device does not contain exactly one magnet.
         """
         check_locatable(model.device)
         (self._magnet,), self._mass = model.device.magnets, model.device.mass
@@ -120,7 +120,7 @@ class CapsuleTracker:
         off = sigma * vrcaps.rng.stream(seed, "tracking/start").normal(size=18)
         off[3:6], off[9:] = 0.0, 0.0
         self.belief = start.moved(off)
-        # True pose, velocities and time of the reading before, bias of the IMU, and its count.
+        # True pose, velocities and time of the previous reading, IMU bias, number of readings.
         self._last_pose, self._last_velocity = T_world_capsule, np.zeros((2, 3))
         self._bias, self._force_world, self._turn_world = np.zeros(6), np.zeros(3), np.zeros(3)
         self._magnetic_force, self._sources = np.zeros(3), SourceSet(())
@@ -128,37 +128,37 @@ class CapsuleTracker:
 
     @property
     def T_world_capsule(self) -> Float[np.ndarray, "4 4"]:
-        """Pose by the filter."""
+        """Pose estimated by the filter."""
         return self.belief.T_world_capsule
 
     @property
     def velocity_world(self) -> Float[np.ndarray, "2 3"]:
-        """Velocity of the origin [m/s], and angular velocity [rad/s] by the gyroscope."""
+        """Velocity of the origin [m/s], and angular velocity [rad/s] from the gyroscope."""
         return np.array([self.belief.velocity_world, self._turn_world])
 
     @property
     def contact_force_world(self) -> Float[np.ndarray, " 3"]:
-        """Force of the wall on the side [N]: mass times specific force, less the magnet's force.
+        """Lateral force of the wall [N]: mass times specific force, less the magnet's force.
 
-        The part along the capsule's axis, friction or another pull, is left out.
+        The component along the capsule's axis, friction or another pull, is excluded.
         """
         force = self._mass * self._force_world - self._magnetic_force
         axis = self.T_world_capsule[:3, 2]
         return force - axis * float(axis @ force)
 
     def field_angle(self, T_world_capsule: Float[np.ndarray, "4 4"]) -> float:
-        """Between the moment of a capsule at a pose and the magnet's field there [rad]."""
+        """Angle between the moment of a capsule at a pose and the magnet's field there [rad]."""
         source, _ = located_magnet(T_world_capsule, self._magnet)
         flux = self._sources.field(source.T_world_magnet[None, :3, 3])[0][0]
         cosine = flux @ source.T_world_magnet[:3, 2] / max(float(np.linalg.norm(flux)), 1e-12)
         return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
     def read(self, world: World, sources: Sequence[Source]) -> None:
-        """Reads the sensors once, and fuses the readings; a second time at the same time is none.
+        """Read the sensors once and fuse the readings; no effect if repeated at the same time.
 
         Args:
-            world: The world as it is now.
-            sources: Magnets outside where they are now, as the controller knows them.
+            world: The current world.
+            sources: External magnets at their current poses, as known to the controller.
         """
         if world.time == self._last_time:
             return
@@ -171,11 +171,11 @@ class CapsuleTracker:
         self._last_time, self._count = world.time, self._count + 1
 
     def to_array(self) -> Float[np.ndarray, " q"]:
-        """All state of the tracker, for `restore`."""
+        """State of the tracker as an array, for `restore`."""
         return np.concatenate([np.ravel(part) for part in self._parts()])
 
     def restore(self, saved: Float[np.ndarray, " q"], sources: Sequence[Source]) -> None:
-        """Sets the state that `to_array` gave, with the magnets where they were."""
+        """Restore the state of `to_array`, with the magnets at their poses then."""
         parts = self._parts()
         ends = np.cumsum([part.size for part in parts])
         pieces = [
@@ -201,7 +201,7 @@ class CapsuleTracker:
         ]
 
     def _read_imu(self, world: World, dt: float) -> None:
-        """Predicts by what the IMU reads: means over the time since the last reading."""
+        """Predict from the IMU's reading: means over the time since the last reading."""
         before, after = self._last_pose[:3, :3], world.T_world_capsule[:3, :3]
         turned = rotation_vector(before, after)
         (v0, w0), (v1, w1) = self._last_velocity, world.velocity_world
@@ -222,7 +222,7 @@ class CapsuleTracker:
     def _read_hall(
         self, T_world_capsule: Float[np.ndarray, "4 4"], sources: Sequence[Source]
     ) -> None:
-        """Corrects by what the Hall sensors read."""
+        """Correct by the readings of the Hall sensors."""
         rng = vrcaps.rng.stream(self._seed, "tracking/hall", self._count)
         inside, _ = located_magnet(T_world_capsule, self._magnet)
         readings = read_hall(self._true_array, [inside, *sources, self._earth], rng)

@@ -74,9 +74,9 @@ def _with_grown(before: Any, now: Any, growing: tuple[str, ...]) -> Any:
         for group in groups:
             own, new = (tree.get(group) if isinstance(tree, dict) else None for tree in (own, new))
         if isinstance(own, dict) and isinstance(new, dict):
-            values = own.get(name), new.get(name)
-            if all(isinstance(value, int | float) for value in values) and values[1] > values[0]:
-                own[name] = new[name]
+            old, value = own.get(name), new.get(name)
+            if isinstance(old, int | float) and isinstance(value, int | float) and value > old:
+                own[name] = value
     return raised
 
 

@@ -12,6 +12,7 @@ from vrcaps import cli
 from vrcaps.cli import console
 from vrcaps.data.plan import read_plan
 from vrcaps.errors import InputError, StorageError, reason_of
+from waiting import WATCHDOG
 
 
 def said(args: list[str], capsys: pytest.CaptureFixture[str]) -> str:
@@ -104,7 +105,7 @@ def test_a_wrong_path_is_reported_before_anything_heavy_is_loaded(tmp_path: Path
         "print(*[name for name in heavy if name in sys.modules])"
     )
     run = [sys.executable, "-c", code]
-    found = subprocess.run(run, capture_output=True, text=True, check=True, timeout=300)
+    found = subprocess.run(run, capture_output=True, text=True, check=True, timeout=WATCHDOG)
     assert found.stdout.split() == []
     assert found.stderr.count("\n") == len(commands)
 

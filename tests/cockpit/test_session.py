@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vrcaps.actuation.steering_program import read_commands
+from vrcaps.actuation.steering_program import JoystickCommand, read_commands
 from vrcaps.cockpit.policy_driver import PolicyDriver
 from vrcaps.cockpit.session import Session
 from vrcaps.errors import InputError, UnknownNameError
@@ -19,6 +19,7 @@ from vrcaps.lumen.contents import Contents
 from vrcaps.recording.episode import read_episode
 from vrcaps.recording.recorder import record
 from vrcaps.recording.table import POSE_COLUMNS
+from vrcaps.scenario.build import build
 from vrcaps.scenario.scenario import Scenario, read_scenario
 from vrcaps.transforms import quaternion_from_matrix
 from waiting import wait_until
@@ -96,6 +97,14 @@ def test_a_drive_is_recorded_again_to_the_same_bytes(drive_scenario, tmp_path):
     assert episode.table.columns["insufflation"][-1] > 1.0
     moved = np.ptp([episode.table.columns[f"magnet_{axis}_m"] for axis in "xyz"], axis=1)
     assert moved.max() > 0.01
+
+
+def test_a_drive_without_commands_can_be_recorded(drive_scenario, tmp_path):
+    """As one that was killed in its first second."""
+    Session(drive_scenario, tmp_path / "drive").drive.save()
+    scenario = read_scenario(tmp_path / "drive" / "drive.json")
+    assert scenario.motion.magnet.joystick == (JoystickCommand(0.0),)
+    build(scenario)
 
 
 def test_says_what_cannot_be_done(drive_scenario, tmp_path):

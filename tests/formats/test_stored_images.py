@@ -2,7 +2,10 @@
 
 import io
 import struct
+import subprocess
 import zlib
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -130,3 +133,15 @@ def test_photographs_of_a_folder_are_without_hidden_files(tmp_path):
     (tmp_path / "Thumbs.db").write_bytes(b"")
     assert [photo.name for photo in read_photos([tmp_path])] == ["a.jpg"]
     assert jpeg_quality([tmp_path]) == 75
+
+
+@pytest.mark.parametrize("read", [read_rgb, image_size])
+def test_postscript_under_the_name_of_a_picture_is_not_run(
+    read: Callable[[Path], object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Pillow would start Ghostscript, a program, on data of others."""
+    program = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 8\n%%EndComments\nshowpage\n%%EOF\n"
+    (tmp_path / "a.png").write_bytes(program)
+    monkeypatch.setattr(subprocess, "check_call", lambda *_, **__: pytest.fail("a program ran"))
+    with pytest.raises(InputError, match=r"a\.png"):
+        read(tmp_path / "a.png")

@@ -94,12 +94,13 @@ class Drive:
             return scenario
 
     def recorded(self, scenario: Scenario) -> Scenario:
-        """A scenario with the commands of the file."""
+        """A scenario with the commands of the file, or one that holds still if there are none."""
         motion = scenario.motion
         assert isinstance(motion, Dynamics)
         assert motion.magnet is not None
-        file = FileRef(str(self.folder / COMMANDS_CSV))
-        magnet = replace(motion.magnet, joystick=(), waypoints=(), command_file=file)
+        file = FileRef(str(self.folder / COMMANDS_CSV)) if self._num_saved else None
+        still = () if file else (JoystickCommand(0.0),)
+        magnet = replace(motion.magnet, joystick=still, waypoints=(), command_file=file)
         return replace(scenario, motion=replace(motion, magnet=magnet))
 
 

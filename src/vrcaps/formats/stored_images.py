@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 """Suffixes of color images that are read."""
 _TIFF = (".tif", ".tiff")
+_FORMATS = ("BMP", "JPEG", "PNG", "TIFF", "WEBP")
+"""Contents that are decoded, whatever the suffix: Pillow runs Ghostscript for PostScript."""
 _ORIENTATION = 274
 """Tag of EXIF and TIFF: how stored rows and columns lie in the picture, 1 to 8."""
 _TURNS: dict[int, Callable[[NDArray], NDArray]] = {
@@ -114,7 +116,7 @@ def image_size(path: Path) -> tuple[int, int]:
         return height, width
     from PIL import Image
 
-    with reading(path), Image.open(path) as image:
+    with reading(path), Image.open(path, formats=_FORMATS) as image:
         is_turned = _orientation(image) >= 5
         return (image.width, image.height) if is_turned else (image.height, image.width)
 
@@ -164,7 +166,7 @@ def _decoded(data: bytes, *, as_color: bool) -> NDArray:
     """Numbers of an image: by the core where it is a plain PNG, which may have 16 bits."""
     from PIL import Image
 
-    with Image.open(io.BytesIO(data)) as image:
+    with Image.open(io.BytesIO(data), formats=_FORMATS) as image:
         require_pixels(image.width, image.height)
         stored = None
         if image.format == "PNG":

@@ -46,7 +46,7 @@ def jpeg_quality(paths: Sequence[Path]) -> int | None:
     for file in files:
         if file.suffix.lower() not in (".jpg", ".jpeg"):
             continue
-        with reading(file), Image.open(file) as image:
+        with reading(file), Image.open(file, formats=["JPEG"]) as image:
             own = getattr(image, "quantization", {}).get(0)
         if own is not None:
             found.append(1 + int(np.abs(tables - np.sort(own)).sum(axis=1).argmin()))

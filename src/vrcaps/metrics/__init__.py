@@ -1,1 +1,1 @@
-"""Pure NumPy measures of images, depth, poses and shapes."""
+"""Metrics of images, depth, poses and shapes, in pure NumPy."""

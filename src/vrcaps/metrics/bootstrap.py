@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Interval:
-    """A figure with its confidence interval.
+    """Value of a statistic with its confidence interval.
 
     Attributes:
-        value: Of all items.
+        value: Value over all items.
         low: Lower end.
         high: Upper end.
     """
@@ -43,19 +43,19 @@ def bootstrap(
     resamples: int = 1000,
     seed: int = 0,
 ) -> Interval:
-    """Percentile interval of a figure of items that are drawn anew with replacement.
+    """Percentile bootstrap interval of a statistic.
 
     Args:
-        statistic: The figure, from numbers of items.
+        statistic: Function from indices of items to the statistic.
         count: Number of items.
-        groups: Group of each item [count]. Whole groups are drawn, so that items of one patient,
-            which are alike, do not count as independent. None draws items.
-        level: Share of resamples within the interval.
-        resamples: Number of draws; those in which the figure is undefined (NaN) are left out.
-        seed: Of the draws.
+        groups: Group of each item [count]. Whole groups are drawn, so that similar items of one
+            patient do not count as independent. None draws items.
+        level: Fraction of resamples within the interval.
+        resamples: Number of draws; those with an undefined statistic (NaN) are left out.
+        seed: Seed of the draws.
 
     Raises:
-        InputError: If a number is out of range.
+        InputError: If an argument is out of range.
     """
     drawn = _drawn(count, groups, resamples, seed)
     low, high = _limits(np.array([statistic(items) for items in drawn]), level)
@@ -70,17 +70,17 @@ def mean_band(
     resamples: int = 1000,
     seed: int = 0,
 ) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, " t"]]:
-    """Percentile intervals of the mean of curves, at each of their places; see `bootstrap`.
+    """Percentile intervals of the mean of curves, at each of their points; see `bootstrap`.
 
     Args:
-        curves: A row each.
+        curves: One curve per row.
         groups: Group of each curve [n]; None draws curves.
-        level: Share of resamples within the interval.
+        level: Fraction of resamples within the interval.
         resamples: Number of draws.
-        seed: Of the draws.
+        seed: Seed of the draws.
 
     Raises:
-        InputError: If a number is out of range.
+        InputError: If an argument is out of range.
     """
     drawn = _drawn(len(curves), groups, resamples, seed)
     low, high = _limits(np.array([curves[items].mean(axis=0) for items in drawn]), level)
@@ -90,7 +90,7 @@ def mean_band(
 def _drawn(
     count: int, groups: NDArray | None, resamples: int, seed: int
 ) -> Iterator[Int[np.ndarray, " k"]]:
-    """Numbers of the items of each resample."""
+    """Indices of the items of each resample."""
     require(count > 0, "number of items", count, "1 or more")
     require(resamples > 1, "number of resamples", resamples, "2 or more")
     draws = rng.stream(seed, "metrics/bootstrap")
@@ -102,7 +102,7 @@ def _drawn(
 
 
 def _limits(values: NDArray, level: float) -> NDArray:
-    """Lower and upper ends of an interval that holds a share of the values."""
+    """Lower and upper ends of the interval that contains a fraction of the values."""
     require(0.0 < level < 1.0, "level of confidence", level, "above 0, below 1")
     tail = 0.5 * (1.0 - level)
     return np.nanquantile(values, [tail, 1.0 - tail], axis=0)

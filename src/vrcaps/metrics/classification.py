@@ -1,12 +1,12 @@
-"""Scores of a classifier: F1, Matthews' correlation, area under the ROC curve.
+"""Classification metrics: F1, Matthews' correlation, area under the ROC curve.
 
-With the confusion matrix C (rows true, columns estimated)::
+With the confusion matrix C (rows true, columns predicted)::
 
     F1 of class k = 2 C_kk / (row sum k + column sum k)
     MCC           = (c s − Σ p_k t_k) / √((s² − Σ p_k²) (s² − Σ t_k²))
 
 where c = trace C, s = ΣC, p and t are column and row sums (Gorodkin, Computational Biology and
-Chemistry 28, 2004). A figure whose denominator is 0 is NaN for AUC and 0 for F1 and MCC.
+Chemistry 28, 2004). A metric whose denominator is 0 is NaN for AUC and 0 for F1 and MCC.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 def confusion_matrix(
     estimate: Int[np.ndarray, " n"], truth: Int[np.ndarray, " n"], num_classes: int
 ) -> Int[np.ndarray, "c c"]:
-    """How many items of each true class (row) were given each class (column).
+    """Confusion matrix: number of items of each true class (row) per predicted class (column).
 
     Raises:
         InputError: If the numbers of items differ or a class is out of range.
@@ -39,18 +39,18 @@ def confusion_matrix(
 
 
 def f1_scores(confusion: Int[np.ndarray, "c c"]) -> Float[np.ndarray, " c"]:
-    """F1 of each class; 0 for one that neither occurs nor was estimated."""
+    """F1 of each class; 0 for a class that neither occurs nor is predicted."""
     both = confusion.sum(axis=0) + confusion.sum(axis=1)
     return 2.0 * np.diag(confusion) / np.maximum(both, 1)
 
 
 def accuracy(confusion: Int[np.ndarray, "c c"]) -> float:
-    """Share of items whose class was found."""
+    """Fraction of items with the correct class."""
     return float(np.trace(confusion) / max(confusion.sum(), 1))
 
 
 def matthews(confusion: Int[np.ndarray, "c c"]) -> float:
-    """Matthews' correlation coefficient of any number of classes, −1 to 1."""
+    """Matthews' correlation coefficient for any number of classes, −1 to 1."""
     c, s = float(np.trace(confusion)), float(confusion.sum())
     p, t = confusion.sum(axis=0, dtype=float), confusion.sum(axis=1, dtype=float)
     spread = (s * s - p @ p) * (s * s - t @ t)
@@ -58,10 +58,10 @@ def matthews(confusion: Int[np.ndarray, "c c"]) -> float:
 
 
 def roc_auc(score: Float[np.ndarray, " n"], is_positive: Bool[np.ndarray, " n"]) -> float:
-    """Area under the ROC curve: chance that a positive scores above a negative, ties half.
+    """Area under the ROC curve: probability that a positive scores above a negative, ties half.
 
     It is the Mann-Whitney statistic over the number of pairs (Hanley and McNeil, Radiology 143,
-    1982); NaN where all items are of one kind.
+    1982); NaN if all items are of one kind.
     """
     from scipy.stats import rankdata
 

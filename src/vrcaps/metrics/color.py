@@ -1,4 +1,4 @@
-"""How alike two sets of images are in color: means, spreads and gradients in CIE L*a*b*."""
+"""Color similarity of two sets of images: means, spreads and gradients in CIE L*a*b*."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 CHANNELS = ("L", "a", "b")
 
 _GRADIENT_STEP, _GRADIENT_BINS = 0.25, 240
-"""Width of a histogram's bins [Lab units a pixel], and their number; the last is open."""
+"""Width [Lab units per pixel] and number of a histogram's bins; the last bin is open."""
 
 
 _HIGHLIGHT = 0.45
-"""Least of the linear colors from which a pixel is a highlight."""
+"""Minimum linear value of all color channels of a highlight pixel."""
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,10 @@ class ImageColor:
     """Color statistics of one image in L*, a*, b*.
 
     Attributes:
-        mean: Over its valid pixels.
+        mean: Mean over its valid pixels.
         spread: Standard deviation over its valid pixels.
-        gradients: Histogram of the gradient's magnitude, in steps of 0.25 units a pixel; each
-            row adds up to 1.
+        gradients: Histogram of the gradient magnitude, in steps of 0.25 units per pixel; each
+            row sums to 1.
     """
 
     mean: Float[np.ndarray, " 3"]
@@ -43,7 +43,7 @@ class ImageColor:
 def image_color(rgb: UInt8[np.ndarray, "h w 3"], valid: Bool[np.ndarray, "h w"]) -> ImageColor:
     """Color statistics of the valid pixels of an image.
 
-    The gradient is taken by central differences, where a pixel's four neighbors are valid too.
+    The gradient is by central differences, at pixels whose four neighbors are also valid.
 
     Raises:
         InputError: If no pixel has four valid neighbors.
@@ -67,11 +67,11 @@ def image_color(rgb: UInt8[np.ndarray, "h w 3"], valid: Bool[np.ndarray, "h w"])
 def highlights(
     rgb: UInt8[np.ndarray, "h w 3"], valid: Bool[np.ndarray, "h w"]
 ) -> tuple[float, int]:
-    """Share of the valid pixels that are highlights, and the number of these.
+    """Fraction of the valid pixels in highlights, and the number of highlights.
 
-    A highlight is where even the least of red, green and blue is at least 0.45 of white: mucosa
-    reflects so little blue that only mirrored light, or overexposure, gets there. One highlight is
-    all that hangs together by sides or corners.
+    In a highlight, the minimum of red, green and blue is at least 0.45 of white: mucosa reflects so
+    little blue that only specular reflection, or overexposure, reaches this. A highlight is one
+    connected component, by sides or corners.
 
     Raises:
         InputError: If the mask has another shape or no pixel.
@@ -91,7 +91,7 @@ def highlights(
 
 @dataclass(frozen=True)
 class ColorDistance:
-    """How far two sets of images are apart, for each of L*, a*, b* [Lab units].
+    """Distance between two sets of images, for each of L*, a*, b* [Lab units].
 
     Attributes:
         mean: Wasserstein-1 distance between the images' means.
@@ -105,7 +105,7 @@ class ColorDistance:
 
 
 def color_distance(a: Sequence[ImageColor], b: Sequence[ImageColor]) -> ColorDistance:
-    """Distance between two sets of images; each image of a set counts the same.
+    """Distance between two sets of images, with equal weight for each image of a set.
 
     Raises:
         InputError: If a set is empty.

@@ -1,4 +1,4 @@
-"""The part of a wall that a capsule can see at all, from any pose that it can take."""
+"""Coverable part of a wall: the part that a capsule can see from any possible pose."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from vrcaps.world.model import Model
 
 _INDENTATION = 1e-3
-"""How far the capsule may press into the wall where it stands [m]."""
+"""Maximum indentation of the wall by the capsule [m]."""
 
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 
@@ -31,17 +31,17 @@ def coverable(
     num_directions: int = 24,
     width: int = 128,
 ) -> dict[CoverageLevel, Bool[np.ndarray, " m"]]:
-    """Triangles that some camera of the capsule sees from a dense set of poses, by level.
+    """Triangles visible to a camera of the capsule from a dense set of poses, by level.
 
-    The wall is at rest. The union over more poses is larger, by little: with twice the directions
-    and half the spacing a generated colon gains less than 1 % of its area.
+    The wall is at rest. The union over more poses is slightly larger: with twice the directions and
+    half the spacing a generated colon gains less than 1 % of its area.
 
     Args:
         model: Organ and capsule.
-        criteria: When the wall is resolved.
-        spacing: Of stations along the centerline [m].
-        num_offsets: Places beside each station, up to where the capsule touches the wall.
-        num_directions: Of the capsule's axis at each place.
+        criteria: Criteria of a resolved wall.
+        spacing: Spacing of stations along the centerline [m].
+        num_offsets: Lateral positions at each station, up to where the capsule touches the wall.
+        num_directions: Directions of the capsule's axis at each position.
         width: Columns of rays of each view.
     """
     wall = model.wall
@@ -58,19 +58,19 @@ def coverable(
 def capsule_poses(
     model: Model, *, spacing: float, num_offsets: int, num_directions: int
 ) -> Float[np.ndarray, "n 4 4"]:
-    """``Ts_world_capsule`` at which the capsule fits into the wall at rest.
+    """Poses ``Ts_world_capsule`` at which the capsule fits into the wall at rest.
 
     Args:
         model: Organ and capsule.
-        spacing: Of stations along the centerline [m].
-        num_offsets: Places beside each station.
-        num_directions: Of the capsule's axis at each place, evenly over the sphere.
+        spacing: Spacing of stations along the centerline [m].
+        num_offsets: Lateral positions at each station.
+        num_directions: Directions of the capsule's axis at each position, uniform over the sphere.
     """
     line, radius = model.organ.centerline, model.device.radius
     stations = np.linspace(0.0, line.length, max(2, math.ceil(line.length / spacing) + 1))
     frames = model.centerline_poses(stations)
     room = np.asarray(model.wall.signed_distance(frames[:, :3, 3].copy()), float) - radius
-    # Sunflower seeds: even over a disk as wide as the room beside the capsule.
+    # Sunflower pattern: uniform over a disk as wide as the space around the capsule.
     k = np.arange(num_offsets)
     ratio, turn = np.sqrt((k + 0.5) / num_offsets), k * _GOLDEN_ANGLE
     disk = np.stack([ratio * np.cos(turn), ratio * np.sin(turn), np.zeros(num_offsets)], -1)
@@ -84,7 +84,7 @@ def capsule_poses(
 
 
 def _rotations(count: int) -> Float[np.ndarray, "count 3 3"]:
-    """Rotations whose z axes lie evenly on the sphere (Fibonacci lattice)."""
+    """Rotations whose z axes are evenly distributed on the sphere (Fibonacci lattice)."""
     k = np.arange(count)
     z = 1.0 - (2.0 * k + 1.0) / count
     across = np.sqrt(1.0 - z * z)
@@ -98,7 +98,7 @@ def _rotations(count: int) -> Float[np.ndarray, "count 3 3"]:
 
 
 def _fits(model: Model, poses: Float[np.ndarray, "n 4 4"]) -> Bool[np.ndarray, " n"]:
-    """Whether the capsule's axis is far enough from the wall at each pose."""
+    """Check that the capsule's axis is far enough from the wall at each pose."""
     device = model.device
     half = 0.5 * device.length - device.radius
     steps = np.array([-1.0, -0.5, 0.0, 0.5, 1.0]) * half

@@ -1,13 +1,14 @@
 """Coverage: the fraction of an organ's wall that cameras have seen, at four levels.
 
-A level says when a part of the wall counts as seen. Parts are material: a triangle counts with its
-area at rest, so that a moving wall does not change what was seen.
+A level defines when a part of the wall counts as seen. Parts are material: a triangle counts with
+its area at rest, so that motion of the wall does not change the coverage.
 
-- ``frustum``: a vertex is in the image and near enough; walls hide nothing, and all vertices count
-  alike (VR-Caps, Incetan et al., Medical Image Analysis 2021). Kept to compare with its figures.
-- ``visible``: a triangle is the first thing that some pixel sees.
-- ``resolved``: visible in a pixel that sees it close and steeply enough to show detail.
-- ``readable``: resolved in a pixel that is well exposed, sharp, and looks through no liquid.
+- ``frustum``: a vertex is in the image and near enough; occlusion is ignored, and all vertices have
+  equal weight (VR-Caps, Incetan et al., Medical Image Analysis 2021). For comparison with its
+  values.
+- ``visible``: a triangle is the first surface seen by some pixel.
+- ``resolved``: visible in a pixel that sees it from close enough and steeply enough to show detail.
+- ``readable``: resolved in a pixel that is well exposed, sharp, and not behind liquid.
 
 Each of the last three levels contains the next.
 """
@@ -45,17 +46,17 @@ COVERAGE_LEVELS: tuple[CoverageLevel, ...] = ("frustum", "visible", "resolved", 
 
 @dataclass(frozen=True)
 class CoverageCriteria:
-    """When a part of the wall counts as seen.
+    """Criteria by which a part of the wall counts as seen.
 
     Attributes:
-        max_depth: Farthest depth of a vertex at the level `frustum` [m]. VR-Caps sets 0.4 to 0.55
-            of its units, which its scenes hold for decimeters.
-        min_pixel_density: Fewest pixels on an area of the wall at `resolved` [1/m²]. Four a
-            square millimeter show two points 1 mm apart (sampling theorem).
-        max_incidence: Largest angle between the wall's normal and the ray at `resolved` [rad].
-        min_gray: Darkest gray level of a well exposed pixel, as a fraction of white.
-        max_gray: Brightest one.
-        max_blur_px: Widest blur of a sharp pixel [px].
+        max_depth: Maximum depth of a vertex at the level `frustum` [m]. VR-Caps sets 0.4 to 0.55
+            of its units, which its scenes treat as decimeters.
+        min_pixel_density: Minimum number of pixels per area of the wall at `resolved` [1/m²]. Four
+            per square millimeter resolve two points 1 mm apart (sampling theorem).
+        max_incidence: Maximum angle between the wall's normal and the ray at `resolved` [rad].
+        min_gray: Minimum gray level of a well exposed pixel, as a fraction of white.
+        max_gray: Maximum gray level of a well exposed pixel, as a fraction of white.
+        max_blur_px: Maximum blur of a sharp pixel [px].
     """
 
     max_depth: Annotated[float, Range(above=0.0, below=math.inf, unit="m")] = 0.05
@@ -77,10 +78,10 @@ class CoverageCriteria:
 
 
 def pixel_solid_angles(camera: Camera) -> Float[np.ndarray, "h w"]:
-    """Solid angle of each pixel [sr]; NaN where the lens sees nothing.
+    """Solid angle of each pixel [sr]; NaN outside the field of view.
 
     It is ``|∂d/∂u × ∂d/∂v|`` of the unit ray d, by differences over a pixel; at the edge of the
-    field, over the half that the lens sees.
+    field, over the half inside it.
     """
     pixels = pixel_grid(camera.width, camera.height)
     right = _ray_derivative(camera, pixels, (0.5, 0.0))
@@ -103,15 +104,15 @@ def vertices_in_frustum(
     vertices_world: Float[np.ndarray, "n 3"],
     max_depth: float,
 ) -> Bool[np.ndarray, " n"]:
-    """Whether each vertex is in a camera's image and in front of it, up to a depth [m].
+    """Vertices in a camera's image and in front of it, up to a depth [m].
 
-    Nothing hides a vertex. This is how VR-Caps counts.
+    Occlusion is ignored, as in VR-Caps.
 
     Args:
-        camera: Its lens and image bound the frustum.
-        T_world_camera: Its pose.
+        camera: Camera whose lens and image bound the frustum.
+        T_world_camera: Pose of the camera.
         vertices_world: Vertices of the wall [m].
-        max_depth: Farthest z in the camera frame [m].
+        max_depth: Maximum z in the camera frame [m].
     """
     points = transform_points(invert(T_world_camera), vertices_world)
     inside = (points[:, 2] > 0.0) & (points[:, 2] <= max_depth)
@@ -125,15 +126,15 @@ def resolved_pixels(
     normal_camera: Float[np.ndarray, "h w 3"],
     criteria: CoverageCriteria,
 ) -> Bool[np.ndarray, "h w"]:
-    """Whether each pixel sees the wall close and steeply enough to show detail.
+    """Pixels that see the wall from close enough and steeply enough to show detail.
 
-    A pixel of the solid angle Ω sees an area ``d² Ω / cos θ`` at the distance d and incidence θ.
+    A pixel of solid angle Ω sees an area ``d² Ω / cos θ`` at distance d and incidence θ.
 
     Args:
-        camera: It sees them.
+        camera: Camera of the pixels.
         ray_distance: Distance along each pixel's ray [m].
         normal_camera: Unit normal of the wall in the camera frame, facing the camera.
-        criteria: Least density and largest incidence.
+        criteria: Minimum density and maximum incidence.
     """
     rays, solid_angles = _pixels(camera)
     cosine = -np.einsum("hwc,hwc->hw", normal_camera, rays)
@@ -146,7 +147,7 @@ def resolved_pixels(
 
 @lru_cache(maxsize=4)
 def _pixels(camera: Camera) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
-    """Rays and solid angles of a camera's pixels, the same in each of its images."""
+    """Rays and solid angles of a camera's pixels, cached for all of its images."""
     return camera_rays(camera), pixel_solid_angles(camera)
 
 
@@ -157,13 +158,13 @@ def readable_pixels(
     foreground_label: UInt8[np.ndarray, "h w"] | None = None,
     blur_px: Float[np.ndarray, "h w"] | None = None,
 ) -> Bool[np.ndarray, "h w"]:
-    """Whether each pixel is well exposed, sharp, and looks through no bubble or liquid.
+    """Pixels that are well exposed, sharp, and not behind a bubble or liquid.
 
     Args:
         rgb: sRGB image.
-        criteria: Gray levels and blur allowed.
-        foreground_label: As the channel of `Frame`; None: nothing is in the way.
-        blur_px: Width of the blur at each pixel [px]; None: all is sharp.
+        criteria: Limits of gray levels and blur.
+        foreground_label: The channel of `Frame`; None: no foreground.
+        blur_px: Width of the blur at each pixel [px]; None: no blur.
     """
     gray = rgb @ (LUMA_WEIGHTS / 255.0)
     readable = (gray >= criteria.min_gray) & (gray <= criteria.max_gray)
@@ -179,15 +180,15 @@ def seen_faces(
     num_faces: int,
     counts: Bool[np.ndarray, "h w"] | None = None,
 ) -> Bool[np.ndarray, " num_faces"]:
-    """Whether each triangle is the first thing that a pixel sees.
+    """Triangles that are the first surface seen by a pixel.
 
     Args:
-        face: Triangle that each pixel sees; −1 for none.
-        num_faces: Of the wall.
-        counts: Pixels that count; None: all.
+        face: Triangle seen by each pixel; −1 for none.
+        num_faces: Number of triangles of the wall.
+        counts: Pixels that count; None for all.
 
     Raises:
-        InputError: If the image holds a triangle that the wall does not have.
+        InputError: If the image contains a triangle that the wall does not have.
     """
     shown = face if counts is None else face[counts]
     if shown.size and int(shown.max()) >= num_faces:
@@ -201,9 +202,9 @@ def seen_faces(
 
 
 class CoverageMap:
-    """Which triangles of a wall have been seen, and since when, at each level.
+    """Triangles of a wall seen so far, with the first view of each, at each level.
 
-    The level `frustum` counts vertices, all alike; the others count triangles by area.
+    The level `frustum` counts vertices, with equal weights; the others count triangles by area.
 
     Example:
         >>> coverage = CoverageMap(face_areas(mesh), num_vertices=len(mesh.vertices))
@@ -211,17 +212,17 @@ class CoverageMap:
         >>> coverage.fraction("visible")
 
     Attributes:
-        weights: For each level, what each vertex or triangle counts; they add up to 1.
-        first_seen: For each level, index of the first view that shows a vertex or triangle; −1:
-            none does.
+        weights: For each level, weight of each vertex or triangle; they sum to 1.
+        first_seen: For each level, index of the first view of each vertex or triangle; −1 for
+            none.
     """
 
     def __init__(self, area: Float[np.ndarray, " m"], num_vertices: int) -> None:
-        """Begins with nothing seen.
+        """Start with nothing seen.
 
         Args:
-            area: Of each triangle at rest [m²].
-            num_vertices: Of the wall.
+            area: Area of each triangle at rest [m²].
+            num_vertices: Number of vertices of the wall.
         """
         by_area = np.asarray(area, float) / np.sum(area)
         alike = np.full(num_vertices, 1.0 / num_vertices)
@@ -233,11 +234,11 @@ class CoverageMap:
         }
 
     def add(self, seen: Mapping[CoverageLevel, Bool[np.ndarray, " k"]], index: int) -> None:
-        """Add what a view shows.
+        """Add a view.
 
         Args:
             seen: Vertices at `frustum`, triangles at the other levels.
-            index: Number of the view, from 0, in the order of time.
+            index: Index of the view, from 0, in order of time.
         """
         for level, shown in seen.items():
             first = self.first_seen[level]
@@ -248,7 +249,7 @@ class CoverageMap:
         return self.first_seen[level] >= 0
 
     def fraction(self, level: CoverageLevel, part: Bool[np.ndarray, " k"] | None = None) -> float:
-        """Fraction seen so far, of a part or the whole; 0 of nothing."""
+        """Fraction seen so far, of a part or the whole; 0 for an empty part."""
         weights = self.weights[level] if part is None else self.weights[level] * part
         whole = float(weights.sum())
         return float(weights[self.seen(level)].sum()) / whole if whole > 0.0 else 0.0

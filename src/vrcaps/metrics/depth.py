@@ -1,10 +1,10 @@
-"""Errors of estimated depth, by the definitions that papers report.
+"""Depth metrics, by the definitions used in papers.
 
 With estimate d and truth t over the pixels that have both::
 
     AbsRel   = mean |d − t| / t             RMSE     = √ mean (d − t)²
     SqRel    = mean (d − t)² / t            RMSE log = √ mean (ln d − ln t)²
-    δ < 1.25ᵏ = share of max(d/t, t/d) < 1.25ᵏ, k = 1, 2, 3
+    δ < 1.25ᵏ = fraction of max(d/t, t/d) < 1.25ᵏ, k = 1, 2, 3
 
 (Eigen, Puhrsch, Fergus, NIPS 2014, section 4.2.) SqRel has the unit of depth.
 """
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 DepthAlignment = Literal["none", "median", "scale", "scale-and-shift"]
-"""What is fitted to the truth before errors are taken: nothing; the ratio of medians; the least
-squares factor; the least squares factor and offset (Ranftl et al., TPAMI 2022, eq. 3, in depth)."""
+"""Alignment of the estimate to the truth before evaluation: none; ratio of medians; least-squares
+factor; least-squares factor and offset (Ranftl et al., TPAMI 2022, eq. 3, in depth)."""
 
 _LEAST_DEPTH = 1e-6
-"""Depth that an estimate is raised to, so that its logarithm exists [m]."""
+"""Minimum depth to which estimates are raised, so that the logarithm is defined [m]."""
 
 
 @dataclass(frozen=True)
@@ -40,9 +40,9 @@ class DepthErrors:
         sq_rel: Mean squared error over truth [m].
         rmse: Root mean square error [m].
         rmse_log: Root mean square error of logarithms.
-        delta_1: Share within a factor of 1.25.
-        delta_2: Share within 1.25².
-        delta_3: Share within 1.25³.
+        delta_1: Fraction within a factor of 1.25.
+        delta_2: Fraction within 1.25².
+        delta_3: Fraction within 1.25³.
     """
 
     abs_rel: float
@@ -64,12 +64,12 @@ def depth_errors(
 
     Args:
         estimate: Estimated depth [m].
-        truth: True depth [m]; NaN where there is none.
-        align: What is fitted to the truth first, on the same pixels.
+        truth: True depth [m]; NaN for none.
+        align: Alignment to the truth before evaluation, on the same pixels.
 
     Raises:
         InputError: If the shapes differ or no pixel has both.
-        UnknownNameError: If there is no such alignment.
+        UnknownNameError: If the alignment does not exist.
     """
     d, t = _both(estimate, truth)
     d = np.maximum(_aligned(d, t, align), _LEAST_DEPTH)
@@ -87,10 +87,10 @@ def depth_errors(
 
 
 def mean_depth_errors(errors: Iterable[DepthErrors]) -> DepthErrors:
-    """Means over images, each counting once.
+    """Means over images, with equal weight for each.
 
     Raises:
-        InputError: If there is none.
+        InputError: If there are no images.
     """
     rows = [list(asdict(one).values()) for one in errors]
     if not rows:

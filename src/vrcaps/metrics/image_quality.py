@@ -1,4 +1,4 @@
-"""How near an image is to its original: PSNR and SSIM in 64-bit floats, with stated range."""
+"""Image quality metrics: PSNR and SSIM in 64-bit floats, with stated range."""
 
 from __future__ import annotations
 
@@ -28,11 +28,12 @@ def psnr(
     Args:
         estimate: Estimated image.
         truth: Original.
-        data_range: Largest value minus the smallest possible: 255 for 8 bits, 1 for unit range.
-        crop: Pixels left out at each edge; papers on super-resolution leave out the factor.
+        data_range: Largest possible value minus smallest possible: 255 for 8 bits, 1 for unit
+            range.
+        crop: Pixels to exclude at each edge; papers on super-resolution exclude the factor.
 
     Raises:
-        InputError: If the shapes differ or nothing is left.
+        InputError: If the shapes differ or no pixels are left.
     """
     d, t = _cropped(estimate, truth, crop)
     error = float(np.mean((d - t) ** 2))
@@ -54,8 +55,8 @@ def ssim(
     Args:
         estimate: Estimated image.
         truth: Original.
-        data_range: Largest value minus the smallest possible.
-        crop: Pixels left out at each edge.
+        data_range: Largest possible value minus smallest possible.
+        crop: Pixels to exclude at each edge.
 
     Raises:
         InputError: If the shapes differ or the window does not fit.

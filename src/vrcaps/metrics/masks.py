@@ -1,7 +1,7 @@
-"""How well an estimated mask covers the true one, by area and by outline.
+"""Segmentation metrics of binary masks, by area and by outline.
 
-Dice = 2 · intersection / (area + area), IoU = intersection / union; both are 1 where both masks are
-empty. The boundary F score is the harmonic mean of the shares of either outline within a distance
+Dice = 2 · intersection / (area + area), IoU = intersection / union; both are 1 if both masks are
+empty. The boundary F score is the harmonic mean of the fractions of each outline within a distance
 of the other (Csurka et al., BMVC 2013); the 95 % Hausdorff distance is the larger of the two 95th
 percentiles of distances between outlines.
 """
@@ -43,9 +43,9 @@ def iou(estimate: Bool[np.ndarray, "h w"], truth: Bool[np.ndarray, "h w"]) -> fl
 def boundary_f_score(
     estimate: Bool[np.ndarray, "h w"], truth: Bool[np.ndarray, "h w"], *, tolerance: float = 2.0
 ) -> float:
-    """Harmonic mean of the shares of both outlines within a distance of the other [px].
+    """Harmonic mean of the fractions of both outlines within a distance of the other [px].
 
-    It is 1 where both masks are empty and 0 where one is.
+    It is 1 if both masks are empty and 0 if one is.
 
     Raises:
         InputError: If the shapes differ.
@@ -86,7 +86,7 @@ def _outline_distances(
 
 
 def _outline(mask: np.ndarray) -> np.ndarray:
-    """Pixels of a mask that have a neighbor outside, above, below or beside."""
+    """Pixels of a mask with a neighbor outside it above, below, left or right."""
     from scipy.ndimage import binary_erosion
 
     return mask & ~np.asarray(binary_erosion(mask), bool)

@@ -1,7 +1,7 @@
-"""Coverage of many worlds at once, by points on the wall that stand for its area.
+"""Coverage of many worlds at once, by sample points on the wall that represent its area.
 
-A point counts as visible where it is in the image and nothing lies between it and the camera. So
-one ray a point decides, whatever the size of the image, and points that were seen need none.
+A point counts as visible if it is in the image and nothing lies between it and the camera. This
+takes one ray per point for any image size, and none for points already seen.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ if TYPE_CHECKING:
     from vrcaps.organ.surface import OrganSurface
 
 POINT_LEVELS: tuple[CoverageLevel, ...] = ("frustum", "visible", "resolved")
-"""Levels that points are marked at; a point's flag has one bit for each, in this order."""
+"""Levels at which points are marked; a point's flag has one bit for each, in this order."""
 
 _POINTS_ON_LESION = 48
-"""Points on each lesion, of which few of all would lie on a small one."""
+"""Points per lesion, since few of all points would lie on a small one."""
 
 _TABLE_SIZE = 512
-"""Rows of a table of directions: a cell is a third of a degree wide, a pixel of most capsules."""
+"""Rows of a direction table: a cell is a third of a degree wide, a pixel of most capsules."""
 
 
 _RING = 5.0 * MM
-"""Length of the rings of wall in whose order points are drawn."""
+"""Length of the rings of wall by which points are ordered."""
 
 
 def require_point_level(level: str, what: str) -> None:
@@ -46,10 +46,10 @@ def require_point_level(level: str, what: str) -> None:
 
     Args:
         level: The level.
-        what: Whose level it is, for messages.
+        what: Owner of the level, for messages.
 
     Raises:
-        UnknownNameError: If they are not.
+        UnknownNameError: If points are not marked at this level.
     """
     if level not in POINT_LEVELS:
         raise UnknownNameError(f"level of coverage for a {what}", level, POINT_LEVELS)
@@ -62,10 +62,11 @@ class WallPoints:
     Attributes:
         face: Triangle of each point.
         weights: Barycentric weights of the triangle's first two corners.
-        fractions: What each counts of the whole, at `frustum` and at the other levels.
-        cell: Cell of the organ's map that each lies in.
-        lesions: Numbers of the wall's lesions, in rising order. The last points lie on them, as
-            many on each, lesion by lesion; they count nothing of the whole.
+        fractions: Weight of each point as a fraction of the whole, at `frustum` and at the other
+            levels.
+        cell: Cell of the organ's map that contains each point.
+        lesions: IDs of the wall's lesions, in increasing order. The last points lie on them, the
+            same number on each, lesion by lesion; their weight is 0.
         core: The same for the core.
     """
 
@@ -81,7 +82,7 @@ class WallPoints:
 
     @property
     def first_of_lesions(self) -> int:
-        """Number of the first point that lies on a lesion."""
+        """Index of the first point that lies on a lesion."""
         return len(self.face) - _POINTS_ON_LESION * len(self.lesions)
 
 
@@ -90,14 +91,14 @@ def wall_points(
 ) -> WallPoints:
     """Points of a wall with the cells of its map in gut coordinates.
 
-    The level `frustum` counts vertices, the others area. So a quarter of `count` are vertices, and
-    the rest are drawn one in each of as many parts of equal area.
+    The level `frustum` counts vertices, the others area. A quarter of `count` are therefore
+    vertices, and the rest are drawn one in each of equally many parts of equal area.
 
     Args:
         organ: The wall.
         count: Number of points; None takes every vertex and the center of every triangle.
         grid: Cells of the map along the centerline and around it.
-        seed: Of the places of the points.
+        seed: Seed of the positions of the points.
 
     Raises:
         InputError: If there are fewer than 64 points.
@@ -137,9 +138,9 @@ def wall_points(
 def _lesion_points(
     draw: np.random.Generator, organ: OrganSurface, area: np.ndarray, number: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Faces and weights of points that are spread evenly over a lesion."""
+    """Faces and weights of points distributed evenly over a lesion."""
     corners = (organ.instance[organ.faces] == number).sum(axis=1)
-    # A lesion of a few vertices may have no face of its own.
+    # A lesion of a few vertices may contain no whole face.
     mine = corners >= min(2, corners.max())
     return _even_points(draw, organ, area * mine, _POINTS_ON_LESION)
 
@@ -158,13 +159,13 @@ def _even_points(
 
 
 def _gut_order(arc_length: np.ndarray, theta: np.ndarray) -> np.ndarray:
-    """Order in which what follows each other lies near each other: ring by ring."""
+    """Order in which successive entries are close together: ring by ring."""
     ring = np.floor(arc_length / _RING)
     return np.lexsort((np.where(ring % 2 == 0, theta, -theta), ring))
 
 
 def _corners(organ: OrganSurface, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A face of each vertex, and the weights that put a point on that corner."""
+    """A face of each vertex, and the weights of a point at that corner."""
     flat = organ.faces.ravel()
     first = np.zeros(len(organ.vertices), np.int64)
     first[flat[::-1]] = np.arange(len(flat))[::-1]
@@ -175,7 +176,7 @@ def _corners(organ: OrganSurface, vertices: np.ndarray) -> tuple[np.ndarray, np.
 def _cells(
     organ: OrganSurface, face: np.ndarray, weights: np.ndarray, grid: tuple[int, int]
 ) -> np.ndarray:
-    """Number of the cell of each point, row by row along the centerline."""
+    """Index of the cell of each point, in row-major order along the centerline."""
     weights = np.concatenate([weights, 1.0 - weights.sum(axis=1, keepdims=True)], axis=1)
     corners = organ.faces[face]
     arc_length = (organ.arc_length[corners] * weights).sum(axis=1) / organ.centerline.length
@@ -188,7 +189,7 @@ def _cells(
 
 
 def octahedral_directions(size: int) -> Float[np.ndarray, "size size 3"]:
-    """Unit directions at the middles of the cells of an unfolded octahedron.
+    """Unit directions at the centers of the cells of an unfolded octahedron.
 
     The cell in row i and column j has v = (2 i + 1) / size − 1 and u alike; |u| + |v| ≤ 1 is the
     half with z ≥ 0 (Cigolle et al., J. Computer Graphics Techniques 3(2), 2014).
@@ -214,7 +215,7 @@ def direction_table(camera: Camera) -> _core.DirectionTable:
         for k, most in enumerate((camera.width, camera.height))
     )
     density = np.nan_to_num(1.0 / pixel_solid_angles(camera), posinf=0.0)[row, column]
-    # A pixel at the edge of the lens has no solid angle of its own, but it is in the image.
+    # A pixel at the edge of the lens has no solid angle, but is part of the image.
     least = density[density > 0.0].min(initial=1.0)
     return _core.DirectionTable(np.where(inside, np.maximum(density, least), 0.0).astype("f4"))
 
@@ -228,16 +229,16 @@ def mark_points(
     cells: Float[np.ndarray, "n c"],
     criteria: CoverageCriteria,
 ) -> Float[np.ndarray, "n 3"]:
-    """Mark the points that a camera sees beside each of many walls.
+    """Mark the points of each wall that a camera sees, for many walls.
 
     Args:
-        walls: Of each view.
-        points: Of each wall.
-        camera: The camera of all views.
-        Ts_wall_camera: Its poses in the frames of the walls.
+        walls: Wall of each view.
+        points: Points of each wall.
+        camera: Camera of all views.
+        Ts_wall_camera: Poses of the camera in the frames of the walls.
         flags: For each point, a bit for each of `POINT_LEVELS`; marked in place.
         cells: Fraction of the whole that is visible in each cell; added to in place.
-        criteria: When a point is near enough and resolved.
+        criteria: Criteria of near enough and resolved points.
 
     Returns:
         Fraction of the whole that is seen for the first time at each of `POINT_LEVELS`.

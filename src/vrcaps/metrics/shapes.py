@@ -1,4 +1,4 @@
-"""The check that all metrics of an estimate and a truth share."""
+"""Shape check shared by all metrics of an estimate and a truth."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def require_one_shape(estimate: NDArray, truth: NDArray) -> None:
     """Check that an estimate has the shape of the truth.
 
     Raises:
-        InputError: If it has not.
+        InputError: If the shapes differ.
     """
     if np.shape(estimate) != np.shape(truth):
         raise InputError(

@@ -1,4 +1,4 @@
-"""The scores of the SimCol3D challenge (Rau et al., Medical Image Analysis 96, 2024).
+"""Metrics of the SimCol3D challenge (Rau et al., Medical Image Analysis 96, 2024).
 
 Depth: one factor per trajectory, then mean L1, mean of the images' median relative errors, and mean
 RMSE. Pose: one factor per trajectory, chained from the first pose, then medians of the absolute
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _FULL_SCALE = 20.0 * CM
-"""Depth that estimates are clipped to [m]."""
+"""Maximum depth to which estimates are clipped [m]."""
 _SMALLEST = 1e-4 * CM
-"""Added to the truth in the relative error [m]."""
+"""Offset of the truth in the relative error [m]."""
 
 
 @dataclass(frozen=True)
 class DepthScore:
-    """Score of the depth of one trajectory.
+    """Depth metrics of one trajectory.
 
     Attributes:
-        scale: Factor that the estimates were multiplied by.
+        scale: Factor applied to the estimates.
         l1: Mean absolute error [m].
         relative: Mean over images of the median relative error.
         rmse: Mean over images of the root mean square error [m].
@@ -45,10 +45,10 @@ class DepthScore:
 
 @dataclass(frozen=True)
 class PoseScore:
-    """Score of the poses of one trajectory.
+    """Pose metrics of one trajectory.
 
     Attributes:
-        scale: Factor that the estimated translations were multiplied by.
+        scale: Factor applied to the estimated translations.
         ate: Median distance from the true position [m].
         rte: Median error of the translation between frames [m].
         rot: Median error of the rotation between frames [rad].
@@ -63,7 +63,7 @@ class PoseScore:
 def score_depth(
     estimates: Float[np.ndarray, "n h w"], truths: Float[np.ndarray, "n h w"]
 ) -> DepthScore:
-    """Score of the estimated depths of a whole trajectory [m]; every pixel has both.
+    """Depth metrics of a whole trajectory, from depths [m]; every pixel has both.
 
     Raises:
         InputError: If the shapes differ.
@@ -84,14 +84,14 @@ def score_depth(
 def score_poses(
     relative: Float[np.ndarray, "m 4 4"], truth: Float[np.ndarray, "n 4 4"]
 ) -> PoseScore:
-    """Score of estimated motions between frames.
+    """Pose metrics of estimated motions between frames.
 
     Args:
         relative: Estimated ``T_i_j``, j = i + 1: pose of camera j in camera i; m = n − 1.
         truth: True ``T_world_camera`` of all frames.
 
     Raises:
-        InputError: If there is not one motion between each two frames.
+        InputError: If the number of motions is not one less than that of frames.
     """
     motions = invert(truth[:-1]) @ truth[1:]
     require_one_shape(relative, motions)

@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SurfaceErrors:
-    """Distances of points from a surface.
+    """Statistics of distances of points from a surface.
 
     Attributes:
         rmse: Root mean square [m].
-        mean: [m].
-        median: [m].
-        percentile_95: [m].
+        mean: Mean [m].
+        median: Median [m].
+        percentile_95: 95th percentile [m].
     """
 
     rmse: float
@@ -46,10 +46,10 @@ def surface_distances(points: Float[np.ndarray, "n 3"], surface: Mesh) -> Float[
 
 
 def surface_errors(distances: Float[np.ndarray, " n"]) -> SurfaceErrors:
-    """Errors of points that should lie on a surface, from their distances to it [m].
+    """Statistics of the distances [m] of points that should lie on a surface.
 
     Raises:
-        InputError: If there is none.
+        InputError: If there are no points.
     """
     require(len(distances) > 0, "number of points", len(distances), "1 or more")
     return SurfaceErrors(

@@ -1,4 +1,4 @@
-"""Errors of an estimated camera trajectory.
+"""Error metrics of an estimated camera trajectory.
 
 Definitions after Sturm et al., IROS 2012: the absolute trajectory error (ATE) compares positions
 after one alignment of the whole; the relative pose error (RPE) compares motions between frames.
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 TrajectoryAlignment = Literal["none", "se3", "sim3"]
-"""What is fitted first: nothing, a rigid motion, or a rigid motion and a scale."""
+"""Alignment of an estimate: none, a rigid motion, or a rigid motion and a scale."""
 
 _LEAST_POSES = 3
-"""Fewer positions leave a rotation open."""
+"""Minimum number of positions that determine a rotation."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class Similarity:
 
     Attributes:
         rotation: Proper rotation [3 3].
-        translation: [m].
-        scale: Above 0.
+        translation: Translation [m].
+        scale: Scale, above 0.
     """
 
     rotation: Float[np.ndarray, "3 3"]
@@ -40,7 +40,7 @@ class Similarity:
     scale: float
 
     def poses(self, Ts: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 4 4"]:
-        """Poses moved with the points; their rotations stay rotations."""
+        """Apply the similarity to poses; their rotations stay rotations."""
         positions = self.scale * Ts[:, :3, 3] @ self.rotation.T + self.translation
         return transform_from(self.rotation @ Ts[:, :3, :3], positions)
 
@@ -50,8 +50,8 @@ class RelativePoseError:
     """Error of the motion over a number of frames.
 
     Attributes:
-        translation: Size of the translation's error of each pair [m].
-        rotation: Angle of the rotation's error of each pair [rad].
+        translation: Magnitude of the translation error of each pair [m].
+        rotation: Angle of the rotation error of each pair [rad].
     """
 
     translation: Float[np.ndarray, " n"]
@@ -61,15 +61,15 @@ class RelativePoseError:
 def fit_similarity(
     source: Float[np.ndarray, "n 3"], target: Float[np.ndarray, "n 3"], *, scale: bool
 ) -> Similarity:
-    """The least squares similarity from points to points (Umeyama, TPAMI 13(4), 1991).
+    """Least-squares similarity from points to points (Umeyama, TPAMI 13(4), 1991).
 
     Args:
-        source: Points to be mapped [m].
-        target: Where they belong [m].
-        scale: Whether a scale is fitted; 1 otherwise.
+        source: Points to map [m].
+        target: Corresponding target points [m].
+        scale: Whether to fit a scale; 1 otherwise.
 
     Raises:
-        InputError: If the shapes differ, or the points do not fix a rotation.
+        InputError: If the shapes differ, or the points do not determine a rotation.
     """
     require_one_shape(source, target)
     count = len(source)
@@ -91,11 +91,11 @@ def aligned_poses(
     truth: Float[np.ndarray, "n 4 4"],
     align: TrajectoryAlignment,
 ) -> Float[np.ndarray, "n 4 4"]:
-    """The estimated poses after alignment of their positions to the true ones.
+    """Estimated poses after alignment of their positions to the true ones.
 
     Raises:
-        InputError: If the numbers of poses differ, or the positions fix no rotation.
-        UnknownNameError: If there is no such alignment.
+        InputError: If the numbers of poses differ, or the positions do not determine a rotation.
+        UnknownNameError: If the alignment does not exist.
     """
     if align not in get_args(TrajectoryAlignment):
         raise UnknownNameError("alignment of a trajectory", align, get_args(TrajectoryAlignment))
@@ -112,16 +112,16 @@ def absolute_trajectory_error(
     *,
     align: TrajectoryAlignment = "sim3",
 ) -> Float[np.ndarray, " n"]:
-    """Distance of each aligned position from the true one [m]; papers state its RMSE.
+    """Distance of each aligned position from the true one [m]; papers report its RMSE.
 
     Args:
         estimate: Estimated ``T_world_camera``.
-        truth: True ones, of the same frames.
-        align: What is fitted first.
+        truth: True ``T_world_camera`` of the same frames.
+        align: Alignment of the estimate.
 
     Raises:
-        InputError: If the numbers of poses differ, or the positions fix no rotation.
-        UnknownNameError: If there is no such alignment.
+        InputError: If the numbers of poses differ, or the positions do not determine a rotation.
+        UnknownNameError: If the alignment does not exist.
     """
     moved = aligned_poses(estimate, truth, align)
     return np.linalg.norm(moved[:, :3, 3] - truth[:, :3, 3], axis=1)
@@ -134,8 +134,8 @@ def relative_pose_error(
 
     Args:
         estimate: Estimated ``T_world_camera``.
-        truth: True ones, of the same frames.
-        delta: Number of frames between.
+        truth: True ``T_world_camera`` of the same frames.
+        delta: Number of frames in between.
 
     Raises:
         InputError: If the numbers of poses differ, or no pair is that far apart.
@@ -150,7 +150,7 @@ def relative_pose_error(
 
 
 def rotation_angle(rotation: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch"]:
-    """Angle of a rotation [rad], exact for small ones too.
+    """Angle of a rotation [rad], also exact for small angles.
 
     ‖R − 1‖ = 2√2 sin(θ/2) in the Frobenius norm.
     """

@@ -1,4 +1,4 @@
-"""What many views of a camera see of a wall, without images: the batched form of `coverage`."""
+"""Visibility of a wall from many views, without images: the batched form of `coverage`."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _FLAGS: dict[CoverageLevel, int] = {"visible": 1, "resolved": 2}
 
 
 class ViewCoverage:
-    """A camera that marks the triangles it sees from poses, at `visible` and `resolved`.
+    """Camera that marks the triangles visible from poses, at `visible` and `resolved`.
 
     It casts fewer rays than the camera has pixels; the density of pixels on the wall is still the
-    camera's own. Incidence is that on the flat triangle.
+    camera's own. Incidence is relative to the flat triangle.
 
     Example:
         >>> views = ViewCoverage(camera, width=128)
@@ -35,12 +35,12 @@ class ViewCoverage:
     def __init__(
         self, camera: Camera, criteria: CoverageCriteria | None = None, width: int | None = None
     ) -> None:
-        """Prepares the rays.
+        """Prepare the rays.
 
         Args:
             camera: The camera.
-            criteria: When the wall is resolved.
-            width: Columns of rays; rows follow from the image's sides. None: one ray per pixel.
+            criteria: Criteria of a resolved wall.
+            width: Columns of rays; rows follow from the image's aspect. None: one ray per pixel.
         """
         self.criteria = criteria or CoverageCriteria()
         sampled = camera if width is None else scaled_camera(camera, width / camera.width)
@@ -59,13 +59,13 @@ class ViewCoverage:
         """Set bit 0 of the triangles that are visible and bit 1 of those resolved.
 
         Args:
-            walls: One for all poses, or one for each.
+            walls: One for all poses, or one per pose.
             Ts_world_camera: Poses of the camera in the frame of the walls.
-            flags: Of each triangle, uint8 [n m]; [1 m] takes what any pose sees. Bits that are
+            flags: Flags of each triangle, uint8 [n m]; [1 m] combines all poses. Bits already
                 set stay set.
 
         Raises:
-            ValueError: If the numbers do not fit each other or a pose is not finite.
+            ValueError: If the array sizes do not match or a pose is not finite.
         """
         _core.mark_seen(
             walls,
@@ -83,12 +83,12 @@ class ViewCoverage:
         Ts_world_camera: Float[np.ndarray, "n 4 4"],
         num_faces: int,
     ) -> dict[CoverageLevel, Bool[np.ndarray, " m"]]:
-        """Triangles that any of the poses sees, by level; arguments as of `mark`."""
+        """Triangles visible from any of the poses, by level; arguments as in `mark`."""
         flags = np.zeros((1, num_faces), np.uint8)
         self.mark(walls, Ts_world_camera, flags)
         return seen_by_level(flags[0])
 
 
 def seen_by_level(flags: UInt8[np.ndarray, " m"]) -> dict[CoverageLevel, Bool[np.ndarray, " m"]]:
-    """Triangles seen, by level, of flags that `ViewCoverage.mark` set."""
+    """Triangles seen, by level, from flags set by `ViewCoverage.mark`."""
     return {level: (flags & bit) != 0 for level, bit in _FLAGS.items()}

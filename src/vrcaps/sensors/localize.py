@@ -67,13 +67,13 @@ def localize(
     positions in front of the array is searched, where moment and background are linear unknowns.
 
     Args:
-            array: The array; its calibrated gain and offset are removed.
-            readings: Readings [T]; NaN is ignored.
-            magnet: The magnet; its pose is ignored.
-            known: Sources whose field is known and subtracted, such as the steering magnet.
-            start: A nearby pose, such as the last estimate.
-            depths: Minimum and maximum distance of the grid from the array's plane [m], on either
-                side.
+        array: The array; its calibrated gain and offset are removed.
+        readings: Readings [T]; NaN is ignored.
+        magnet: The magnet; its pose is ignored.
+        known: Sources whose field is known and subtracted, such as the steering magnet.
+        start: A nearby pose, such as the last estimate.
+        depths: Minimum and maximum distance of the grid from the array's plane [m], on either
+            side.
 
     Raises:
         InputError: If there are fewer than 8 finite readings, or shapes differ.

@@ -1,6 +1,7 @@
-"""The world: one organ and one capsule, stepped in time.
+"""World: one organ and one capsule, simulated in time.
 
-`model` holds what is fixed (`Model`) and what changes (`State`); `world.World` steps it with the
-compiled core, under what `control` and `schedule` command. `lumen_dynamics`, `magnetic_coupling`
-and `fem_coupling` add contents, magnets and elastic walls; `snapshot` saves and restores it all.
+`model` defines the constants of a run (`Model`) and its variables (`State`); `world.World` steps
+it with the compiled core under the commands of `control` and `schedule`. `lumen_dynamics`,
+`magnetic_coupling` and `fem_coupling` add contents, magnets and elastic walls; `snapshot` saves
+and restores the complete state.
 """

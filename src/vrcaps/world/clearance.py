@@ -1,4 +1,4 @@
-"""Clearance between capsule and wall, and poses pushed back into the lumen."""
+"""Clearance between capsule and wall, and correction of poses into the lumen."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
 _PROBE = 0.2 * MM
 _PUSH = 0.3 * MM
-_LEVER = 10.0 * MM  # a turn of 1 rad counts as much as a shift of this length
+_LEVER = 10.0 * MM  # distance equivalent to a rotation of 1 rad
 _MAX_PUSHES = 80
 
 
 def capsule_clearance(model: Model, poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n p"]:
-    """Distance to the wall [m] of the origin, each camera, then both ends of the body's axis."""
+    """Distance to the wall [m] of the origin, each camera, and both ends of the body's axis."""
     axis = model.device.length / 2.0 - model.device.radius
     points = [np.zeros(3)]
     points += [camera.T_capsule_camera[:3, 3] for camera in model.device.cameras]
@@ -32,12 +32,12 @@ def capsule_clearance(model: Model, poses: Float[np.ndarray, "n 4 4"]) -> Float[
 
 
 def vital_clearance(model: Model, poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, " n"]:
-    """Least distance to the wall [m] of the origin and the cameras, which must be positive."""
+    """Minimum distance to the wall [m] of origin and cameras, which must be positive."""
     return capsule_clearance(model, poses)[:, : 1 + len(model.device.cameras)].min(axis=1)
 
 
 def fit_text(model: Model) -> str:
-    """Sentence about the widths of lumen and capsule, and about the unit of the organ's file."""
+    """Sentence on the widths of lumen and capsule, and on the unit of the organ's file."""
     organ = model.organ
     least, median, most = lumen_diameters(organ.centerline)
     unit = organ.metadata.get("unit")
@@ -51,26 +51,26 @@ def fit_text(model: Model) -> str:
 def corrected(
     poses: Float[np.ndarray, "n 4 4"], correction: Float[np.ndarray, "n 6"]
 ) -> Float[np.ndarray, "n 4 4"]:
-    """Poses shifted [m] and turned [rad] in their own frames."""
+    """Shift [m] and rotate [rad] poses in their own frames."""
     return poses @ transform_from(rotation_from_vector(correction[:, 3:]), correction[:, :3])
 
 
 def push_inside(
     model: Model, poses: Float[np.ndarray, "n 4 4"], *, need: float, blur: float
 ) -> Float[np.ndarray, "n 6"]:
-    """Smooth corrections of neighboring poses that bring origin and cameras into the lumen.
+    """Smooth corrections of neighboring poses that move origin and cameras into the lumen.
 
-    Poses that are too near the wall climb the gradient of their clearance, and all corrections
-    are blurred along the path, in turns. It may fail where the lumen is too narrow.
+    Alternates between moving poses too close to the wall along the gradient of their clearance, and
+    blurring all corrections along the path. May fail where the lumen is too narrow.
 
     Args:
         model: The lumen and the capsule.
-        poses: Along a path, close to each other.
+        poses: Poses along a path, close to each other.
         need: Clearance to reach [m].
         blur: Standard deviation of the blur [poses].
 
     Returns:
-        For each pose a shift [m] and a turn [rad], for `corrected`.
+        Shift [m] and rotation [rad] of each pose, for `corrected`.
     """
     from scipy.ndimage import binary_dilation, gaussian_filter1d  # slow to load
 
@@ -79,7 +79,7 @@ def push_inside(
     blocked = vital_clearance(model, poses) < need
     if not blocked.any():
         return correction
-    # A push acts on its neighbors through the blur only: look no further than that reaches.
+    # A push affects its neighbors only through the blur, so the window is limited to its reach.
     window = np.flatnonzero(binary_dilation(blocked, iterations=int(10.0 * blur)))
     for _ in range(_MAX_PUSHES):
         clearance = vital_clearance(model, corrected(poses[window], correction[window]))

@@ -31,15 +31,16 @@ class Control:
     Attributes:
         force_world: Force on the capsule's center of mass [N].
         torque_world: Torque on the capsule [N·m].
-        T_world_patient: How the patient lies at the end of the step; None leaves it as it is.
+        T_world_patient: Posture of the patient at the end of the step; None leaves it unchanged.
             Only the directions of gravity and of sources follow: patients turn slowly.
         insufflation: Factor on the lumen's radius at the end of the step, 1 = as modeled.
         Ts_world_magnet: Poses of the world's sources at the end of the step, which they approach
-            evenly: straight on, and by the shortest turn. None leaves them where they are.
-        strengths: How many times its own field each source has at the end of the step, such as the
-            current of a coil as a share of the stated one; None leaves them as they are.
-        flush: How far a rinse of what floats around the capsule has got at the end of the step: the
-            share, 0 to 1, of bubbles and chyme there that are washed off by then.
+            at constant velocity on a straight line and by the shortest rotation. None leaves them
+            unchanged.
+        strengths: Factor on the field of each source at the end of the step, such as the current
+            of a coil relative to its stated one; None leaves them unchanged.
+        flush: Progress of a rinse around the capsule at the end of the step: fraction, 0 to 1, of
+            the bubbles and chyme there that are washed off by then.
     """
 
     force_world: tuple[float, float, float] | Float[np.ndarray, " 3"] = _ZERO
@@ -90,7 +91,7 @@ GRAVITY = 9.80665
 
 
 def check_steps(controls: Sequence[Control], dt: float) -> dict[int, str]:
-    """What is wrong with controls that are too strong, by their number.
+    """Errors of controls that are too strong, by their index.
 
     Raises:
         InputError: If the step is too long.
@@ -109,7 +110,7 @@ def check_steps(controls: Sequence[Control], dt: float) -> dict[int, str]:
 def loads_in_patient(
     controls: Sequence[Control], Ts_world_patient: Float[np.ndarray, "n 4 4"]
 ) -> Float[np.ndarray, "n 9"]:
-    """Commanded forces [N] and torques [N·m], and gravity [m/s²], in the patient's frame.
+    """Commanded forces [N] and torques [N·m], and gravity [m/s²], in the patient frame.
 
     Args:
         controls: The commands.

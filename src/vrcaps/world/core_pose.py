@@ -1,8 +1,8 @@
-"""Poses on their way to and from the compiled core, one function for each way.
+"""Conversion of poses to and from the compiled core, one function per direction.
 
-The core works in the patient frame about the center of the wall. A moving body is
-(position, wxyz, velocity, angular velocity) there; sources are rows of position, wxyz and strength
-in the world.
+The core works in the patient frame, relative to the center of the wall. There, a moving body is
+(position, wxyz, velocity, angular velocity); sources are rows of position, wxyz and strength in the
+world.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
 def core_pose(
     state: State, T_world_patient: Float[np.ndarray, "4 4"], center: Float[np.ndarray, " 3"]
 ) -> _core.Pose:
-    """The capsule of a state as the core takes it.
+    """Convert the capsule of a state to the core's pose.
 
     Args:
-        state: In the world frame.
+        state: State in the world frame.
         T_world_patient: Pose of the patient.
-        center: Of the wall, in the patient frame [m].
+        center: Center of the wall in the patient frame [m].
 
     Raises:
         InputError: If the state is not finite.
@@ -54,17 +54,17 @@ def core_pose(
 def center_of_mass_and_rotation(
     pose: _core.Pose,
 ) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
-    """Position about the wall's center [m], and rotation from the body's frame."""
+    """Position relative to the wall's center [m], and rotation from the body frame."""
     return np.array(pose[0]), matrix_from_quaternion(np.array(pose[1]))
 
 
 def rows_from_poses(Ts_world_source: Float[np.ndarray, "k 4 4"]) -> Float[np.ndarray, "k 8"]:
-    """Position [m], wxyz and a strength of 1 of each source."""
+    """Position [m], wxyz and a strength of 1 for each source."""
     wxyz = quaternion_from_matrix(Ts_world_source[:, :3, :3])
     ones = np.ones((len(Ts_world_source), 1))
     return np.concatenate([Ts_world_source[:, :3, 3], wxyz, ones], axis=1)
 
 
 def poses_from_rows(rows: Float[np.ndarray, "k 8"]) -> Float[np.ndarray, "k 4 4"]:
-    """The poses of `rows_from_poses`."""
+    """Convert rows of `rows_from_poses` to poses."""
     return transform_from(matrix_from_quaternion(rows[:, 3:7]), rows[:, :3])

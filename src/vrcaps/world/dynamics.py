@@ -1,21 +1,21 @@
-"""Dynamics: how a capsule's motion comes from what acts on it, with inertia or in balance.
+"""Dynamics of the capsule: with inertia or quasi-static.
 
-`physics` integrates Newton's and Euler's equations in substeps of 50 µs. `quasi-static` leaves
-inertia out: the capsule goes at the twist ξ (velocity and angular velocity) at which
+`physics` integrates the Newton-Euler equations in substeps of 50 µs. `quasi-static` neglects
+inertia: the capsule moves at the twist ξ (velocity and angular velocity) for which
 
     M ξ/τ + contact(pose, ξ) + friction(ξ) = F(pose) + gravity + commands
 
-with the mass matrix M, the wall's pressure and friction, and the wrench F of sources. A step is cut
-into parts in which no point of the capsule goes farther than 0.5 mm, of 1/60 s at most; each is
-solved implicitly (backward Euler), together with the spring wall under it, which gives way without
-inertia too: m μ ẋ + k x = F_v. Sources hold the capsule back by the stiffness of their wrench. A
-capsule that would need more than 1500 parts a second, at 0.75 m/s beside a wall, is slower.
+with the mass matrix M, the wall's pressure and friction, and the wrench F of sources. A step is
+divided into parts of at most 1/60 s in which no point of the capsule moves more than 0.5 mm. Each
+is solved implicitly (backward Euler), with the stiffness of the sources' wrench, together with the
+spring wall under the capsule, which also has no inertia: m μ ẋ + k x = F_v. A capsule that would
+need more than 1500 parts per second, at 0.75 m/s next to a wall, is slowed down.
 
-M ξ/τ is the drag of what fills the lumen, by which momentum is lost within the relaxation time τ of
-`Drag`, by default 0.1 s. `physics` takes the same drag, by default none. With the default a capsule
-sinks freely at g τ = 0.98 m/s, and a force that is 1 mN above the friction moves one of 3 g at 33
-mm/s. What lives on momentum is not there: a capsule does not coast on, bounce or swing. Where it
-does in `physics`, pushed by a wrench or in a fall, the two part; led by a magnet they agree, see
+M ξ/τ is the drag of the lumen contents, by which momentum decays with the relaxation time τ of
+`Drag`, by default 0.1 s. `physics` has the same drag, by default none. With the default a capsule
+sinks freely at g τ = 0.98 m/s, and a force 1 mN above friction moves a capsule of 3 g at 33 mm/s.
+Effects of momentum are absent: a capsule does not coast, bounce or swing. Where it does in
+`physics`, pushed by a wrench or in a fall, the two differ; led by a magnet they agree, see
 docs/validation.md.
 """
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from vrcaps.world.model import Model
 
 RELAXATION_TIME = 0.1
-"""Relaxation time τ of quasi-static motion where `Drag` gives none [s]; the core's own."""
+"""Default relaxation time τ of quasi-static motion [s], where `Drag` has none; as in the core."""
 
 DynamicsKind = Literal["physics", "quasi-static"]
 """Names of dynamics."""
@@ -40,11 +40,12 @@ DYNAMICS: tuple[DynamicsKind, ...] = get_args(DynamicsKind)
 
 
 def check_dynamics(name: str, model: Model, tissue: Tissue) -> None:
-    """Check that there are such dynamics, and that they take a model and a tissue.
+    """Check that the dynamics exist and support a model and a tissue.
 
     Raises:
-        InputError: If quasi-static motion finds an elastic layer, lumen contents or no drag.
-        UnknownNameError: If there are none of that name.
+        InputError: If quasi-static motion is combined with an elastic layer, lumen contents or no
+            drag.
+        UnknownNameError: If no dynamics have that name.
     """
     if name not in DYNAMICS:
         raise UnknownNameError("dynamics", name, DYNAMICS)

@@ -1,4 +1,4 @@
-"""Elastic layer of a world: which organs have one, and its part of a snapshot."""
+"""Elastic layer of a world: its creation and its part of a snapshot."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def make_fem_wall(organ: OrganSurface, tissue: Tissue) -> FemWall | None:
-    """The elastic layer under an organ's surface, where the tissue has one."""
+    """Create the elastic layer under an organ's surface, if the tissue has one."""
     if not isinstance(tissue.deformation, FemDeformation):
         return None
     from vrcaps.tissue.fem.wall import FemWall
@@ -30,7 +30,7 @@ def make_fem_wall(organ: OrganSurface, tissue: Tissue) -> FemWall | None:
 def coupling_state_of(
     layer: FemWall, snapshot: Snapshot
 ) -> tuple[Float[np.ndarray, "nodes 6"], tuple[Float[np.ndarray, "nodes 9"], np.ndarray]]:
-    """Motion of the layer in a snapshot, and what lasts of its exchange with the capsule.
+    """Motion of the layer in a snapshot, and the persistent state of its coupling to the capsule.
 
     Raises:
         InputError: If the snapshot is of another layer or not finite.

@@ -1,4 +1,4 @@
-"""Indentation: where, and how deep, a capsule presses into a wall at one instant."""
+"""Indentation: location and depth of the contact of a capsule with a wall at one instant."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ if TYPE_CHECKING:
     from vrcaps.capsule.body import Body
 
 _PIECE = 1.0 / 16.0
-"""Longest side of a piece of a triangle, as a share of the capsule's radius."""
+"""Maximum side of a piece of a triangle, as a fraction of the capsule's radius."""
 _MOST_PARTS = 32
-"""Parts of a side at most, however large a triangle is."""
+"""Maximum number of parts per side, for triangles of any size."""
 _BITS = np.array([1, 2, 4])
 
 
 @dataclass(frozen=True)
 class Indentation:
-    """Pieces of a wall's triangles that a capsule presses in.
+    """Pieces of a wall's triangles that a capsule indents.
 
     Attributes:
-        corners: Of each piece, counter-clockwise seen from the lumen [m].
-        depth: Indentation at its middle [m], above 0.
+        corners: Corners of each piece, counter-clockwise as seen from the lumen [m].
+        depth: Indentation at its center [m], above 0.
     """
 
     corners: Float[np.ndarray, "k 3 3"]
@@ -46,15 +46,15 @@ def indentation(
     body: Body,
     T_world_capsule: Float[np.ndarray, "4 4"],
 ) -> Indentation:
-    """What a capsule presses in: u = R − s, s being the distance from its axis.
+    """Compute the indentation by a capsule: u = R − s, with the distance s from its axis.
 
-    The core's contact takes the same depth. Walls that face away from the capsule do not count.
+    The depth is that of the core's contact. Walls that face away from the capsule are ignored.
 
     Args:
-        vertices: Of the wall [m].
-        faces: Its triangles.
+        vertices: Vertices of the wall [m].
+        faces: Triangles of the wall.
         body: Shape of the capsule.
-        T_world_capsule: Its pose, in the frame of the vertices.
+        T_world_capsule: Pose of the capsule, in the frame of the vertices.
     """
     half = np.array([0.0, 0.0, body.half_axis])
     ends = np.stack([body.center - half, body.center + half])
@@ -74,8 +74,8 @@ def _near(
 ) -> np.ndarray:
     """Corners of the triangles that a capsule may touch.
 
-    First those drop out that have all corners beyond one side of the box about it: each vertex has
-    a bit for each side that it is beyond (the outcodes of Cohen and Sutherland).
+    Triangles with all corners beyond one side of the capsule's bounding box are discarded first:
+    each vertex has a bit for each side that it is beyond (Cohen-Sutherland outcodes).
     """
     least, most = np.minimum(low, high) - radius, np.maximum(low, high) + radius
     code = ((vertices < least) @ _BITS + ((vertices > most) @ _BITS << 3)).astype(np.uint8)
@@ -88,7 +88,7 @@ def _near(
 
 
 def _nearest(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The points of an axis nearest to some points."""
+    """Nearest points on an axis for given points."""
     span = high - low
     square = float(span @ span)
     along = np.clip((points - low) @ span / square, 0.0, 1.0) if square else np.zeros(len(points))
@@ -96,7 +96,7 @@ def _nearest(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarra
 
 
 def _divided(corners: np.ndarray, longest: float) -> np.ndarray:
-    """Triangles divided evenly, all into as many, so that no side is longer than a length."""
+    """Divide all triangles equally, so that no side exceeds a length."""
     if not len(corners):
         return corners
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)

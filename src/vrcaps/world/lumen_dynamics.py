@@ -1,4 +1,4 @@
-"""Dynamics of the lumen contents: particles move and push the capsule, liquid carries it."""
+"""Dynamics of the lumen contents: particles move and push the capsule, liquid supports it."""
 
 from __future__ import annotations
 
@@ -22,30 +22,30 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 LUMEN_SUBSTEP = 2.5e-3
-"""Longest time over which buoyancy and drag of the liquid are held [s]."""
+"""Maximum time for which buoyancy and drag of the liquid are held constant [s]."""
 
 SUBSTEPS_PER_SWEEP = 8
-"""Most pieces of a step after which all spheres have moved; those beside the capsule move in
-each."""
+"""Maximum number of pieces of a step between updates of all spheres; spheres next to the capsule
+move in each piece."""
 
 _LEVEL_TOLERANCE = 0.01
-"""Change of the lumen's radius, relative to that at rest, after which liquid is leveled anew."""
+"""Change of the lumen's radius, relative to that at rest, after which liquid is leveled again."""
 
 FLUSH_REACH = 5.0 * CM
-"""Distance from the capsule's center within which a flush washes bubbles and chyme off [m]."""
+"""Distance from the capsule's center within which a flush removes bubbles and chyme [m]."""
 
 _AWAY = 1e3
-"""How far outside the patient spheres are kept that were washed off [m]: they stay as many, so that
-a snapshot and the motion from image to image need not know of it."""
+"""Distance outside the patient at which removed spheres are kept [m]. Their number is constant, so
+that snapshots and the motion between images are unaffected."""
 
 _DRAG = 0.5
-"""Drag coefficient of a capsule in liquid, by its frontal area (a long body with round ends:
-Hoerner, Fluid-Dynamic Drag, 1965, 3-12, tumbling included)."""
+"""Drag coefficient of a capsule in liquid relative to its frontal area (a long body with round
+ends: Hoerner, Fluid-Dynamic Drag, 1965, 3-12, including tumbling)."""
 
 
 @dataclass(frozen=True)
 class _StepInputs:
-    """What the core's swarm meets in a step; positions are about the wall's center."""
+    """Inputs of the core's swarm in a step; positions are relative to the wall's center."""
 
     up: tuple[float, float, float]
     gravity: float
@@ -62,13 +62,13 @@ class _StepInputs:
 
 @dataclass(frozen=True)
 class LiquidLevel:
-    """Liquid as it was leveled last, and from what.
+    """Liquid when it was last leveled, and the conditions then.
 
     Attributes:
-        pools: The liquid; None where there is none.
-        section_volume: Liquid in each section before it was leveled [m³]; empty if not moved yet.
+        pools: The liquid, or None.
+        section_volume: Liquid in each section before leveling [m³]; empty if not yet moved.
         T_world_patient: Posture then.
-        lumen_scale: Lumen's radius at its samples then, relative to that at rest.
+        lumen_scale: Radius of the lumen at its samples then, relative to that at rest.
     """
 
     pools: Pools | None
@@ -79,7 +79,7 @@ class LiquidLevel:
 
 @dataclass(frozen=True)
 class _ParticleLaws:
-    """Laws of the core's swarm."""
+    """Parameters of the core's swarm."""
 
     liquid_density: float
     viscosity: float
@@ -93,7 +93,7 @@ class _ParticleLaws:
 
 
 class LumenDynamics:
-    """Spheres and pools of a `World`, in the frame of its core: the patient's, about a center."""
+    """Spheres and pools of a `World`, in the frame of its core: patient frame, wall-centered."""
 
     def __init__(self, model: Model, wall: _core.Wall, body: Body, pose: _core.Pose) -> None:
         assert model.lumen_contents is not None
@@ -129,14 +129,14 @@ class LumenDynamics:
         self._place_dome_bubbles(pose)
 
     def lumen_contents(self, T_world_patient: Float[np.ndarray, "4 4"]) -> LumenContents:
-        """What is in the lumen now, in the world frame."""
+        """Current contents of the lumen, in the world frame."""
         states = self._particles.states
         centers = transform_points(T_world_patient, states[:, :3] + self._center)
         spheres = replace(self._rest.spheres, centers=centers, arc_length=states[:, 6])
         return LumenContents(self._rest.contents, spheres, self.liquid.pools)
 
     def _place_dome_bubbles(self, pose: _core.Pose) -> None:
-        """Sets the bubbles that sit on the capsule from the beginning on it."""
+        """Place the bubbles that are initially on the capsule."""
         dome_sites = self._rest.dome_sites + self._body.center
         states = self._particles.states
         first = len(states) - len(dome_sites)
@@ -146,11 +146,11 @@ class LumenDynamics:
         self._particles.states = states
 
     def wash_off(self, pose: _core.Pose, fraction: float) -> None:
-        """Takes bubbles and chyme around the capsule out of the lumen; liquid stays.
+        """Remove bubbles and chyme around the capsule from the lumen; liquid stays.
 
         Args:
-            pose: The capsule's, in the core's frame.
-            fraction: Of all spheres, those that go where they are near; the same ones each time.
+            pose: Pose of the capsule in the core's frame.
+            fraction: Fraction of all spheres that is removed if near; the same spheres each time.
         """
         states = self._particles.states
         center, _ = center_of_mass_and_rotation(pose)
@@ -164,11 +164,11 @@ class LumenDynamics:
     def level_liquid(
         self, T_world_patient: Float[np.ndarray, "4 4"], lumen_scale: Float[np.ndarray, " m"]
     ) -> None:
-        """Lets the liquid find its level at once in another posture or beside a moved wall.
+        """Level the liquid instantly in another posture or with a moved wall.
 
         Args:
-            T_world_patient: How the patient lies.
-            lumen_scale: Lumen's radius at its samples, relative to that at rest.
+            T_world_patient: Posture of the patient.
+            lumen_scale: Radius of the lumen at its samples, relative to that at rest.
         """
         now, self._posture = self.liquid, T_world_patient
         if now.pools is None:
@@ -178,7 +178,7 @@ class LumenDynamics:
             self._settle(now.pools.section_volume, T_world_patient, lumen_scale)
 
     def set_liquid(self, liquid: LiquidLevel, T_world_patient: Float[np.ndarray, "4 4"]) -> None:
-        """Goes back to the liquid before a step that failed, in the posture then."""
+        """Restore the liquid and posture before a failed step."""
         self.liquid, self._posture = liquid, T_world_patient
 
     def _settle(
@@ -199,7 +199,7 @@ class LumenDynamics:
     ) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
         """Force [N] and torque [N·m] on the capsule over the next `dt`, in the core's frame.
 
-        Buoyancy and drag where the capsule will be half-way, and what the spheres pushed last.
+        Sum of buoyancy and drag at the position after half the time, and the last push of spheres.
         """
         center, axis = self._capsule(pose, 0.5 * dt)
         force, torque = self._push[:3] / dt, self._push[3:] / dt
@@ -220,14 +220,14 @@ class LumenDynamics:
         return force + lift + drag, torque + np.cross(middle - center, lift)
 
     def step(self, pose: _core.Pose, dt: float, gravity: float, sweep: float) -> None:
-        """Moves the spheres on by `dt` beside the capsule, which has arrived at `pose`.
+        """Advance the spheres by `dt` next to the capsule, which has arrived at `pose`.
 
         Args:
-            pose: The capsule's, in the core's frame.
+            pose: Pose of the capsule in the core's frame.
             dt: Length of this piece of a sweep [s].
-            gravity: [m/s²].
-            sweep: 0, or where this piece ends a sweep, how long all of it was [s]: spheres that
-                are not beside the capsule move once a sweep.
+            gravity: Gravity [m/s²].
+            sweep: Total duration of the sweep [s] if this piece ends it, else 0: spheres away from
+                the capsule move once per sweep.
         """
         center, axis = self._capsule(pose, 0.0)
         pools = self.liquid.pools
@@ -250,7 +250,7 @@ class LumenDynamics:
         self._push = np.array([*impulse, *moment])
 
     def to_array(self) -> Float[np.ndarray, " q"]:
-        """All that changes: spheres, their counter, the impulse that waits, the liquid."""
+        """Complete variable state: spheres, their counter, the pending impulse, the liquid."""
         liquid, pools = self.liquid, self._rest.pools
         section_volume = np.zeros(0 if pools is None else len(pools.section_volume))
         section_volume[: len(liquid.section_volume)] = liquid.section_volume
@@ -260,7 +260,7 @@ class LumenDynamics:
         )
 
     def restore(self, array: Float[np.ndarray, " q"], T_world_patient: np.ndarray) -> None:
-        """Goes back to what `to_array` gave."""
+        """Restore the state given by `to_array`."""
         count = 10 * len(self._rest.spheres)
         self._particles.states = array[:count].reshape(-1, 10)
         self._particles.count, self._push = int(array[count]), array[count + 1 : count + 7].copy()
@@ -279,7 +279,7 @@ class LumenDynamics:
     def _capsule(
         self, pose: _core.Pose, ahead: float
     ) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "2 3"]]:
-        """Center of mass and ends of the axis a time ahead [m], about the wall's center."""
+        """Center of mass and ends of the axis after a time [m], relative to the wall's center."""
         center, rotation = center_of_mass_and_rotation(pose)
         center = center + ahead * np.array(pose[2])
         middle = center + rotation @ self._body.center
@@ -287,7 +287,7 @@ class LumenDynamics:
         return center, np.array([middle - half, middle + half])
 
     def _level(self, center: Float[np.ndarray, " 3"]) -> float | None:
-        """Level of the pool along whose stretch a point is [m], in the world frame."""
+        """Level of the pool whose arc-length interval contains a point [m], in the world frame."""
         pools = self.liquid.pools
         if pools is None:
             return None

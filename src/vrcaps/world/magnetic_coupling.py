@@ -1,4 +1,4 @@
-"""Magnetic coupling: wrench of the sources outside on the capsule's magnets in a `World`."""
+"""Magnetic coupling: wrench of external sources on the capsule's magnets in a `World`."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
 
 class MagneticCoupling:
-    """The sources of a world, where they are, and the core's wrench of them."""
+    """Sources of a world, their positions, and the wrench computed by the core."""
 
     def __init__(
         self, core: _core.World, magnets: Sequence[InternalMagnet], sources: Sequence[Source]
     ) -> None:
-        """Lets sources act on the magnets of a capsule.
+        """Let sources act on the magnets of a capsule.
 
         Raises:
             InputError: If there are sources but no magnets.
@@ -49,7 +49,7 @@ class MagneticCoupling:
 
     @property
     def sources(self) -> tuple[Source, ...]:
-        """The sources where they are now."""
+        """The sources at their current poses."""
         poses = poses_from_rows(self.rows)
         pairs = zip(self._set.sources, poses, strict=True)
         return tuple(replace(source, T_world_magnet=pose) for source, pose in pairs)
@@ -57,31 +57,31 @@ class MagneticCoupling:
     def restore(
         self, rows: Float[np.ndarray, "k 8"], T_world_patient: Float[np.ndarray, "4 4"]
     ) -> None:
-        """Puts the sources where they were."""
+        """Restore the poses of the sources."""
         self.rows = rows
         self.aim(rows, 1.0, T_world_patient)
 
     def aim(
         self, end: Float[np.ndarray, "k 8"], dt: float, T_world_patient: Float[np.ndarray, "4 4"]
     ) -> None:
-        """Sets the sources on their way to where they are after `dt` [s].
+        """Move the sources to their poses after `dt` [s].
 
         Args:
-            end: Where that is.
+            end: Rows of the sources at the end of the step.
             dt: Length of the step [s].
-            T_world_patient: How the patient lies.
+            T_world_patient: Posture of the patient.
         """
         if len(end):
             parts = (self._set.spread(self.rows), self._set.spread(end))
             self._core.aim_sources(*parts, dt, np.asarray(T_world_patient, float))
 
     def angle(self, T_world_capsule: Float[np.ndarray, "4 4"]) -> float:
-        """Between the capsule's moment and the flux density [rad]; 0 without sources."""
+        """Angle between the capsule's moment and the flux density [rad]; 0 without sources."""
         coupled = self._core.magnetic_coupling(T_world_capsule)
         return 0.0 if coupled is None else coupled[-1]
 
     def coupling(self, T_world_capsule: Float[np.ndarray, "4 4"]) -> Coupling | None:
-        """What the sources did in the last step; None without sources."""
+        """Effect of the sources in the last step; None without sources."""
         coupled = self._core.magnetic_coupling(T_world_capsule)
         if coupled is None:
             return None
@@ -103,7 +103,7 @@ class MagneticCoupling:
 def rows_after(
     couplings: Sequence[MagneticCoupling], controls: Sequence[Control]
 ) -> tuple[list[Float[np.ndarray, "k 8"]], dict[int, str]]:
-    """Where controls have the sources of worlds, and what is wrong with some, by their number."""
+    """Target rows of the sources under controls, and errors of invalid controls, by index."""
     ends, failures, poses = [], {}, []
     for k, (coupling, control) in enumerate(zip(couplings, controls, strict=True)):
         end = coupling.rows

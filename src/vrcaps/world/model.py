@@ -1,4 +1,4 @@
-"""What is fixed in a run (`Model`) and what changes from frame to frame (`State`)."""
+"""Constants of a run (`Model`) and its state in each frame (`State`)."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def posture_transform(posture: str) -> Float[np.ndarray, "4 4"]:
 
 @dataclass(frozen=True)
 class Model:
-    """An organ in a posture and the capsule in it: all that is fixed in a run.
+    """An organ in a posture and the capsule in it: all constants of a run.
 
     Example:
         >>> model = vrcaps.Model(vrcaps.generate_organ("colon"), vrcaps.read_device("mirocam"))
@@ -61,7 +61,7 @@ class Model:
         organ: The gut wall at rest, in the patient frame.
         device: The capsule.
         T_world_patient: Pose of the patient in the world, see `posture_transform`.
-        contents: What floats in the lumen.
+        contents: Lumen contents.
     """
 
     organ: OrganSurface
@@ -72,15 +72,15 @@ class Model:
     contents: Contents = field(default_factory=Contents)
 
     def __getstate__(self) -> dict[str, Any]:
-        """The fields alone: hierarchies are made again where they are needed."""
+        """Only the fields: hierarchies are rebuilt where they are needed."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
     def __deepcopy__(self, memo: object) -> Model:
-        """Itself: nothing of it changes."""
+        """Return itself, as it is immutable."""
         return self
 
     def with_device(self, device: Device) -> Model:
-        """The same with another capsule; what was made of the organ alone is made only once."""
+        """The same model with another capsule; data of the organ alone is shared."""
         model = replace(self, device=device)
         made = ("vertices_world", "wall", "wall_in_patient", "lumen_drive")
         vars(model).update({name: getattr(self, name) for name in made})
@@ -88,27 +88,27 @@ class Model:
 
     @cached_property
     def vertices_world(self) -> Float[np.ndarray, "n 3"]:
-        """Wall vertices at rest in the world frame [m]."""
+        """Vertices of the wall at rest in the world frame [m]."""
         return transform_points(self.T_world_patient, self.organ.vertices)
 
     @cached_property
     def wall(self) -> Wall:
-        """The wall at rest, ready for distance and ray queries in the world frame."""
+        """Wall at rest for distance and ray queries in the world frame."""
         return wall_of(self.vertices_world, self.organ.faces)
 
     @cached_property
     def wall_in_patient(self) -> Wall:
-        """The wall at rest in the patient frame: each `World` steps a copy of it."""
+        """Wall at rest in the patient frame, of which each `World` steps a copy."""
         return wall_of(self.organ.vertices, self.organ.faces)
 
     @cached_property
     def lumen_drive(self) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
-        """How muscle and gas move each vertex, see `sample_coordinates`."""
+        """Motion of each vertex under muscle and gas, see `sample_coordinates`."""
         return sample_coordinates(self.organ)
 
     @cached_property
     def lumen_contents(self) -> LumenContents | None:
-        """The contents at rest; None where there are none."""
+        """Contents at rest, or None."""
         if self.contents.is_empty:
             return None
         lumen_contents = populate(self.organ, self.contents, self.T_world_patient)
@@ -119,8 +119,8 @@ class Model:
 
         Args:
             arc_length: Position along the centerline from the oral end [m]; None is its middle.
-            angle: Between the capsule's front and the direction towards the anal end [rad]; π
-                looks back.
+            angle: Angle between the capsule's front and the direction towards the anal end [rad]; π
+                faces backwards.
 
         Raises:
             InputError: If the arc length is not on the centerline.
@@ -133,12 +133,12 @@ class Model:
     def centerline_poses(
         self, arc_length: Float[np.ndarray, " n"], *, angle: float = 0.0
     ) -> Float[np.ndarray, "n 4 4"]:
-        """``Ts_world_capsule`` on the centerline at arc lengths [m], at rest.
+        """Poses ``Ts_world_capsule`` on the centerline at arc lengths [m], at rest.
 
         Args:
             arc_length: Positions along the centerline [m].
-            angle: Between the capsule's front and the direction towards the anal end, about the
-                x axis of the centerline's frame [rad].
+            angle: Angle between the capsule's front and the direction towards the anal end, about
+                the x axis of the centerline's frame [rad].
         """
         line = self.organ.centerline
         nearest = np.abs(line.arc_length[:, None] - arc_length).argmin(axis=0)
@@ -149,23 +149,23 @@ class Model:
 
     @property
     def label_names(self) -> tuple[str, ...]:
-        """Names of all classes that an image of this model may hold."""
+        """Names of all classes that images of this model may contain."""
         names = self.organ.label_names
         return names if self.contents.is_empty else (*names, CHYME)
 
 
 @dataclass(frozen=True)
 class Contact:
-    """What the wall did to the capsule: means over the last step, and its last instant.
+    """Effect of the wall on the capsule: means over the last step, and values at its end.
 
     Attributes:
         force_world: Mean force of the wall on the capsule [N].
         torque_world: Mean torque of the wall about the capsule's center of mass [N·m].
-        normal_force_total: Mean sum of the sizes of all normal forces [N].
+        normal_force_total: Mean sum of the magnitudes of all normal forces [N].
         friction_work: Energy lost to friction and drag in the step [J].
-        energy: Energy stored in the pressed wall [J].
-        area: Touched area [m²].
-        depth: Largest indentation [m].
+        energy: Energy stored in the indented wall [J].
+        area: Contact area [m²].
+        depth: Maximum indentation [m].
     """
 
     force_world: Float[np.ndarray, " 3"]
@@ -179,18 +179,19 @@ class Contact:
 
 @dataclass(frozen=True)
 class Coupling:
-    """What sources outside do to the capsule's magnets: means over the last step, and its end.
+    """Effect of external sources on the capsule's magnets: means over the last step, and its end.
 
     Attributes:
         force_world: Mean force on the capsule [N].
         torque_world: Mean torque about the capsule's center of mass [N·m].
-        flux_density_world: Flux density at the middle of its magnets [T].
+        flux_density_world: Flux density at the center of the capsule's magnets [T].
         flux_gradient_world: ∂B_i/∂x_j there [T/m].
-        angle: Between the capsule's moment and the flux density [rad]; more than π/2 pushes away.
-        distance: From there to the nearest source's center [m]; infinite if none has a place.
+        angle: Angle between the capsule's moment and the flux density [rad]; beyond π/2 it repels.
+        distance: Distance from the magnets to the nearest source's center [m]; infinite if no
+            source has a position.
         Ts_world_magnet: Poses of the sources.
-        strengths: How many times its own field each source has.
-        is_exact: False where a magnet was outside a sampled field, whose value at its edge counted.
+        strengths: Factor on the field of each source.
+        is_exact: False if a magnet was outside a sampled field, whose value at the edge was used.
     """
 
     force_world: Float[np.ndarray, " 3"]
@@ -206,22 +207,22 @@ class Coupling:
 
 @dataclass(frozen=True)
 class State:
-    """The world at one instant.
+    """State of the world at one instant.
 
     Example:
         >>> state = vrcaps.Model(organ, device).place(0.1)
         >>> state.T_world_capsule[:3, 3]
 
     Attributes:
-        time: Since the start of the run [s].
+        time: Time since the start of the run [s].
         T_world_capsule: Pose of the capsule.
         linear_velocity_world: Velocity of the capsule's origin [m/s].
         angular_velocity_world: Angular velocity of the capsule [rad/s].
-        vertices_world: Wall vertices [m]; None where the wall is at rest.
-        contact: What the wall did to the capsule; None where nothing was simulated.
-        lumen_contents: What is in the lumen; None takes the model's contents at rest, with what
-            is in the capsule's way pushed aside.
-        coupling: What sources outside do to the capsule; None where there are none.
+        vertices_world: Wall vertices [m]; None for a wall at rest.
+        contact: Effect of the wall on the capsule; None without simulation.
+        lumen_contents: Lumen contents; None means the model's contents at rest, displaced by the
+            capsule.
+        coupling: Effect of external sources on the capsule; None without sources.
     """
 
     time: float

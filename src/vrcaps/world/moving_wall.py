@@ -1,4 +1,4 @@
-"""Moving wall: one hierarchy, refitted to one state after another."""
+"""Moving wall: one hierarchy, refitted to successive states."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class MovingWall:
-    """Holds one wall and moves it to a state, once for all who ask for the same."""
+    """Holds one wall and refits it to a state, once for all queries of that state."""
 
     def __init__(self, model: Model) -> None:
         self.model = model
@@ -22,15 +22,15 @@ class MovingWall:
         self._vertices: np.ndarray | None = None
 
     def at(self, state: State) -> Wall:
-        """The wall in a state, ready for queries and images until another state is asked for.
+        """Wall in a state, valid for queries and images until another state is requested.
 
-        A state's arrays are taken not to change.
+        The arrays of a state are assumed not to change.
         """
         if state.vertices_world is None:
             return self.model.wall
         if self._wall is None:
-            # Built at rest: the hierarchy, and so which of several equally near triangles counts,
-            # must not depend on which frame came first.
+            # Built at rest: the hierarchy, and so the choice among equally near triangles, must not
+            # depend on the first requested frame.
             self._wall = wall_of(self.model.vertices_world, self.model.organ.faces)
         if self._vertices is not state.vertices_world:
             self._wall.refit(np.ascontiguousarray(state.vertices_world, np.float64))

@@ -24,12 +24,12 @@ WRENCH_COLUMNS = ("time_s", "fx_n", "fy_n", "fz_n", "tx_nm", "ty_nm", "tz_nm")
 
 @dataclass(frozen=True)
 class Wrench:
-    """Force and torque on the capsule's center of mass from a time on.
+    """Force and torque on the capsule's center of mass from a time onwards.
 
     Attributes:
-        time: Since the first frame [s].
-        force: [N], along x, y, z.
-        torque: [N·m], about x, y, z.
+        time: Time since the first frame [s].
+        force: Force along x, y, z [N].
+        torque: Torque about x, y, z [N·m].
     """
 
     time: float = 0.0
@@ -39,12 +39,12 @@ class Wrench:
 
 @dataclass(frozen=True)
 class PostureChange:
-    """A change of the patient's posture.
+    """Change of the patient's posture.
 
     Attributes:
-        posture: How the patient lies afterwards, see `posture_transform`.
+        posture: Posture afterwards, see `posture_transform`.
         time: Start of the change, since the first frame [s].
-        duration: How long it takes [s].
+        duration: Duration of the change [s].
     """
 
     posture: str
@@ -54,11 +54,11 @@ class PostureChange:
 
 @dataclass(frozen=True)
 class Insufflation:
-    """How full the gut is at a time.
+    """Insufflation of the gut at a time.
 
     Attributes:
-        time: Since the first frame [s].
-        factor: On the lumen's radius, 1 = as modeled.
+        time: Time since the first frame [s].
+        factor: Factor on the lumen's radius, 1 = as modeled.
     """
 
     time: float = 0.0
@@ -67,11 +67,11 @@ class Insufflation:
 
 @dataclass(frozen=True)
 class Flush:
-    """A rinse of the lumen around the capsule, which washes bubbles and chyme off.
+    """Rinse that washes off bubbles and chyme around the capsule.
 
     Attributes:
-        time: When it begins, since the first frame [s].
-        duration: How long it takes until all are gone [s].
+        time: Start time, since the first frame [s].
+        duration: Time until all are removed [s].
     """
 
     time: float = 0.0
@@ -94,12 +94,12 @@ def insufflation_at(insufflation: tuple[Insufflation, ...], time: float) -> floa
 
 
 def flush_between(flushes: tuple[Flush, ...], begin: float, end: float) -> float:
-    """How far a flush has got at the end of a step in which it was under way, 0 to 1; else 0.
+    """Progress of a flush at the end of a step during which it was active, 0 to 1; else 0.
 
     Args:
-        flushes: In the order of time.
-        begin: Of the step [s].
-        end: Of the step [s].
+        flushes: Flushes in order of time.
+        begin: Start of the step [s].
+        end: End of the step [s].
     """
     shares = [
         min(1.0, (end - flush.time) / flush.duration)
@@ -110,7 +110,7 @@ def flush_between(flushes: tuple[Flush, ...], begin: float, end: float) -> float
 
 
 def row_at(rows: Sequence[tuple[float, ...]], time: float) -> Float[np.ndarray, " k"]:
-    """Columns after the first, which is time: linear between rows, constant beyond them."""
+    """Columns after the first, time: linear between rows, constant beyond them."""
     times, *columns = np.transpose(rows)
     return np.array([np.interp(time, times, column) for column in columns])
 
@@ -118,10 +118,10 @@ def row_at(rows: Sequence[tuple[float, ...]], time: float) -> Float[np.ndarray, 
 def patient_at(
     first: Float[np.ndarray, "4 4"], changes: tuple[PostureChange, ...], time: float
 ) -> Float[np.ndarray, "4 4"]:
-    """``T_world_patient`` at a time, from the first posture on.
+    """``T_world_patient`` at a time, starting from the first posture.
 
-    A turn is the shortest rotation from one posture to the next, s(t) = x² (3 − 2x) of it after
-    the share x of its time, so that it begins and ends at rest.
+    A change is the shortest rotation from one posture to the next, by the fraction x² (3 − 2x)
+    after the fraction x of its duration, so that it starts and ends at rest.
     """
     rotation = first[:3, :3]
     for change in changes:
@@ -137,7 +137,7 @@ def patient_at(
 def in_world(
     wrench: Float[np.ndarray, "2 3"], T_world_frame: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "2 3"]:
-    """Force and torque along the axes of a frame, in the world."""
+    """Convert force and torque along the axes of a frame to the world."""
     return rotate_vectors(T_world_frame, wrench)
 
 
@@ -145,7 +145,7 @@ def read_wrenches(path: str | Path) -> tuple[Wrench, ...]:
     """Read a table of wrenches: CSV with the header ``time_s,fx_n,fy_n,fz_n,tx_nm,ty_nm,tz_nm``.
 
     Raises:
-        InputError: If the file cannot be read, its header is another or a line is wrong.
+        InputError: If the file cannot be read, its header differs or a line is invalid.
     """
     _, rows = read_numbers(path, (WRENCH_COLUMNS,), "wrenches")
     wrenches = [Wrench(t, (fx, fy, fz), (tx, ty, tz)) for t, fx, fy, fz, tx, ty, tz in rows]
@@ -156,13 +156,13 @@ def read_wrenches(path: str | Path) -> tuple[Wrench, ...]:
 def read_numbers(
     path: str | Path, headers: tuple[tuple[str, ...], ...], what: str
 ) -> tuple[tuple[str, ...], list[list[float]]]:
-    """Read a CSV of numbers with one of some headers: which, and its rows.
+    """Read a CSV of numbers with one of several headers; returns the header and the rows.
 
-    A last line that is cut off, by a kill of the process that added it, is left out with a warning.
+    A truncated last line, from a writer that was killed, is omitted with a warning.
 
     Raises:
-        InputError: If the file cannot be read, its header is none of them, a line is wrong or there
-            is none.
+        InputError: If the file cannot be read, its header is none of them, a line is invalid or
+            there are no rows.
     """
     try:
         text = Path(path).read_text(encoding="utf-8-sig")
@@ -196,7 +196,7 @@ def read_numbers(
 
 
 def _is_row(line: str, count: int) -> bool:
-    """Whether a line holds some numbers."""
+    """Check that a line contains `count` numbers."""
     try:
         return len([float(cell) for cell in line.split(",")]) == count
     except ValueError:
@@ -204,7 +204,7 @@ def _is_row(line: str, count: int) -> bool:
 
 
 def check_wrenches(wrenches: tuple[Wrench, ...], where: str) -> None:
-    """Check that all numbers are finite and times rise.
+    """Check that all numbers are finite and times increase.
 
     Raises:
         InputError: If not; names the entry.
@@ -213,7 +213,7 @@ def check_wrenches(wrenches: tuple[Wrench, ...], where: str) -> None:
 
 
 def check_insufflation(insufflation: tuple[Insufflation, ...], where: str) -> None:
-    """Check that factors are possible and times rise.
+    """Check that factors are within limits and times increase.
 
     Raises:
         InputError: If not; names the entry.
@@ -228,7 +228,7 @@ def check_insufflation(insufflation: tuple[Insufflation, ...], where: str) -> No
 
 
 def check_flushes(flushes: tuple[Flush, ...], where: str) -> None:
-    """Check that durations are possible and times rise.
+    """Check that durations are positive and times increase.
 
     Raises:
         InputError: If not; names the entry.
@@ -243,10 +243,10 @@ def check_flushes(flushes: tuple[Flush, ...], where: str) -> None:
 
 
 def check_posture_changes(changes: tuple[PostureChange, ...], where: str) -> None:
-    """Check that postures are known and turns follow each other.
+    """Check that postures are known and changes do not overlap.
 
     Raises:
-        InputError: If a turn begins before the one before has ended, or its times are impossible.
+        InputError: If a change starts before the previous one has ended, or its times are invalid.
         UnknownNameError: If there is no such posture.
     """
     for change in changes:
@@ -265,7 +265,7 @@ def check_posture_changes(changes: tuple[PostureChange, ...], where: str) -> Non
 
 
 def require_series(rows: Sequence[tuple[float, ...]], where: str) -> None:
-    """Check that all numbers of rows are finite and times, their first, rise.
+    """Check that all numbers in rows are finite and times, their first, increase.
 
     Raises:
         InputError: If not; names the entry.
@@ -277,10 +277,10 @@ def require_series(rows: Sequence[tuple[float, ...]], where: str) -> None:
 
 
 def require_rising(times: list[float], where: str) -> None:
-    """Check that times rise.
+    """Check that times increase.
 
     Raises:
-        InputError: If one does not come after the one before.
+        InputError: If a time is not after the previous one.
     """
     for before, after in itertools.pairwise(times):
         if not after > before:

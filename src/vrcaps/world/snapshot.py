@@ -1,4 +1,4 @@
-"""Snapshot of a world: all that changes, exactly, in memory and in a file."""
+"""Snapshot of a world: its complete variable state, exactly, in memory or in a file."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """What a `World` needs to go on to the same bytes.
+    """State from which a `World` continues with identical bytes.
 
-    Positions are in the patient frame about the wall's center.
+    Positions are in the patient frame, relative to the wall's center.
 
     Attributes:
-        seed: Of the world, see `World`.
-        time: Since the start of the run [s].
-        began: Time of the world's first state [s]: its muscle wakes from there on.
-        T_world_patient: How the patient lies.
+        seed: Seed of the world, see `World`.
+        time: Time since the start of the run [s].
+        began: Time of the world's first state [s], from which its muscle wakes.
+        T_world_patient: Posture of the patient.
         capsule: Position [m], quaternion wxyz, velocity [m/s], angular velocity [rad/s].
-        lumen_scale: Lumen's radius at the samples, as a share of that at rest.
-        active_wall: Wall vertices as muscle and gas alone would have them [m].
-        wall_displacement: How far each vertex gives way [m] and at which velocity [m/s].
-        layer: Of each free node of an elastic layer: displacement [m], velocity [m/s], force [N],
-            how far the wall that the capsule felt is off it [m], and momentum it is still to be
-            given [N·s]; empty where there is none.
-        contact_faces: Of each triangle that loads the layer: number, normal force and friction [N].
-        contents: What floats in the lumen; empty where nothing does.
-        contact: What the wall did in the last step: force, torque, and the other numbers of
-            `Contact` in their order.
+        lumen_scale: Radius of the lumen at the samples, relative to that at rest.
+        active_wall: Wall vertices under muscle and gas alone [m].
+        wall_displacement: Displacement [m] and velocity [m/s] of each vertex.
+        layer: For each free node of an elastic layer: displacement [m], velocity [m/s], force [N],
+            offset of the wall in contact with the capsule from it [m], and momentum still to be
+            transferred to it [N·s]; empty without a layer.
+        contact_faces: For each triangle that loads the layer: index, normal force and friction [N].
+        contents: Lumen contents; empty without any.
+        contact: Effect of the wall in the last step: force, torque, and the other values of
+            `Contact` in order.
         controller: State of the magnet controller, see its `to_array`; empty without one.
-        sources: Place [m], quaternion wxyz and strength of each source in the world.
+        sources: Position [m], quaternion wxyz and strength of each source in the world.
     """
 
     seed: int
@@ -59,12 +59,12 @@ class Snapshot:
 
 
 def write_snapshot(path: Path, snapshot: Snapshot) -> None:
-    """Write a snapshot as a NumPy archive (.npz), whole or not at all."""
+    """Write a snapshot as a NumPy archive (.npz), atomically."""
     write_arrays(path, snapshot_arrays(snapshot))
 
 
 def read_snapshot(path: Path) -> Snapshot:
-    """Read what `write_snapshot` wrote.
+    """Read a snapshot written by `write_snapshot`.
 
     Raises:
         InputError: If the file is not a snapshot.
@@ -76,15 +76,15 @@ def read_snapshot(path: Path) -> Snapshot:
 
 
 def snapshot_arrays(snapshot: Snapshot) -> dict[str, np.ndarray]:
-    """A snapshot as arrays by name."""
+    """Convert a snapshot to arrays by name."""
     return {f.name: np.asarray(getattr(snapshot, f.name)) for f in fields(Snapshot)}
 
 
 def snapshot_from_arrays(arrays: Mapping[str, np.ndarray]) -> Snapshot:
-    """The snapshot that `snapshot_arrays` took apart.
+    """Convert arrays of `snapshot_arrays` to a snapshot.
 
     Raises:
-        ValueError: If an array is missing, or has another type or more than one number.
+        ValueError: If an array is missing, or has a wrong type or number of values.
     """
     missing = [f.name for f in fields(Snapshot) if f.name not in arrays]
     if missing:
@@ -99,10 +99,10 @@ def snapshot_from_arrays(arrays: Mapping[str, np.ndarray]) -> Snapshot:
 
 
 def check_snapshot(snapshot: Snapshot, own: Snapshot) -> None:
-    """Check that a snapshot fits a world that has a snapshot of its own.
+    """Check that a snapshot fits the world of another snapshot.
 
     Raises:
-        InputError: If it is of another seed or wall, or not finite.
+        InputError: If it has another seed or wall, or is not finite.
     """
     require(snapshot.seed == own.seed, "seed", snapshot.seed, f"this world's, {own.seed}")
     if snapshot.active_wall.shape != own.active_wall.shape:
@@ -112,7 +112,7 @@ def check_snapshot(snapshot: Snapshot, own: Snapshot) -> None:
         )
     for name, mine in vars(own).items():
         if name in ("layer", "contact_faces", "controller"):
-            continue  # what a layer or a controller needs is checked where it is taken apart
+            continue  # checked by the layer or controller that uses it
         given = getattr(snapshot, name)
         if np.shape(given) != np.shape(mine):
             raise InputError(

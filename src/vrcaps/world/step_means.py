@@ -1,4 +1,4 @@
-"""Contact and magnetic coupling over several equal steps, from those of each step."""
+"""Contact and magnetic coupling averaged over several equal steps."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vrcaps.world.model import Contact, Coupling
 
 
 def mean_contact(contacts: Sequence[Contact]) -> Contact:
-    """Mean force and torque, sum of work, and the last step's contact patch."""
+    """Mean force and torque, total work, and the contact patch of the last step."""
     return replace(
         contacts[-1],
         force_world=np.mean([contact.force_world for contact in contacts], axis=0),
@@ -22,7 +22,7 @@ def mean_contact(contacts: Sequence[Contact]) -> Contact:
 
 
 def mean_coupling(couplings: Sequence[Coupling | None]) -> Coupling | None:
-    """Mean force and torque, the rest of the last step; None where the last step has none."""
+    """Mean force and torque, the rest from the last step; None if the last step has none."""
     last, known = couplings[-1], [coupling for coupling in couplings if coupling is not None]
     if last is None:
         return None

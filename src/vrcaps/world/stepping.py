@@ -1,4 +1,4 @@
-"""Steps of worlds: one call of the core for all that need no more, pieces for the others."""
+"""Stepping of worlds: one call of the core where possible, otherwise in pieces."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from vrcaps.world.world import World
 
 _STALE = 2e-4
-"""How far the hierarchy may be off the wall within a step while spheres move beside it [m]."""
+"""Tolerance of the hierarchy within a step while spheres move along the wall [m]."""
 
 
 @dataclass(frozen=True)
@@ -32,13 +32,13 @@ class _Trip:
     """One step of one world.
 
     Attributes:
-        world: Which.
-        dt: How long it takes [s].
-        load: Commanded force [N] and torque [N·m], gravity [m/s²], in the patient's frame, and
+        world: The world.
+        dt: Duration [s].
+        load: Commanded force [N] and torque [N·m], gravity [m/s²], in the patient frame, and
             damping [N·s/m].
-        T_world_patient: How the patient lies then.
-        sources: Where the sources are at its end.
-        lumen_scale: Lumen's radius at its samples at its end.
+        T_world_patient: Posture of the patient at its end.
+        sources: Poses of the sources at its end.
+        lumen_scale: Radius of the lumen at its samples at its end.
         flush: See `Control.flush`.
     """
 
@@ -54,9 +54,9 @@ class _Trip:
 def step_together(
     worlds: Sequence[World], controls: Sequence[Control], dt: float
 ) -> dict[int, str]:
-    """Moves each world on by `dt` [s]; says what went wrong with some, by their number.
+    """Advance each world by `dt` [s]; return the errors of failed worlds, by index.
 
-    Those stay as they were.
+    Failed worlds are unchanged.
 
     Raises:
         InputError: If the step is too long.
@@ -99,7 +99,7 @@ def _arrive(trip: _Trip) -> None:
 
 
 def _in_one_call(trips: dict[int, _Trip], dt: float) -> dict[int, str]:
-    """Steps worlds in one call of the core; says what went wrong with some."""
+    """Step worlds in one call of the core; return the errors of failed worlds."""
     if not trips:
         return {}
     told = _core.step_worlds(
@@ -113,7 +113,7 @@ def _in_one_call(trips: dict[int, _Trip], dt: float) -> dict[int, str]:
 
 
 def _on_threads(trips: dict[int, _Trip]) -> dict[int, str]:
-    """Steps worlds in pieces, each on a thread; says what went wrong with some."""
+    """Step worlds in pieces, each on a thread; return the errors of failed worlds."""
     if len(trips) < 2:
         told = [_in_pieces(trip) for trip in trips.values()]
     else:
@@ -123,7 +123,7 @@ def _on_threads(trips: dict[int, _Trip]) -> dict[int, str]:
 
 
 def _num_pieces(trip: _Trip) -> int:
-    """Pieces of a step, so short that the force F = β (v_p − u) does not overshoot."""
+    """Number of pieces of a step, so short that the force F = β (v_p − u) does not overshoot."""
     world = trip.world
     if world.dynamics == "quasi-static":
         return 1
@@ -135,7 +135,7 @@ def _num_pieces(trip: _Trip) -> int:
 
 
 def _strides(trip: _Trip, pieces: int) -> tuple[int, int]:
-    """Substeps of a piece, and steps of an elastic layer."""
+    """Number of substeps of a piece, and of steps of an elastic layer."""
     world, length = trip.world, trip.dt / pieces
     if world.dynamics == "quasi-static":
         return 1, 1
@@ -145,7 +145,7 @@ def _strides(trip: _Trip, pieces: int) -> tuple[int, int]:
 
 
 def _lumen_scales(trip: _Trip, piece: int, pieces: int) -> Float[np.ndarray, "2 m"] | None:
-    """Lumen's radius at its samples before and after a piece; None where it stays."""
+    """Radius of the lumen at its samples before and after a piece; None if constant."""
     start, end = trip.world._lumen_scale, trip.lumen_scale
     if end is start or np.array_equal(start, end):
         return None
@@ -153,13 +153,13 @@ def _lumen_scales(trip: _Trip, piece: int, pieces: int) -> Float[np.ndarray, "2 
 
 
 def _in_pieces(trip: _Trip) -> str | None:
-    """Steps a world in short pieces beside propulsion and contents; says what went wrong."""
+    """Step a world in short pieces with propulsion and contents; return the error of a failure."""
     world, pieces, contacts = trip.world, _num_pieces(trip), []
-    # Liquid finds its level at once.
+    # Liquid levels instantly.
     lumen, liquid = world._lumen, None if world._lumen is None else world._lumen.liquid
     if lumen is not None:
         lumen.level_liquid(trip.T_world_patient, trip.lumen_scale)
-        world._core.settle()  # nothing to do but after `restore`
+        world._core.settle()  # has an effect only after `restore`
     before, (count, outer) = _save(world), _strides(trip, pieces)
     gravity = tuple(trip.load[6:9])
     if lumen is not None and trip.flush > 0.0:
@@ -184,7 +184,7 @@ def _in_pieces(trip: _Trip) -> str | None:
 
 
 def _add_propulsion(world: World, load: Float[np.ndarray, " 10"]) -> None:
-    """Adds the muscle's force β (v_p − u) to a load: that on a capsule at rest, and damping."""
+    """Add the muscle's force β (v_p − u) to a load: that on a capsule at rest, and damping."""
     if world.muscle is not None and world.muscle.motility.propulsion is not None:
         position = np.array(world._core.pose[0]) + world._center
         at_rest, moving = (
@@ -206,7 +206,7 @@ def _propulsion(world: World, time: float) -> Float[np.ndarray, " 3"]:
 def _buoyancy_wrench(
     world: World, dt: float, force: Float[np.ndarray, " 3"]
 ) -> Float[np.ndarray, " 6"]:
-    """Wrench of the muscle's force and of what floats in the lumen, in the patient frame."""
+    """Wrench of the muscle's force and of the lumen contents, in the patient frame."""
     if world._lumen is None:
         return np.array([*force, 0.0, 0.0, 0.0])
     push, torque = world._lumen.buoyancy_wrench(world._core.pose, dt, GRAVITY)
@@ -214,7 +214,7 @@ def _buoyancy_wrench(
 
 
 def _step_contents(world: World, dt: float, piece: int, pieces: int) -> None:
-    """Moves what floats on by a piece of a step; at its end the hierarchy is exact."""
+    """Advance the lumen contents by a piece of a step; at its end the hierarchy is exact."""
     if world._lumen is not None:
         is_last = piece + 1 == pieces
         world._core.settle(0.0 if is_last else _STALE)
@@ -224,7 +224,7 @@ def _step_contents(world: World, dt: float, piece: int, pieces: int) -> None:
 
 
 def _save(world: World) -> Snapshot | Float[np.ndarray, " q"]:
-    """What `_undo` needs: the core keeps its own part, but for an elastic layer's."""
+    """State needed by `_undo`: the core keeps its own part, except that of an elastic layer."""
     if world.layer is not None:
         return world.snapshot()
     world._core.save()
@@ -232,7 +232,7 @@ def _save(world: World) -> Snapshot | Float[np.ndarray, " q"]:
 
 
 def _undo(world: World, before: Snapshot | Float[np.ndarray, " q"]) -> None:
-    """Goes back to the beginning of a step that failed."""
+    """Restore the state before a failed step."""
     if isinstance(before, Snapshot):
         world.restore(before)
         return

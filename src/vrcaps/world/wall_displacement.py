@@ -1,10 +1,10 @@
-"""Kinematic wall displacement: a narrow wall makes way for the capsule's shell, without forces.
+"""Kinematic wall displacement: a narrow wall is displaced by the capsule's shell, without forces.
 
-Within two radii of the body's axis, space is stretched away from it: a point at a distance d goes
-to d' = R + R ((d - d₀) / (2R - d₀))^p, where d₀ is the wall's least distance from the axis and
-p = (2R - d₀) / R, with which the map joins the rest of space smoothly. It is one to one, so the
-wall never crosses itself, touches the shell where it was nearest, and nothing moves where the
-capsule has room. `vrcaps.world.world` has the mechanics.
+Within two radii of the body's axis, space is stretched away from it: a point at a distance d moves
+to d' = R + R ((d - d₀) / (2R - d₀))^p, where d₀ is the wall's minimum distance from the axis and
+p = (2R - d₀) / R, with which the map is smooth at its boundary. It is one to one, so the wall never
+self-intersects, touches the shell where it was nearest, and is unchanged where the capsule has
+clearance. `vrcaps.world.world` contains the mechanics.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _LOOKS = 17
-"""Points of the axis at which the distance to the wall is taken."""
+"""Number of points of the axis at which the distance to the wall is measured."""
 
 _LEAST = 1e-6
-"""Distance from the axis below which it has no direction [m]."""
+"""Distance from the axis below which the direction is undefined [m]."""
 
 
 @dataclass(frozen=True)
 class WallDisplacement:
-    """A wall that makes way for a capsule.
+    """Wall displaced by a capsule.
 
     Attributes:
         model: The lumen and the capsule that moves in it.
-        shown: The model whose wall is moved; one with the same triangles, such as a clean twin.
+        shown: Model whose wall is displaced; has the same triangles, such as a clean twin.
     """
 
     model: Model
@@ -42,7 +42,7 @@ class WallDisplacement:
     def vertices_world(
         self, T_world_capsule: Float[np.ndarray, "4 4"]
     ) -> Float[np.ndarray, "n 3"] | None:
-        """Every vertex of the wall [m]; None where the shell has room."""
+        """Vertices of the displaced wall [m]; None if the shell has clearance."""
         radius = self.model.device.radius
         low, high, least = self._axis(T_world_capsule)
         if least >= radius:
@@ -63,9 +63,9 @@ class WallDisplacement:
         return vertices
 
     def _axis(self, T_world_capsule: Float[np.ndarray, "4 4"]) -> tuple[float, float, float]:
-        """The part of the body's axis in the lumen, and its least distance to the wall [m].
+        """Part of the body's axis in the lumen, and its minimum distance to the wall [m].
 
-        An end of the axis may be outside, in a bend too sharp for the body.
+        An end of the axis may be outside in a bend too sharp for the body.
         """
         device = self.model.device
         half = device.length / 2.0 - device.radius
@@ -83,5 +83,5 @@ class WallDisplacement:
 def _near(
     points: Float[np.ndarray, "n 3"], center: Float[np.ndarray, " 3"], reach: float
 ) -> np.ndarray:
-    """Which points lie in a box about a center."""
+    """Mask of the points in a box around a center."""
     return np.all(np.abs(points - center) < reach, axis=1)

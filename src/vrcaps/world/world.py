@@ -1,4 +1,4 @@
-"""World: steps a capsule in a soft wall, by the compiled core."""
+"""World: simulation of a capsule in a soft wall by the compiled core."""
 
 from __future__ import annotations
 
@@ -33,22 +33,22 @@ if TYPE_CHECKING:
     from vrcaps.tissue.motility.motility import Motility
 
 SUBSTEP = 5e-5
-"""Longest substep by default [s]."""
+"""Default maximum substep [s]."""
 
 _WAKING = 1.0
-"""Time over which contractions grow when a world begins, whose wall is at rest [s]."""
+"""Time over which contractions grow from the wall at rest at the start of a world [s]."""
 
 _LONGEST_SUBSTEP = 1e-3
 
 _SMALL_WALL = 50_000
-"""Vertices up to which one thread moves a wall; takes it less than 1 ms."""
+"""Number of vertices up to which one thread moves a wall, within 1 ms."""
 
 
 class World:
-    """A capsule in a soft organ; holds the wall's hierarchy and all that moves.
+    """A capsule in a soft organ, with the wall's hierarchy and all variable state.
 
-    The core works in the patient frame; states are in the world frame. The same start and the same
-    steps give the same bytes, on any number of threads.
+    The core works in the patient frame; states are in the world frame. The same initial state and
+    steps give identical bytes with any number of threads.
 
     Example:
         >>> world = vrcaps.World(vrcaps.Model(organ, device))
@@ -68,23 +68,23 @@ class World:
         sources: Sequence[Source] = (),
         dynamics: DynamicsKind = "physics",
     ) -> None:
-        """Puts the capsule into the organ.
+        """Place the capsule in the organ.
 
         Args:
             model: Organ, device and posture.
-            tissue: How the wall behaves; None takes the defaults of `Tissue`.
-            start: Pose and velocity of the capsule; None: at rest in the middle of the centerline.
-            body: Mass properties; by default the device's mass, spread evenly.
-            substep: Longest substep [s].
-            seed: Of the patient's muscle, 0 or more.
-            sources: Magnets outside, which act on those of the device.
+            tissue: Mechanical behavior of the wall; None is the default `Tissue`.
+            start: Initial pose and velocity; None is at rest at the middle of the centerline.
+            body: Mass properties; by default the device's mass, uniformly distributed.
+            substep: Maximum substep [s].
+            seed: Seed of the patient's muscle, 0 or more.
+            sources: External magnets that act on those of the device.
             dynamics: `physics`, with inertia, in substeps; or `quasi-static`, at the velocity at
-                which all that acts on the capsule is in balance, see `vrcaps.world.dynamics`.
+                which all loads on the capsule are in balance, see `vrcaps.world.dynamics`.
 
         Raises:
             InputError: If the capsule is outside the lumen or does not fit, the substep is too
-                long, the seed negative, an elastic layer folds or nothing holds it, or sources
-                find no magnet in the device, or quasi-static motion finds an elastic layer or
+                long, the seed is negative, an elastic layer folds or is not held, the device has no
+                magnet for the sources, or quasi-static motion is combined with an elastic layer or
                 lumen contents.
             UnknownNameError: If the tissue has no muscle for a segment of the wall, or there are
                 no such dynamics.
@@ -118,7 +118,7 @@ class World:
         self._state: State | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """A copy steps on to the same bytes."""
+        """Support copies that continue with identical bytes."""
         more = {name: getattr(self, name) for name in ("body", "substep", "seed", "dynamics")}
         more["sources"] = self.sources
         given = (self.model, self.tissue, self._start)
@@ -128,7 +128,7 @@ class World:
         return Muscle(self.model.organ, motility, vrcaps.rng.stream(self.seed, "tissue/muscle"))
 
     def add_muscle(self, motility: Motility) -> None:
-        """Gives a world without muscle one that rests until fronts are begun.
+        """Add a muscle, at rest until fronts are started, to a world without one.
 
         Args:
             motility: Settings of a muscle that is asleep.
@@ -140,20 +140,20 @@ class World:
             self.muscle, self._moves = self._make_muscle(motility), True
 
     def begin_fronts(self, fronts: tuple[Front, ...]) -> None:
-        """Sets the fronts of phase III that begin, see `Motility.fronts`.
+        """Set the fronts of phase III to start, see `Motility.fronts`.
 
         Args:
-            fronts: Those before the present time as they were.
+            fronts: All fronts; those before the current time must be unchanged.
 
         Raises:
-            InputError: If there is no muscle, or no front passes where one is to begin.
+            InputError: If there is no muscle, or no front passes a position at which one starts.
         """
         if self.muscle is None:
             raise InputError("This world has no muscle in which a front could begin. Add it first.")
         self.muscle = self.muscle.with_fronts(fronts)
 
     def _make_core(self, pose: _core.Pose) -> _core.World:
-        """The core's world: body, wall and laws."""
+        """Create the world of the core: body, wall and laws."""
         tissue, is_quasi_static = self.tissue, self.dynamics == "quasi-static"
         spring = tissue.deformation if self.layer is None else None
         laws = (tissue.foundation_in_series, tissue.drag, spring)
@@ -165,48 +165,48 @@ class World:
 
     @property
     def time(self) -> float:
-        """Time now [s]."""
+        """Current time [s]."""
         return self._time
 
     @property
     def T_world_capsule(self) -> Float[np.ndarray, "4 4"]:
-        """Pose of the capsule now."""
+        """Current pose of the capsule."""
         return self._core.pose_in(np.asarray(self._T_world_patient, float))
 
     @property
     def velocity_world(self) -> Float[np.ndarray, "2 3"]:
-        """Velocity of the capsule's origin [m/s] and angular velocity [rad/s] now."""
+        """Current velocity of the capsule's origin [m/s] and angular velocity [rad/s]."""
         return rotate_vectors(self._T_world_patient, np.array(self._core.pose[2:]))
 
     @property
     def contact(self) -> Contact:
-        """What the wall did to the capsule in the last step."""
+        """Effect of the wall on the capsule in the last step."""
         force, torque, *rest = self._core.contact()
         force, torque = rotate_vectors(self._T_world_patient, np.array([force, torque]))
         return Contact(force, torque, *rest)
 
     @property
     def contact_force_world(self) -> Float[np.ndarray, " 3"]:
-        """Mean force of the wall on the capsule in the last step [N], of `contact`."""
+        """Mean force of the wall on the capsule in the last step [N], as in `contact`."""
         return self._T_world_patient[:3, :3] @ np.array(self._core.contact()[0])
 
     def field_angle(self, T_world_capsule: Float[np.ndarray, "4 4"]) -> float:
-        """Between the moment of a capsule at a pose and the sources' field there [rad]."""
+        """Angle between the moment of a capsule at a pose and the sources' field there [rad]."""
         return self._magnetic.angle(T_world_capsule)
 
     @property
     def sources(self) -> tuple[Source, ...]:
-        """Magnets outside where they are now, at their own strength."""
+        """External magnets at their current poses, with their nominal strength."""
         return self._magnetic.sources
 
     @property
     def coupling(self) -> Coupling | None:
-        """What the sources did to the capsule in the last step; None without sources."""
+        """Effect of the sources on the capsule in the last step; None without sources."""
         return self._magnetic.coupling(self.T_world_capsule)
 
     @property
     def state(self) -> State:
-        """All of the world now, with every vertex of a wall that moves; made once for each step."""
+        """Current state, with all vertices of a moving wall; computed once per step."""
         if self._state is None:
             self._state = self._make_state()
         return self._state
@@ -229,10 +229,10 @@ class World:
         )
 
     def _vertices_world(self) -> Float[np.ndarray, "n 3"]:
-        """Every vertex of the wall now [m].
+        """Current vertices of the wall [m].
 
-        A small wall is moved on this thread, by the core's own sums: the core's threads may be
-        busy with an image, and who controls a magnet must not wait for it.
+        A small wall is moved on this thread with the same sums as in the core: its threads may be
+        busy with an image, which must not delay the control of a magnet.
         """
         T = np.asarray(self._T_world_patient, float)
         if len(self.model.organ.vertices) > _SMALL_WALL:
@@ -243,18 +243,18 @@ class World:
 
     @property
     def wall(self) -> _core.Wall:
-        """The wall now, in the patient frame; the next step moves it."""
+        """Current wall in the patient frame; the next step moves it."""
         self._core.settle()
         return self._wall
 
     def place(self, *, arc_length: float) -> None:
-        """Puts the capsule at rest on the centerline, looking towards the anal end.
+        """Place the capsule at rest on the centerline, facing the anal end.
 
         Args:
-            arc_length: From the oral end [m].
+            arc_length: Arc length from the oral end [m].
 
         Raises:
-            InputError: If the capsule does not fit there; it stays where it was.
+            InputError: If the capsule does not fit there; it is then unchanged.
         """
         before = self._core.pose
         self._core.pose = core_pose(
@@ -269,18 +269,18 @@ class World:
         self._state = None
 
     def step(self, control: Control, dt: float) -> None:
-        """Moves on by a time `dt` [s].
+        """Advance by a time `dt` [s].
 
         Raises:
             InputError: If the step is too large, the control out of bounds, or the capsule would
-                be in a source; the state stays as it was.
+                be in a source; the state is then unchanged.
         """
         failures = step_together([self], [control], dt)
         if failures:
             raise InputError(failures[0])
 
     def snapshot(self) -> Snapshot:
-        """All that changes, exactly: a world restored from it goes on to the same bytes."""
+        """Complete variable state; a world restored from it continues with identical bytes."""
         position, wxyz, velocity, spin = self._core.pose
         layer, contact_faces = np.zeros((0, 15)), np.zeros((0, 5))
         if self.layer is not None and self._core.coupling_state is not None:
@@ -303,11 +303,11 @@ class World:
         )
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Goes back to a snapshot of a world with the same model.
+        """Restore a snapshot of a world with the same model.
 
         Raises:
-            InputError: If the snapshot is of another wall or another seed, or not finite; the state
-                stays as it was.
+            InputError: If the snapshot is of another wall or seed, or is not finite; the state is
+                then unchanged.
         """
         check_snapshot(snapshot, self.snapshot())
         if self.layer is not None:
@@ -329,11 +329,11 @@ class World:
         self._magnetic.restore(snapshot.sources, snapshot.T_world_patient)
 
     def is_inside(self) -> bool:
-        """Whether the capsule's axis is in the lumen."""
+        """Check that the capsule's axis is in the lumen."""
         return self._core.inside()
 
     def _lumen_scale_at(self, time: float, insufflation: float) -> Float[np.ndarray, " k"]:
-        """Lumen's radius at its samples, as a share of that at rest."""
+        """Radius of the lumen at its samples, relative to that at rest."""
         if self.muscle is None:
             stays = (self._lumen_scale == insufflation).all()
             return self._lumen_scale if stays else np.full(self._num_samples, insufflation)
@@ -358,7 +358,7 @@ class World:
 def _restored(
     given: tuple[Any, ...], more: dict[str, Any], muscle: Muscle | None, snapshot: Snapshot
 ) -> World:
-    """A world as another one was, of which `World.__reduce__` tells."""
+    """Recreate a world from the data of `World.__reduce__`."""
     world = World(*given, **more)
     if muscle is not None:
         world.muscle, world._moves = muscle, True

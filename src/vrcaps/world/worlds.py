@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
 
 def step_worlds(worlds: Sequence[World], controls: Sequence[Control], dt: float) -> None:
-    """Moves each world on by a time `dt` [s], as `World.step` does, on all processors.
+    """Advance each world by a time `dt` [s] as `World.step` does, on all processors.
 
-    Each world goes on to the same bytes as alone. `RAYON_NUM_THREADS` sets how many run at a time.
+    Each world gets the same bytes as alone. `RAYON_NUM_THREADS` sets the number of threads.
 
     Raises:
-        InputError: If there is not one control for each world, a world is given twice, or a world
-            cannot step. The worlds that cannot stay as they were, all others have stepped.
+        InputError: If the numbers of controls and worlds differ, a world is given twice, or a world
+            cannot step. Worlds that cannot step are unchanged, all others have stepped.
     """
     require(len(controls) == len(worlds), "Number of controls", len(controls), f"{len(worlds)}")
     if len({id(world) for world in worlds}) < len(worlds):
@@ -39,22 +39,22 @@ def step_worlds(worlds: Sequence[World], controls: Sequence[Control], dt: float)
 
 @dataclass(frozen=True)
 class BatchState:
-    """What moves in several worlds, a row for each, in the world frame.
+    """Variable state of several worlds, one row each, in the world frame.
 
     The contact is that of the last step, see `Contact`.
 
     Attributes:
-        time: Of each world [s].
+        time: Time of each world [s].
         Ts_world_capsule: Poses of the capsules.
-        linear_velocity_world: Velocities of their origins [m/s].
+        linear_velocity_world: Velocities of the capsules' origins [m/s].
         angular_velocity_world: Angular velocities [rad/s].
         contact_force_world: Mean force of the wall on each capsule [N].
         contact_torque_world: Mean torque of the wall about each center of mass [N·m].
-        normal_force_total: Mean sum of the sizes of all normal forces [N].
+        normal_force_total: Mean sum of the magnitudes of all normal forces [N].
         friction_work: Energy lost to friction and drag in the step [J].
-        energy: Energy stored in the pressed wall [J].
-        area: Touched area [m²].
-        depth: Largest indentation [m].
+        energy: Energy stored in the indented wall [J].
+        area: Contact area [m²].
+        depth: Maximum indentation [m].
     """
 
     time: Float[np.ndarray, " n"]
@@ -71,7 +71,7 @@ class BatchState:
 
 
 def batch_state(worlds: Sequence[World]) -> BatchState:
-    """Poses, velocities and contact of several worlds now: what each says alone."""
+    """Current poses, velocities and contact of several worlds, as each of them reports."""
     Ts_world_patient = np.array([world._T_world_patient for world in worlds], float)
     Ts_world_patient = Ts_world_patient.reshape(-1, 4, 4)
     poses, motions, wrenches, rest = _core.world_states(
@@ -91,11 +91,11 @@ def batch_state(worlds: Sequence[World]) -> BatchState:
 
 
 def are_inside(worlds: Sequence[World]) -> Bool[np.ndarray, " n"]:
-    """Whether the axis of each capsule is in its lumen, see `World.is_inside`."""
+    """Check for each world that the capsule's axis is in the lumen, see `World.is_inside`."""
     return np.array(_core.worlds_inside([world._core for world in worlds]), bool)
 
 
 def walls_of(worlds: Sequence[World]) -> list[_core.Wall]:
-    """The wall of each world now, see `World.wall`; a world's next step moves it."""
+    """Current wall of each world, see `World.wall`; the next step of a world moves it."""
     _core.settle_worlds([world._core for world in worlds])
     return [world._wall for world in worlds]

@@ -1,4 +1,4 @@
-"""Lumen contents of a colon by its score of bowel preparation."""
+"""Lumen contents of a colon by bowel preparation score."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from vrcaps.lumen.liquid import Liquid
 from vrcaps.units import MM
 
 _STOOL, _FOOD = (0.18, 0.10, 0.028), (0.30, 0.21, 0.08)
-"""Linear colors of stool and of undigested food, chosen by eye beside real frames."""
+"""Linear colors of stool and of undigested food, matched to real frames by eye."""
 
 _CLEAR, _TURBID = (14.0, 13.0, 6.0), (70.0, 55.0, 20.0)
-"""Scattering of washed and of stained liquid [1/m]."""
+"""Scattering coefficients of clean and of stained liquid [1/m]."""
 
 
 def _left(
     froth: float, per_area: float, clump: float, sizes: tuple[float, float], fill: float
 ) -> Contents:
-    """Contents with stool, `froth` and `per_area` in spheres per cm²; `sizes` radius and spread."""
+    """Contents with stool; `froth` and `per_area` in spheres per cm², `sizes` radius and spread."""
     turbid = fill > 0.02
     return Contents(
         bubbles=Bubbles(per_area=froth / CM2, raft_size=8.0, radius=0.5 * MM),
@@ -48,14 +48,14 @@ PREPARATIONS: tuple[Contents, ...] = (
     _left(0.8, 1.3, 12.0, (0.25, 0.7), 0.025),
     _left(0.3, 0.085, 4.0, (0.20, 0.7), 0.015),
 )
-"""By score of a segment on the Boston bowel preparation scale (Lai et al., Gastrointest. Endosc.
-69(3), 2009): 0 unprepared, solid stool hides the mucosa; 1 parts are hidden by stain, stool and
-opaque liquid; 2 minor stain, small fragments or opaque liquid, the mucosa seen well; 3 the whole
-mucosa seen well. The scale says no amounts: these are chosen by eye."""
+"""Contents by segment score on the Boston bowel preparation scale (Lai et al., Gastrointest.
+Endosc. 69(3), 2009): 0 unprepared, solid stool hides the mucosa; 1 parts are hidden by stain, stool
+and opaque liquid; 2 minor stain, small fragments or opaque liquid, the mucosa seen well; 3 the
+whole mucosa seen well. The scale states no amounts: these are chosen by eye."""
 
 
 def prepared(score: int) -> Contents:
-    """What a colon of a score on the Boston bowel preparation scale holds.
+    """Contents of a colon with a score on the Boston bowel preparation scale.
 
     Raises:
         InputError: If there is no such score.

@@ -14,28 +14,29 @@ CM2 = 1e-4
 
 @dataclass(frozen=True)
 class Bubbles:
-    """How many bubbles there are, how large they are and how they look.
+    """Number, size and appearance of bubbles.
 
-    Radii are log-normal and cut at both ends. Bubbles come in rafts whose size is geometric.
+    Radii are log-normal, truncated at both ends. Bubbles form rafts of geometrically
+    distributed size.
 
     Attributes:
         per_area: Bubbles per area of a smooth wall [1/m²].
         raft_size: Mean number of bubbles that stick together, 1 or more.
         radius: Median radius [m].
-        spread: Standard deviation of the radius' logarithm.
-        smallest: Least radius [m].
-        largest: Greatest radius [m].
-        rising: Share of rafts that gather where the lumen is highest; the others cling anywhere.
-        burst_rate: Bursts per bubble and second; another takes its place upstream [1/s].
-        on_dome: Bubbles that sit on each round end of the capsule from the beginning.
-        landing_rate: How readily a bubble that a round end touches settles there [1/s of touch].
-        release_rate: How readily one that sits there in liquid lets go [1/s].
+        spread: Standard deviation of the logarithm of the radius.
+        smallest: Minimum radius [m].
+        largest: Maximum radius [m].
+        rising: Fraction of rafts that gather where the lumen is highest; the others cling anywhere.
+        burst_rate: Bursts per bubble and second; each is replaced by a new bubble upstream [1/s].
+        on_dome: Number of bubbles initially on each round end of the capsule.
+        landing_rate: Rate at which bubbles settle on a round end that they touch [1/s].
+        release_rate: Rate at which bubbles there detach in liquid [1/s].
         ior: Refractive index of the film (water: 1.333).
-        border: Width of the thick rim where the film curves away, as a share of the radius.
-        gleam: Share of light that the rim throws from the surroundings towards the viewer.
+        border: Width of the thick rim where the film curves away, as a fraction of the radius.
+        gleam: Fraction of light from the surroundings that the rim scatters towards the viewer.
         stain: Absorption of the rim for red, green and blue.
-        roughness: Roughness α of the film in the mirror image of an LED.
-        color: Linear color of the surroundings that the film mirrors.
+        roughness: Roughness α of the film in the specular reflection of an LED.
+        color: Linear color of the surroundings reflected by the film.
     """
 
     per_area: float = 0.8 / CM2
@@ -72,10 +73,10 @@ class Bubbles:
 
 
 def require_sizes(whose: str, smallest: float, radius: float, largest: float) -> None:
-    """Check the radii of a log-normal distribution that is cut at both ends.
+    """Check the radii of a truncated log-normal distribution.
 
     Raises:
-        InputError: If they are not positive and in order.
+        InputError: If they are not positive and in ascending order.
     """
     require(
         0.0 < smallest <= radius <= largest < math.inf,

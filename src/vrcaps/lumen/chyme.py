@@ -1,4 +1,4 @@
-"""Chyme: yellow and white particles of food, alone and bound in clumps."""
+"""Chyme: yellow and white particles of food, single and bound in clumps."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from vrcaps.units import MM
 
 @dataclass(frozen=True)
 class Chyme:
-    """How many particles there are, how large they are and how they look.
+    """Number, size and appearance of particles.
 
-    Radii are log-normal and cut at both ends. The number of particles in a clump is geometric.
+    Radii are log-normal, truncated at both ends. The number of particles per clump is geometric.
 
     Attributes:
         per_area: Particles per area of a smooth wall [1/m²].
         clump_size: Mean number of particles bound together, 1 or more.
         radius: Median radius of a particle [m].
-        spread: Standard deviation of the radius' logarithm.
-        smallest: Least radius [m].
-        largest: Greatest radius [m].
-        settled: Share of clumps that lie where the lumen is lowest; the others stick anywhere.
-        white: Share of clumps that are white; the others are yellow.
-        density: Of a particle [kg/m³].
+        spread: Standard deviation of the logarithm of the radius.
+        smallest: Minimum radius [m].
+        largest: Maximum radius [m].
+        settled: Fraction of clumps that lie where the lumen is lowest; the others stick anywhere.
+        white: Fraction of clumps that are white; the others are yellow.
+        density: Density of a particle [kg/m³].
         yellow_color: Linear base color of yellow particles.
         white_color: Linear base color of white particles.
     """

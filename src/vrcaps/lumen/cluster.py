@@ -1,4 +1,4 @@
-"""Spheres that stick together: flat rafts and round clumps, many at once."""
+"""Clusters of spheres that stick together: flat rafts and round clumps, vectorized."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ if TYPE_CHECKING:
 
 _TRIES = 12
 _FLATTENING = 0.35
-"""Height of a clump on the wall relative to that of a half-sphere."""
+"""Height of a clump on the wall relative to that of a hemisphere."""
 
 
 def sizes(total: int, mean: float, rng: np.random.Generator) -> Int[np.ndarray, " k"]:
-    """Sizes of clusters that hold `total` spheres together: geometric, at most four times `mean`.
+    """Sizes of clusters with `total` spheres in all: geometric, at most four times `mean`.
 
     Args:
         total: Number of spheres.
-        mean: Mean size before the last one is cut to fit, 1 or more.
-        rng: Source of randomness.
+        mean: Mean size before the last cluster is cut to fit, 1 or more.
+        rng: Random generator.
     """
     drawn = np.minimum(rng.geometric(1.0 / mean, total), max(1, round(4.0 * mean)))
     ends = np.cumsum(drawn)
@@ -39,20 +39,20 @@ def pack(
     dimensions: int,
     touch: float,
 ) -> Float[np.ndarray, "n 3"]:
-    """Places spheres side by side, cluster by cluster, each touching an earlier one of its own.
+    """Place spheres side by side in clusters; each touches an earlier sphere of its cluster.
 
-    Of a few random places beside earlier spheres each takes the one nearest to the cluster's
-    first that overlaps none, or else the one that overlaps least.
+    Of a few random positions next to earlier spheres, each takes the one nearest to the cluster's
+    first sphere without overlap, or else the one with the least overlap.
 
     Args:
-        number: Spheres in each cluster.
-        radius: Of all spheres, cluster after cluster [m].
-        rng: Source of randomness.
+        number: Number of spheres in each cluster.
+        radius: Radii of all spheres, cluster after cluster [m].
+        rng: Random generator.
         dimensions: 2 for rafts in the plane z = 0, 3 for clumps on it.
-        touch: Distance of neighbors as a share of the sum of their radii.
+        touch: Distance between neighbors as a fraction of the sum of their radii.
 
     Returns:
-        Places relative to each cluster's first sphere [m].
+        Positions relative to the first sphere of each cluster [m].
     """
     place = np.zeros((len(radius), 3))
     first = np.concatenate([[0], np.cumsum(number)])[:-1].astype(int)

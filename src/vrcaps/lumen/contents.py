@@ -1,4 +1,4 @@
-"""Settings of the lumen contents: each kind by severity or by its parameters."""
+"""Settings of the lumen contents: each kind by severity or by parameters."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ _Kind = TypeVar("_Kind", Bubbles, Chyme, Liquid)
 
 @dataclass(frozen=True)
 class Contents:
-    """What floats in the lumen.
+    """Contents of the lumen.
 
     Example:
         >>> vrcaps.Scenario(contents=vrcaps.Contents(bubbles=2, chyme=1))
 
     Attributes:
-        bubbles: Severity 0 (none) to 4 (foam), or exact figures.
-        chyme: Severity 0 (none) to 4 (much of the wall hidden), or exact figures.
-        liquid: Severity 0 (none) to 4 (a third full), or exact figures.
+        bubbles: Severity 0 (none) to 4 (foam), or exact parameters.
+        chyme: Severity 0 (none) to 4 (much of the wall hidden), or exact parameters.
+        liquid: Severity 0 (none) to 4 (a third full), or exact parameters.
         drift: Speed at which bubbles and chyme move along the gut [m/s].
         reach: Distance from the capsule within which they move at all [m].
-        seed: Of where everything is.
+        seed: Seed of the placement.
     """
 
     bubbles: int | Bubbles = 0
@@ -51,7 +51,7 @@ class Contents:
 
     @property
     def resolved(self) -> tuple[Bubbles, Chyme, Liquid]:
-        """Figures of all three."""
+        """Parameters of all three kinds."""
         return (
             _at_severity(self.bubbles, BUBBLE_SEVERITIES),
             _at_severity(self.chyme, CHYME_SEVERITIES),
@@ -60,7 +60,7 @@ class Contents:
 
     @property
     def is_empty(self) -> bool:
-        """Whether there is nothing in the lumen."""
+        """Check that the lumen is empty."""
         bubbles, chyme, liquid = self.resolved
         return bubbles.per_area == bubbles.on_dome == chyme.per_area == liquid.fill == 0.0
 

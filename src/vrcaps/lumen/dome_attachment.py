@@ -1,4 +1,4 @@
-"""Bubbles that sit on the round ends of a capsule."""
+"""Bubbles attached to the round ends of a capsule."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _WIDEST = np.deg2rad(45.0)
-"""Greatest angle of a site from the capsule's axis."""
+"""Maximum angle of a site from the capsule's axis."""
 
 _TRIES = 12
 
@@ -23,13 +23,13 @@ _TRIES = 12
 def place_dome_bubbles(
     organ: OrganSurface, bubbles: Bubbles, rng: np.random.Generator, *, before: int
 ) -> Spheres:
-    """Bubbles for both ends of a capsule, where others form when they burst: on the wall.
+    """Create the bubbles for both ends of a capsule; when they burst, they reform on the wall.
 
     Args:
-        organ: The wall at rest, in whose frame they are.
-        bubbles: How many and how large.
-        rng: Source of randomness.
-        before: Number of bubbles whose instances come first.
+        organ: The wall at rest; the bubbles are in its frame.
+        bubbles: Number and sizes.
+        rng: Random generator.
+        before: Number of preceding bubble instances.
     """
     count = 2 * bubbles.on_dome
     radius = cut_log_normal(bubbles, count, rng)
@@ -51,18 +51,18 @@ def dome_sites(
     capsule_radius: float,
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "n 3"]:
-    """Places of bubbles that touch a capsule's round ends, by turns front and rear.
+    """Positions of bubbles that touch a capsule's round ends, alternating front and rear.
 
-    Each is spread evenly over the end; of a few tries it takes the one with most room.
+    Positions are uniform over each end; of a few tries, the one with the most clearance is taken.
 
     Args:
-        radius: Of the bubbles [m].
+        radius: Radii of the bubbles [m].
         length: Overall length of the capsule [m].
         capsule_radius: Radius of the capsule [m].
-        rng: Source of randomness.
+        rng: Random generator.
 
     Returns:
-        In the capsule's frame about its middle [m].
+        Positions in the capsule frame, relative to its center [m].
     """
     places = np.zeros((len(radius), 3))
     half = length / 2.0 - capsule_radius

@@ -1,4 +1,4 @@
-"""Liquid: what stands in the dips of the lumen."""
+"""Liquid that stands in the dips of the lumen."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from vrcaps.errors import require
 
 @dataclass(frozen=True)
 class Liquid:
-    """How much liquid there is, and what it is.
+    """Amount and properties of the liquid.
 
     Attributes:
-        fill: Share of the lumen's volume that is liquid, wherever the lumen holds it.
-        density: [kg/m³].
+        fill: Fraction of the lumen's volume that is liquid, wherever the lumen can hold it.
+        density: Density [kg/m³].
         viscosity: Dynamic viscosity [Pa·s].
         ior: Refractive index (water: 1.333).
-        absorption: Absorption coefficient for red, green and blue [1/m]; bile takes the blue.
+        absorption: Absorption coefficient for red, green and blue [1/m]; bile absorbs blue.
         scattering: Scattering coefficient for red, green and blue [1/m].
-        roughness: Roughness α of the surface in the mirror image of an LED.
+        roughness: Roughness α of the surface in the specular reflection of an LED.
     """
 
     fill: float = 0.1

@@ -1,4 +1,4 @@
-"""What is in the lumen at one instant."""
+"""Contents of the lumen at one instant."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 CHYME = "chyme"
-"""Name of the class of particles; its number follows those of the organ."""
+"""Class name of the particles; its label follows those of the organ."""
 
 
 @dataclass(frozen=True)
@@ -30,11 +30,11 @@ class LumenContents:
     """Bubbles, chyme and liquid in the world frame.
 
     Attributes:
-        contents: Their figures.
+        contents: Parameters of the contents.
         spheres: Bubbles and chyme.
-        pools: Liquid; None where there is none.
-        dome_sites: Where the last of the spheres sit on the capsule, in its frame about its
-            middle [m]; their centers are where others form when they burst.
+        pools: Liquid, or None.
+        dome_sites: Positions of the last spheres on the capsule, in its frame relative to its center
+            [m]; their `centers` are where they reform after bursting.
     """
 
     contents: Contents
@@ -43,11 +43,11 @@ class LumenContents:
     dome_sites: Float[np.ndarray, "k 3"] = field(default_factory=lambda: np.zeros((0, 3)))
 
     def with_capsule(self, length: float, radius: float) -> LumenContents:
-        """The contents with dome_sites on the round ends of a capsule.
+        """Add dome_sites on the round ends of a capsule.
 
         Args:
-            length: Its overall length [m].
-            radius: Its radius [m].
+            length: Overall length of the capsule [m].
+            radius: Radius of the capsule [m].
         """
         bubbles, _, _ = self.contents.resolved
         rng = vrcaps.rng.stream(self.contents.seed, "lumen/dome-sites")
@@ -57,12 +57,12 @@ class LumenContents:
     def around_capsule(
         self, T_world_capsule: Float[np.ndarray, "4 4"], length: float, radius: float
     ) -> LumenContents:
-        """The contents with what is in a capsule's way pushed aside, and what sits on it there.
+        """Push aside contents in a capsule's way, and attach its bubbles.
 
         Args:
-            T_world_capsule: Pose of the capsule, whose middle is taken as its origin.
-            length: Its overall length [m].
-            radius: Its radius [m].
+            T_world_capsule: Pose of the capsule, with its center as the origin.
+            length: Overall length of the capsule [m].
+            radius: Radius of the capsule [m].
         """
         spheres, capsule = self.spheres, (length / 2.0 - radius, radius)
         centers = around_capsule(
@@ -76,12 +76,12 @@ class LumenContents:
 def populate(
     organ: OrganSurface, contents: Contents, T_world_patient: Float[np.ndarray, "4 4"]
 ) -> LumenContents:
-    """Fills an organ whose wall is at rest.
+    """Fill an organ whose wall is at rest.
 
     Args:
         organ: The wall, in the patient frame.
-        contents: What is to be in it.
-        T_world_patient: How the patient lies; gravity is world −z.
+        contents: Settings of the contents.
+        T_world_patient: Posture of the patient; gravity is world −z.
     """
     bubbles, chyme, liquid = contents.resolved
     wall = wall_of(organ.vertices, organ.faces)

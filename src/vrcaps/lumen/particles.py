@@ -14,20 +14,20 @@ BUBBLE, YELLOW, WHITE = 0, 1, 2
 """Kinds of spheres."""
 
 FIRST_CLUMP = 1000
-"""Instance of the first clump of chyme; lesions have smaller numbers."""
+"""Instance ID of the first clump of chyme; lesions have smaller IDs."""
 
 
 @dataclass(frozen=True)
 class Spheres:
-    """Everything round that floats in a lumen.
+    """All bubbles and particles in a lumen.
 
     Attributes:
-        centers: [m], in the frame that the owner says.
-        radius: [m].
+        centers: Centers [m], in the frame of the owner.
+        radius: Radii [m].
         kind: `BUBBLE`, `YELLOW` or `WHITE` chyme.
-        instance: Bubbles count from 1, clumps of chyme from `FIRST_CLUMP`; beyond 65535 numbers
-            come again.
-        color: Linear base color of chyme, of what a bubble's surroundings reflect.
+        instance: Instance IDs: bubbles from 1, clumps of chyme from `FIRST_CLUMP`; IDs wrap beyond
+            65535.
+        color: Linear base color of chyme, or reflected color of a bubble's surroundings.
         arc_length: Gut coordinate of the center [m].
     """
 
@@ -43,23 +43,23 @@ class Spheres:
 
     @property
     def has_chyme(self) -> bool:
-        """Whether any of them is opaque."""
+        """Check that any sphere is opaque."""
         return any(self.kind.tobytes())  # a bubble's kind is 0
 
     def at(self, centers: Float[np.ndarray, "n 3"]) -> Spheres:
-        """The same spheres in other places."""
+        """The same spheres at other centers."""
         rest = self.kind, self.instance, self.color, self.arc_length
         return Spheres(centers, self.radius, *rest)
 
 
 def no_spheres() -> Spheres:
-    """None."""
+    """Return an empty set."""
     none = np.zeros(0)
     rows = np.zeros((0, 3))
     return Spheres(rows, none, none.astype(np.uint8), none.astype(np.uint16), rows, none)
 
 
 def joined(*parts: Spheres) -> Spheres:
-    """Several sets as one."""
+    """Concatenate several sets."""
     names = ("centers", "radius", "kind", "instance", "color", "arc_length")
     return Spheres(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))

@@ -1,4 +1,4 @@
-"""Where bubbles and chyme lie in an organ."""
+"""Placement of bubbles and chyme in an organ."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ if TYPE_CHECKING:
 
 _SPACING = 2.0 * MM
 LIFT_BUBBLE = 0.85
-"""Height of a bubble's center over the wall it clings to, as a share of its radius."""
+"""Height of a bubble's center above the wall it clings to, as a fraction of its radius."""
 _LIFT_CHYME = 0.4
 _BOUND = 0.45
-"""Distance of neighbors in a clump of chyme as a share of the sum of their radii: one mass."""
+"""Distance between neighbors in a clump of chyme as a fraction of the sum of their radii."""
 _SCATTER = 0.7
-"""How far directions stray from up or down; 1 is as long as the way itself."""
+"""Random deviation of directions from up or down, relative to the unit direction."""
 
 
 def smooth_area(organ: OrganSurface) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """Arc lengths [m] and the area of a smooth wall up to there [m²]: its mean girth, unfolded."""
+    """Arc lengths [m] and area of a smooth wall up to there [m²], from its mean girth."""
     length = organ.centerline.length
     edges = np.linspace(0.0, length, max(2, round(length / _SPACING)) + 1)
     middle = 0.5 * (edges[1:] + edges[:-1])
@@ -50,7 +50,7 @@ def smooth_area(organ: OrganSurface) -> tuple[Float[np.ndarray, " k"], Float[np.
 def cut_log_normal(
     kind: Bubbles | Chyme, count: int, rng: np.random.Generator
 ) -> Float[np.ndarray, " n"]:
-    """Radii [m] by the log-normal law of a kind, cut at both ends."""
+    """Radii [m] from the truncated log-normal distribution of a kind."""
     drawn = kind.radius * np.exp(kind.spread * rng.standard_normal(count))
     return np.clip(drawn, kind.smallest, kind.largest)
 
@@ -62,14 +62,14 @@ def place_bubbles(
     up: Float[np.ndarray, " 3"],
     rng: np.random.Generator,
 ) -> Spheres:
-    """Bubbles that cling to the wall, in the organ's frame.
+    """Place bubbles that cling to the wall, in the organ frame.
 
     Args:
         organ: The wall at rest.
-        wall: Its hierarchy, in the same frame.
-        bubbles: How many and how large.
+        wall: Hierarchy of the wall, in the same frame.
+        bubbles: Number and sizes.
         up: Unit direction against gravity.
-        rng: Source of randomness.
+        rng: Random generator.
     """
     rafts = _Seeds(organ, wall, bubbles.per_area, bubbles.raft_size, rng)
     if rafts.total == 0:
@@ -96,7 +96,7 @@ def place_chyme(
     up: Float[np.ndarray, " 3"],
     rng: np.random.Generator,
 ) -> Spheres:
-    """Particles that lie on the wall, in the organ's frame; arguments as of `place_bubbles`."""
+    """Place particles that lie on the wall, in the organ frame; arguments as in `place_bubbles`."""
     clumps = _Seeds(organ, wall, chyme.per_area, chyme.clump_size, rng)
     if clumps.total == 0:
         return no_spheres()
@@ -121,7 +121,7 @@ def place_chyme(
 
 
 class _Seeds:
-    """Clusters and where each is anchored on the wall."""
+    """Clusters and their anchors on the wall."""
 
     def __init__(
         self,
@@ -140,7 +140,7 @@ class _Seeds:
         self.owner = np.repeat(np.arange(len(self.number)), self.number)
 
     def settle(self, towards: Float[np.ndarray, " 3"], fraction: float) -> None:
-        """Anchors the clusters: a share of them where `towards` points, the others all around."""
+        """Anchor a fraction of the clusters in direction `towards`, the others all around."""
         from vrcaps.organ.centerline.curve import interpolate
 
         points, frames, self.lumen_radius = interpolate(self.organ.centerline, self.arc_length)
@@ -158,14 +158,14 @@ class _Seeds:
         self.inward = np.where((face >= 0)[:, None], self.inward, -direction)
 
     def radii(self, kind: Bubbles | Chyme) -> Float[np.ndarray, " n"]:
-        """Radii [m] by the cut log-normal law; none is wider than half the way to the wall."""
+        """Radii [m] from the truncated log-normal law, at most half the distance to the wall."""
         lumen_radius = np.maximum(0.5 * self.lumen_radius[self.owner], kind.smallest)
         return np.minimum(cut_log_normal(kind, self.total, self.rng), lumen_radius)
 
     def spread(
         self, radius: Float[np.ndarray, " n"], *, dimensions: int, touch: float
     ) -> Float[np.ndarray, "n 3"]:
-        """Places of all spheres about their anchors [m], a little off the wall."""
+        """Positions of all spheres around their anchors [m], slightly off the wall."""
         flat = pack(self.number, radius, self.rng, dimensions=dimensions, touch=touch)
         least = np.eye(3)[np.argmin(np.abs(self.inward), axis=1)]
         first = np.cross(self.inward, least)
@@ -184,6 +184,6 @@ def _inward(organ: OrganSurface, face: np.ndarray) -> Float[np.ndarray, "n 3"]:
 def _on_wall(
     organ: OrganSurface, wall: Wall, place: Float[np.ndarray, "n 3"], height: np.ndarray
 ) -> Float[np.ndarray, "n 3"]:
-    """The points of the wall nearest to some places, lifted into the lumen [m]."""
+    """Points of the wall nearest to given positions, lifted into the lumen [m]."""
     nearest, face = wall.closest_point(place)
     return nearest + height[:, None] * _inward(organ, face)

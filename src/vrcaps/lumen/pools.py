@@ -1,4 +1,4 @@
-"""Pools: where liquid stands in the dips of a lumen."""
+"""Pools: liquid that stands in the dips of a lumen."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SPACING = 2.0 * MM
 _AROUND = 24
 _RINGS = 6
 _SHALLOWEST = 0.5 * MM
-"""Dips less deep than this hold nothing."""
+"""Minimum depth of a dip that holds liquid [m]."""
 
 
 @dataclass(frozen=True)
@@ -29,11 +29,11 @@ class Pools:
 
     Attributes:
         levels: Height of each surface in the world frame [m].
-        of_vertex: Pool along whose stretch each vertex of the wall lies: 0 for none, 1 for the
-            first. A vertex is wet where it is below its pool's level.
-        stretch: Arc lengths at which each pool begins and ends [m].
-        volume: Of each pool [m³].
-        section_volume: Liquid in each section of the lumen [m³], also where too shallow for a pool.
+        of_vertex: Pool of the interval that contains each vertex of the wall: 0 for none, 1 for the
+            first. A vertex is wet if it is below the level of its pool.
+        stretch: Arc-length interval of each pool [m].
+        volume: Volume of each pool [m³].
+        section_volume: Liquid in each section of the lumen [m³], even if too shallow for a pool.
     """
 
     levels: Float[np.ndarray, " p"]
@@ -45,13 +45,13 @@ class Pools:
 
 @dataclass(frozen=True)
 class Sections:
-    """The lumen as a pile of cross-sections, star-shaped about the centerline.
+    """Lumen as a stack of cross-sections, star-shaped around the centerline.
 
     Attributes:
-        arc_length: Where the k sections are [m].
+        arc_length: Arc lengths of the k sections [m].
         centers: Centerline at each section in the patient frame [m].
         points: Sample points of each section's area in the patient frame [m].
-        volumes: Volume that each sample stands for [m³].
+        volumes: Volume represented by each sample [m³].
         rim: Outline of each section in the patient frame [m].
     """
 
@@ -62,13 +62,13 @@ class Sections:
     rim: Float[np.ndarray, "k a 3"]
 
     def of(self, arc_length: Float[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-        """Section in which each arc length [m] lies."""
+        """Index of the section that contains each arc length [m]."""
         step = self.arc_length[1] - self.arc_length[0]
         return (arc_length / step).astype(int).clip(0, len(self.arc_length) - 1)
 
 
 def cut_sections(organ: OrganSurface) -> Sections:
-    """Cross-sections of an organ's lumen from the gut coordinates of its vertices."""
+    """Compute cross-sections of an organ's lumen from the gut coordinates of its vertices."""
     from vrcaps.organ.centerline.curve import interpolate
 
     length = organ.centerline.length
@@ -81,7 +81,7 @@ def cut_sections(organ: OrganSurface) -> Sections:
         np.cos(angle)[:, None] * frames[:, None, :, 0]
         + np.sin(angle)[:, None] * (frames[:, None, :, 1])
     )
-    # Rings of equal area, sampled at the middle of each.
+    # Rings of equal area, each sampled at its middle.
     fraction = np.sqrt((np.arange(_RINGS) + 0.5) / _RINGS)
     points = (
         centers[:, None, None] + (radius[..., None] * fraction)[..., None] * direction[:, :, None]
@@ -95,7 +95,7 @@ def cut_sections(organ: OrganSurface) -> Sections:
 def _radii(organ: OrganSurface, edges: Float[np.ndarray, " e"]) -> Float[np.ndarray, "k a"]:
     """Mean distance of the wall from the centerline [m], by section and direction.
 
-    Where no vertex lies in a field it is the mean of its section, or between sections.
+    Bins without vertices take the mean of their section, or are interpolated between sections.
     """
     around = np.linspace(-np.pi, np.pi, _AROUND + 1)
     fields = [edges, around]
@@ -113,20 +113,20 @@ def find_pools(
     liquid: Liquid,
     T_world_patient: Float[np.ndarray, "4 4"],
 ) -> Pools | None:
-    """Liquid at rest in an organ: in each dip of its floor up to what it holds.
+    """Place liquid at rest in an organ, in each dip of its floor up to its capacity.
 
-    A dip lies between two crests of the lumen's floor and would hold the share `fill` of the
-    lumen there, but no more than up to the lower crest: the rest runs off. Where two neighbors
-    are both full to the crest between them they are one.
+    A dip lies between two crests of the lumen's floor and takes the fraction `fill` of the lumen
+    there, but at most up to the lower crest; the rest runs off. Two neighbors that are both full
+    to the crest between them are merged.
 
     Args:
         organ: The wall at rest.
-        sections: Of the same organ.
-        liquid: How much.
-        T_world_patient: How the patient lies; gravity is world −z.
+        sections: Sections of the same organ.
+        liquid: Amount of liquid.
+        T_world_patient: Posture of the patient; gravity is world −z.
 
     Returns:
-        None where the lumen holds no liquid.
+        The pools, or None if the lumen holds no liquid.
     """
     if liquid.fill == 0.0:
         return None
@@ -156,21 +156,21 @@ def level_pools(
     T_world_patient: Float[np.ndarray, "4 4"],
     scale: Float[np.ndarray, " k"],
 ) -> Pools:
-    """The same liquid at rest again after the wall has moved or the patient has turned.
+    """Level the same liquid again after the wall has moved or the patient has turned.
 
-    No volume is lost: what a dip cannot hold runs over its lower crest into the next one.
+    Volume is conserved: liquid that a dip cannot hold runs over its lower crest into the next one.
 
     Args:
         organ: The wall at rest.
-        sections: Of the same organ.
+        sections: Sections of the same organ.
         section_volume: Liquid in each section before [m³].
-        T_world_patient: How the patient lies now; gravity is world −z.
-        scale: Lumen's radius in each section, relative to that at rest.
+        T_world_patient: Posture of the patient now; gravity is world −z.
+        scale: Radius of the lumen in each section, relative to that at rest.
     """
     lumen = _Lumen.at_rest(organ, sections, T_world_patient).scaled(scale)
     filled = []
     for first, last in _dips(lumen.floor):
-        # A crest belongs to the dip that begins there.
+        # A crest belongs to the dip that starts there.
         end = last + (last == len(section_volume) - 1)
         filled.append(lumen.basin(first, last).with_volume(float(section_volume[first:end].sum())))
     k = 0
@@ -185,7 +185,7 @@ def level_pools(
 
 
 def _run_over(lumen: _Lumen, filled: list[_Basin], k: int, other: int, crest: float) -> int:
-    """Lets dip `k` run over a crest into a neighbor, or makes both one; the dip to go on with."""
+    """Let dip `k` run over a crest into a neighbor, or merge both; returns the next dip."""
     one, two = filled[k], filled[other]
     if two.level >= crest - 1e-12:
         first, last = min(one.first, two.first), max(one.last, two.last)
@@ -199,15 +199,15 @@ def _run_over(lumen: _Lumen, filled: list[_Basin], k: int, other: int, crest: fl
 
 @dataclass(frozen=True)
 class _Basin:
-    """A dip of the lumen's floor with liquid in it.
+    """Dip of the lumen's floor with liquid in it.
 
     Attributes:
-        first: Section of its one crest.
-        last: Section of the other.
-        steps: Rising heights [m].
-        below: Volume of the dip below each [m³].
+        first: Section of one crest.
+        last: Section of the other crest.
+        steps: Ascending heights [m].
+        below: Volume of the dip below each height [m³].
         level: Height of the liquid [m].
-        volume: Of the liquid [m³].
+        volume: Volume of the liquid [m³].
     """
 
     first: int
@@ -218,30 +218,30 @@ class _Basin:
     volume: float = 0.0
 
     def with_volume(self, volume: float) -> _Basin:
-        """The same dip with a volume of liquid [m³]; at most up to its top."""
+        """The same dip with a volume of liquid [m³], at most up to its top."""
         level = float(np.interp(volume, self.below, self.steps))
         return replace(self, level=level, volume=volume)
 
     def filled_to(self, level: float) -> _Basin:
-        """The same dip filled up to a level [m]."""
+        """The same dip filled to a level [m]."""
         volume = float(np.interp(level, self.steps, self.below))
         return replace(self, level=level, volume=volume)
 
     def holding(self, share: float, *, most: float) -> _Basin:
-        """The same dip with a share of its volume, but no higher than a level [m]."""
+        """The same dip with a fraction of its volume, but at most to a level [m]."""
         wanted = float(np.interp(share * self.below[-1], self.below, self.steps))
         return self.filled_to(min(wanted, most))
 
 
 @dataclass(frozen=True)
 class _Lumen:
-    """Sections of a lumen in the world.
+    """Sections of a lumen in the world frame.
 
     Attributes:
         floor: Height of the lowest wall in each section [m].
-        axis: Height of the centerline there [m].
-        height: Of each sample of a section's area [m].
-        volumes: Volume that each sample stands for [m³].
+        axis: Height of the centerline in each section [m].
+        height: Height of each sample of a section's area [m].
+        volumes: Volume represented by each sample [m³].
     """
 
     floor: Float[np.ndarray, " k"]
@@ -253,20 +253,20 @@ class _Lumen:
     def at_rest(
         cls, organ: OrganSurface, sections: Sections, T_world_patient: Float[np.ndarray, "4 4"]
     ) -> _Lumen:
-        """The lumen of a wall at rest."""
+        """Lumen with the wall at rest."""
         height = transform_points(T_world_patient, sections.points)[..., 2]
         axis = transform_points(T_world_patient, sections.centers)[:, 2]
         floor = _floor(organ, sections, T_world_patient)
         return cls(floor, axis, height, sections.volumes)
 
     def scaled(self, scale: Float[np.ndarray, " k"]) -> _Lumen:
-        """The lumen of a wall whose distance from the centerline is another, section by section."""
+        """Lumen with the wall's distance from the centerline scaled by section."""
         axis, wide = self.axis[:, None], scale[:, None]
         floor = self.axis + scale * (self.floor - self.axis)
         return _Lumen(floor, self.axis, axis + wide * (self.height - axis), wide**2 * self.volumes)
 
     def basin(self, first: int, last: int) -> _Basin:
-        """The empty dip between the crests in two sections."""
+        """Empty dip between the crests in two sections."""
         inside = slice(first, last + 1)
         heights, weights = self.height[inside].ravel(), self.volumes[inside].ravel()
         order = np.argsort(heights, kind="stable")
@@ -280,7 +280,7 @@ class _Lumen:
         return left, np.inf if last == len(self.floor) - 1 else float(self.floor[last])
 
     def pools(self, organ: OrganSurface, sections: Sections, filled: list[_Basin]) -> Pools:
-        """The dips that are deep enough as pools, and all liquid by section."""
+        """Dips that are deep enough as pools, and all liquid by section."""
         section_volume, number = np.zeros(len(self.floor)), np.zeros(len(self.floor), np.uint16)
         kept = []
         for dip in filled:
@@ -305,7 +305,7 @@ class _Lumen:
 def _floor(
     organ: OrganSurface, sections: Sections, T_world_patient: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, " k"]:
-    """Height of the lowest wall in each section [m]: of a vertex, or of the outline if none."""
+    """Height of the lowest wall in each section [m]: of its vertices, else of its outline."""
     rim = transform_points(T_world_patient, sections.rim)[..., 2].min(axis=1)
     lowest = np.full(len(rim), np.inf)
     z = transform_points(T_world_patient, organ.vertices)[:, 2]
@@ -324,17 +324,17 @@ def _dips(floor: Float[np.ndarray, " k"]) -> list[tuple[int, int]]:
 def submerged(
     axis: tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]], radius: float, level: float
 ) -> tuple[float, Float[np.ndarray, " 3"]]:
-    """Part of a capsule that is under a level surface.
+    """Submerged part of a capsule under a level surface.
 
-    Slices across the axis, each a disc cut by a chord.
+    Sums slices across the axis, each a disc cut by a chord.
 
     Args:
         axis: Centers of the round ends in the world frame [m].
-        radius: Of cylinder and ends [m].
+        radius: Radius of cylinder and ends [m].
         level: Height of the surface [m].
 
     Returns:
-        Its volume [m³] and its center [m]; the middle of the axis where nothing is under.
+        Its volume [m³] and center [m]; the middle of the axis if nothing is submerged.
     """
     slices = 200
     start, span = axis[0], axis[1] - axis[0]
@@ -346,7 +346,7 @@ def submerged(
     disc = np.sqrt(np.maximum(radius**2 - beyond**2, 0.0))
     lean = float(np.hypot(along[0], along[1]))
     depth = level - (start[2] + place * along[2])
-    # A disc spans `disc · lean` of height to each side of its middle, its thickness the rest.
+    # A disc spans `disc · lean` of height to each side of its center, its thickness the rest.
     chord = np.clip(depth / np.maximum(disc * lean, 0.5 * step * abs(along[2]) + 1e-15), -1.0, 1.0)
     area = disc**2 * (np.pi - np.arccos(chord) + chord * np.sqrt(1.0 - chord**2))
     volume = float(area.sum() * step)

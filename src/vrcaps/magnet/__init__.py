@@ -1,5 +1,5 @@
 """Magnetic field sources, their field and gradient, and the wrench on a capsule's magnets.
 
-`sources` holds the kinds of magnet, `presets` named ones, `field_map` sampled fields; `field` sums
-flux density and gradient over sources, `internal` is the magnet inside a capsule and its wrench.
+`sources` defines the kinds of magnet, `presets` named ones, `field_map` sampled fields. `field`
+sums flux density and gradient over sources; `internal` is the magnet in a capsule.
 """

@@ -1,8 +1,8 @@
-"""Flux density and gradient of many sources, and the wrench on a capsule in their field.
+"""Flux density and gradient of multiple sources, and the wrench on a capsule in their field.
 
     field(sources, points) -> (flux_density, flux_gradient)
 
-`flux_gradient[n, i, j]` is ∂B_i/∂x_j. Sums run in the order of the sources, whatever the number of
+`flux_gradient[n, i, j]` is ∂B_i/∂x_j. Sums run in the order of the sources for any number of
 threads.
 """
 
@@ -29,11 +29,11 @@ _PLACES = {
 
 
 class SourceSet:
-    """Sources held by the compiled core, to be moved and evaluated many times.
+    """Sources held by the compiled core, which can be moved and evaluated repeatedly.
 
     Attributes:
-        sources: The sources as given; `move` does not change them.
-        core: The core's own, which a step of the world evaluates.
+        sources: The sources as passed in; `move` does not change them.
+        core: The core's sources, evaluated by steps of the world.
     """
 
     def __init__(self, sources: Sequence[Source]) -> None:
@@ -44,7 +44,7 @@ class SourceSet:
         self._counts = np.diff(self._first)
 
     def move(self, index: int, T_world_magnet: Float[np.ndarray, "4 4"]) -> None:
-        """Put one source at another pose.
+        """Move one source to another pose.
 
         Raises:
             InputError: If there is no such source, or the pose is not rigid.
@@ -56,8 +56,8 @@ class SourceSet:
             self.core.set_pose(k, np.asarray(T_world_magnet, float))
 
     def spread(self, rows: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "p c"]:
-        """A row for each part that a source takes in the core, from a row for each source."""
-        if len(self.sources) == self._first[-1]:  # one each, as for magnets
+        """Expand rows per source to rows per part of a source in the core."""
+        if len(self.sources) == self._first[-1]:  # one part each, as for magnets
             return rows
         return np.repeat(rows, self._counts, axis=0)
 
@@ -67,7 +67,7 @@ class SourceSet:
         """Flux density [T] and its gradient [T/m] at points of the world [m].
 
         Raises:
-            InputError: If a point is not finite, in a dipole, on a wire or on the rim of a magnet,
+            InputError: If a point is not finite, at a dipole, on a wire or on the rim of a magnet,
                 or outside a field map.
         """
         points = np.ascontiguousarray(points, float)
@@ -82,14 +82,14 @@ class SourceSet:
     def wrench(
         self, magnets: Sequence[InternalMagnet], Ts_world_capsule: Float[np.ndarray, "*n 4 4"]
     ) -> tuple[Float[np.ndarray, "*n 3"], Float[np.ndarray, "*n 3"]]:
-        """Force [N] and torque about the capsule's origin [N·m], in the world.
+        """Force [N] and torque about the capsule's origin [N·m], in the world frame.
 
         F = ∇(m·B) and N = m × B + arm × F (Jackson 1999, eq. 5.69, 5.71), summed over the capsule's
-        magnets, each at its own place. Forces between magnets of one capsule, which cancel, and of
-        steel are left out.
+        magnets at their positions. Forces between magnets of one capsule, which cancel, and forces
+        on steel are neglected.
 
         Raises:
-            InputError: As `field`, for the place of a magnet; or if a pose is not finite.
+            InputError: As in `field`, at the position of a magnet; or if a pose is not finite.
         """
         poses = np.asarray(Ts_world_capsule, float)
         if poses.shape[-2:] != (4, 4) or not np.isfinite(poses).all():

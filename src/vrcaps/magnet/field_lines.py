@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 _MOST_STEPS = 100_000
 _ABOVE = 1e-3
-"""How far above a magnet's face its lines begin, as a share of its length: on the face itself they
-would count as inside."""
+"""Height above a magnet's face at which its lines start, as a fraction of its length: points on the
+face itself would count as inside."""
 
 
 def field_lines(
@@ -31,17 +31,17 @@ def field_lines(
     goes_on: Callable[[Points], Bool[np.ndarray, " n"]],
     most: int = 2000,
 ) -> list[Float[np.ndarray, "k 3"]]:
-    """Lines along the flux density, dx/ds = B/|B|, by the classical Runge-Kutta method.
+    """Trace lines along the flux density, dx/ds = B/|B|, by the classical Runge-Kutta method.
 
     Args:
-        sources: Whose field is followed.
+        sources: Sources of the field.
         starts: First point of each line in the world [m].
         step: Length of a step [m].
-        goes_on: Which of some points [m] a line passes; a line ends at the first other one.
-        most: Steps of a line after which it ends anyway.
+        goes_on: Mask of the points [m] that a line may pass; it ends at the first other point.
+        most: Maximum number of steps of a line.
 
     Raises:
-        InputError: If a number is out of range, or a point is where there is no field, see
+        InputError: If a number is out of range, or a point is where the field is undefined, see
             `SourceSet.field`.
     """
     require(0.0 < step < np.inf, "step", step, "above 0 m")
@@ -62,7 +62,7 @@ def field_lines(
 
 
 def _stepped(field: SourceSet, points: Points, step: float) -> Points:
-    """Points one step further along the field: Runge and Kutta's method of fourth order."""
+    """Advance points one step along the field by the fourth-order Runge-Kutta method."""
 
     def along(places: Points) -> Points:
         return unit(field.field(places)[0])
@@ -77,17 +77,17 @@ def _stepped(field: SourceSet, points: Points, step: float) -> Points:
 def magnet_lines(
     magnet: Cylinder, *, reach: float, step: float, rings: int = 5, meridians: int = 8
 ) -> list[Float[np.ndarray, "k 3"]]:
-    """Field lines of a cylinder outside it, in its own frame, from its north face on.
+    """Field lines outside a cylinder, in its own frame, starting from its north face.
 
-    They begin where they divide the face into rings of the same area, and so, nearly, of the same
-    flux. The field is the same about the axis, so one meridian is followed and turned.
+    They start where they divide the face into rings of equal area, and so of nearly equal flux.
+    The field is axially symmetric, so one meridian is traced and rotated.
 
     Args:
-        magnet: The magnet; its pose does not matter.
+        magnet: The magnet; its pose is ignored.
         reach: Distance from its center at which a line ends [m].
         step: Length of a step [m].
-        rings: Lines of a meridian.
-        meridians: Half planes about the axis.
+        rings: Number of lines per meridian.
+        meridians: Number of half planes around the axis.
 
     Raises:
         InputError: If a number is out of range.

@@ -1,4 +1,4 @@
-"""Reader of field maps: fields sampled on a regular grid, from NPZ and CSV files."""
+"""Reader of field maps, sampled on a regular grid, from NPZ and CSV files."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from vrcaps.magnet.sources import FieldMap
 from vrcaps.units import parse_length
 
 FLUX_UNITS = {"T": 1.0, "mT": 1e-3, "uT": 1e-6, "G": 1e-4}
-"""Tesla in each unit of flux density that a file may hold."""
+"""Supported units of flux density, in tesla."""
 _COLUMNS = ("x", "y", "z", "bx", "by", "bz")
 _REGULAR = 1e-6
 _LEAST = 4
@@ -22,18 +22,18 @@ _LEAST = 4
 def read_field_map(path: str | Path, *, length_unit: str, flux_unit: str) -> FieldMap:
     """Read a field map from an NPZ or CSV file.
 
-    An NPZ holds the axes `x`, `y`, `z` (one dimension each, evenly spaced, rising) and
+    An NPZ contains the axes `x`, `y`, `z` (one-dimensional, evenly spaced, ascending) and
     `flux_density` [nx ny nz 3]. A CSV has a header with the columns x, y, z, bx, by, bz in any
     order, and one row for each point of a regular grid, in any order.
 
     Args:
         path: The file.
-        length_unit: Unit of its places: m, dm, cm, mm, um.
+        length_unit: Unit of its positions: m, dm, cm, mm, um.
         flux_unit: Unit of its values: T, mT, uT, G.
 
     Raises:
         UnknownNameError: If the unit of flux density is unknown.
-        InputError: If the file cannot be read, lacks a part, or is no regular grid.
+        InputError: If the file cannot be read, is incomplete, or is not a regular grid.
     """
     path = Path(path)
     if flux_unit not in FLUX_UNITS:

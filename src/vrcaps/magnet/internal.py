@@ -19,8 +19,8 @@ class InternalMagnet:
     """A magnet fixed in a capsule, modeled as a dipole at its center.
 
     Attributes:
-        position_capsule: Its center in the capsule frame [m].
-        moment_capsule: Its moment in the capsule frame [A·m²], not zero.
+        position_capsule: Center of the magnet in the capsule frame [m].
+        moment_capsule: Moment of the magnet in the capsule frame [A·m²], not zero.
     """
 
     position_capsule: tuple[float, float, float] = field(metadata={"unit": "mm", "key": "position"})
@@ -36,6 +36,6 @@ class InternalMagnet:
 
 
 def magnet_rows(magnets: Sequence[InternalMagnet]) -> Float[np.ndarray, "k 6"]:
-    """Place [m] and moment [A·m²] of each in the capsule frame, as the core takes them."""
+    """Position [m] and moment [A·m²] of each magnet in the capsule frame, as the core expects."""
     rows = [[*magnet.position_capsule, *magnet.moment_capsule] for magnet in magnets]
     return np.array(rows, float).reshape(-1, 6)

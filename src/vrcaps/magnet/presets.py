@@ -26,16 +26,16 @@ GRADES = {
     "N52": (1.43, 1.48),
     "N55": (1.47, 1.52),
 }
-"""Least and largest remanence [T] of sintered NdFeB at 20 °C: data sheets of Magnet Expert (N35 to
-N52) and Vormag (N55). It falls by 0.12 % a kelvin."""
+"""Minimum and maximum remanence [T] of sintered NdFeB at 20 °C: data sheets of Magnet Expert (N35
+to N52) and Vormag (N55). It falls by 0.12 % per kelvin."""
 
 
 @dataclass(frozen=True)
 class MagnetPreset:
-    """A magnet that can be bought.
+    """Commercially available magnet.
 
     Attributes:
-        title: What it is for.
+        title: Description and use.
         diameter: Diameter [m].
         length: Length [m].
         grade: Grade of its material, a key of `GRADES`.
@@ -82,11 +82,11 @@ def magnet_names() -> tuple[str, ...]:
 
 
 def remanence_of(grade: str, *, part: float = 0.5) -> float:
-    """Remanence [T] of a grade: its least (`part` 0), its middle (0.5), its largest (1).
+    """Remanence [T] of a grade: minimum (`part` 0), center (0.5) or maximum (1).
 
     Raises:
         UnknownNameError: If the grade is not in the table.
-        InputError: If the part is not from 0 to 1.
+        InputError: If `part` is not from 0 to 1.
     """
     if grade not in GRADES:
         raise UnknownNameError("grade", grade, GRADES)
@@ -96,10 +96,10 @@ def remanence_of(grade: str, *, part: float = 0.5) -> float:
 
 
 def read_magnet(name: str, T_world_magnet: Float[np.ndarray, "4 4"] | None = None) -> Cylinder:
-    """A magnet by its name, at a pose (the world's frame if none is given).
+    """Return a magnet by name, at a pose (by default the world frame).
 
     Raises:
-        UnknownNameError: If there is no magnet of that name.
+        UnknownNameError: If there is no magnet with that name.
     """
     if name not in MAGNETS:
         raise UnknownNameError("magnet", name, MAGNETS)
@@ -109,10 +109,10 @@ def read_magnet(name: str, T_world_magnet: Float[np.ndarray, "4 4"] | None = Non
 
 
 def dipole_distance(magnet: Cylinder, *, error: float = 0.05) -> float:
-    """Distance from the center [m] beyond which a dipole is wrong by `error` or less everywhere.
+    """Distance from the center [m] beyond which the error of a dipole is at most `error`.
 
-    The error is |B_cylinder − B_dipole|/|B_cylinder|, the worst over all directions; it falls with
-    the square of the distance in the end, but need not fall all the way.
+    The error is |B_cylinder − B_dipole|/|B_cylinder|, the maximum over all directions. It
+    eventually falls with the square of the distance, but not necessarily monotonically.
 
     Raises:
         InputError: If the error is not from 1e-6 to below 1.

@@ -1,6 +1,6 @@
-"""Sources of a magnetic field, each at its own pose: +z of frame `magnet` is along the moment.
+"""Sources of a magnetic field, each with a pose: +z of frame `magnet` is along the moment.
 
-Laws and limits are in `docs/magnets.md`. Currents turn right-handed about +z.
+Laws and limits are in `docs/magnets.md`. Currents are right-handed about +z.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from vrcaps._core import FieldSources
 
 NEODYMIUM_DENSITY = 7500.0
-"""Density of sintered NdFeB [kg/m³] (makers' data sheets)."""
+"""Density of sintered NdFeB [kg/m³] (manufacturers' data sheets)."""
 MAGNETIC_CONSTANT = 1.25663706127e-6
 """μ₀ [N/A²] (CODATA 2022), as in the compiled core."""
 _ORTHONORMAL = 1e-6
@@ -36,7 +36,7 @@ def magnet_pose(
 ) -> Float[np.ndarray, "4 4"]:
     """``T_world_magnet`` of a source at `position` [m] whose moment is along `direction`.
 
-    The turn about that axis, which changes no axial field, is the shortest from the world's z.
+    The rotation about that axis, which does not affect axial fields, is the shortest from world z.
 
     Raises:
         InputError: If the direction is zero or a number is not finite.
@@ -50,7 +50,7 @@ def magnet_pose(
     z = z / length
     pose = np.eye(4)
     pose[:3, 3] = position
-    if z[2] < 0.0:  # turned half about x first, so that nothing is divided by zero
+    if z[2] < 0.0:  # half a turn about x first, to avoid a division by zero
         flip = np.diag([1.0, -1.0, -1.0])
         pose[:3, :3] = _shortest(flip @ z)
         pose[:3, :3] = flip @ pose[:3, :3]
@@ -60,7 +60,7 @@ def magnet_pose(
 
 
 def _shortest(z: np.ndarray) -> np.ndarray:
-    """Rotation that takes the z axis to `z`, z·e_z ≥ 0, by the shortest way."""
+    """Shortest rotation that takes the z axis to `z`, z·e_z ≥ 0."""
     x, y, c = z
     k = 1.0 / (1.0 + c)
     return np.array(
@@ -72,14 +72,14 @@ def check_pose(name: str, pose: np.ndarray) -> None:
     """Check that a pose is rigid.
 
     Raises:
-        InputError: If it is not a finite 4×4 matrix of a rotation and a place.
+        InputError: If it is not a finite 4×4 matrix of a rotation and a position.
     """
     if not _is_rigid(np.asarray(pose)):
         raise InputError(f"{name} is no rigid pose. Allowed: 4 x 4, a rotation and a place [m].")
 
 
 def _is_rigid(pose: np.ndarray) -> bool:
-    """In plain numbers: it is asked at every step of a control loop."""
+    """Scalar implementation, as it is called at every step of a control loop."""
     if pose.shape != (4, 4):
         return False
     (a, b, c, x), (d, e, f, y), (g, h, i, z), last = pose.tolist()
@@ -115,11 +115,11 @@ def _finite(source: object, *names: str) -> None:
 
 @dataclass(frozen=True)
 class Dipole:
-    """A point dipole.
+    """Point dipole.
 
     Attributes:
         moment: Magnetic moment along +z [A·m²], above 0.
-        T_world_magnet: Its pose.
+        T_world_magnet: Pose of the dipole.
     """
 
     moment: float
@@ -130,17 +130,17 @@ class Dipole:
         check_pose("T_world_magnet", self.T_world_magnet)
 
     def add_to(self, core: FieldSources) -> int:
-        """Add this source to the core's; returns how many of the core's it takes."""
+        """Add this source to the core's; return the number of core sources used."""
         core.add_dipole(_pose(self), self.moment)
         return 1
 
 
 @dataclass(frozen=True)
 class Cylinder:
-    """A permanent magnet: a cylinder, uniformly magnetized along its axis +z.
+    """Permanent magnet: a cylinder, uniformly magnetized along its axis +z.
 
-    Its permeability counts as μ₀, as that of rare-earth magnets nearly is (1.05). B is given inside
-    too, where H is B/μ₀ minus the magnetization.
+    Its permeability is taken as μ₀; that of rare-earth magnets is close (1.05). Inside, where H is
+    B/μ₀ minus the magnetization, B is also defined.
 
     Attributes:
         diameter: Diameter [m].
@@ -170,23 +170,23 @@ class Cylinder:
 
     @property
     def mass(self) -> float:
-        """Mass [kg] if it is of NdFeB."""
+        """Mass [kg], assuming NdFeB."""
         return NEODYMIUM_DENSITY * self.volume
 
     def add_to(self, core: FieldSources) -> int:
-        """Add this source to the core's; returns how many of the core's it takes."""
+        """Add this source to the core's; return the number of core sources used."""
         core.add_shell(_pose(self), 0.5 * self.diameter, self.length, self.remanence, True)
         return 1
 
 
 @dataclass(frozen=True)
 class Coil:
-    """A flat coil: `turns` windings on one circle, as one thin wire.
+    """Flat coil: `turns` windings on one circle, as one thin wire.
 
     Attributes:
         radius: Radius of the circle [m].
-        current: Current [A]; 0 is a coil that is off, below 0 turns the field round.
-        turns: Windings, 1 or more.
+        current: Current [A]; 0 is off, a negative current reverses the field.
+        turns: Number of windings, 1 or more.
         T_world_magnet: Pose of its center.
     """
 
@@ -202,25 +202,25 @@ class Coil:
         check_pose("T_world_magnet", self.T_world_magnet)
 
     def add_to(self, core: FieldSources) -> int:
-        """Add this source to the core's; returns how many of the core's it takes."""
+        """Add this source to the core's; return the number of core sources used."""
         core.add_ring(_pose(self), self.radius, self.current * self.turns)
         return 1
 
 
 @dataclass(frozen=True)
 class Solenoid:
-    """A wound coil of some length: `layers` thin shells of evenly spread current.
+    """Solenoid: `layers` thin shells of uniform current.
 
-    The pitch of the winding is left out. With one layer the shell is at `radius`; with more they
-    divide the thickness of the winding evenly, each in the middle of its part.
+    The pitch of the winding is neglected. A single layer is at `radius`; several layers divide the
+    thickness of the winding evenly, each in the middle of its part.
 
     Attributes:
         radius: Mean radius of the winding [m].
         length: Length of the winding [m].
-        current: Current [A]; 0 is a solenoid that is off.
-        turns: Windings of all layers together, 1 or more.
+        current: Current [A]; 0 is off.
+        turns: Total number of windings in all layers, 1 or more.
         thickness: Outer minus inner radius of the winding [m], below 2 `radius`.
-        layers: Shells that stand for the thickness, 1 to 100.
+        layers: Number of shells that represent the thickness, 1 to 100.
         T_world_magnet: Pose of its center.
     """
 
@@ -243,7 +243,7 @@ class Solenoid:
         check_pose("T_world_magnet", self.T_world_magnet)
 
     def add_to(self, core: FieldSources) -> int:
-        """Add this source to the core's; returns how many of the core's it takes."""
+        """Add this source to the core's; return the number of core sources used."""
         sheet = MAGNETIC_CONSTANT * self.current * self.turns / (self.layers * self.length)
         for k in range(self.layers):
             radius = self.radius + self.thickness * ((k + 0.5) / self.layers - 0.5)
@@ -253,11 +253,11 @@ class Solenoid:
 
 @dataclass(frozen=True)
 class UniformField:
-    """The same field everywhere.
+    """Uniform field.
 
     Attributes:
         flux_density: Flux density along +z [T]; may be 0 or below.
-        T_world_magnet: Gives the direction of +z; its place does not matter.
+        T_world_magnet: Defines the direction of +z; its position is irrelevant.
     """
 
     flux_density: float
@@ -268,24 +268,24 @@ class UniformField:
         check_pose("T_world_magnet", self.T_world_magnet)
 
     def add_to(self, core: FieldSources) -> int:
-        """Add this source to the core's; returns how many of the core's it takes."""
+        """Add this source to the core's; return the number of core sources used."""
         core.add_uniform(_pose(self), self.flux_density)
         return 1
 
 
 @dataclass(frozen=True)
 class FieldMap:
-    """A field that was measured or computed elsewhere, on a regular grid.
+    """Measured or externally computed field on a regular grid.
 
-    Between the points it is a tricubic spline (Catmull and Rom 1974): continuous with its gradient,
+    It is interpolated by a tricubic spline (Catmull and Rom 1974): continuous with its gradient,
     exact for quadratic fields. The gradient is that of the spline, so F = ∇(m·B) stays a gradient,
-    but div B and curl B are zero only as nearly as the grid is fine.
+    but div B and curl B vanish only within the accuracy of the grid.
 
     Attributes:
-        origin: Place of the first point [m].
+        origin: Position of the first point [m].
         spacing: Distance between points along x, y, z [m].
         flux_density: Values [T] in frame `magnet`, four or more points along each axis.
-        factor: Times this, such as the current of a map per ampere.
+        factor: Factor on the values, such as the current of a map per ampere.
         T_world_magnet: Pose of the map.
     """
 
@@ -313,11 +313,11 @@ class FieldMap:
         check_pose("T_world_magnet", self.T_world_magnet)
 
     def add_to(self, core: FieldSources) -> int:
-        """Add this source to the core's; returns how many of the core's it takes."""
+        """Add this source to the core's; return the number of core sources used."""
         values = np.ascontiguousarray(self.flux_density, float)
         core.add_map(_pose(self), self.origin, self.spacing, values, self.factor)
         return 1
 
 
 Source = Dipole | Cylinder | Coil | Solenoid | UniformField | FieldMap
-"""Any source; an array of electromagnets is a list of them."""
+"""Any source; an array of electromagnets is a list of sources."""

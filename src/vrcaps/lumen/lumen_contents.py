@@ -33,8 +33,8 @@ class LumenContents:
         contents: Parameters of the contents.
         spheres: Bubbles and chyme.
         pools: Liquid, or None.
-        dome_sites: Positions of the last spheres on the capsule, in its frame relative to its center
-            [m]; their `centers` are where they reform after bursting.
+        dome_sites: Positions of the last spheres on the capsule, in its frame relative to its
+            center [m]; their `centers` are where they reform after bursting.
     """
 
     contents: Contents

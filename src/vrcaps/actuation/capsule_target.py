@@ -1,4 +1,4 @@
-"""Target poses of the capsule: in the lumen, along the centerline, on the wall."""
+"""Target poses of the capsule: in the lumen, along the centerline, or on the wall."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ if TYPE_CHECKING:
 
 _UP = (0.0, 0.0, 1.0)
 _PATCH_RADIUS = 12.0 * MM
-"""Radius of the patch of wall whose normals are averaged: half the length of a capsule."""
+"""Radius of the wall patch over which normals are averaged: half the length of a capsule."""
 
 
 @dataclass(frozen=True)
 class CapsuleTarget:
-    """Target position and heading of the capsule, in the world.
+    """Target position and heading of the capsule, in the world frame.
 
     Attributes:
         position: Target of the capsule's origin [m].
-        direction: Unit vector along which the front camera is to look; None leaves it.
-        tangent: Unit vector of the only direction in which the position is controlled, such as the
-            gut's; None: all directions but that of `wall_normal`.
+        direction: Target unit direction of the front camera; None leaves it free.
+        tangent: Unit vector of the only direction in which the position is controlled, such as that
+            of the gut; None controls all directions except `wall_normal`.
         wall_normal: Unit vector out of the lumen, in which the magnet presses the capsule against
             the wall.
-        parallel_to_wall: Turn the direction parallel to the wall that the capsule lies on.
-        on_planned_wall: The position lies on the wall and `wall_normal` is normal to it: the
-            controller relies on them and not on the contact that the capsule has.
+        parallel_to_wall: Whether to turn the direction parallel to the wall under the capsule.
+        on_planned_wall: Whether the position lies on the wall and `wall_normal` is its normal: the
+            controller then relies on them instead of the actual contact of the capsule.
     """
 
     position: Sequence[float] | Float[np.ndarray, " 3"]
@@ -80,16 +80,16 @@ def centerline_target(
     pitch: float = 0.0,
     wall: Literal["upper", "lower"] = "upper",
 ) -> CapsuleTarget:
-    """Target on the centerline, looking along the gut parallel to the wall, or to the side.
+    """Target on the centerline, facing along the gut parallel to the wall, or to the side.
 
     Args:
         line: Centerline of the gut.
         T_world_patient: Posture of the patient.
         arc_length: Position along the centerline [m].
-        is_backward: Look towards the oral end.
-        yaw: Rotation of the look about the frame's second transverse axis [rad].
-        pitch: Rotation of the look about its first [rad].
-        wall: The wall that the capsule is pressed against.
+        is_backward: Whether to face the oral end.
+        yaw: Rotation of the view about the frame's second transverse axis [rad].
+        pitch: Rotation of the view about its first transverse axis [rad].
+        wall: Wall against which the capsule is pressed.
 
     Raises:
         InputError: If the arc length is not on the centerline.
@@ -107,7 +107,7 @@ def centerline_target(
     look, tangent = rotate_vectors(T_world_patient, np.array([look / vectors.length(look), ahead]))
     vertical = np.array(_UP) if wall == "upper" else -np.array(_UP)
     normal = vertical - tangent * (vertical @ tangent)
-    # An upright stretch has no upper wall: take the frame's first axis, across the gut.
+    # A vertical part of the gut has no upper wall: use the frame's first axis, across the gut.
     if vectors.length(normal) < 0.3:
         normal = rotate_vectors(T_world_patient, first[None])[0]
         normal = normal - tangent * (normal @ tangent)
@@ -119,10 +119,10 @@ def centerline_target(
 def project_to_wall(
     model: Model, T_world_patient: Float[np.ndarray, "4 4"], target: CapsuleTarget
 ) -> CapsuleTarget:
-    """A target in the lumen, moved along its wall normal to where the capsule lies on the wall.
+    """Move a target in the lumen along its wall normal to where the capsule touches the wall.
 
-    There its position is controlled across the gut, too. The wall is that at rest; where the ray
-    meets none, the target stays as it is.
+    There its position is also controlled across the gut. The wall is that at rest; if the ray
+    does not hit it, the target is unchanged.
     """
     T_rest_now = model.T_world_patient @ invert(T_world_patient)
     normal = np.asarray(target.wall_normal, float)
@@ -138,17 +138,17 @@ def project_to_wall(
 def wall_target(
     model: Model, point: Float[np.ndarray, " 3"], direction: Float[np.ndarray, " 3"]
 ) -> CapsuleTarget:
-    """The capsule lying on the wall nearest to a point, looking as nearly along a direction.
+    """Target on the wall nearest to a point, facing a direction as closely as possible.
 
-    The wall's slope is the mean over a patch as large as the capsule, without its folds.
+    The wall's slope is the mean over a patch the size of the capsule, without its folds.
 
     Args:
         model: Organ, device and posture, at rest.
-        point: In the lumen, in the world [m].
-        direction: Direction of the look in the world; turned parallel to the wall.
+        point: Point in the lumen, in the world [m].
+        direction: Viewing direction in the world; it is turned parallel to the wall.
 
     Raises:
-        InputError: If the direction is at right angles to the wall.
+        InputError: If the direction is perpendicular to the wall.
     """
     nearest, faces = model.wall.closest_point(np.asarray(point, float)[None])
     corners = model.vertices_world[model.organ.faces[faces[0]]]
@@ -169,8 +169,8 @@ def outward_normals(
 
     Args:
         model: Organ, device and posture, at rest.
-        points: On the wall, in the world [m].
-        outward: Unit vectors roughly out of the lumen; returned where there is no wall.
+        points: Points on the wall, in the world [m].
+        outward: Approximate unit vectors out of the lumen; returned where there is no wall.
     """
     from scipy.spatial import KDTree  # slow to load
 

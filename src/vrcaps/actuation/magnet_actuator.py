@@ -1,4 +1,4 @@
-"""Magnet actuators: they are asked for a magnet pose and answer with the pose they reach."""
+"""Magnet actuators: receive a requested magnet pose and return the pose reached."""
 
 from __future__ import annotations
 
@@ -27,8 +27,9 @@ class ActuatorState:
         velocity: Velocity of the magnet [m/s, rad/s] in the world, or of the robot's joints
             [rad/s].
         joint_angles: Joint angles of the robot [rad]; empty without a robot.
-        limit: What kept the magnet from the requested pose: nothing, `speed` (or acceleration),
-            `workspace`, `unreachable`, `collision` (of the robot with itself or the table).
+        limit: Reason why the magnet has not reached the requested pose: empty, `speed` (or
+            acceleration), `workspace`, `unreachable`, `collision` (of the robot with itself or the
+            table).
     """
 
     T_world_magnet: Float[np.ndarray, "4 4"]
@@ -38,7 +39,7 @@ class ActuatorState:
 
 
 class MagnetActuator(Protocol):
-    """Anything that moves a magnet: a robot arm, or an ideal actuator without kinematics."""
+    """Actuator of a magnet: a robot arm, or an ideal actuator without kinematics."""
 
     @property
     def workspace(self) -> Workspace:
@@ -46,26 +47,26 @@ class MagnetActuator(Protocol):
         ...
 
     def start(self, T_world_magnet: Float[np.ndarray, "4 4"]) -> ActuatorState:
-        """The magnet at rest at a pose; an error if the actuator cannot hold it there."""
+        """State at rest at a magnet pose; raises an error if the actuator cannot hold it there."""
         ...
 
     def move(
         self, state: ActuatorState, T_world_magnet: Float[np.ndarray, "4 4"], dt: float
     ) -> ActuatorState:
-        """State after a time `dt` [s] of moving towards a pose; never an error, never a jump."""
+        """State after moving towards a pose for `dt` [s]; never raises errors or jumps."""
         ...
 
 
 @dataclass(frozen=True)
 class FreeActuator:
-    """Ideal actuator: a magnet without a robot, limited in speed and acceleration only.
+    """Ideal actuator: a magnet without a robot, with limits of speed and acceleration only.
 
     Attributes:
         workspace: Allowed positions of the magnet.
-        max_speed: Largest speed [m/s].
-        max_acceleration: Largest acceleration [m/s²].
-        max_angular_speed: Largest angular speed [rad/s].
-        max_angular_acceleration: Largest angular acceleration [rad/s²].
+        max_speed: Maximum speed [m/s].
+        max_acceleration: Maximum acceleration [m/s²].
+        max_angular_speed: Maximum angular speed [rad/s].
+        max_angular_acceleration: Maximum angular acceleration [rad/s²].
     """
 
     workspace: Workspace = field(default_factory=Workspace)
@@ -80,7 +81,7 @@ class FreeActuator:
                 require(0.0 < value < math.inf, f"FreeActuator's {name}", value, "above 0")
 
     def start(self, T_world_magnet: Float[np.ndarray, "4 4"]) -> ActuatorState:
-        """The magnet at rest at a pose.
+        """State at rest at a magnet pose.
 
         Raises:
             InputError: If the pose is not rigid or outside the workspace.
@@ -95,7 +96,7 @@ class FreeActuator:
     def move(
         self, state: ActuatorState, T_world_magnet: Float[np.ndarray, "4 4"], dt: float
     ) -> ActuatorState:
-        """State after a time `dt` [s] of moving towards a pose."""
+        """State after moving towards a pose for `dt` [s]."""
         now = state.T_world_magnet
         goal = self.workspace.clamp_pose(T_world_magnet)
         limit = "" if (goal[:3, 3] == T_world_magnet[:3, 3]).all() else "workspace"
@@ -117,9 +118,9 @@ class FreeActuator:
 
 
 def stopping_speed(distance: float, acceleration: float, dt: float) -> float:
-    """Largest speed [m/s] of the next step from which a stop within a distance [m] is possible.
+    """Maximum speed [m/s] of the next step from which it can still stop within a distance [m].
 
-    With steps of `dt`: v dt + v²/2a = distance.
+    For steps of `dt`: v dt + v²/2a = distance.
     """
     a = acceleration * dt
     return math.sqrt(a * a + 2.0 * acceleration * distance) - a
@@ -132,7 +133,7 @@ def _next_velocity(
     max_acceleration: float,
     dt: float,
 ) -> Float[np.ndarray, " 3"]:
-    """Velocity of the next step towards the end of an offset, within speed and acceleration."""
+    """Velocity of the next step towards the end of an offset, within the limits."""
     distance = length(offset)
     wanted = np.zeros(3)
     if distance > 0.0:

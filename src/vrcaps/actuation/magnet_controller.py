@@ -1,4 +1,4 @@
-"""Feedback controller that steers one capsule by the pose of one actuated magnet."""
+"""Feedback controller that steers a capsule through the pose of an actuated magnet."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _TORQUE_WEIGHT = 4000.0
 _MISALIGNED = 60.0 * DEG
 """Angle between moment and field beyond which the capsule is lost."""
 _FOLLOWED_SPEED, _SLIDING_SPEED = 2.0 * CM, 4.0 * CM
-"""Speeds [m/s] of full feedback, and of none: a magnet that follows a swing late would feed it."""
+"""Speeds [m/s] of full and of zero feedback: a magnet that lags a swing would amplify it."""
 _SLIDING_DECAY = 0.3
 """Time constant with which the memory of a slide decays [s]."""
 _FOLLOWS = 0.5
@@ -45,36 +45,36 @@ _FOLLOWS = 0.5
 _LAGS = 0.9
 """Distance from the reference, in lookaheads, beyond which a capsule lags."""
 _BLOCKED_LEAD = 5.0 * CM
-"""Largest lead [m] of the requested pose over a jogged magnet that cannot go on."""
+"""Maximum lead [m] of the requested pose over a jogged magnet that is blocked."""
 _MAX_PULL = 4.0
-"""Largest pull along the magnet's axis, in multiples of the supported force."""
+"""Maximum pull along the magnet's axis, in multiples of the supported force."""
 _FIRST_ITERATIONS = 60
-"""Largest number of solver iterations for the first pose."""
+"""Maximum number of solver iterations for the first pose."""
 _ITERATIONS = 8
-"""Largest number of solver iterations in a control step."""
+"""Maximum number of solver iterations in a control step."""
 
 
 @dataclass(frozen=True)
 class ControllerGains:
     """Gains and limits of the controller that holds a capsule at a target.
 
-    Across the capsule's axis the field holds it like a spring of stiffness F/d, F being the pull
+    Across the capsule's axis the field acts as a spring of stiffness F/d, where F is the pull
     and d the distance of the magnet; along its axis the stiffness is three times as large.
 
     Attributes:
         upper_wall_force: Force with which the magnet presses the capsule against an upper wall [N].
         lower_wall_force: Force with which the capsule rests on a lower wall [N], below its weight.
-        speed: Largest speed of the reference that the capsule follows [m/s].
-        angular_speed: Largest angular speed of the reference direction [rad/s].
-        lookahead: Largest distance of the reference ahead of the capsule [m].
-        lookahead_angle: Largest angle of the reference direction ahead of the capsule's [rad].
+        speed: Maximum speed of the reference that the capsule follows [m/s].
+        angular_speed: Maximum angular speed of the reference direction [rad/s].
+        lookahead: Maximum distance of the reference ahead of the capsule [m].
+        lookahead_angle: Maximum angle of the reference direction ahead of the capsule's [rad].
         proportional_gain: Force per distance from the reference, relative to the field's stiffness.
         integral_gain: Force per distance and time, relative to the field's stiffness [1/s].
         damping_ratio: Force per velocity, relative to critical damping of the field's stiffness.
-        max_force: Largest force that these add [N].
+        max_force: Maximum force of these terms [N].
         torque_integral_gain: Torque per angle and time, relative to the field's torque [1/s].
-        max_torque: Largest torque that it adds [N·m].
-        timeout: Time after which a capsule that does not follow has stalled [s].
+        max_torque: Maximum torque of the integral term [N·m].
+        timeout: Time after which a capsule that does not follow is considered stalled [s].
     """
 
     upper_wall_force: Annotated[float, _NOT_NEGATIVE] = 0.3
@@ -101,14 +101,14 @@ class ControllerStatus:
 
     Attributes:
         actuator: State of the magnet actuator.
-        position_error: From the capsule to the reference, in the controlled directions [m].
-        heading_error: Angle between the wanted direction and the capsule's [rad].
+        position_error: Offset from the capsule to the reference, in the controlled directions [m].
+        heading_error: Angle between the target direction and the capsule's [rad].
         required_force: Force that the capsule needs [N], in the world.
         predicted_force: Force of the magnet at its requested pose on a capsule at the reference
             [N].
-        lost: Why the magnet has lost the capsule: nothing; `misaligned`: the moment is far off the
-            field; `wrong_wall`: the capsule lies on another wall than that of the target;
-            `insufficient_force`: the magnet cannot be where its force would be sufficient;
+        lost: Reason why the magnet has lost the capsule, or empty. `misaligned`: the angle between
+            moment and field is too large; `wrong_wall`: the capsule lies on another wall than the
+            target's; `insufficient_force`: the magnet cannot reach a pose of sufficient force;
             `stalled`: the capsule does not follow.
     """
 
@@ -121,7 +121,7 @@ class ControllerStatus:
 
 
 class CapsuleView(Protocol):
-    """What a controller knows of the capsule: a `World`'s truth, or a `CapsuleTracker`'s."""
+    """Capsule state known to a controller: from a `World` or estimated by a `CapsuleTracker`."""
 
     @property
     def T_world_capsule(self) -> Float[np.ndarray, "4 4"]:
@@ -130,21 +130,21 @@ class CapsuleView(Protocol):
 
     @property
     def velocity_world(self) -> Float[np.ndarray, "2 3"]:
-        """Velocity of its origin [m/s] and angular velocity [rad/s]."""
+        """Velocity of the capsule's origin [m/s] and angular velocity [rad/s]."""
         ...
 
     @property
     def contact_force_world(self) -> Float[np.ndarray, " 3"]:
-        """Force of the wall on it [N]."""
+        """Force of the wall on the capsule [N]."""
         ...
 
     def field_angle(self, T_world_capsule: Float[np.ndarray, "4 4"]) -> float:
-        """Between the moment of a capsule at a pose and the sources' field there [rad]."""
+        """Angle between the moment of a capsule at a pose and the sources' field there [rad]."""
         ...
 
 
 class MagnetController:
-    """Steers one capsule with one magnet; holds the controller's state."""
+    """Controller that steers one capsule with one magnet, with its state."""
 
     def __init__(
         self,
@@ -158,20 +158,20 @@ class MagnetController:
         direction: Sequence[float] = (0.0, 0.0, 1.0),
         others: Sequence[Source] = (),
     ) -> None:
-        """Moves the magnet to the capsule.
+        """Move the magnet to the capsule.
 
         Args:
             model: Organ and device.
             magnet: The magnet; the controller chooses its pose.
-            actuator: What moves it.
+            actuator: Actuator of the magnet.
             T_world_capsule: Pose of the capsule.
             target: First target of the capsule.
-            gains: Gains; the defaults if None.
-            direction: From the capsule to the magnet's first position, in the world.
-            others: Sources that stay where they are, such as the earth's field.
+            gains: Gains; None for the defaults.
+            direction: Direction from the capsule to the magnet's first position, in the world.
+            others: Fixed sources, such as the earth's field.
 
         Raises:
-            InputError: If the device holds no magnet, or the actuator cannot hold the magnet at its
+            InputError: If the device has no magnet, or the actuator cannot hold the magnet at its
                 first pose.
         """
         self.model = model
@@ -193,7 +193,7 @@ class MagnetController:
         self._requested = solution.T_world_magnet
         self._max_torque = solution.max_torque
         state = actuator.start(self._requested)
-        # Reference position, reference direction, and normal of the wall that the capsule lies on.
+        # Reference position, reference direction, and normal of the wall under the capsule.
         self._reference = np.array([T_world_capsule[:3, 3], T_world_capsule[:3, 2], normal])
         self._integral = np.zeros((2, 3))
         self._stall_time = 0.0
@@ -204,21 +204,21 @@ class MagnetController:
 
     @property
     def sources(self) -> list[Source]:
-        """The magnet at its present pose and the other sources, as a `World` takes them."""
+        """The magnet at its current pose and the other sources, as a `World` expects them."""
         moved = replace(self._magnet, T_world_magnet=self.status.actuator.T_world_magnet)
         return [moved, *self._others]
 
     @property
     def requested(self) -> Float[np.ndarray, "4 4"]:
-        """`T_world_magnet` that the actuator was last asked for."""
+        """Last `T_world_magnet` requested from the actuator."""
         return self._requested
 
     def track(self, capsule: CapsuleView, target: CapsuleTarget, dt: float) -> Control:
-        """Command for the next `dt` [s] that leads the capsule to a target and holds it there.
+        """Command for the next `dt` [s] that moves the capsule to a target and holds it there.
 
-        The magnet is put where a capsule at the reference feels the force of the control law and of
-        the supported weight, and the integrated torque. Away from the reference the field itself
-        holds the capsule, faster than any control loop.
+        The requested magnet pose exerts the force of the control law, including the supported
+        weight, and the integrated torque on a capsule at the reference. Away from the reference the
+        field itself holds the capsule, faster than any control loop.
         """
         T = capsule.T_world_capsule
         self._reference, T_reference, error, rotation, angle, is_on_wrong_wall = (
@@ -263,7 +263,7 @@ class MagnetController:
 
         Args:
             linear: Axes −1 to 1 that move the magnet along the world's x, y, z.
-            angular: Axes −1 to 1 that rotate it about them.
+            angular: Axes −1 to 1 that rotate it about these axes.
             dt: Duration [s].
             speed: Speed at a full axis [m/s].
             angular_speed: Angular speed at a full axis [rad/s].
@@ -287,12 +287,12 @@ class MagnetController:
         return self._command(state)
 
     def update_status(self, capsule: CapsuleView) -> None:
-        """Updates `status.lost` of a jogged capsule after a step of the world."""
+        """Update `status.lost` of a jogged capsule after a step of the world."""
         lost = self._why_lost(capsule.field_angle(capsule.T_world_capsule))
         self.status = replace(self.status, lost=lost)
 
     def to_array(self) -> Float[np.ndarray, " q"]:
-        """All state of the controller, for `restore`."""
+        """Complete state of the controller, for `restore`."""
         state = self.status.actuator
         parts = [state.T_world_magnet, state.velocity, state.joint_angles]
         parts += [self._requested, self._reference, self._integral]
@@ -300,7 +300,7 @@ class MagnetController:
         return np.concatenate([np.ravel(part) for part in parts])
 
     def restore(self, saved: Float[np.ndarray, " q"]) -> None:
-        """Sets the state that `to_array` gave."""
+        """Restore the state given by `to_array`."""
         state = self.status.actuator
         moving = (state.velocity.shape, state.joint_angles.shape)
         shapes = [(4, 4), *moving, (4, 4), (3, 3), (2, 3), (3,)]
@@ -321,10 +321,10 @@ class MagnetController:
     def _around_capsule(
         self, T_world_capsule: Float[np.ndarray, "4 4"], supported: float
     ) -> Float[np.ndarray, "4 4"]:
-        """The requested pose, or one on a detour that does not attract the capsule off its wall.
+        """Requested pose, or a detour that does not attract the capsule off its wall.
 
-        At most twice the supported force [N] is requested, and from any side the magnet can pull
-        with half of what it can along its axis: it need not come nearer than for that.
+        At most twice the supported force [N] is requested, and from any side the magnet pulls with
+        at least half its axial force. This limits how close it needs to be.
         """
         solver = self._solver
         radius = max(solver.max_distance(_MAX_PULL * supported), solver.workspace.min_distance)
@@ -334,19 +334,19 @@ class MagnetController:
         return pose
 
     def _wall_force(self, target: CapsuleTarget) -> float:
-        """Force between capsule and wall [N], by the side on which the target's wall is."""
+        """Force between capsule and wall [N], by the side of the target's wall."""
         is_upper = target.wall_normal[2] >= 0.0
         return self.gains.upper_wall_force if is_upper else self.gains.lower_wall_force
 
     def _activity(self, speed: float, dt: float) -> float:
-        """Fraction of the feedback that acts on a capsule that slides, or has just done so."""
+        """Fraction of the feedback for a capsule that is sliding or has recently slid."""
         decayed = self._sliding_speed * (1.0 - dt / _SLIDING_DECAY)
         self._sliding_speed = max(speed, decayed)
         left = (_SLIDING_SPEED - self._sliding_speed) / (_SLIDING_SPEED - _FOLLOWED_SPEED)
         return min(1.0, max(0.0, left))
 
     def _update_stall_time(self, lag: float, dt: float) -> None:
-        """Counts the time for which the capsule has not followed; partly following counts back."""
+        """Accumulate the time without following; following partly reduces it."""
         if lag < _FOLLOWS:
             self._stall_time = 0.0
         else:
@@ -373,7 +373,7 @@ class MagnetController:
             self._integral[0] + gains.integral_gain * dt * (activity * pull), gains.max_force
         )
         feedback = activity * (gains.proportional_gain * pull - damping * velocity)
-        # More than the supported force would need large movements of the magnet.
+        # A force beyond the supported force would need large movements of the magnet.
         limit = min(gains.max_force, length(supported))
         return clamp_norm(feedback + self._integral[0], limit) + supported
 
@@ -390,7 +390,7 @@ class MagnetController:
     def _why_lost(
         self, angle: float, *, is_on_wrong_wall: bool = False, is_weak: bool = False
     ) -> str:
-        """Why the magnet has lost the capsule, see `ControllerStatus`."""
+        """Reason why the magnet has lost the capsule, see `ControllerStatus`."""
         if angle > _MISALIGNED:
             return "misaligned"
         if is_on_wrong_wall:

@@ -1,4 +1,4 @@
-"""Inverse magnetic actuation: the magnet pose that exerts a wanted wrench on the capsule."""
+"""Inverse magnetic actuation: the magnet pose that exerts a desired wrench on the capsule."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ class Workspace:
     """Allowed positions of the external magnet's center: a box, and a distance from the capsule.
 
     Attributes:
-        low: Least x, y, z in the world [m], such as the height of the patient's skin plus the
+        low: Minimum x, y, z in the world [m], such as the height of the patient's skin plus the
             magnet's radius.
-        high: Largest x, y, z [m].
-        min_distance: Least distance from the capsule [m]: nearer, the pull grows beyond control.
+        high: Maximum x, y, z [m].
+        min_distance: Minimum distance from the capsule [m]; closer, the pull is uncontrollable.
     """
 
     low: tuple[float, float, float] = _UNBOUNDED[0]
@@ -47,27 +47,27 @@ class Workspace:
         require(is_valid, "Workspace's min_distance", self.min_distance, "above 0 m")
 
     def clamp_pose(self, T_world_magnet: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-        """The pose moved into the box; the distance to the capsule is not considered."""
+        """Move a pose into the box; the distance to the capsule is ignored."""
         inside = np.array(T_world_magnet, float)
         inside[:3, 3] = self.clamp(inside[:3, 3])
         return inside
 
     def clamp(self, position: Float[np.ndarray, " 3"]) -> list[float]:
-        """The nearest position in the box [m]; plain numbers, which are faster in loops."""
+        """Nearest position in the box [m], as floats, which are faster in loops."""
         axes = zip(position.tolist(), self.low, self.high, strict=True)
         return [min(max(x, low), high) for x, low, high in axes]
 
 
 @dataclass(frozen=True)
 class WrenchTarget:
-    """Wrench that the capsule is to feel, and weights of its components.
+    """Desired wrench on the capsule, and weights of its components.
 
     Attributes:
         force: Force [N], in the world.
         torque: Torque about the capsule's origin [N·m], in the world.
         force_weight: Weight of the force error, by direction [1/N].
         torque_weight: Weight of the torque error [1/(N·m)].
-        motion_weight: Weight of moving the magnet by its distance, or turning it by a radian.
+        motion_weight: Weight of moving the magnet by its distance, or rotating it by a radian.
     """
 
     force: Sequence[float]
@@ -79,13 +79,13 @@ class WrenchTarget:
 
 @dataclass(frozen=True)
 class MagnetPoseSolution:
-    """A magnet pose, and the wrench of all sources on the capsule there.
+    """Magnet pose, and the wrench of all sources on the capsule there.
 
     Attributes:
-        T_world_magnet: The pose.
+        T_world_magnet: Pose of the magnet.
         force: Force [N], in the world.
         torque: Torque about the capsule's origin [N·m], in the world.
-        max_torque: Largest torque that the field there can exert on the capsule's magnets [N·m].
+        max_torque: Maximum torque that the field there can exert on the capsule's magnets [N·m].
     """
 
     T_world_magnet: Float[np.ndarray, "4 4"]
@@ -95,7 +95,7 @@ class MagnetPoseSolution:
 
 
 class MagnetPoseSolver:
-    """Finds poses of one magnet among sources, for a capsule with magnets."""
+    """Solver for the pose of one magnet among sources, for a capsule with magnets."""
 
     def __init__(
         self,
@@ -105,7 +105,7 @@ class MagnetPoseSolver:
         *,
         index: int = 0,
     ) -> None:
-        """Takes the sources, the capsule's magnets, and the index of the source that is moved.
+        """Create a solver for the moved source `index` among the sources.
 
         Raises:
             InputError: If the capsule has no magnet or there is no such source.
@@ -127,9 +127,9 @@ class MagnetPoseSolver:
         return self._rows[:, 3:].sum(axis=0)
 
     def max_distance(self, force: float) -> float:
-        """Distance [m] from which the magnet can just exert a force [N] of at least 1 mN.
+        """Maximum distance [m] at which the magnet exerts a force [N], of at least 1 mN.
 
-        That of two coaxial dipoles, F = 3 μ₀ m₁ m₂/(2π r⁴).
+        Computed for two coaxial dipoles, F = 3 μ₀ m₁ m₂/(2π r⁴).
         """
         moment = float(getattr(self.sources.sources[self._index], "moment", 1.0))
         inside = float(np.linalg.norm(self.moment))
@@ -144,18 +144,18 @@ class MagnetPoseSolver:
         *,
         max_iterations: int = _MAX_ITERATIONS,
     ) -> MagnetPoseSolution:
-        """The pose near `start` whose wrench on the capsule is nearest to the target.
+        """Find the pose near `start` whose wrench on the capsule is nearest to the target.
 
         Damped least squares (Levenberg 1944, Marquardt 1963) over position and direction of the
-        magnet, within the workspace. Force and heading of a capsule can be chosen freely with a
-        single magnet (Mahoney and Abbott, Int. J. Robot. Res. 35, 2016): the heading is that of
-        `T_world_capsule` where the target torque is zero.
+        magnet, within the workspace. A single magnet can set force and heading of a capsule
+        independently (Mahoney and Abbott, Int. J. Robot. Res. 35, 2016): the heading is that of
+        `T_world_capsule` if the target torque is zero.
 
         Args:
-            target: Wrench that the capsule is to feel.
-            T_world_capsule: Pose of the capsule that feels it.
+            target: Desired wrench on the capsule.
+            T_world_capsule: Pose of the capsule.
             start: Initial pose of the magnet; its rotation about its own axis is kept.
-            max_iterations: Largest number of iterations.
+            max_iterations: Maximum number of iterations.
         """
         pose, force, torque, max_torque = _core.solve_magnet_pose(
             self.sources.core,
@@ -182,8 +182,8 @@ class MagnetPoseSolver:
 
         Args:
             T_world_capsule: Pose of the capsule.
-            direction: From the capsule to the magnet, in the world; of any length.
-            force: Wanted norm of the force [N].
+            direction: Direction from the capsule to the magnet, in the world; any length.
+            force: Desired magnitude of the force [N].
         """
         away = np.asarray(direction, float) / np.linalg.norm(direction)
         moment = T_world_capsule[:3, :3] @ self.moment

@@ -1,4 +1,4 @@
-"""Point-to-point planner: leads a capsule to a nearby pose on the wall, replans after a stall."""
+"""Point-to-point planner: moves a capsule to a nearby pose on the wall, replans after a stall."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 _TOLERANCE = 3.0 * MM
 """Distance from the reference, at the target, within which a capsule has arrived."""
 _SETTLING_TIME = 1.0
-"""Time [s] for which a capsule must stay at the target. A capsule that lies on another wall for as
+"""Time [s] for which a capsule must stay at the target. A capsule that is on another wall for this
 long is brought back."""
 _RECOVERY_TIMEOUT = 8.0
-"""Longest time [s] for which a capsule on another wall is brought back."""
+"""Maximum time [s] for bringing back a capsule from another wall."""
 
 
 class PointToPointPlanner:
-    """Leads one capsule to one target; plans a new path from where the capsule has stalled."""
+    """Moves one capsule to one target; replans from the position of a stalled capsule."""
 
     def __init__(
         self,
@@ -39,18 +39,18 @@ class PointToPointPlanner:
         attempts: int = 2,
         timeout: float = 10.0,
     ) -> None:
-        """Plans the path.
+        """Plan the path.
 
         Args:
             controller: Steers the capsule; its model is that of the organ at rest.
             T_world_capsule: Pose of the capsule, which lies on the wall.
-            target: Nearby pose that it is to reach, see `wall_target`.
+            target: Nearby pose to reach, see `wall_target`.
             avoid: Direction that the capsule cannot pass through, see `straight_wall_path`.
-            attempts: Number of paths that are planned at most, 1 or more.
-            timeout: Time beyond that of the path after which an attempt has failed [s].
+            attempts: Maximum number of planned paths, 1 or more.
+            timeout: Time in addition to that of the path after which an attempt has failed [s].
 
         Raises:
-            InputError: If the target has no direction, or there is no attempt.
+            InputError: If the target has no direction, or `attempts` is 0.
         """
         require(attempts >= 1, "attempts", attempts, "1 or more")
         self._controller = controller
@@ -64,12 +64,12 @@ class PointToPointPlanner:
 
     @property
     def is_settled(self) -> bool:
-        """Whether the capsule is at the target, and has been for a second."""
+        """Check that the capsule is at the target and has been for a second."""
         return self._settled_time >= _SETTLING_TIME
 
     @property
     def has_failed(self) -> bool:
-        """Whether no attempt is left or the capsule left the wall; see the controller's status."""
+        """Check for failure: no attempt left, or off the wall; see the controller's status."""
         is_over = self.attempts == 0 and self._time > self._limit
         return not self.is_settled and (is_over or self._off_wall_time > _RECOVERY_TIMEOUT)
 
@@ -79,7 +79,7 @@ class PointToPointPlanner:
         if self._time > self._limit and self.attempts:
             self._plan(T)
         target = self._follower.target(T, dt)
-        # Away from the planned wall the magnet holds the capsule where it is, and so draws it back.
+        # Off the planned wall, the magnet holds the capsule where it is, and so draws it back.
         target = replace(target, on_planned_wall=self._off_wall_time < _SETTLING_TIME)
         control = self._controller.track(capsule, target, dt)
         self._time += dt

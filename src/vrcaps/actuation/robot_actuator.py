@@ -1,4 +1,4 @@
-"""Robot arm as magnet actuator, with the limits of its joints."""
+"""Robot arm as a magnet actuator, with the limits of its joints."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RobotActuator:
-    """A robot arm with a magnet at its flange.
+    """Robot arm with a magnet at its flange.
 
-    Joints keep their limits of angle, speed, acceleration and jerk. The arm does not go to a pose
-    that is unreachable or in collision with itself or the table: it brakes and says why.
+    Joints respect their limits of angle, speed, acceleration and jerk. If a pose is unreachable or
+    in collision with the arm itself or the table, the arm brakes and reports the reason.
 
     Attributes:
         robot: The arm and its magnet.
         workspace: Allowed positions of the magnet.
-        flange_direction: Unit vector in the world along which the flange points, as nearly as the
-            magnet's own axis allows: a rotation about that axis changes no field.
-        max_speed: Largest speed of the magnet [m/s], so that the arm can stop and turn back at
-            once.
-        max_angular_speed: Largest angular speed of the magnet [rad/s].
+        flange_direction: Target unit direction of the flange in the world, as far as the magnet's
+            own axis permits: a rotation about that axis does not change the field.
+        max_speed: Maximum speed of the magnet [m/s], at which the arm can immediately stop and
+            reverse.
+        max_angular_speed: Maximum angular speed of the magnet [rad/s].
     """
 
     robot: ArmWithPayload
@@ -68,10 +68,10 @@ class RobotActuator:
     def start(
         self, T_world_magnet: Float[np.ndarray, "4 4"], near: Float[np.ndarray, " j"] | None = None
     ) -> ActuatorState:
-        """The arm at rest with the magnet at a pose; joint angles nearest to `near` or its home.
+        """State at rest with the magnet at a pose; joint angles nearest to `near` or home.
 
         Raises:
-            InputError: If the arm cannot hold it there, see `solve_joint_angles`.
+            InputError: If the arm cannot hold the magnet there, see `solve_joint_angles`.
         """
         aligned = self._core.align_flange(np.asarray(T_world_magnet, float))
         angles = solve_joint_angles(self.robot, aligned, near)
@@ -80,10 +80,10 @@ class RobotActuator:
     def move(
         self, state: ActuatorState, T_world_magnet: Float[np.ndarray, "4 4"], dt: float
     ) -> ActuatorState:
-        """State after a time `dt` [s] of moving towards a pose, in small steps where needed.
+        """State after moving towards a pose for `dt` [s], in small steps where needed.
 
         Raises:
-            InputError: If the state is not of an arm with as many joints.
+            InputError: If the state is of an arm with another number of joints.
         """
         count = self.robot.arm.num_joints
         if not len(state.joint_angles) == len(state.velocity) == count:

@@ -1,4 +1,4 @@
-"""Steering program of a magnet: its settings, and what runs them while a world is stepped."""
+"""Steering program of a magnet: its settings and their execution during a simulation."""
 
 from __future__ import annotations
 
@@ -53,21 +53,21 @@ GENTLE_GAINS = ControllerGains(
     integral_gain=2.0,
     damping_ratio=2.0,
 )
-"""Gains that lead a capsule over folds without sliding."""
+"""Gains that move a capsule over folds without sliding."""
 _BASE_BESIDE = 55.0 * CM
 BASE_BELOW = 15.0 * CM
-"""How far the base of an arm is below the organ's highest point [m]."""
+"""Height of the organ's highest point above the base of an arm [m]."""
 
 
 @dataclass(frozen=True)
 class Waypoint:
-    """Position and look of the capsule at a time.
+    """Position and viewing direction of the capsule at a time.
 
     Attributes:
-        time: Since the first frame [s].
-        arc_length: Along the centerline [m].
-        yaw: Rotation of the look about the second transverse axis of the gut's frame [rad].
-        pitch: Rotation of the look about the first [rad].
+        time: Time since the first frame [s].
+        arc_length: Arc length along the centerline [m].
+        yaw: Rotation of the view about the second transverse axis of the gut's frame [rad].
+        pitch: Rotation of the view about the first transverse axis [rad].
     """
 
     time: float
@@ -78,12 +78,12 @@ class Waypoint:
 
 @dataclass(frozen=True)
 class JoystickCommand:
-    """Joystick axes from a time on.
+    """Joystick axes from a time onwards.
 
     Attributes:
-        time: Since the first frame [s].
+        time: Time since the first frame [s].
         linear: Axes −1 to 1 that move the magnet along the world's x, y, z.
-        angular: Axes −1 to 1 that rotate it about them.
+        angular: Axes −1 to 1 that rotate it about these axes.
     """
 
     time: float
@@ -95,33 +95,33 @@ class JoystickCommand:
 class MagnetSteering:
     """Settings of an external magnet that steers the capsule.
 
-    Without waypoints and joystick the magnet leads the capsule along the wall of the gut from its
-    start position, and waits where the capsule does not follow.
+    Without waypoints and joystick the magnet moves the capsule along the wall of the gut from its
+    start position, and waits if the capsule does not follow.
 
     Example:
         >>> steering = vrcaps.MagnetSteering(arm="panda", wall="upper", speed=0.01)
         >>> vrcaps.Scenario(capsule="magnetic", motion=vrcaps.Dynamics(magnet=steering))
 
     Attributes:
-        magnet: Name of the magnet, see `vrcaps.magnet.presets.magnet_names`; one heavier than the
-            arm's payload is noted, and moved as if the arm could carry it.
-        arm: Name or file of the arm that carries it, its moment across the flange; None moves it
-            without a robot.
-        arm_base: Position of the arm's base in the world [m]; None is 55 cm beside the organ's
+        magnet: Name of the magnet, see `vrcaps.magnet.presets.magnet_names`; a magnet heavier than
+            the arm's payload causes a note, and moves as if the arm could carry it.
+        arm: Name or file of the arm that carries the magnet, with its moment across the flange;
+            None moves it without a robot.
+        arm_base: Position of the arm's base in the world [m]; None is 55 cm from the organ's
             center, towards −x, and 15 cm below its highest point.
-        standoff: Least gap between the organ's highest point and the magnet: the abdominal wall and
-            the air above it [m].
-        wall: Wall that the capsule is pressed against: the lower, on which the magnet supports part
-            of its weight, or the upper, to which it is pulled.
+        standoff: Minimum gap between the organ's highest point and the magnet, for the abdominal
+            wall and the air above it [m].
+        wall: Wall against which the capsule is pressed: the lower, on which the magnet supports
+            part of its weight, or the upper, to which it is pulled.
         speed: Speed along the wall without waypoints [m/s].
-        end: Where that ends, as a fraction of the centerline; before the start it leads back.
+        end: End of that motion, as a fraction of the centerline; before the start it moves back.
         gains: Gains of the controller.
-        pose: Where the controller has pose, velocity and contact of the capsule from: `true`, from
+        pose: Source of the capsule's pose, velocity and contact for the controller: `true`, from
             the simulation, or `located`, from the readings of `sensors`.
-        sensors: By which it is located.
-        waypoints: Positions at times; linear in time between them.
-        joystick: Joystick axes instead, each entry until the next.
-        command_file: CSV of either instead, see `read_commands`.
+        sensors: Sensors for the localization.
+        waypoints: Positions at times, interpolated linearly.
+        joystick: Joystick axes as an alternative, each entry until the next.
+        command_file: CSV of either as an alternative, see `read_commands`.
         joystick_speed: Speed at a full axis [m/s].
         joystick_angular_speed: Angular speed at a full axis [rad/s].
         period: Time between updates of the controller [s].
@@ -159,13 +159,13 @@ class MagnetSteering:
 def read_commands(
     path: str | Path,
 ) -> tuple[tuple[Waypoint, ...], tuple[JoystickCommand, ...]]:
-    """Read waypoints or joystick commands from a CSV; its header says which.
+    """Read waypoints or joystick commands from a CSV, as stated by its header.
 
     Waypoints have the header ``time_s,arc_length_m,yaw_deg,pitch_deg``, joystick commands
     ``time_s,linear_x,linear_y,linear_z,angular_x,angular_y,angular_z``.
 
     Raises:
-        InputError: If the file cannot be read, its header is another or a line is wrong.
+        InputError: If the file cannot be read, its header differs or a line is invalid.
     """
     header, rows = read_numbers(path, (WAYPOINT_COLUMNS, JOYSTICK_COLUMNS), "commands")
     if header == WAYPOINT_COLUMNS:
@@ -178,7 +178,7 @@ def read_commands(
 
 
 def check_waypoints(waypoints: tuple[Waypoint, ...], where: str) -> None:
-    """Check that all numbers are finite and times rise.
+    """Check that all numbers are finite and times increase.
 
     Raises:
         InputError: If not; names the entry.
@@ -187,7 +187,7 @@ def check_waypoints(waypoints: tuple[Waypoint, ...], where: str) -> None:
 
 
 def check_joystick(joystick: tuple[JoystickCommand, ...], where: str) -> None:
-    """Check that axes are from −1 to 1 and times rise.
+    """Check that axes are from −1 to 1 and times increase.
 
     Raises:
         InputError: If not; names the entry.
@@ -203,12 +203,12 @@ def check_joystick(joystick: tuple[JoystickCommand, ...], where: str) -> None:
 
 
 class SteeringProgram:
-    """Runs the settings of `MagnetSteering` while a world is stepped.
+    """Executes the settings of `MagnetSteering` while a world is simulated.
 
     Attributes:
-        settings: What to do.
-        operator: Asked for the joystick command at a time [s] and for how long it holds [s], where
-            one steers live; then the settings' own joystick commands do not count.
+        settings: Settings of the program.
+        operator: Callback for live steering: returns the joystick command at a time [s] for a
+            duration [s]; the joystick commands of the settings are then ignored.
     """
 
     def __init__(
@@ -220,18 +220,18 @@ class SteeringProgram:
         *,
         seed: int = 0,
     ) -> None:
-        """Moves the magnet to the capsule.
+        """Move the magnet to the capsule.
 
         Args:
             model: Organ and device.
-            settings: What to do.
+            settings: Settings of the program.
             T_world_capsule: Pose of the capsule.
             arc_length: Position of the capsule along the centerline [m].
-            seed: Of the noise of sensors that locate the capsule, 0 or more.
+            seed: Seed of the noise of sensors that locate the capsule, 0 or more.
 
         Raises:
-            InputError: If the device holds no magnet, or several to be located by, the magnet
-                cannot be held at its first pose, or a waypoint is not on the centerline.
+            InputError: If the device has no magnet, or several for localization, the magnet cannot
+                be held at its first pose, or a waypoint is not on the centerline.
             UnknownNameError: If there is no such magnet or arm.
         """
         self._model, self.settings = model, settings
@@ -265,7 +265,7 @@ class SteeringProgram:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes on the set-up, one line each."""
+        """Notes on the setup, one line each."""
         actuator = self.controller.actuator
         note = actuator.robot.overload_note if isinstance(actuator, RobotActuator) else ""
         return (note,) if note else ()
@@ -276,7 +276,7 @@ class SteeringProgram:
         """Command for the next `dt` [s].
 
         Args:
-            world: The world as it is now.
+            world: The current world.
             time: Time of the run [s].
             dt: Duration of the command [s].
             T_world_patient: Posture of the patient.
@@ -301,25 +301,25 @@ class SteeringProgram:
         return control
 
     def _recorded_command(self, time: float, dt: float) -> JoystickCommand:
-        """The last joystick command that is not after a time; none before the first."""
+        """Last joystick command at or before a time; neutral before the first."""
         number = bisect_right(self._joystick, time, key=lambda entry: entry.time)
         return self._joystick[number - 1] if number else JoystickCommand(0.0)
 
     def observe(self, world: World) -> CapsuleView:
-        """What the controller knows of the capsule now; reads the sensors that it is located by."""
+        """Capsule state for the controller; reads the sensors used for localization."""
         if self.tracker is None:
             return world
         self.tracker.read(world, self.controller.sources)
         return self.tracker
 
     def to_array(self) -> Float[np.ndarray, " q"]:
-        """All state of the program, for `restore`."""
+        """Complete state of the program, for `restore`."""
         arc_length = 0.0 if self.follower is None else self.follower.arc_length
         tracked = () if self.tracker is None else self.tracker.to_array()
         return np.concatenate([tracked, self.controller.to_array(), [arc_length]])
 
     def restore(self, saved: Float[np.ndarray, " q"]) -> None:
-        """Sets the state that `to_array` gave."""
+        """Restore the state given by `to_array`."""
         first = 0 if self.tracker is None else len(self.tracker.to_array())
         self.controller.restore(saved[first:-1])
         if self.tracker is not None:
@@ -328,7 +328,7 @@ class SteeringProgram:
             self.follower.arc_length = float(saved[-1])
 
     def _path(self, look: Float[np.ndarray, " 3"]) -> WallPath:
-        """Path along the wall, on which the capsule keeps looking forward or backward."""
+        """Path along the wall on which the capsule keeps facing forward or backward."""
         end = self.settings.end * self._line.length
         here = centerline_target(self._line, self._model.T_world_patient, self._start)
         is_backward = bool(np.asarray(here.tangent) @ look < 0.0)
@@ -339,7 +339,7 @@ class SteeringProgram:
     def _target(self, time: float, T_world_patient: Float[np.ndarray, "4 4"]) -> CapsuleTarget:
         """Target at a time or along the path, on the wall of a patient in any posture.
 
-        With a joystick it is where the capsule starts.
+        With a joystick it is the start position of the capsule.
         """
         arc_length, yaw, pitch = self._start, 0.0, 0.0
         if self._waypoints:
@@ -360,7 +360,7 @@ class SteeringProgram:
 
 
 def workspace_above(model: Model, magnet: Cylinder, standoff: float) -> Workspace:
-    """Where a magnet may be: at least a gap [m] above the organ's highest point."""
+    """Workspace of a magnet at least a gap [m] above the organ's highest point."""
     lowest = float(model.vertices_world[:, 2].max()) + standoff + 0.5 * magnet.diameter
     return Workspace(
         low=(-math.inf, -math.inf, lowest), min_distance=0.5 * magnet.diameter + 3.0 * CM
@@ -368,7 +368,7 @@ def workspace_above(model: Model, magnet: Cylinder, standoff: float) -> Workspac
 
 
 def base_beside(model: Model) -> Float[np.ndarray, " 3"]:
-    """Position of an arm's base in the world from which it reaches above the patient [m]."""
+    """Base position of an arm in the world from which it reaches above the patient [m]."""
     low, high = model.vertices_world.min(axis=0), model.vertices_world.max(axis=0)
     center = 0.5 * (low + high)
     return np.array([center[0] - _BASE_BESIDE, center[1], high[2] - BASE_BELOW])

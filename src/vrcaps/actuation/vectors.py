@@ -1,7 +1,7 @@
 """Vector algebra for single vectors in control loops.
 
-The loops run hundreds of times a second on one vector at a time, where NumPy's batch functions take
-ten times as long. Rotation vectors are in `vrcaps.transforms`.
+The loops process one vector at a time, hundreds of times per second, for which NumPy's batch
+functions take ten times as long. Rotation vectors are in `vrcaps.transforms`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ def length(vector: Float[np.ndarray, " 3"]) -> float:
 
 
 def clamp_norm(vector: Float[np.ndarray, " 3"], limit: float) -> Float[np.ndarray, " 3"]:
-    """A vector shortened to a norm of at most `limit`; its direction is kept."""
+    """Shorten a vector to a norm of at most `limit`, keeping its direction."""
     size = length(vector)
     return vector if size <= limit else vector * (limit / size)
 
@@ -32,11 +32,11 @@ def detour(
     center: Float[np.ndarray, " 3"],
     radius: float,
 ) -> Float[np.ndarray, " 3"]:
-    """Next point to head for on the way from `start` to `end` around a sphere.
+    """Next waypoint on the way from `start` to `end` around a sphere.
 
-    It is `end` where the straight line misses the sphere. Otherwise it lies beyond the point where
+    It is `end` if the straight line misses the sphere. Otherwise it lies beyond the point at which
     a straight line from `start` touches the sphere, on the side of the line to `end`. An `end`
-    inside the sphere is moved out to its surface.
+    inside the sphere is moved to its surface.
     """
     out = end - center
     end = center + out * max(1.0, radius / max(length(out), 1e-12))

@@ -1,4 +1,4 @@
-"""Paths of the capsule along the wall, and the path follower that sends the target ahead of it."""
+"""Paths of the capsule along the wall, and the follower that moves the target along them."""
 
 from __future__ import annotations
 
@@ -24,25 +24,25 @@ _SPACING = 1.0 * MM
 _SMOOTHING = 4.0 * MM
 """Standard deviation of the smoothing along the path: the size of a fold."""
 _BISECTIONS = 16
-"""Bisections of the distance to the wall: down to a micrometer."""
+"""Number of bisections of the distance to the wall, down to a micrometer."""
 _CAST_DISTANCE = 2.0 * CM
-"""From the wall into the lumen, where the rays of a straight path start."""
+"""Distance from the wall into the lumen at which the rays of a straight path start."""
 _LEVER = 4.0 * CM
-"""A rotation of 1 rad counts as much as this distance."""
+"""Distance equivalent to a rotation of 1 rad."""
 _BLOCKED = math.cos(20.0 * DEG)
-"""Cosine of the angle around the direction to avoid within which the capsule is not led."""
+"""Cosine of the angle around the direction to avoid that the capsule does not enter."""
 _ROTATION_STEP = 0.02
-"""Rotation from one sample of a path to the next [rad]."""
+"""Rotation between samples of a path [rad]."""
 
 
 @dataclass(frozen=True)
 class WallPath:
-    """A path of capsule poses that lie on the wall, in the world at rest.
+    """Path of capsule poses on the wall, in the world at rest.
 
     Attributes:
         positions: Positions of the capsule's origin [m].
         wall_normals: Unit normals out of the lumen.
-        directions: Unit vectors along which the capsule looks.
+        directions: Unit viewing directions of the capsule.
     """
 
     positions: Float[np.ndarray, "n 3"]
@@ -62,7 +62,7 @@ class WallPath:
         return float(self.arc_length[-1])
 
     def target(self, arc_length: float) -> CapsuleTarget:
-        """Target at an arc length [m]; beyond the path's ends, its ends."""
+        """Target at an arc length [m], clamped to the ends of the path."""
         columns = np.hstack([self.positions, self.wall_normals, self.directions]).T
         row = np.array([np.interp(arc_length, self.arc_length, column) for column in columns])
         return CapsuleTarget(
@@ -79,12 +79,12 @@ class PathFollower:
     """Moves a target along a path ahead of the capsule, and waits for the capsule."""
 
     def __init__(self, path: WallPath, speed: float, lookahead: float) -> None:
-        """Starts at the path's start.
+        """Start at the beginning of the path.
 
         Args:
             path: The path.
             speed: Speed of the target along it [m/s].
-            lookahead: Distance of the capsule from the target beyond which the target waits [m].
+            lookahead: Distance from the capsule to the target beyond which the target waits [m].
         """
         self.path = path
         self.speed = speed
@@ -93,7 +93,7 @@ class PathFollower:
 
     @property
     def has_arrived(self) -> bool:
-        """Whether the target is at the path's end."""
+        """Check that the target is at the end of the path."""
         return self.arc_length >= self.path.length
 
     @property
@@ -105,7 +105,7 @@ class PathFollower:
         return float(passed) / (len(self.path.positions) - 1)
 
     def target(self, T_world_capsule: Float[np.ndarray, "4 4"], dt: float) -> CapsuleTarget:
-        """The target for the next `dt` [s]."""
+        """Target for the next `dt` [s]."""
         now = self.path.target(self.arc_length)
         offset = now.controlled_axes @ (np.asarray(now.position) - T_world_capsule[:3, 3])
         if np.linalg.norm(offset) > self.lookahead:
@@ -121,17 +121,17 @@ def straight_wall_path(
     *,
     avoid: Float[np.ndarray, " 3"] | None = None,
 ) -> WallPath:
-    """Path along the wall between two nearby targets on it, with a rotation at both ends.
+    """Path along the wall between two nearby targets on it, with a rotation at each end.
 
-    In between the capsule moves along its own axis, where the field holds it best: forward or
+    In between, the capsule moves along its own axis, where the field holds it best: forward or
     backward, whichever needs less rotation.
 
     Args:
         model: Organ, device and posture, at rest.
-        start: Pose of the capsule now; with a direction.
-        end: Pose that it is to reach; with a direction.
-        avoid: Direction that the capsule cannot pass through, such as that at which the arm's last
-            joint ends; it then rotates the other way round.
+        start: Current pose of the capsule; with a direction.
+        end: Pose to reach; with a direction.
+        avoid: Direction that the capsule cannot pass through, such as the limit of the arm's last
+            joint; it then rotates the other way.
 
     Raises:
         InputError: If a target has no direction.
@@ -171,17 +171,17 @@ def centerline_wall_path(
     wall: Literal["upper", "lower"] = "upper",
     is_backward: bool = False,
 ) -> WallPath:
-    """Path along the upper or lower wall between two places on the centerline.
+    """Path along the upper or lower wall between two positions on the centerline.
 
     Args:
         model: Organ, device and posture, at rest.
-        start: Arc length [m].
-        end: Arc length [m]; below `start` the capsule goes back.
-        wall: The wall that the capsule is pressed against.
-        is_backward: The capsule looks towards the oral end.
+        start: Start arc length [m].
+        end: End arc length [m]; below `start` the capsule moves back.
+        wall: Wall against which the capsule is pressed.
+        is_backward: Whether the capsule faces the oral end.
 
     Raises:
-        InputError: If an arc length is not on the centerline, or both are the same.
+        InputError: If an arc length is not on the centerline, or both are equal.
     """
     line = model.organ.centerline
     require(start != end, "end", end, "another arc length than start")
@@ -202,13 +202,13 @@ def project_path_to_wall(
     rays: Float[np.ndarray, "n 3"],
     directions: Float[np.ndarray, "n 3"],
 ) -> WallPath:
-    """A path in the lumen, moved to where the capsule lies on the wall, and smoothed.
+    """Move a path in the lumen to where the capsule lies on the wall, and smooth it.
 
     Args:
         model: Organ, device and posture, at rest.
-        points: In the lumen, in the world [m].
-        rays: Unit vectors along which the wall is sought from there.
-        directions: Unit vectors along which the capsule looks.
+        points: Points in the lumen, in the world [m].
+        rays: Unit vectors from there towards the wall.
+        directions: Unit viewing directions of the capsule.
     """
     distance = np.asarray(model.wall.cast(points, rays)[0], float)
     distance = np.where(np.isfinite(distance), distance, 0.0)[:, None]
@@ -226,13 +226,13 @@ def free_distance(
 ) -> Float[np.ndarray, " n"]:
     """Distance [m] that a capsule can move from points along rays until it touches the wall.
 
-    Zero where it touches already, or the ray meets no wall.
+    Zero if it already touches, or the ray does not hit the wall.
 
     Args:
         model: Organ, device and posture, at rest.
         points: Positions of the capsule's origin in the world [m].
-        rays: Unit vectors along which it moves.
-        directions: Unit vectors along which it looks.
+        rays: Unit vectors of the motion.
+        directions: Unit viewing directions of the capsule.
     """
     high = np.asarray(model.wall.cast(points, rays)[0], float)
     high = np.where(np.isfinite(high), high, 0.0)
@@ -256,7 +256,7 @@ def _rotation_in_place(
     last: np.ndarray,
     avoid: np.ndarray | None,
 ) -> WallPath:
-    """Rotation from one direction to another: the shorter way, but not through `avoid`."""
+    """Rotation between two directions: the shorter way, but not through `avoid`."""
     first = _unit(first - wall_normal * (wall_normal @ first))
     side = np.cross(wall_normal, first)
     angle = math.atan2(last @ side, last @ first)
@@ -278,10 +278,10 @@ def _concatenate(paths: Sequence[WallPath]) -> WallPath:
 
 
 def _smooth(rows: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """Gaussian smoothing along the path; its ends stay."""
+    """Gaussian smoothing along the path with fixed ends."""
     from scipy.ndimage import gaussian_filter1d  # slow to load
 
-    # Mirrored through its ends, so that they stay where they are.
+    # Point reflection at the ends keeps them fixed.
     padded = np.concatenate([2 * rows[:1] - rows[:0:-1], rows, 2 * rows[-1:] - rows[-2::-1]])
     smoothed = gaussian_filter1d(padded, _SMOOTHING / _SPACING, axis=0, mode="nearest")
     return smoothed[len(rows) - 1 : 2 * len(rows) - 1]

@@ -1,4 +1,4 @@
-"""Robot arm as data: Denavit-Hartenberg joints, limits, and link capsules; named arms."""
+"""Robot arm: Denavit-Hartenberg joints, limits and collision capsules from data files."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from vrcaps.serialization import from_plain
 
 
 def _in(unit: str, **options: Any) -> Any:
-    """A field that files hold in a unit."""
+    """Field that files store in a unit."""
     return field(metadata={"unit": unit}, **options)
 
 
 @dataclass(frozen=True)
 class Joint:
-    """A revolute joint: ``T = Rot_x(alpha) Trans_x(a) Rot_z(theta + angle) Trans_z(d)``.
+    """Revolute joint: ``T = Rot_x(alpha) Trans_x(a) Rot_z(theta + angle) Trans_z(d)``.
 
-    This is Craig's convention (Introduction to Robotics, 1989, eq. 3.6), from the previous frame.
+    Uses Craig's convention (Introduction to Robotics, 1989, eq. 3.6), from the previous frame.
 
     Attributes:
         a: Length of the previous link [m].
-        d: Offset along its axis [m].
+        d: Offset along the joint axis [m].
         alpha: Twist of the previous link [rad].
         theta: Rotation at angle 0 [rad].
         lower: Lower limit of the angle [rad].
@@ -60,10 +60,10 @@ class Joint:
 
 @dataclass(frozen=True)
 class Link:
-    """A collision capsule around part of a link.
+    """Collision capsule around part of a link.
 
     Attributes:
-        frame: Frame it is fixed to: 0 the base, then the joints, last the flange.
+        frame: Index of its frame: 0 for the base, then the joints, last the flange.
         start: One end of its axis, in that frame [m].
         end: The other end [m].
         radius: Radius [m].
@@ -80,18 +80,18 @@ class Link:
 
 @dataclass(frozen=True)
 class Arm:
-    """A robot arm of revolute joints from its frame `base` to its end, `flange`.
+    """Robot arm with revolute joints from frame `base` to its end, `flange`.
 
     Attributes:
         name: Catalog name.
-        title: Full name for people.
-        joints: Joints from the base on.
+        title: Display name.
+        joints: Joints in order from the base.
         flange_offset: Origin of the flange in the last joint's frame [m]; the axes are the same.
-        home: Angles of rest [rad].
-        payload: Largest mass that it may carry [kg].
+        home: Home angles [rad].
+        payload: Maximum payload mass [kg].
         links: Collision capsules around its links.
-        collision_pairs: Pairs of frames whose links must not touch.
-        source: Where the figures come from.
+        collision_pairs: Pairs of frames whose links must not collide.
+        source: Source of the parameters.
     """
 
     name: str
@@ -125,22 +125,22 @@ class Arm:
 
     @property
     def num_joints(self) -> int:
-        """How many joints there are."""
+        """Number of joints."""
         return len(self.joints)
 
     @cached_property
     def lower(self) -> np.ndarray:
-        """Least angles [rad]."""
+        """Minimum angles [rad]."""
         return np.array([joint.lower for joint in self.joints])
 
     @cached_property
     def upper(self) -> np.ndarray:
-        """Largest angles [rad]."""
+        """Maximum angles [rad]."""
         return np.array([joint.upper for joint in self.joints])
 
     @cached_property
     def core(self) -> _core.ArmChain:
-        """The compiled core's form of it."""
+        """Arm in the form of the compiled core."""
         joints = [[j.a, j.d, j.alpha, j.theta, j.lower, j.upper] for j in self.joints]
         flange = np.eye(4)
         flange[:3, 3] = self.flange_offset
@@ -159,20 +159,20 @@ _ARMS = CatalogFolder(Path(__file__).parent / "arms", "arm")
 
 
 def arm_names() -> tuple[str, ...]:
-    """Names of the catalog's arms, sorted."""
+    """Names of the arms in the catalog, sorted."""
     return _ARMS.names()
 
 
 def read_arm(name_or_path: str | Path) -> Arm:
-    """An arm of the catalog by its name, or a user's own by the path of its TOML file.
+    """Read an arm of the catalog by name, or a custom arm from the path of its TOML file.
 
-    The file has the fields of `Arm` in the units of their keys (see `arms/panda.toml`); the arm is
-    named as the file.
+    The file has the fields of `Arm` in the units of their keys (see `arms/panda.toml`); the name of
+    the arm is that of the file.
 
     Raises:
-        UnknownNameError: If the catalog has no arm of that name.
-        InputError: If there is no such file, it is no TOML, lacks a key, has an unknown key or a
-            wrong value, or describes no possible arm.
+        UnknownNameError: If the catalog has no arm with that name.
+        InputError: If the file does not exist or is not TOML, a key is missing or unknown, a value
+            is invalid, or the arm is impossible.
     """
     path = _ARMS.find(name_or_path)
     plain = read_plain(path, "arm")

@@ -24,7 +24,7 @@ MOUNT_GAP = 0.03
 
 @dataclass(frozen=True)
 class ArmWithPayload:
-    """A robot arm that carries a magnet.
+    """Robot arm that carries a magnet.
 
     Attributes:
         arm: The arm.
@@ -32,8 +32,8 @@ class ArmWithPayload:
         T_world_base: Pose of the arm's base.
         T_flange_magnet: Pose of the magnet's center in the flange; by default along the flange's z,
             beyond a mount of 30 mm.
-        table_height: Height in the world [m] under which neither the arm's links from the second
-            joint on nor the magnet may be; None is no table.
+        table_height: Height in the world [m] below which neither the magnet nor the arm's links
+            from the second joint on may be; None for no table.
     """
 
     arm: Arm
@@ -49,7 +49,7 @@ class ArmWithPayload:
 
     @cached_property
     def mount(self) -> Float[np.ndarray, "4 4"]:
-        """``T_flange_magnet``, the default filled in."""
+        """``T_flange_magnet`` with the default filled in."""
         if self.T_flange_magnet is not None:
             return np.asarray(self.T_flange_magnet, float)
         mount = np.eye(4)
@@ -58,22 +58,22 @@ class ArmWithPayload:
 
     @cached_property
     def T_base_world(self) -> Float[np.ndarray, "4 4"]:
-        """Pose of the world in the arm's base."""
+        """Pose of the world in the arm's base frame."""
         return invert(self.T_world_base)
 
     @cached_property
     def T_magnet_flange(self) -> Float[np.ndarray, "4 4"]:
-        """Pose of the flange in the magnet."""
+        """Pose of the flange in the magnet frame."""
         return invert(self.mount)
 
     @property
     def payload_ratio(self) -> float:
-        """Mass of the magnet, without a mount, as a fraction of the arm's payload."""
+        """Mass of the magnet, without the mount, as a fraction of the arm's payload."""
         return self.magnet.mass / self.arm.payload
 
     @property
     def overload_note(self) -> str:
-        """Note on a magnet heavier than the arm's payload; else empty."""
+        """Note on a magnet heavier than the arm's payload, else empty."""
         if self.payload_ratio <= 1.0:
             return ""
         return (
@@ -84,7 +84,7 @@ class ArmWithPayload:
 
     @cached_property
     def loaded_arm(self) -> Arm:
-        """The arm with a capsule that holds the magnet at its flange."""
+        """Arm with a collision capsule around the magnet at its flange."""
         half = 0.5 * self.magnet.length * self.mount[:3, 2]
         start, end = (tuple((self.mount[:3, 3] + offset).tolist()) for offset in (-half, half))
         link = Link(self.arm.num_joints + 1, start, end, 0.5 * self.magnet.diameter)
@@ -92,7 +92,7 @@ class ArmWithPayload:
 
     @cached_property
     def core(self) -> _core.ArmWithPayload:
-        """The compiled core's form of it."""
+        """Arm with payload in the form of the compiled core."""
         return _core.ArmWithPayload(
             self.arm.core,
             self.loaded_arm.core,
@@ -104,9 +104,9 @@ class ArmWithPayload:
 
 
 def transverse_mount(magnet: Cylinder) -> Float[np.ndarray, "4 4"]:
-    """``T_flange_magnet`` of a magnet whose moment is along the flange's x, across its axis.
+    """``T_flange_magnet`` of a magnet with its moment along the flange's x, across its axis.
 
-    With the flange pointing down the moment is level, as it must be above a capsule that lies.
+    With the flange pointing down, the moment is horizontal, as needed above a lying capsule.
     """
     mount = np.array([[0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1]], float)
     mount[2, 3] = MOUNT_GAP + 0.5 * magnet.diameter
@@ -119,7 +119,7 @@ def magnet_pose_at(
     """Pose ``T_world_magnet`` for joint angles [rad].
 
     Raises:
-        InputError: If there is not one finite angle a joint.
+        InputError: If there is not one finite angle per joint.
     """
     return robot.T_world_base @ forward(robot.arm, angles) @ robot.mount
 
@@ -127,15 +127,15 @@ def magnet_pose_at(
 def flange_pose_at(
     robot: ArmWithPayload, Ts_world_magnet: Float[np.ndarray, "*n 4 4"]
 ) -> Float[np.ndarray, "*n 4 4"]:
-    """Pose ``T_base_flange`` that puts the magnet there."""
+    """Pose ``T_base_flange`` that gives a pose of the magnet."""
     return robot.T_base_world @ Ts_world_magnet @ robot.T_magnet_flange
 
 
 def clearances(robot: ArmWithPayload, angles: Float[np.ndarray, "n j"]) -> Float[np.ndarray, "n 2"]:
-    """Least distances [m] of the arm's links and its magnet to each other, and to the table.
+    """Minimum distances [m] between the arm's links and its magnet, and from them to the table.
 
-    Negative values are penetration depths. Links are capsules, and so is the magnet against
-    links; against the table it is its exact cylinder. Without a table the second is infinite.
+    Negative values are penetration depths. Links are capsules, and so is the magnet relative to
+    links; relative to the table it is its exact cylinder. Without a table the second is infinite.
     """
     return robot.core.clearance(angles)
 
@@ -145,11 +145,11 @@ def solve_joint_angles(
     T_world_magnet: Float[np.ndarray, "4 4"],
     near: Float[np.ndarray, " j"] | None = None,
 ) -> Float[np.ndarray, " j"]:
-    """Joint angles [rad] that hold the magnet there, nearest to `near` (the arm's home).
+    """Joint angles [rad] that hold the magnet at a pose, nearest to `near` (default: home).
 
     Raises:
-        InputError: If the pose is not rigid, the magnet would be in the table, the arm does not
-            reach there within its limits, or it would touch itself or the table.
+        InputError: If the pose is not rigid, the magnet would be in the table, the arm cannot
+            reach the pose within its limits, or it would collide with itself or the table.
     """
     check_pose("T_world_magnet", T_world_magnet)
     table = robot.table_height
@@ -187,17 +187,17 @@ def follow(
     start: Float[np.ndarray, " j"],
     dt: float,
 ) -> Float[np.ndarray, "n j"]:
-    """Joint angles [n j] that lead the magnet along a path, each nearest to those before.
+    """Joint angles [n j] that move the magnet along a path, each nearest to the previous ones.
 
     Args:
         robot: The arm and its magnet.
-        Ts_world_magnet: Poses of the magnet, `dt` apart; the arm is at the first after `dt`.
+        Ts_world_magnet: Poses of the magnet, `dt` apart; the arm reaches the first after `dt`.
         start: Angles before the first pose [rad].
         dt: Time between poses [s].
 
     Raises:
-        InputError: If a pose is out of reach, the arm would touch itself or the table, or a joint
-            would turn faster than its limit.
+        InputError: If a pose is out of reach, the arm would collide with itself or the table, or a
+            joint would exceed its speed limit.
     """
     targets = flange_pose_at(robot, np.asarray(Ts_world_magnet, float))
     home = np.array([robot.arm.home])
@@ -214,10 +214,10 @@ def follow(
 
 
 def check_speed(arm: Arm, angles: Float[np.ndarray, "n j"], dt: float) -> None:
-    """Check that joints turn no faster than they may between angles `dt` apart.
+    """Check that the joint speeds between angles `dt` apart are within limits.
 
     Raises:
-        InputError: If one does; says which, how fast, and what would do.
+        InputError: If not; states the joint, its speed and a remedy.
     """
     limit = np.array([joint.velocity for joint in arm.joints])
     _require_time(dt)
@@ -234,10 +234,11 @@ def check_speed(arm: Arm, angles: Float[np.ndarray, "n j"], dt: float) -> None:
 def limit_utilization(
     arm: Arm, angles: Float[np.ndarray, "n j"], dt: float
 ) -> Float[np.ndarray, "3 j"]:
-    """Largest speed, acceleration and jerk of each joint as fractions of its limits.
+    """Maximum speed, acceleration and jerk of each joint as fractions of its limits.
 
-    By differences of angles `dt` apart, as a controller of that rate sees them; more than 1 exceeds
-    them. Four angles or more; a motion that begins at once, not from rest, begins within them.
+    Computed from differences of angles `dt` apart, as a controller of that rate sees them; values
+    above 1 exceed the limits. Needs four or more angles. The start of a motion is included only if
+    the angles include rest before it.
 
     Raises:
         InputError: If `dt` is not above 0, or there are fewer than four angles.
@@ -258,11 +259,11 @@ def _require_time(dt: float) -> None:
 def reachability(
     robot: ArmWithPayload, Ts_world_magnet: Float[np.ndarray, "*n 4 4"]
 ) -> Float[np.ndarray, "*n"]:
-    """Whether the arm can hold its magnet at each pose without collision: 1 or 0.
+    """Check whether the arm can hold its magnet at each pose without collision: 1 or 0.
 
-    A reachability map is its mean over the orientations at a grid of positions. Solutions are those
-    nearest to the arm's home; a pose that only another solution reaches without collision counts
-    as 0.
+    The mean over orientations at a grid of positions is a reachability map. Only the solutions
+    nearest to the arm's home are considered; a pose for which only another solution is free of
+    collisions counts as 0.
     """
     poses = np.asarray(Ts_world_magnet, float)
     flat = flange_pose_at(robot, poses).reshape(-1, 4, 4)

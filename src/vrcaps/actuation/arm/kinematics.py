@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
 
 def forward(arm: Arm, angles: Float[np.ndarray, "*n j"]) -> Float[np.ndarray, "*n 4 4"]:
-    """Pose ``T_base_flange`` for joint angles [rad]; angles beyond the limits are allowed.
+    """Pose ``T_base_flange`` at joint angles [rad]; angles may exceed the limits.
 
     Raises:
-        InputError: If there is not one finite angle a joint.
+        InputError: If there is not one finite angle per joint.
     """
     angles = _checked(arm, angles)
     frames = arm.core.frames(angles.reshape(-1, arm.num_joints))
@@ -25,10 +25,10 @@ def forward(arm: Arm, angles: Float[np.ndarray, "*n j"]) -> Float[np.ndarray, "*
 
 
 def frames(arm: Arm, angles: Float[np.ndarray, "*n j"]) -> Float[np.ndarray, "*n f 4 4"]:
-    """Poses in the base of every joint's frame and of the flange, for joint angles [rad].
+    """Poses of all joint frames and the flange in the base frame, at joint angles [rad].
 
     Raises:
-        InputError: If there is not one finite angle a joint.
+        InputError: If there is not one finite angle per joint.
     """
     angles = _checked(arm, angles)
     poses = arm.core.frames(angles.reshape(-1, arm.num_joints))
@@ -36,10 +36,10 @@ def frames(arm: Arm, angles: Float[np.ndarray, "*n j"]) -> Float[np.ndarray, "*n
 
 
 def jacobian(arm: Arm, angles: Float[np.ndarray, "*n j"]) -> Float[np.ndarray, "*n 6 j"]:
-    """Velocity of the flange's origin [m] and angular velocity [rad], in the base, per joint speed.
+    """Jacobian of the flange in the base frame: its origin [m] and rotation [rad] per joint angle.
 
     Raises:
-        InputError: If there is not one finite angle a joint.
+        InputError: If there is not one finite angle per joint.
     """
     angles = _checked(arm, angles)
     rows = arm.core.jacobian(angles.reshape(-1, arm.num_joints))
@@ -49,9 +49,9 @@ def jacobian(arm: Arm, angles: Float[np.ndarray, "*n j"]) -> Float[np.ndarray, "
 def inverse(
     arm: Arm, T_base_flange: Float[np.ndarray, "4 4"], last_angle: float
 ) -> Float[np.ndarray, "b j"]:
-    """All angles within limits that put the flange there with the last joint at `last_angle` [rad].
+    """All angles within limits for a flange pose, with the last joint at `last_angle` [rad].
 
-    In closed form, up to eight branches; none if the pose cannot be reached so.
+    Closed form with up to eight branches; empty if the pose cannot be reached.
 
     Raises:
         InputError: If the arm has no closed form (see `docs/magnets.md`) or the pose is not finite.
@@ -68,11 +68,11 @@ def nearest(
     *,
     rng: np.random.Generator | None = None,
 ) -> Float[np.ndarray, "*n j"]:
-    """Angles within limits that put the flange there, nearest to `near`; NaN where there are none.
+    """Angles within limits for flange poses, nearest to `near`; NaN where there are none.
 
     Nearest is Euclidean in the joint angles, over all branches and over the last joint's angle. An
     arm without a closed form is solved by damped least squares (Wampler 1986) from `near`, then
-    from its home, then, given `rng`, from 30 random angles; what is found first is taken.
+    from its home, then, given `rng`, from 30 random angles; the first solution is returned.
 
     Raises:
         InputError: If a pose or an angle is not finite.

@@ -21,7 +21,7 @@ Vector = tuple[float, float, float]
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 _RESERVED = ("capsule", "contact", "hall", "localized", "magnet", "patient", "wall")
-"""First words reserved for an episode's own folders and columns; cameras' begin with the name."""
+"""First words of an episode's own folders and columns; a camera's columns start with its name."""
 
 _WIDEST_PX, _MOST_PIXELS = 16384, 2**26
 _ORTHONORMAL = 1e-6

@@ -139,7 +139,7 @@ class Effects:
 
     @property
     def is_ideal(self) -> bool:
-        """Whether no stage changes the image; the scene and the camera may still be changed."""
+        """True if no stage changes the image; the scene and the camera may still be changed."""
         names = [name for name, cls in EFFECTS.items() if issubclass(cls, ImageEffect)]
         return all(getattr(self, name) in (0, None) for name in names)
 

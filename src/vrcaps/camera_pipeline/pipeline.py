@@ -157,7 +157,7 @@ class CameraPipeline:
 
     @property
     def is_active(self) -> bool:
-        """Whether the pipeline changes the image or selects the frames to capture."""
+        """True if the pipeline changes the image or selects the frames to capture."""
         return self._rate_adapts or ("rgb" in self.channels and not self._is_ideal)
 
     def capture(self, step: Step) -> Frame:

@@ -41,7 +41,7 @@ class RandomViews:
 
     Attributes:
         lesion_fraction: Fraction of the frames that look at a lesion, each lesion with equal
-            probability; the others look at any point of the wall. Without lesions, all do.
+            probability; the others look at any point of the wall, as do all frames without lesions.
         nearest: Minimum distance from the first camera to its target [m].
         farthest: Maximum distance from the first camera to its target [m]; the logarithm of
             distances is uniform.

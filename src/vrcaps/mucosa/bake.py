@@ -139,7 +139,7 @@ def _meters_per_uv(organ: OrganSurface) -> tuple[float, float]:
 
 
 def _worst_compression(organ: OrganSurface, scale: tuple[float, float]) -> float:
-    """Width of texels in their wider direction, relative to the mean, on 5 % of the wall.
+    """Texel width in the wider direction, relative to the mean, exceeded on 5 % of the wall.
 
     Not below 1, and not above `_MOST_STRETCH`: more texels do not repair bad coordinates.
     """

@@ -75,12 +75,12 @@ class Channel:
 
     @property
     def is_light(self) -> bool:
-        """Whether it holds light: an image or radiance, which supersampling averages."""
+        """True for light: an image or radiance, which supersampling averages."""
         return self.unit in ("sRGB", "W/(sr·m²)")
 
     @property
     def is_categorical(self) -> bool:
-        """Whether its values are categories, so that neighbors must not be averaged."""
+        """True if its values are categories, so neighbors must not be averaged."""
         return self.display in ("classes", "numbers", "index", "mask")
 
     def shape(self, height: int, width: int) -> tuple[int, ...]:

@@ -1,4 +1,4 @@
-"""White light of LEDs with other spectra than the reference.
+"""White light of LEDs whose spectrum differs from the reference.
 
 A camera is white-balanced under its own LEDs, so only colored matter looks different under other
 LEDs: blood, most of all where the LEDs emit in its bands at 415, 540 and 577 nm, and bile below

@@ -4,8 +4,8 @@ A texel's color is unmixed into a bright base, blood and bile by their optical d
 camera's red, green and blue bands. The density of blood in green gives its absorption relative to
 the tissue's scattering. Scaled to the two bands, this gives the reflectance of the tissue there.
 The image shows 540 nm as red, and 415 nm as green and blue (Gono, Clin. Endosc. 48(6), 2015), which
-makes vessels stand out brown. Vessels have no depth in this model: light of 415 nm sees all of
-them.
+makes vessels stand out brown. Vessels have no depth in this model: light at 415 nm reaches
+all of them.
 """
 
 from __future__ import annotations

@@ -55,13 +55,13 @@ def fresnel(cosine: Float[np.ndarray, "*n"], ior: float) -> Float[np.ndarray, "*
 
 
 def internal_reflectance(ior: float) -> float:
-    """Fraction of diffuse light inside that the boundary reflects back: 0 for 1, 0.53 for 1.4."""
+    """Fraction of diffuse light inside that the boundary reflects: 0 at index 1, 0.53 at 1.4."""
     cosine, weight = directions(ior)
     return float(np.sum(2.0 * weight * cosine * fresnel(cosine, 1.0 / ior)))
 
 
 def diffuse_transmittance(ior: float) -> float:
-    """Fraction of diffuse light outside that the boundary transmits: 1 for 1, 0.94 for 1.4."""
+    """Fraction of diffuse light outside that the boundary transmits: 1 at index 1, 0.94 at 1.4."""
     return (1.0 - internal_reflectance(ior)) * ior**2
 
 

@@ -54,7 +54,7 @@ class RenderSettings:
 
     @property
     def is_supersampled(self) -> bool:
-        """Whether a pixel's color depends on more than its own ray."""
+        """True if a pixel's color depends on more than its own ray."""
         return self.supersampling > 1 or self.denoise
 
     def __post_init__(self) -> None:

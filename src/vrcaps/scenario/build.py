@@ -95,7 +95,7 @@ def build(scenario: Scenario) -> tuple[Model, Motion]:
 def make_organ(scenario: Scenario, *, clean: bool = False) -> OrganSurface:
     """Organ of a resolved scenario with its lesions, or its clean twin without them.
 
-    An organ with lesions is made once and then read from the user's cache folder.
+    An organ with lesions is generated once and then read from the user's cache folder.
 
     Raises:
         InputError: If the organ cannot be made, or a lesion does not fit in it.
@@ -137,7 +137,7 @@ def _widest(organ: OrganGenerated) -> float:
 
 
 def _load_organ(scenario: Scenario) -> OrganSurface:
-    """Organ with its appearance, made once and then read from the user's cache folder."""
+    """Organ with its appearance, generated once and then read from the user's cache folder."""
     from vrcaps.anatomy.catalog import generate_organ
     from vrcaps.mucosa.bake import bake_appearance
     from vrcaps.mucosa.mucosa import own_mucosa

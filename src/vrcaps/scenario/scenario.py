@@ -127,7 +127,7 @@ class Scenario:
         render: Settings of the renderer; radiosity by default.
         wall: Whether the position of every vertex of the wall is stored in each frame.
         lesions: Lesions to put into the organ; their instance IDs are 1, 2, … in this order.
-        clean_twin: Show the same patient without the lesions; the motion stays as with them.
+        clean_twin: Whether to render the same patient without the lesions, with the same motion.
         contents: Contents of the lumen.
         effects: Effects of lens and sensor; None for an effect is the capsule's own, and a range
             is sampled to one severity by the seed.

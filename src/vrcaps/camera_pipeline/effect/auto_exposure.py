@@ -42,7 +42,6 @@ class AutoExposure(ImageEffect):
         min_light: Minimum light, relative to the camera's own fixed exposure.
         max_light: Maximum light, relative to the same.
         max_gain: Maximum gain.
-        max_gain: Largest gain.
     """
 
     time_constant: float
@@ -80,7 +79,7 @@ class AutoExposure(ImageEffect):
 
     @property
     def is_settled(self) -> bool:
-        """Whether each frame is exposed independently of the others."""
+        """True if each frame is exposed independently of the others."""
         return self.time_constant == 0.0
 
     def settle(self, meter: Callable[[float], float]) -> float:

@@ -16,7 +16,6 @@ class LateralChromaticAberration(ImageEffect):
     Attributes:
         red: Magnification of red minus 1; a point at radius r appears `red · r` further out.
         blue: Magnification of blue minus 1.
-        blue: Magnification of blue less 1.
     """
 
     red: Annotated[float, Range(above=-0.5, below=0.5)]

@@ -27,7 +27,7 @@ _RECOVERY_TIMEOUT = 8.0
 
 
 class PointToPointPlanner:
-    """Moves one capsule to one target; replans from the position of a stalled capsule."""
+    """Planner that moves one capsule to one target, and replans where the capsule stalls."""
 
     def __init__(
         self,

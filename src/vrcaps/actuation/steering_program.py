@@ -203,7 +203,7 @@ def check_joystick(joystick: tuple[JoystickCommand, ...], where: str) -> None:
 
 
 class SteeringProgram:
-    """Executes the settings of `MagnetSteering` while a world is simulated.
+    """Execution of the settings of `MagnetSteering` while a world is simulated.
 
     Attributes:
         settings: Settings of the program.

@@ -76,7 +76,7 @@ class WallPath:
 
 
 class PathFollower:
-    """Moves a target along a path ahead of the capsule, and waits for the capsule."""
+    """Follower that moves a target along a path ahead of the capsule, and waits for it."""
 
     def __init__(self, path: WallPath, speed: float, lookahead: float) -> None:
         """Start at the beginning of the path.

@@ -102,7 +102,7 @@ STOMACH = declare_organ(
         {"fundus": 0.2, "body": 0.4, "antrum": 0.35, "pylorus": 0.05},
     )
 )
-"""The cardia and the incisura are patches of wall."""
+"""Segments of the stomach; the cardia and the incisura are patches of wall."""
 
 SMALL_BOWEL = declare_organ(
     OrganSegments(

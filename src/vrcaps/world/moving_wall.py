@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class MovingWall:
-    """Holds one wall and refits it to a state, once for all queries of that state."""
+    """One wall that is refitted to a state, once for all queries of that state."""
 
     def __init__(self, model: Model) -> None:
         self.model = model

@@ -1,1 +1,1 @@
-"""The wall as a layer of finite elements."""
+"""Finite-element layer of the wall."""

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from vrcaps import _core
+
 _SUPPORT = Path(__file__).parent / "support", Path(__file__).parents[1] / "benchmarks"
 os.environ["PYTHONPATH"] = os.pathsep.join(
     filter(None, (*map(str, _SUPPORT), os.environ.get("PYTHONPATH")))
@@ -14,6 +16,10 @@ os.environ["PYTHONPATH"] = os.pathsep.join(
 if "PYTEST_XDIST_WORKER" in os.environ:  # workers run beside each other, so each takes one thread
     for _threads in ("RAYON", "OIDN", "OMP", "OPENBLAS"):
         os.environ.setdefault(f"{_threads}_NUM_THREADS", "1")
+
+_core.testing.forbid_global_pool()
+"""All parallel work runs in the pool of the core that a forked process makes again: what goes
+another way panics."""
 
 
 @pytest.fixture(scope="session")

@@ -94,7 +94,10 @@ FIGURES = (
     *_scripts("validate_textures validate_quasi_static", is_timed=True),
     Figure("benchmarks/small_bowel_transit.py", ("--size", "40")),
     Figure("benchmarks/capsule_designs.py"),
-    *_scripts("validate_contact validate_coverage validate_ct validate_fem validate_labels"),
+    *_scripts(
+        "validate_contact validate_coverage validate_ct validate_defaults validate_fem "
+        "validate_labels"
+    ),
     *_scripts("validate_lesion_sizes validate_resume validate_exactly_once kill_runs"),
     Figure("benchmarks/validate_learning.py", ("--size", "20")),
     *_scripts("validate_lesions validate_light validate_moving_labels validate_path"),

@@ -98,7 +98,7 @@ def test_unknown_names_and_frames(recorded):
 
 
 def test_no_episode(tmp_path):
-    with pytest.raises(InputError, match="is no episode: it holds no episode.json"):
+    with pytest.raises(InputError, match=r"is no episode: it holds no episode\.json"):
         read_episode(tmp_path)
 
 

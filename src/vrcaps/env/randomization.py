@@ -90,6 +90,11 @@ class Randomization:
                     f"environment: all but {', '.join(_UNFIT)}."
                 )
 
+    def sample_effects(self, seed: int) -> Effects:
+        """The effects with a severity sampled from each range."""
+        assert not isinstance(self.effects, str)  # the constructor has read a text
+        return self.effects.sample(seed)
+
     @property
     def has_effects(self) -> bool:
         """Whether images are other than the ideal camera's."""

@@ -128,7 +128,7 @@ class Views:
     def _effects(self, index: int) -> Effects:
         """What lens and sensor of a world do to the images that agents see."""
         s = self._simulation
-        return s.settings.randomization.effects.sample(int(s.effects_seed[index]))
+        return s.settings.randomization.sample_effects(int(s.effects_seed[index]))
 
     def _render(self, numbers: list[int], view: View) -> None:
         """Renders worlds: those that one camera sees by direct light in one call."""

@@ -124,14 +124,22 @@ def train(
             begin()
         if tensorboard is not None:
             learner.log_to(tensorboard)
-        score = Score(settings.env, settings.learner.evaluation_episodes, settings.seed)
-        progress = _read_checkpoint(out, learner)
-        report(progress)
-        while progress.num_rounds < progress.total:
-            progress = _round(settings, out, learner, score, progress)
-            _write_checkpoint(out, learner, progress)
-            report(progress)
+        progress = _run(settings, out, learner, report)
         learner.close()
+    return progress
+
+
+def _run(
+    settings: TrainingSettings, out: Path, learner: Ppo, report: Callable[[Progress], None]
+) -> Progress:
+    """All rounds from the last checkpoint on."""
+    score = Score(settings.env, settings.learner.evaluation_episodes, settings.seed)
+    progress = _read_checkpoint(out, learner)
+    report(progress)
+    while progress.num_rounds < progress.total:
+        progress = _round(settings, out, learner, score, progress)
+        _write_checkpoint(out, learner, progress)
+        report(progress)
     return progress
 
 

@@ -129,9 +129,9 @@ def _own_token() -> Iterator[None]:
     The token is passed in the environment, which other users cannot read; by itself Ray keeps one
     in a file of the home folder, which they can.
     """
-    from ray._raylet import (  # pyright: ignore[reportAttributeAccessIssue]
-        AuthenticationTokenLoader,
-        Config,
+    from ray._raylet import (
+        AuthenticationTokenLoader,  # pyright: ignore[reportAttributeAccessIssue]
+        Config,  # pyright: ignore[reportAttributeAccessIssue]
     )
 
     names = ("RAY_AUTH_MODE", "RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH")

@@ -1,6 +1,6 @@
-"""Recordings: a scenario rendered to disk as an episode, and read back.
+"""Recordings: render a scenario to disk as an episode and read it back.
 
 `recorder.record` writes an episode, `episode.read_episode` reads it, `check` verifies it.
-`channels` says how each image channel is stored, `table` has the columns of `frames.parquet`,
-`layout` the files; `checkpoint` continues an interrupted recording.
+`channels` defines the encoding of each image channel, `table` the columns of `frames.parquet`,
+`layout` the files; `checkpoint` resumes an interrupted recording.
 """

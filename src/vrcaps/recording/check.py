@@ -1,4 +1,4 @@
-"""Check an episode against its own `episode.json`, its poses, its cameras and its organ."""
+"""Check of an episode against its `episode.json`, poses, cameras and organ."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 _STEP = CHANNELS["depth"].encoding.scale or 0.0
 _CAST_FRAMES, _CAST_RAYS = 8, 400  # frames and rays per frame that are cast against the organ
-_MIN_AGREEMENT = 0.99  # of these rays must agree; at silhouettes rounding decides which wall is hit
+_MIN_AGREEMENT = 0.99  # of these rays must agree; at silhouettes rounding decides the hit triangle
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Problem:
 
     Attributes:
         where: File, or file and frame or column, relative to the episode.
-        what: What is wrong, in one line.
+        what: Fault, in one line.
     """
 
     where: str
@@ -58,11 +58,11 @@ class Problem:
 def check_episode(
     path: str | Path, *, progress: Callable[[int, int], None] | None = None
 ) -> list[Problem]:
-    """All faults of an episode; none means that every file is there, whole and consistent.
+    """Return all faults of an episode; none if every file exists, is complete and consistent.
 
     Args:
         path: Folder of the episode.
-        progress: Called with the number of checked frames and of all frames.
+        progress: Called with the number of checked frames and the total.
     """
     path = Path(path)
     problems: list[Problem] = []
@@ -99,7 +99,7 @@ def check_episode(
 def _check_frame(
     episode: Episode, camera: Camera, frame: int, rays: NDArray, wall: _core.Wall | None
 ) -> list[Problem]:
-    """Faults of the images of one camera at one frame; cast against the wall if it is given."""
+    """Faults of one camera's images at one frame; ray cast against the wall if it is given."""
     images, problems = _read_images(episode, camera, frame)
     problems += _check_images(episode, camera, frame, images, rays)
     if wall is not None:
@@ -108,7 +108,7 @@ def _check_frame(
 
 
 def _check_status(path: Path) -> list[Problem]:
-    """Whether the recording was interrupted, which explains all other faults."""
+    """Report an interrupted recording, which explains all other faults."""
     if read_head(LocalFiles(path)).get("status") == COMPLETE:
         return []
     go_on = f"vrcaps record {path / EPISODE_JSON} --out {path}"
@@ -182,7 +182,7 @@ def _is_rigid(Ts: NDArray) -> NDArray:
 
 
 def _load_organ(episode: Episode) -> tuple[Mesh | None, list[Problem]]:
-    """The wall at rest, if it is whole."""
+    """Wall at rest, if its file is complete."""
     where = episode.organ_path.name
     try:
         mesh = episode.organ
@@ -197,7 +197,7 @@ def _load_organ(episode: Episode) -> tuple[Mesh | None, list[Problem]]:
 
 
 def _cast_frames(episode: Episode) -> NDArray:
-    """Frames whose wall is known: stored, or at rest; some of them, spread evenly."""
+    """Evenly spread sample of the frames with a known wall: stored, or at rest."""
     known = np.arange(len(episode))
     if "wall" not in episode.head:
         known = np.flatnonzero(episode.table.columns["wall_at_rest"])
@@ -208,7 +208,7 @@ def _cast_frames(episode: Episode) -> NDArray:
 def _stored_wall(
     episode: Episode, organ: Mesh | None, frame: int
 ) -> tuple[_core.Wall | None, list[Problem]]:
-    """The wall of a frame, ready for rays, if it is whole."""
+    """Ray-casting scene of a frame's wall, if its file is complete."""
     path, where = episode.wall_path(frame), wall_path(frame)
     try:
         vertices = episode.stored_wall(frame)
@@ -236,7 +236,7 @@ def _check_extras(episode: Episode) -> Iterator[Problem]:
 def _read_images(
     episode: Episode, camera: Camera, frame: int
 ) -> tuple[dict[str, NDArray], list[Problem]]:
-    """Stored numbers of each channel that is there, readable and of the right size."""
+    """Stored values of each existing channel that is readable and of the right size."""
     images, problems = {}, []
     for channel in episode.channels:
         path = episode.image_path(camera.name, channel, frame)
@@ -292,7 +292,7 @@ def _faults(
             )
         seen &= ~_bent(episode, values, seen.shape)
         facing = (normal[seen] * rays[seen]).sum(axis=-1)
-        # Smooth normals may tip over at a silhouette, by less than a triangle's bend.
+        # Smooth normals may flip at a silhouette, by less than a triangle's bend.
         if np.count_nonzero(facing > 1e-3) > 0.02 * max(len(facing), 1):
             yield (
                 "normal",
@@ -301,7 +301,7 @@ def _faults(
 
 
 def _bent(episode: Episode, values: dict[str, NDArray], shape: tuple[int, ...]) -> NDArray:
-    """Pixels that liquid may let see another place of the wall than a straight ray does."""
+    """Pixels that may show another point of the wall than a straight ray, due to refraction."""
     if "refraction_label" in values:
         return values["refraction_label"] != 0
     is_liquid = bool(episode.scenario.contents.liquid)

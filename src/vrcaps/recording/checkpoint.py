@@ -1,4 +1,4 @@
-"""Checkpoint of an interrupted recording: the motion and the table, to go on from."""
+"""Checkpoint of an interrupted recording: its motion and table."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _INDEX = "index.json"
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A recording at a frame that is wholly written, as all before it are.
+    """State of a recording at a frame; this frame and all earlier ones are complete.
 
     Attributes:
         motion: The motion at the frame.
@@ -30,13 +30,13 @@ class Checkpoint:
 
 
 def write_checkpoint(episode: Path, checkpoint: Checkpoint) -> None:
-    """Write a checkpoint in place of the one before."""
+    """Write a checkpoint, replacing the previous one."""
     folder = episode / _FOLDER
     folder.mkdir(exist_ok=True)
     arrays, table = _paths(folder, checkpoint.motion.frame)
     write_arrays(arrays, checkpoint.motion.arrays)
     write_table(table, checkpoint.table)
-    sync_folder(folder)  # the files are there before the index says so
+    sync_folder(folder)  # the files exist before the index refers to them
     write_json(folder / _INDEX, {"frame": checkpoint.motion.frame})
     for path in folder.iterdir():
         if path not in (arrays, table, folder / _INDEX):
@@ -44,7 +44,7 @@ def write_checkpoint(episode: Path, checkpoint: Checkpoint) -> None:
 
 
 def read_checkpoint(episode: Path) -> Checkpoint | None:
-    """The checkpoint of a recording that was broken off; None where there is none.
+    """Checkpoint of an interrupted recording; None if there is none.
 
     Raises:
         InputError: If its files are damaged.

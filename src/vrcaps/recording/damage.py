@@ -1,4 +1,4 @@
-"""Files of an episode that a crash or a failing disk has damaged: found by decoding them."""
+"""Detection of episode files damaged by a crash or a failing disk, by decoding them."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from vrcaps.recording.stored_organ import organ_name
 
 
 def remove_damaged(episode: Episode) -> None:
-    """Remove each file of an episode that is there but does not decode, so that it is made again.
+    """Remove each file of an episode that does not decode, so that it is written again.
 
     Args:
-        episode: May be unfinished; nothing of it was read before.
+        episode: May be unfinished; none of its files have been read before.
 
     Raises:
         OSError: If a file cannot be removed.
     """
     readers = {**_frames(episode), **pictures_of(episode)}
     readers[episode.path / FRAMES_PARQUET] = lambda: episode.table
-    if organ_name(episode.head) == ORGAN_GLB:  # a shared one is not this recorder's to remove
+    if organ_name(episode.head) == ORGAN_GLB:  # a shared organ is not this recorder's to remove
         readers[episode.organ_path] = partial(_read_organ, episode)
 
     def remove_if_damaged(path: Path) -> None:
@@ -40,7 +40,7 @@ def remove_damaged(episode: Episode) -> None:
 
 
 def pictures_of(episode: Episode) -> dict[Path, Callable[[], object]]:
-    """Contact sheet and preview, and what reads them or raises OSError or ValueError."""
+    """Contact sheet and preview, with functions that read them or raise OSError or ValueError."""
     readers: dict[Path, Callable[[], object]] = {}
     sheet, preview = episode.path / SHEET_PNG, episode.path / PREVIEW_MP4
     readers[sheet] = partial(read_image, sheet)
@@ -50,7 +50,7 @@ def pictures_of(episode: Episode) -> dict[Path, Callable[[], object]]:
 
 
 def _frames(episode: Episode) -> dict[Path, Callable[[], object]]:
-    """Images and walls of all frames, and what reads them."""
+    """Images and walls of all frames, with functions that read them."""
     readers: dict[Path, Callable[[], object]] = {}
     for frame in range(len(episode)):
         for camera in episode.cameras:

@@ -1,4 +1,4 @@
-"""Read an episode back: arrays in SI units, poses as matrices, cameras that can project."""
+"""Episode reader: arrays in SI units, poses as matrices, cameras with projection."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Episode:
-    """A recorded run; images are read when asked for.
+    """Recorded run; images are read on demand.
 
-    `episode[i]` is a dictionary of arrays and numbers of one frame of the first camera.
+    `episode[i]` is a dictionary of arrays and scalars of one frame of the first camera.
 
     Example:
         >>> episode = vrcaps.read_episode("runs/colon")
@@ -48,7 +48,7 @@ class Episode:
         >>> loader = torch.utils.data.DataLoader(episode.sequence("front", ("rgb", "depth")))
 
     Attributes:
-        files: Where its files lie.
+        files: Access to its files.
         head: Contents of `episode.json`.
         cameras: The capsule's cameras; `camera.lens.project` and `unproject` work.
         channels: Image channels that were recorded, in the order of `Frame`.
@@ -61,21 +61,21 @@ class Episode:
 
     @property
     def url(self) -> str:
-        """Its folder, or the URL where it lies."""
+        """Folder or URL of the episode."""
         return self.files.url
 
     @property
     def name(self) -> str:
-        """Name of its folder."""
+        """Name of the folder."""
         is_here = isinstance(self.files, LocalFiles)
         return Path(os.path.abspath(self.url) if is_here else self.url).name  # "." has no name
 
     @property
     def path(self) -> Path:
-        """Its folder on this machine.
+        """Local folder of the episode.
 
         Raises:
-            InputError: If it lies elsewhere.
+            InputError: If it is not on this machine.
         """
         if not isinstance(self.files, LocalFiles):
             raise InputError(f"{self.url} is not on this machine. Copy the episode here first.")
@@ -91,7 +91,7 @@ class Episode:
     def sequence(
         self, camera: str | None = None, channels: Sequence[str] | None = None
     ) -> FrameSequence:
-        """The frames of one camera.
+        """Return the frame sequence of one camera.
 
         Args:
             camera: Name of the camera; None takes the first.
@@ -118,7 +118,7 @@ class Episode:
         return found if channels is None else found.with_channels(channels)
 
     def sequences(self, camera: str | None = None) -> tuple[FrameSequence, ...]:
-        """The frames of each camera, or of the one that is named.
+        """Return the frame sequence of each camera, or of the given one.
 
         Raises:
             UnknownNameError: If the capsule has no such camera.
@@ -132,7 +132,7 @@ class Episode:
 
     @lazy
     def scenario(self) -> Scenario:
-        """What was recorded; recording it again makes the same bytes."""
+        """Recorded scenario; recording it again gives the same bytes."""
         return scenario_from_plain(self.head["scenario"])
 
     @lazy
@@ -169,11 +169,11 @@ class Episode:
 
     @property
     def label_names(self) -> tuple[str, ...]:
-        """Class names by number; 0 is `background`."""
+        """Class names by index; 0 is `background`."""
         return tuple(self.head["organ"]["label_names"])
 
     def camera(self, name: str) -> Camera:
-        """A camera by its name.
+        """Return a camera by name.
 
         Raises:
             UnknownNameError: If the capsule has no such camera.
@@ -184,7 +184,7 @@ class Episode:
         raise UnknownNameError("camera", name, [camera.name for camera in self.cameras])
 
     def image_path(self, camera: str, channel: str, frame: int) -> Path:
-        """Where an image is stored on this machine.
+        """Path of an image on this machine.
 
         Raises:
             UnknownNameError: If camera or channel was not recorded.
@@ -219,11 +219,11 @@ class Episode:
             raise self._unreadable(name, error) from error
 
     def stored_image(self, camera: str, channel: str, frame: int) -> NDArray:
-        """The numbers of an image as its file holds them.
+        """Pixel values of an image as stored in its file.
 
         Raises:
             OSError: If the file cannot be read.
-            ValueError: If it is no image, or one of another size or type.
+            ValueError: If it is not an image, or has another size or type.
         """
         name = self.image_name(camera, channel, frame)
         stored = decode_image(self.files.read(name), PurePosixPath(name).suffix)
@@ -237,24 +237,24 @@ class Episode:
     def frame(
         self, index: int, camera: str | None = None, channels: Sequence[str] | None = None
     ) -> Frame:
-        """One image, of the first camera unless another is named.
+        """One image, of the first camera unless another is given.
 
         Args:
-            index: Of the frame.
+            index: Index of the frame.
             camera: Name of the camera.
-            channels: To read; None reads all that were recorded.
+            channels: Channels to read; None reads all recorded ones.
         """
         name = self.cameras[0].name if camera is None else camera
         chosen = self.channels if channels is None else channels
         return Frame(**{channel: self.image(name, channel, index) for channel in chosen})
 
     def frames(self, camera: str | None = None) -> Iterator[Frame]:
-        """All images of a camera in time, of the first unless another is named."""
+        """Images of a camera in order of time; None takes the first camera."""
         return (self.frame(index, camera) for index in range(len(self)))
 
     @property
     def organ_path(self) -> Path:
-        """Where the organ is stored: in the episode, or once for many episodes of a data set.
+        """Path of the organ's file: in the episode, or shared by the episodes of a data set.
 
         Raises:
             InputError: If the episode is not on this machine.
@@ -274,7 +274,7 @@ class Episode:
             raise self._unreadable(organ_name(self.head), error) from error
 
     def wall(self, index: int) -> Mesh:
-        """The wall of a frame in the world frame [m], as `organ` but where it is then.
+        """Wall of a frame in the world frame [m]: `organ`, deformed as at that time.
 
         Raises:
             InputError: If walls were not recorded, there is no such frame or its file is damaged.
@@ -293,11 +293,11 @@ class Episode:
         return replace(self.organ, vertices=vertices.astype(float))
 
     def stored_wall(self, frame: int) -> Float32[np.ndarray, "k 3"]:
-        """The vertices of a frame's wall as its file holds them [m].
+        """Vertices of a frame's wall as stored in its file [m].
 
         Raises:
             OSError: If the file cannot be read.
-            ValueError: If it is no such array.
+            ValueError: If it is not such an array.
         """
         vertices = decode_wall(self.files.read(self._wall_name(frame)))
         shape = (self.head["wall"]["num_vertices"], 3)
@@ -306,7 +306,7 @@ class Episode:
         return vertices
 
     def wall_path(self, frame: int) -> Path:
-        """Where the wall of a frame is stored on this machine.
+        """Path of a frame's wall on this machine.
 
         Raises:
             InputError: If walls were not recorded, there is no such frame, or the episode is not
@@ -331,14 +331,14 @@ class Episode:
 
 
 def read_episode(path: str | Path | EpisodeFiles, *, unfinished: bool = False) -> Episode:
-    """Open an episode; only `episode.json` is read at once.
+    """Open an episode; only `episode.json` is read immediately.
 
     Args:
-        path: Folder of the episode, or where else its files lie.
+        path: Folder of the episode, or access to its files elsewhere.
         unfinished: Accept one whose recording was interrupted; some files may be missing.
 
     Raises:
-        InputError: If the folder holds no whole episode of this format.
+        InputError: If the folder does not hold a complete episode of this format.
     """
     files = LocalFiles(Path(path)) if isinstance(path, str | Path) else path
     head, where = read_head(files), f"{files.url}/{EPISODE_JSON}"
@@ -356,7 +356,7 @@ def read_episode(path: str | Path | EpisodeFiles, *, unfinished: bool = False) -
 
 
 def require_head(head: dict[str, Any], where: str) -> None:
-    """Check that `episode.json` has what an episode is read by.
+    """Check that `episode.json` has the keys needed to read the episode.
 
     Raises:
         InputError: If a key is missing, of the wrong type or out of range, or a channel is unknown.

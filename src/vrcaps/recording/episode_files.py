@@ -1,4 +1,4 @@
-"""Where the files of an episode lie: in a folder of this machine, or elsewhere."""
+"""Access to the files of an episode: in a local folder or elsewhere."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from vrcaps.temporary_files import scratch_folder
 
 
 class EpisodeFiles(Protocol):
-    """The files of an episode by their names, such as ``front/rgb/000000.png``."""
+    """Files of an episode by name, such as ``front/rgb/000000.png``."""
 
     @property
     def url(self) -> str:
-        """Folder or URL that they lie in."""
+        """Folder or URL that holds them."""
         ...
 
     def read(self, name: str) -> bytes:
-        """A file's bytes.
+        """Return the bytes of a file.
 
         Raises:
             OSError: If it cannot be read.
@@ -31,17 +31,17 @@ class EpisodeFiles(Protocol):
 
 @dataclass(frozen=True)
 class LocalFiles:
-    """Files in a folder of this machine."""
+    """Files in a local folder."""
 
     folder: Path
 
     @property
     def url(self) -> str:
-        """The folder."""
+        """Path of the folder."""
         return str(self.folder)
 
     def read(self, name: str) -> bytes:
-        """A file's bytes; one that a link places outside the folder cannot be read.
+        """Return the bytes of a file; one that a link places outside the folder cannot be read.
 
         Raises:
             OSError: If it cannot be read.
@@ -52,13 +52,13 @@ class LocalFiles:
 
 @contextmanager
 def file_here(files: EpisodeFiles, name: str) -> Iterator[Path]:
-    """A file on this machine: itself, or a copy that is there during the block.
+    """Path of a file on this machine: the file itself, or a copy that exists during the block.
 
     Raises:
         OSError: If it cannot be read.
     """
     if isinstance(files, LocalFiles):
-        is_shared = name.startswith("../")  # an organ of its data set
+        is_shared = name.startswith("../")  # the organ of its data set
         yield files.folder / name if is_shared else inside(files.folder, name)
         return
     with scratch_folder() as folder:

@@ -1,4 +1,4 @@
-"""Frames of one camera over time, wherever they come from."""
+"""Frames of one camera over time, from any source."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
 SPLITS = ("train", "val", "test")
 """Splits of a data set."""
 _LATEST = 1e12
-"""Times beyond this are no data [s]: those in seconds since 1970 are below 1e10."""
+"""Maximum valid time [s]; times in seconds since 1970 are below 1e10."""
 TIME, CAMERA_POSE = "time", "T_world_camera"
-"""Names of values that sequences of all sources use."""
+"""Names of values used by sequences of all sources."""
 
 
 @dataclass(frozen=True)
 class FrameSequence:
-    """Frames of one camera over time: of an episode, or of a data set that others made.
+    """Frames of one camera over time, of an episode or an external data set.
 
-    Images are read when asked for. `sequence[i]` is a dictionary of arrays and numbers, none of
-    them None: an array for each channel, the values of the frame, and `index`. It needs no PyTorch,
+    Images are read on demand. `sequence[i]` is a dictionary of arrays and scalars, none of them
+    None: an array for each channel, the values of the frame, and `index`. It needs no PyTorch,
     but PyTorch's `DataLoader` takes it as a map-style dataset.
 
     Example:
@@ -41,25 +41,26 @@ class FrameSequence:
         >>> sequence[0]["depth"], sequence[0]["T_world_camera"]
         >>> loader = torch.utils.data.DataLoader(sequence)
 
-    This is the border at which data of others are checked: names become paths of what is written,
-    and networks learn from values.
+    External data are validated here, because names become paths of written files and networks are
+    trained on the values.
 
     Attributes:
         name: Name in its source, a relative path.
         channels: Image channels that a frame has, in the order of `Frame`.
-        values: An array with a row per frame for each number that is known. `time` [s] is always
-            there; `T_world_camera` [m] where poses are known; an episode has `T_world_capsule` and
-            `capsule_arc_length` [m] too; a folder of images has `file_name`, without the ending.
-        load: Reads an image, from channel and number of the frame, in SI units.
-        camera: Lens and size of the images; None where the source has no calibration.
-        label_names: Class names of `label` by number; 0 is `background`.
-        patient: Whose organ it is; None if not known. Data sets are split by it.
+        values: An array with a row per frame for each known quantity. `time` [s] is always
+            present; `T_world_camera` [m] if poses are known; an episode also has
+            `T_world_capsule` and `capsule_arc_length` [m]; a folder of images has `file_name`,
+            without the extension.
+        load: Reads an image in SI units, given channel and frame index.
+        camera: Lens and size of the images; None if the source has no calibration.
+        label_names: Class names of `label` by index; 0 is `background`.
+        patient: Patient ID, by which data sets are split; None if unknown.
         split: `train`, `val` or `test`; None if the source has no splits.
-        episode: The episode that it is of; None for data of others.
+        episode: Episode that it belongs to; None for external data.
 
     Raises:
-        InputError: If the name is no relative path, there is not one value for each frame, a time
-            is not finite, or a transform `T_…` is not rigid.
+        InputError: If the name is not a relative path, a value does not have one row per frame, a
+            time is not finite, or a transform `T_…` is not rigid.
         UnknownNameError: If there is no such channel or split.
     """
 
@@ -89,7 +90,7 @@ class FrameSequence:
         return (self[index] for index in range(len(self)))
 
     def __getitem__(self, index: int) -> dict[str, NDArray]:
-        """Arrays of one frame; a negative index counts from the end.
+        """Return the arrays of one frame; a negative index counts from the end.
 
         Raises:
             IndexError: If there is no such frame, so that a loop over the sequence ends.
@@ -112,14 +113,14 @@ class FrameSequence:
         """Pose of the camera at each frame [m].
 
         Raises:
-            InputError: If poses are not known.
+            InputError: If poses are unknown.
         """
         if CAMERA_POSE not in self.values:
             raise InputError(f"{self.name} has no poses of its camera.")
         return self.values[CAMERA_POSE]
 
     def image(self, channel: str, index: int) -> NDArray:
-        """One channel [h w] or [h w c] of a frame in SI units; NaN where there is no value.
+        """Return one channel [h w] or [h w c] of a frame in SI units; NaN where there is no value.
 
         Raises:
             UnknownNameError: If the sequence has no such channel.
@@ -132,11 +133,11 @@ class FrameSequence:
         return self._loaded(channel, index)
 
     def frame(self, index: int) -> Frame:
-        """All channels of one frame."""
+        """Return all channels of one frame."""
         return Frame(**{channel: self.image(channel, index) for channel in self.channels})
 
     def subset(self, frames: Sequence[int] | Int[np.ndarray, " n"]) -> FrameSequence:
-        """Some of the frames, by their numbers, which then count from 0."""
+        """Return the sequence of some frames, given by index; they are renumbered from 0."""
         kept = np.asarray(frames, int)
         return replace(
             self,
@@ -145,10 +146,10 @@ class FrameSequence:
         )
 
     def with_channels(self, channels: Iterable[str]) -> FrameSequence:
-        """The same frames with these channels only.
+        """Return the same frames with these channels only.
 
         Raises:
-            UnknownNameError: If a channel is not there.
+            UnknownNameError: If a channel does not exist.
         """
         chosen = tuple(channels)
         self._require_channels(chosen)
@@ -171,7 +172,7 @@ def _require_values(sequence: FrameSequence) -> None:
     """Check times and transforms of a sequence.
 
     Raises:
-        InputError: If one is impossible; names the sequence and the frame.
+        InputError: If one is invalid; the message names the sequence and the frame.
     """
     times = np.asarray(sequence.values[TIME])
     for name, rows in sequence.values.items():
@@ -190,10 +191,10 @@ def _require_values(sequence: FrameSequence) -> None:
 
 
 def _require_possible(channel: str, image: NDArray, what: str) -> None:
-    """Check an image that was read: floats are finite or NaN, distances not negative.
+    """Check the values of an image: floats are finite or NaN, distances not negative.
 
     Raises:
-        InputError: If a pixel is neither.
+        InputError: If a pixel is invalid.
     """
     if image.dtype.kind != "f":
         return

@@ -1,4 +1,4 @@
-"""Writer of frames: files of several frames at once while the next ones are rendered."""
+"""Concurrent frame writer: files of several frames are written while the next ones are rendered."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from types import TracebackType
 
 _WRITERS = 4  # threads that encode and write; they mostly wait for the disk
-_QUEUED_FRAMES = 6  # being written or waiting for it
+_QUEUED_FRAMES = 6  # frames being written or waiting
 
 
 class FrameWriter:
-    """Runs what writes a frame beside what renders; ends when all is written.
+    """Write frames in parallel with rendering; `finish` waits for all of them.
 
-    Files of frames are written in any order. What must follow them, such as a checkpoint, runs in
-    the order of frames, when their files and those of all frames before are on the disk.
+    Files of frames are written in any order. Callbacks that must follow them, such as a
+    checkpoint, run in frame order, after the files of this and all earlier frames are on disk.
 
     Example:
         >>> with FrameWriter(progress, total) as writer:
@@ -24,15 +24,15 @@ class FrameWriter:
     """
 
     def __init__(self, progress: Callable[[int, int], None], total: int) -> None:
-        """Starts nothing yet.
+        """Initialize; no thread starts yet.
 
         Args:
-            progress: Called with the number of frames that are done and of all.
+            progress: Called with the number of finished frames and the total.
             total: Number of frames.
         """
         self._progress, self._total = progress, total
         self._pending: deque[Future[None]] = deque()
-        self._is_whole = True  # whether all files so far are there
+        self._is_whole = True  # whether all files so far exist
         self._writers = ThreadPoolExecutor(_WRITERS, thread_name_prefix="vrcaps-write")
         self._in_order = ThreadPoolExecutor(1, thread_name_prefix="vrcaps-order")
 
@@ -44,13 +44,13 @@ class FrameWriter:
         files: Callable[[], None] | None = None,
         then: Callable[[], None] | None = None,
     ) -> None:
-        """Hand out the next frame; waits while many are being written.
+        """Submit the next frame; blocks while many are being written.
 
         Args:
-            frame: Its number.
-            meanwhile: Runs in the order of frames, beside the writing of files.
-            files: Writes its files; None where they are there.
-            then: Runs in the order of frames, after its files and all before are written.
+            frame: Index of the frame.
+            meanwhile: Runs in frame order, in parallel with the writing of files.
+            files: Writes its files; None if they exist.
+            then: Runs in frame order, after its files and all earlier ones are written.
 
         Raises:
             OSError: If an earlier frame could not be written.
@@ -92,6 +92,6 @@ class FrameWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Frames that no thread has begun are dropped; those begun are written."""
+        """Drop frames that no thread has started; finish those that have been started."""
         self._writers.shutdown(wait=True, cancel_futures=True)
         self._in_order.shutdown(wait=True, cancel_futures=True)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MOST_PIXELS = 2**26
-"""Most pixels of an image that is read, 8192 × 8192: a file of a few bytes may state any size."""
+"""Maximum number of pixels of an image, 8192 × 8192: a tiny file may declare any size."""
 
 _PNG_HEADER = struct.Struct(">16xII")
 
@@ -30,31 +30,31 @@ def write_images(items: list[tuple[Path, NDArray]]) -> None:
 
 
 def read_image(path: Path) -> NDArray:
-    """Numbers stored in an image that `write_images` wrote.
+    """Stored pixel values of an image written by `write_images`.
 
     Raises:
         OSError: If the file cannot be read.
-        ValueError: If it is no such image.
+        ValueError: If it is not such an image.
     """
     return decode_image(path.read_bytes(), path.suffix)
 
 
 def decode_image(data: bytes, suffix: str) -> NDArray:
-    """Numbers stored in an image, given as the bytes of a file with this suffix.
+    """Stored pixel values of an image, given the bytes of a file with this suffix.
 
     Raises:
-        ValueError: If they are no such image, or one of more than `MOST_PIXELS`.
+        ValueError: If they are not such an image, or have more than `MOST_PIXELS`.
     """
     if suffix == ".npy":
         return decode_array(data)
     if len(data) >= _PNG_HEADER.size:
         require_pixels(*_PNG_HEADER.unpack_from(data))
-    # A single image is decoded by the calling thread: this works in forked processes, too.
+    # The calling thread decodes a single image; this also works in forked processes.
     return _core.decode_pngs([np.frombuffer(data, np.uint8)])[0]
 
 
 def require_pixels(width: int, height: int) -> None:
-    """Check the size that the header of an image states, before its pixels are decoded.
+    """Check the image size declared in a header, before the pixels are decoded.
 
     Raises:
         ValueError: If it has no pixels, or more than `MOST_PIXELS`.

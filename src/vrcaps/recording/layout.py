@@ -1,4 +1,4 @@
-"""What `episode.json` says and where the files of an episode are."""
+"""Contents of `episode.json` and file layout of an episode."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ _Row = tuple[float, float, float, float]
 _Pose = tuple[_Row, _Row, _Row, _Row]
 
 _LESION_KEYS = ("lesions", "clean_twin_of")
-"""What the organ's lesions are; of a clean twin, which it is without."""
+"""Keys of the organ's lesions; for a clean twin, of the lesions that it omits."""
 
 
 def make_head(
     scenario: Scenario, model: Model, notes: tuple[str, ...], organ_path: str = ORGAN_GLB
 ) -> dict[str, Any]:
-    """Contents of `episode.json` for a resolved scenario, without its `status`.
+    """Build `episode.json` for a resolved scenario, without its `status`.
 
     Args:
-        scenario: What is recorded.
-        model: Made of it.
-        notes: Of the motion.
-        organ_path: Of the organ's file, relative to the episode.
+        scenario: Recorded scenario.
+        model: Model of the scenario.
+        notes: Notes of the motion.
+        organ_path: Path of the organ's file, relative to the episode.
     """
     organ, device = model.organ, model.device
     return {
@@ -92,7 +92,7 @@ def make_head(
 
 
 def _made_with(scenario: Scenario) -> dict[str, str]:
-    """What the bytes depend on beside the scenario: the core, and the packages that it needs."""
+    """Versions that the bytes depend on besides the scenario: core and required packages."""
     unused = {"pyoidn"} if not scenario.render.denoise else set()
     unused |= {"potpourri3d"} if not scenario.lesions else set()
     packages = versions(tuple(name for name in EPISODE_PACKAGES if name not in unused))
@@ -106,21 +106,21 @@ def _spectrum_to_plain(device: Device) -> dict[str, Any]:
 
 
 def sensors_to_plain(sensors: Sensors, model: Model) -> dict[str, Any]:
-    """Places of the Hall sensors in the world [m], if there are any."""
+    """Positions of the Hall sensors in the world [m], if there are any."""
     if sensors.hall is None:
         return {}
     return {"hall_positions_m": hall_array(sensors.hall, model).positions_world.tolist()}
 
 
 def camera_to_plain(camera: Camera) -> dict[str, Any]:
-    """A camera as JSON holds it: SI units, pixels and radians; its pose as one matrix."""
+    """Camera in JSON form: SI units, pixels and radians; the pose as one matrix."""
     plain = to_plain(camera, Camera)
     del plain["position"], plain["rotation"]
     return {**plain, "T_capsule_camera": camera.T_capsule_camera.tolist()}
 
 
 def camera_from_plain(plain: Any, *, at: str) -> Camera:
-    """The camera that `camera_to_plain` wrote.
+    """Inverse of `camera_to_plain`.
 
     Raises:
         InputError: If a key is missing, unknown or of the wrong type.
@@ -137,7 +137,7 @@ def camera_from_plain(plain: Any, *, at: str) -> Camera:
 
 
 def channel_to_plain(channel: str) -> dict[str, Any]:
-    """A channel's encoding as JSON holds it."""
+    """Encoding of a channel in JSON form."""
     encoding = CHANNELS[channel].encoding
     plain = to_plain(encoding, type(encoding))
     suffix = plain.pop("suffix")
@@ -150,10 +150,10 @@ def channel_to_plain(channel: str) -> dict[str, Any]:
 
 
 def read_head(files: EpisodeFiles) -> dict[str, Any]:
-    """Contents of the `episode.json` of a folder or URL.
+    """Contents of `episode.json` in a folder or at a URL.
 
     Raises:
-        InputError: If there is none or it is not an episode's.
+        InputError: If there is none or it is not of an episode.
     """
     path = f"{files.url}/{EPISODE_JSON}"
     try:

@@ -1,4 +1,4 @@
-"""Values of an object that are made when they are first asked for."""
+"""Lazily computed attributes."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ Value = TypeVar("Value")
 class lazy(Generic[Value]):
     """A property that is computed once, like `functools.cached_property`, but without its lock.
 
-    Until Python 3.11 that has one lock for all objects of a class: of many episodes, tables would
-    then be read one after the other. Threads that ask at the same time may compute a value twice.
+    Before Python 3.12 that holds one lock for all objects of a class, so the tables of many
+    episodes would be read one after the other. Concurrent threads may compute a value twice.
     """
 
     def __init__(self, method: Callable[[Any], Value]) -> None:
@@ -27,5 +27,5 @@ class lazy(Generic[Value]):
         if instance is None:
             return self
         value = self._method(instance)
-        instance.__dict__[self._method.__name__] = value  # found before this from now on
+        instance.__dict__[self._method.__name__] = value  # later accesses read it from here
         return value

@@ -1,4 +1,4 @@
-"""Lock of a recording's folder: one process writes into it, others are told which."""
+"""Folder lock of a recording: a second writer fails and names the first."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LOCK = ".recording.lock"
 
 @contextmanager
 def recording_lock(out: Path) -> Iterator[None]:
-    """Holds a folder for one recorder; makes it, and removes it if the block left nothing in it.
+    """Lock a folder for one recorder; create it, and remove it if it is empty after the block.
 
     Raises:
         FolderInUseError: If another recorder holds the folder.
@@ -25,6 +25,6 @@ def recording_lock(out: Path) -> Iterator[None]:
         with file_lock(out / LOCK, f"the episode {out}"):
             yield
     finally:
-        with contextlib.suppress(OSError):  # something is in it
+        with contextlib.suppress(OSError):  # it is not empty
             for path in made:
                 path.rmdir()

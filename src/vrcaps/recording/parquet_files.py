@@ -1,4 +1,4 @@
-"""Parquet files, opened with their sizes checked before anything is decompressed."""
+"""Parquet reader that checks sizes before anything is decompressed."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ if TYPE_CHECKING:
 
 @contextmanager
 def open_parquet(source: Path | bytes, name: object) -> Iterator[pq.ParquetFile]:
-    """A Parquet file, open during the block.
+    """Open a Parquet file during the block.
 
     Args:
         source: Path of the file, or its bytes.
-        name: Of the file, for messages.
+        name: Name of the file, for messages.
 
     Raises:
-        InputError: If it is damaged or the block cannot read it, or if a row group states more than
-            `MOST_BYTES`.
+        InputError: If it is damaged or the block cannot read it, or if a row group declares more
+            than `MOST_BYTES`.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq

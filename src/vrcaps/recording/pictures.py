@@ -1,4 +1,4 @@
-"""Channels as pictures for people: color maps, and the contact sheet of an episode."""
+"""Visualization of channels: color maps and the contact sheet of an episode."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ _MAX_WIDTH = 1800
 def picture(
     channel: str, values: NDArray, limits: tuple[float, float] = (0.0, 1.0)
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """A channel's values as an sRGB picture; pixels without a value are dark gray.
+    """Render a channel's values as an sRGB picture; pixels without a value are dark gray.
 
     Args:
-        channel: Its name.
-        values: As `Episode.image` gives them.
+        channel: Name of the channel.
+        values: Values as returned by `Episode.image`.
         limits: Values at both ends of the color map.
     """
     display = CHANNELS[channel].display
@@ -54,7 +54,7 @@ def picture(
 
 
 def limits_of(channel: str, images: list[NDArray]) -> tuple[float, float]:
-    """Ends of the color map that suit some images of a channel."""
+    """Color map limits that suit some images of a channel."""
     low, high = CHANNELS[channel].limits
     if low is not None and high is not None:
         return low, high
@@ -68,7 +68,7 @@ def limits_of(channel: str, images: list[NDArray]) -> tuple[float, float]:
 
 
 def contact_sheet(episode: Episode) -> UInt8[np.ndarray, "h w 3"]:
-    """A sheet to look at: a row for each channel of each camera, labeled, over the whole run."""
+    """Contact sheet: a labeled row for each channel of each camera, over the whole run."""
     from PIL import Image, ImageDraw, ImageFont
 
     rows = [(camera, channel) for camera in episode.cameras for channel in episode.channels]
@@ -109,13 +109,13 @@ def legend(
     limits: tuple[float, float],
     label_names: tuple[str, ...],
 ) -> str:
-    """What the colors of some pictures of a channel mean, to follow its name.
+    """Legend of a channel's pictures, to follow its name.
 
     Args:
-        channel: Its name.
-        images: What is shown.
+        channel: Name of the channel.
+        images: Images shown.
         limits: Values at both ends of the color map.
-        label_names: Class names of `label` by number.
+        label_names: Class names of `label` by index.
     """
     declared, (low, high) = CHANNELS[channel], limits
     if declared.display == "scalar":

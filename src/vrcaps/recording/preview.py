@@ -1,4 +1,4 @@
-"""The preview video: what the cameras saw, side by side, to look at in any browser."""
+"""Preview video: all cameras side by side, playable in any browser."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ if TYPE_CHECKING:
 
 
 class Preview:
-    """A video being encoded in memory; the same pictures give the same bytes."""
+    """Video encoded in memory; the same pictures give the same bytes."""
 
     def __init__(
         self, *, fps: float, width: int, height: int, crf: int = 24, key_interval: int = 60
     ) -> None:
-        """Start a video of pictures of at most the given size.
+        """Start a video of pictures up to the given size.
 
         Args:
             fps: Frames per second.
-            width: Of all pictures of a frame together [px].
-            height: Of the highest picture [px].
+            width: Total width of a frame's pictures [px].
+            height: Height of the tallest picture [px].
             crf: Constant rate factor of VP9: 0 is best, 63 smallest.
-            key_interval: Frames between two that need no other to be decoded.
+            key_interval: Frames from one key frame to the next.
         """
         import av
 
@@ -39,7 +39,7 @@ class Preview:
         self._stream = self._container.add_stream("libvpx-vp9", rate=rate)
         self._stream.height, self._stream.width = self._size
         self._stream.pix_fmt = "yuv420p"
-        # One thread: with more, the bytes depend on how many there are.
+        # One thread: with more, the bytes depend on the number of threads.
         self._stream.codec_context.thread_count = 1
         self._stream.options = {
             "deadline": "realtime",
@@ -51,7 +51,7 @@ class Preview:
         }
 
     def add(self, pictures: list[UInt8[np.ndarray, "h w 3"]]) -> None:
-        """Add a frame: one picture of each camera, left to right."""
+        """Add a frame: one picture per camera, left to right."""
         import av
 
         canvas = np.zeros((*self._size, 3), np.uint8)
@@ -62,18 +62,18 @@ class Preview:
         self._container.mux(self._stream.encode(av.VideoFrame.from_ndarray(canvas, format="rgb24")))
 
     def finish(self) -> bytes:
-        """The video file."""
+        """Finish encoding and return the video file."""
         self._container.mux(self._stream.encode(None))
         self._container.close()
         return self._buffer.getvalue()
 
 
 def require_preview(path: Path, frames: int) -> None:
-    """Check that a file is a video of so many frames.
+    """Check that a file is a video of this number of frames.
 
     Raises:
         OSError: If it cannot be read.
-        ValueError: If it is no such video.
+        ValueError: If it is not such a video.
     """
     import av
     from av.error import FFmpegError

@@ -1,4 +1,4 @@
-"""Record a scenario: render every frame, write an episode that is whole or goes on later."""
+"""Recorder: render every frame of a scenario into an episode; interrupted runs can be resumed."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     from vrcaps.render.channels import Frame
     from vrcaps.world.model import Model
 
-_CHECKPOINT_SECONDS = 10.0  # between checkpoints, from which a simulation can go on
+_CHECKPOINT_SECONDS = 10.0  # interval between checkpoints, from which a simulation can resume
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
@@ -73,23 +73,23 @@ def record(
 ) -> Path:
     """Record a scenario into a folder; the same scenario gives the same bytes.
 
-    A recording that was broken off goes on where it stopped when the same scenario is recorded
-    into its folder again; `episode.json` says ``"status": "recording"`` until all is there.
+    An interrupted recording resumes when the same scenario is recorded into its folder again;
+    `episode.json` has ``"status": "recording"`` until it is complete.
 
     Args:
-        scenario: What to record.
-        out: Folder of the episode: new, empty, or this scenario's own from before.
-        progress: Called with the number of whole frames and of all frames.
-        simulated: Called by a motion of physics with the time simulated so far and the whole [s].
-        store_organ: Stores the organ elsewhere and gives its path relative to the episode, see
+        scenario: Scenario to record.
+        out: Folder of the episode: new, empty, or of an earlier recording of this scenario.
+        progress: Called with the number of complete frames and the total.
+        simulated: Called by a physics motion with the simulated time so far and in total [s].
+        store_organ: Stores the organ elsewhere and returns its path relative to the episode, see
             `vrcaps.data.organs`; None stores it in the episode.
 
     Returns:
         The folder.
 
     Raises:
-        InputError: If the scenario cannot be made, or the folder holds anything else.
-        StorageError: If the files cannot be written; what was there before stays as it was.
+        InputError: If the scenario is invalid, or the folder holds anything else.
+        StorageError: If the files cannot be written; existing files are kept.
     """
     out = Path(out)
     _require_free(out)
@@ -114,7 +114,7 @@ def record(
 
 @dataclass(frozen=True)
 class _Recording:
-    """A recording under way."""
+    """Recording in progress."""
 
     out: Path
     scenario: Scenario
@@ -132,7 +132,7 @@ class _Recording:
         object.__setattr__(self, "wall_vertices", file_vertices(self.model.organ))
 
     def paths(self, frame: int) -> dict[tuple[str, str], Path]:
-        """Image files of a frame by camera and channel."""
+        """Image files of a frame, by camera and channel."""
         return {
             (camera.name, channel): self.out
             / CHANNELS[channel].encoding.path(camera.name, channel, frame)
@@ -149,12 +149,12 @@ class _Recording:
         return self.present.issuperset(self.files(frame))
 
     def is_whole(self) -> bool:
-        """Whether nothing that comes from the motion is missing."""
+        """Whether all files that depend on the motion exist."""
         table = (self.out / FRAMES_PARQUET).exists()
         return table and all(self.is_there(frame) for frame in range(self.scenario.frames))
 
     def checkpoint(self) -> Checkpoint | None:
-        """Where the motion may go on; None where it must begin anew."""
+        """Checkpoint to resume the motion from; None if it must start from the beginning."""
         found = read_checkpoint(self.out)
         if found is None:
             return None
@@ -163,7 +163,7 @@ class _Recording:
 
 
 def _silent(done: int, total: int) -> None:
-    """Report nothing."""
+    """Ignore progress."""
 
 
 def _require_free(out: Path) -> None:
@@ -176,7 +176,7 @@ def _require_free(out: Path) -> None:
         return
     if not out.is_dir():
         raise InputError(f"{out} is a file. Give a new or empty folder.")
-    leftovers = {SOURCE_ORGAN, LOCK}  # of a run that was killed
+    leftovers = {SOURCE_ORGAN, LOCK}  # of a killed run
     names = sorted({path.name for path in out.iterdir()} - leftovers)
     names = [name for name in names if not is_temporary(name)]
     if names and EPISODE_JSON not in names:
@@ -186,7 +186,7 @@ def _require_free(out: Path) -> None:
 
 
 def _require_same(out: Path, scenario: Scenario) -> None:
-    """Check that an episode in a folder is of a scenario.
+    """Check that an episode in a folder records a scenario.
 
     Raises:
         InputError: If it is not.
@@ -201,7 +201,7 @@ def _require_same(out: Path, scenario: Scenario) -> None:
 
 
 def _begin(out: Path, head: dict[str, Any]) -> None:
-    """Make the folder an episode, or check that it is exactly this one."""
+    """Initialize the episode in the folder, or check that it is the same one."""
     path = out / EPISODE_JSON
     if not path.exists():
         write_json(path, {"status": RECORDING, **head})
@@ -222,7 +222,7 @@ def _begin(out: Path, head: dict[str, Any]) -> None:
 
 
 def _other_version(before: dict[str, Any], head: dict[str, Any]) -> str:
-    """Which program made an episode and which one is here, for messages; empty where it is one."""
+    """Message with the versions of the episode's program and this one; empty if they are equal."""
     made = before.get("made_with")
     then = {"vrcaps": before.get("vrcaps_version"), **(made if isinstance(made, dict) else {})}
     now = {"vrcaps": head["vrcaps_version"], **head["made_with"]}
@@ -239,7 +239,7 @@ def _write_organ(out: Path, model: Model) -> None:
 
 
 class _Timer:
-    """Says when the next checkpoint is due."""
+    """Timer for the next checkpoint."""
 
     def __init__(self, seconds: float) -> None:
         self._seconds, self._last = seconds, time.monotonic()
@@ -253,7 +253,7 @@ class _Timer:
 
 
 def _write_frames(out: Path, run: _Recording) -> None:
-    """Write all images that are missing, table and preview; render and encode side by side."""
+    """Write missing images, table and preview; render and encode in parallel."""
     total = run.scenario.frames
     preview = _new_preview(run)
     episode = read_episode(out, unfinished=True)
@@ -274,7 +274,7 @@ def _write_steps(
     episode: Episode,
     writer: FrameWriter,
 ) -> None:
-    """Walk through the motion, hand out what is to be written, write the table."""
+    """Iterate over the motion, submit files to be written, write the table."""
     start = run.checkpoint()
     table = None if start is None else start.table
     wall = MovingWall(run.model)
@@ -307,7 +307,7 @@ def _write_steps(
 
 
 def _cameras(run: _Recording, wall: MovingWall, before: FrameTable | None) -> CapsuleCameras:
-    """The capsule's cameras, as they are after the rows of earlier frames."""
+    """Cameras of the capsule in their state after the rows of earlier frames."""
     scenario = run.scenario
     assert scenario.fps is not None
     cameras = CapsuleCameras(
@@ -348,7 +348,7 @@ def _preview_from_files(preview: Preview | None, episode: Episode, frame: int) -
 
 
 def _new_preview(run: _Recording) -> Preview | None:
-    """The preview, if color images are recorded and it is not there yet."""
+    """Preview encoder, if color images are recorded and the preview does not exist yet."""
     if "rgb" not in run.scenario.channels or (run.out / PREVIEW_MP4).exists():
         return None
     cameras, fps = run.model.device.cameras, run.scenario.fps
@@ -359,7 +359,7 @@ def _new_preview(run: _Recording) -> Preview | None:
 
 
 def _finish(out: Path, head: dict[str, Any]) -> None:
-    """Write the contact sheet, then declare the episode complete."""
+    """Write the contact sheet, then mark the episode as complete."""
     if not (out / SHEET_PNG).exists():
         sheet = contact_sheet(read_episode(out, unfinished=True))
         write_images([(out / SHEET_PNG, np.ascontiguousarray(sheet))])
@@ -371,7 +371,7 @@ def _finish(out: Path, head: dict[str, Any]) -> None:
 
 
 def _explained(out: Path, error: OSError) -> StorageError:
-    """The error in one line."""
+    """Convert a file-system error to a one-line error."""
     if error.errno in _FULL:
         return StorageError(
             f"The disk is full (or a limit reached) while recording into {out}: {error}. All files "

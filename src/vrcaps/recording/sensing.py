@@ -1,4 +1,4 @@
-"""What sensors in the capsule and under the patient read: columns of `frames.parquet`."""
+"""Readings of sensors in the capsule and under the patient: columns of `frames.parquet`."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _CERTAINTY = ("localized_sigma_m", "localized_residual_t")
 
 
 def pad_column_names(sensors: Sensors) -> tuple[str, ...]:
-    """Columns of Hall sensors and of the place that they find; NaN where there is no value."""
+    """Columns of Hall sensors and of the localized position; NaN where there is no value."""
     if sensors.hall is None:
         return ()
     return (
@@ -47,18 +47,18 @@ def pad_column_names(sensors: Sensors) -> tuple[str, ...]:
 
 
 class SensorReadings:
-    """Readings of a recording's frames, in their order."""
+    """Sensor readings of a recording's frames, in order."""
 
     def __init__(self, model: Model, scenario: Scenario, before: FrameTable | None = None) -> None:
-        """Begins a recording, or goes on after the rows of an earlier one.
+        """Start a recording, or continue after the rows of an earlier one.
 
         Args:
-            model: What is recorded.
-            scenario: Resolved.
-            before: Rows of the frames before; they hold the last place found.
+            model: Recorded model.
+            scenario: Resolved scenario.
+            before: Rows of the previous frames, with the last localized position.
 
         Raises:
-            InputError: If the pad has no single magnet to find, or cannot be.
+            InputError: If the pad has no single magnet to localize, or is invalid.
         """
         assert scenario.fps is not None
         self._model, self._sensors, self._seed = model, scenario.sensors, scenario.seed
@@ -77,11 +77,11 @@ class SensorReadings:
             self._go_on(before)
 
     def read(self, step: Step, sources: Sequence[Source] = ()) -> dict[str, float]:
-        """Columns of a frame, to be called for each in turn.
+        """Return the columns of a frame; call it for each frame in turn.
 
         Args:
-            step: The frame.
-            sources: Of magnetic fields outside, beside the earth's.
+            step: Current frame.
+            sources: External magnetic field sources besides the earth.
         """
         columns: dict[str, float] = {}
         pose = step.state.T_world_capsule
@@ -115,7 +115,7 @@ class SensorReadings:
         self._true_array = perturb_calibration(self._array, rng, **errors)
 
     def _read_pad(self, step: Step, outside: list[Source]) -> dict[str, float]:
-        """Readings, and the place and direction of the capsule's magnet that follow from them."""
+        """Sensor readings, and the estimated position and direction of the capsule's magnet."""
         (magnet,) = self._model.device.magnets
         pose = step.state.T_world_capsule
         (place,) = transform_points(pose, np.array([magnet.position_capsule]))
@@ -130,21 +130,21 @@ class SensorReadings:
         }
         found, sigma, residual = np.full((4, 4), np.nan), math.nan, math.nan
         try:
-            # The steering magnet's pose is the arm's own knowledge; the earth's field is not.
+            # The pose of the steering magnet is known from the arm; the earth's field is not.
             estimate = localize(self._array, readings, inside, known=outside[1:], start=self._last)
         except InputError:  # too few sensors within their range
             self._last = None
         else:
             found, residual = estimate.T_world_magnet, estimate.residual
             sigma = math.sqrt(np.trace(estimate.covariance[:3, :3]))
-            # As it is made from the table's columns when a recording goes on.
+            # A resumed recording builds it from the table's columns.
             self._last = magnet_pose(found[:3, 3], found[:3, 2])
         for name, vector in zip(_PLACE, (found[:3, 3], found[:3, 2]), strict=True):
             columns |= _named(name, vector)
         return columns | dict(zip(_CERTAINTY, (sigma, residual), strict=True))
 
     def _go_on(self, before: FrameTable) -> None:
-        """The bias and the last place as they were after the rows of earlier frames."""
+        """Restore the bias and the last position after the rows of earlier frames."""
         if self._imu is not None:
             still = CapsuleKinematics(np.eye(3))
             for frame in range(len(before)):
@@ -162,7 +162,7 @@ class SensorReadings:
 
 
 def _motion(step: Step) -> CapsuleKinematics:
-    """How the capsule moves at a frame, accelerations from the velocities beside it."""
+    """Kinematics of the capsule at a frame; accelerations from the neighboring velocities."""
     state = step.state
     before, after = step.previous or state, step.next or state
     time = after.time - before.time

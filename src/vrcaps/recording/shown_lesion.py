@@ -1,4 +1,4 @@
-"""What an image is a picture of: normal wall, or the lesion that takes most of it."""
+"""Class of an image: normal wall, or the lesion with the largest area."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ NORMAL = "normal"
 def shown_lesion(
     instance: UInt16[np.ndarray, "h w"], lesions: Sequence[dict[str, Any]], min_fraction: float
 ) -> str | None:
-    """Kind of the lesion that takes most of an image, or `NORMAL`; None where it takes too little.
+    """Kind of the largest lesion in an image, or `NORMAL`; None if the largest is too small.
 
     Args:
-        instance: Lesion number of each pixel.
-        lesions: Those of the organ, as `organ.lesions` of an episode has them.
-        min_fraction: Share of the image that the lesion must take.
+        instance: Lesion ID of each pixel.
+        lesions: Lesions of the organ, as in `organ.lesions` of an episode.
+        min_fraction: Fraction of the image that the lesion must cover.
     """
     pixels = np.bincount(lesion_instances(instance).ravel())[1:]
     if not pixels.any():
@@ -36,5 +36,5 @@ def shown_lesion(
 
 
 def lesion_instances(instance: UInt16[np.ndarray, "h w"]) -> UInt16[np.ndarray, "h w"]:
-    """Lesion number of each pixel of a recording; 0 where it shows a clump of chyme, too."""
+    """Lesion ID of each pixel of a recording; 0 also where it shows a clump of chyme."""
     return np.where(instance < FIRST_CLUMP, instance, np.uint16(0))

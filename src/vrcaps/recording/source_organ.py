@@ -1,4 +1,4 @@
-"""An organ in memory becomes a file of its episode, so that the recording can be repeated."""
+"""Storage of an in-memory organ in its episode, so that the recording can be repeated."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from vrcaps.temporary_files import scratch_folder
 
 
 def with_stored_organ(scenario: Scenario, out: Path) -> Scenario:
-    """The scenario with an organ in memory replaced by the organ file in an episode's folder.
+    """Replace an in-memory organ of a scenario by the organ file in an episode's folder.
 
     Args:
-        scenario: What to record.
+        scenario: Scenario to record.
         out: Folder of the episode: empty, or an episode of the same organ.
 
     Raises:

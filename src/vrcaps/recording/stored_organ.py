@@ -1,4 +1,4 @@
-"""The organ of an episode: a file in its folder, or one of its data set that episodes share."""
+"""Organ of an episode: a file in its folder, or one of its data set that episodes share."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _SHARED = re.compile(rf"\.\./\.\./{SHARED_ORGANS}/[0-9a-f]{{64}}\.glb")
 
 
 def organ_name(head: dict[str, Any]) -> str:
-    """Path of the organ's file, relative to the episode whose `episode.json` is given."""
+    """Path of the organ's file, relative to the episode with this `episode.json`."""
     return head["organ"].get("path", ORGAN_GLB)
 
 
 def require_organ_name(head: dict[str, Any], where: str) -> None:
-    """Check that the organ is the episode's own file or one of its data set, and no other file.
+    """Check that the organ is the episode's own file or one of its data set.
 
     Raises:
         InputError: If it is not.
@@ -38,7 +38,7 @@ def require_organ_name(head: dict[str, Any], where: str) -> None:
 
 
 def read_stored_organ(files: EpisodeFiles, head: dict[str, Any]) -> Mesh:
-    """The wall at rest in the world frame [m].
+    """Read the wall at rest in the world frame [m].
 
     A shared file is in the patient frame, because episodes differ in posture.
 

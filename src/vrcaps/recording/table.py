@@ -1,4 +1,4 @@
-"""`frames.parquet`: one row a frame, units in the column names."""
+"""Table `frames.parquet`: one row per frame, units in the column names."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ _ANGULAR = tuple(f"capsule_w{axis}_rad_per_s" for axis in "xyz")
 class FrameTable:
     """Columns of `frames.parquet` by name; all [n].
 
-    Poses are in the world frame: position of the body's origin and unit quaternion (w ≥ 0) that
-    turns its axes into the world's, under `capsule_…` and `<camera>_…`.
+    Poses are in the world frame, under `capsule_…` and `<camera>_…`: position of the body's
+    origin, and unit quaternion (w ≥ 0) of the rotation from body to world axes.
     """
 
     columns: dict[str, np.ndarray]
@@ -52,7 +52,7 @@ class FrameTable:
         return len(self.columns["frame"])
 
     def poses(self, body: str) -> Float[np.ndarray, "n 4 4"]:
-        """``Ts_world_body`` of `capsule` or a camera.
+        """Return ``Ts_world_body`` of `capsule` or a camera.
 
         Raises:
             UnknownNameError: If the table has no pose of that name.
@@ -66,7 +66,7 @@ class FrameTable:
 
 
 def column_names(cameras: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of the columns that every table has, in order.
+    """Names of the columns of every table, in order.
 
     Args:
         cameras: Names of the capsule's cameras.
@@ -78,17 +78,17 @@ def column_names(cameras: tuple[str, ...]) -> tuple[str, ...]:
 
 
 class TableRows:
-    """Rows of a run, gathered frame by frame."""
+    """Rows of a run, collected frame by frame."""
 
     def __init__(
         self, model: Model, before: FrameTable | None = None, wall: MovingWall | None = None
     ) -> None:
-        """Begins a table, or goes on with the rows of an earlier one.
+        """Start a table, or continue with the rows of an earlier one.
 
         Args:
-            model: What is recorded.
-            before: Rows of the frames before.
-            wall: The model's wall, shared with others who need it in the same states.
+            model: Recorded model.
+            before: Rows of the previous frames.
+            wall: The model's wall, shared with other users of the same states.
         """
         self.model = model
         self._wall = wall or MovingWall(model)
@@ -101,11 +101,11 @@ class TableRows:
         return len(self._rows)
 
     def add(self, step: Step, more: Mapping[str, float | str] | None = None) -> None:
-        """Adds a frame: pose, velocity, where in the gut, how far from the wall as it is then.
+        """Add a frame: pose, velocity, gut coordinates, distance to the deformed wall.
 
         Args:
-            step: The frame.
-            more: Further columns, the same in each row.
+            step: Current frame.
+            more: Additional columns, the same in each row.
         """
         state, cameras = step.state, self.model.device.cameras
         poses = {"capsule": state.T_world_capsule}
@@ -144,7 +144,7 @@ class TableRows:
 
 
 def make_table(model: Model, motion: Motion) -> FrameTable:
-    """Columns of a whole motion."""
+    """Table of a whole motion."""
     rows = TableRows(model)
     for step in motion.steps():
         rows.add(step, motion.columns(step))
@@ -169,14 +169,14 @@ def locate_in_gut(
 ) -> tuple[Float[np.ndarray, " n"], np.ndarray]:
     """Arc length [m] and segment name of points in the lumen.
 
-    The nearest wall says which stretch of the gut a point is in, so that a neighboring loop is
-    never taken for it; within that stretch the nearest point of the centerline counts.
+    The nearest wall determines the stretch of the gut, so that a neighboring loop is never
+    chosen; within that stretch the nearest point of the centerline is used.
 
     Args:
-        model: The lumen.
-        positions_world: The points.
-        step: How wall and patient lie; None: at rest, as in the model.
-        wall: The wall then; None: at rest.
+        model: Model with the lumen.
+        positions_world: Points to locate.
+        step: Pose of wall and patient; None takes the rest state of the model.
+        wall: Deformed wall; None takes the wall at rest.
     """
     organ, pose, vertices = model.organ, model.T_world_patient, model.vertices_world
     if step is not None and step.command is not None:
@@ -202,7 +202,7 @@ def locate_in_gut(
 def _project(
     point: Float[np.ndarray, " 3"], line: Float[np.ndarray, "n 3"], s: Float[np.ndarray, " n"]
 ) -> float:
-    """Arc length of the point of a polyline nearest to a point."""
+    """Arc length of the nearest point on a polyline."""
     steps = np.diff(line, axis=0)
     along = ((point - line[:-1]) * steps).sum(axis=1) / np.maximum((steps**2).sum(axis=1), 1e-30)
     along = np.clip(along, 0.0, 1.0)
@@ -225,7 +225,7 @@ def write_table(path: Path, table: FrameTable) -> None:
 
 
 def _arrow_array(column: NDArray) -> pa.Array:
-    """A column as an Arrow array, without `pyarrow.array`: that imports pandas, for a second."""
+    """Column as an Arrow array, without `pyarrow.array`, whose import of pandas takes a second."""
     import pyarrow as pa
 
     if column.dtype.kind == "O":
@@ -243,29 +243,29 @@ def read_table(path: Path) -> FrameTable:
     """Read a table.
 
     Raises:
-        InputError: If the file cannot be read or is no Parquet file.
+        InputError: If the file cannot be read or is not a Parquet file.
     """
     with reading(path.name):
         return decode_table(path.read_bytes(), path.name)
 
 
 def decode_table(data: bytes, name: str) -> FrameTable:
-    """A table, given as the bytes of its file.
+    """Decode a table from the bytes of its file.
 
     Args:
-        data: The bytes.
-        name: Of the file, for messages.
+        data: Contents of the file.
+        name: Name of the file, for messages.
 
     Raises:
-        InputError: If they are no Parquet file.
+        InputError: If it is not a Parquet file.
     """
     with open_parquet(data, name) as file:
-        table = file.read(use_threads=False)  # a small file: threads would cost more
+        table = file.read(use_threads=False)  # a small file: threads would be slower
         return FrameTable({column: _numpy_array(table[column]) for column in table.column_names})
 
 
 def _numpy_array(column: pa.ChunkedArray) -> NDArray:
-    """Values of a column; `pyarrow`'s own conversion imports pandas, so only where it must be."""
+    """Values of a column; `pyarrow`'s conversion, which imports pandas, is used only if needed."""
     import pyarrow as pa
 
     kind = column.type
@@ -281,15 +281,15 @@ def _numpy_array(column: pa.ChunkedArray) -> NDArray:
 
 
 def require_table(table: FrameTable, cameras: tuple[str, ...], frames: int) -> None:
-    """Check that a table has the columns that every table has, and a row for each frame.
+    """Check that a table has all required columns and a row for each frame.
 
     Args:
-        table: Of an episode.
+        table: Table of an episode.
         cameras: Names of the capsule's cameras.
         frames: Number of frames.
 
     Raises:
-        InputError: If a column or a row is missing, or numbers are texts.
+        InputError: If a column or a row is missing, or a numeric column holds text.
     """
     names = column_names(cameras)
     missing = sorted(set(names) - set(table.columns))

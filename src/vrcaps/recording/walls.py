@@ -1,4 +1,4 @@
-"""The wall of each frame on disk: where every vertex of `organ.glb` is then."""
+"""Stored wall of each frame: positions of the vertices of `organ.glb`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def wall_path(frame: int) -> str:
 
 
 def wall_to_plain(organ: OrganSurface) -> dict[str, Any]:
-    """How walls are stored, as `episode.json` holds it."""
+    """Storage format of walls, as in `episode.json`."""
     return {
         "meaning": "vertices of organ.glb in the world frame, in the order of the file",
         "path": "wall/{frame:06d}.npy",
@@ -35,26 +35,26 @@ def wall_to_plain(organ: OrganSurface) -> dict[str, Any]:
 
 
 def file_vertices(organ: OrganSurface) -> np.ndarray:
-    """Number in the organ of each vertex of `organ.glb`, where seams of the texture are cut."""
+    """Organ vertex index of each vertex of `organ.glb`, where texture seams are cut."""
     return split_at_seams(organ.faces, organ.uv)[0]
 
 
 def stored_wall(model: Model, state: State, vertices: np.ndarray) -> Float32[np.ndarray, "k 3"]:
-    """The wall in a state as it is stored [m].
+    """Wall of a state in stored form [m].
 
     Args:
-        model: The organ.
-        state: The world.
-        vertices: Of `file_vertices`.
+        model: Model with the organ.
+        state: State of the world.
+        vertices: Result of `file_vertices`.
     """
     here = model.vertices_world if state.vertices_world is None else state.vertices_world
     return np.ascontiguousarray(here[vertices], _DTYPE)
 
 
 def decode_wall(data: bytes) -> Float32[np.ndarray, "k 3"]:
-    """A stored wall, given as the bytes of its file.
+    """Decode a stored wall from the bytes of its file.
 
     Raises:
-        ValueError: If they are no such file.
+        ValueError: If it is not such a file.
     """
     return decode_array(data)

@@ -1,5 +1,5 @@
-"""Learners on images: depth, masks of lesions, classes of images; on our data and on others'.
+"""Training on images: depth, segmentation, classification, super-resolution and motion.
 
-A `Learner` says what it reads of a frame, what its network is and what it is judged by; `train`
-trains any of them, `weights` writes and reads what was learned, `evaluate` and `predict` use it.
+A `Learner` defines the samples, the network, the loss and the metrics of one task. `train` trains
+any learner, `weights` writes and reads checkpoints, `evaluate` and `predict` use them.
 """

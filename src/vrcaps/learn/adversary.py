@@ -1,7 +1,7 @@
-"""A second network that learns to tell estimated images from true ones, and the losses of both.
+"""Discriminator of an adversarial loss, and the losses of generator and discriminator.
 
-The discriminator is PatchGAN (Isola et al., CVPR 2017, section 3.2): it judges each patch of 70
-pixels, given what the estimate was made of.
+The discriminator is PatchGAN (Isola et al., CVPR 2017, section 3.2): it classifies each patch of 70
+pixels, conditioned on the generator's input.
 """
 
 from __future__ import annotations
@@ -11,26 +11,26 @@ from typing import Any
 from vrcaps.learn.networks import require_torch
 
 _LEAK = 0.2
-"""Slope of the leaky rectifier below zero."""
+"""Negative slope of the leaky ReLU."""
 
 
 def deceiving_loss(judged: Any) -> Any:
-    """How sure a discriminator is, from its logits, that estimates are not true."""
+    """Loss of the generator, from the discriminator's logits for predictions."""
     torch = require_torch()
     cross_entropy = torch.nn.functional.binary_cross_entropy_with_logits
     return cross_entropy(judged, torch.ones_like(judged))
 
 
 def discriminating_loss(judged_true: Any, judged_estimate: Any) -> Any:
-    """How wrong a discriminator is, from its logits for true images and for estimates."""
+    """Loss of the discriminator, from its logits for true images and for predictions."""
     return 0.5 * (deceiving_loss(judged_true) + deceiving_loss(-judged_estimate))
 
 
 def patch_discriminator(features: int) -> Any:
-    """A network from small images [b 3 h w] and large ones [b 3 fh fw] to logits [b 1 p q].
+    """Create a network from small images [b 3 h w] and large ones [b 3 fh fw] to logits [b 1 p q].
 
     Args:
-        features: Channels of its first layer.
+        features: Number of channels of the first layer.
     """
     return _network_class()(features)
 
@@ -40,7 +40,7 @@ def _network_class() -> Any:
     nn, functional = torch.nn, torch.nn.functional
 
     class PatchDiscriminator(nn.Module):
-        """Three halvings, then a logit for each patch."""
+        """Three stride-2 convolutions, then one logit per patch."""
 
         def __init__(self, features: int) -> None:
             super().__init__()
@@ -59,7 +59,7 @@ def _network_class() -> Any:
             *layers, last = self.layers
             for number, layer in enumerate(layers):
                 x = layer(x)
-                # Over each image: what batches of one, as in the paper, are normalized by.
+                # Per image, which equals batch normalization at the paper's batch size of 1.
                 x = x if number == 0 else functional.instance_norm(x)
                 x = functional.leaky_relu(x, _LEAK)
             return last(x).float()

@@ -1,8 +1,8 @@
-"""A U-Net with spatial attention: the generator of EndoL2H.
+"""U-Net with spatial attention: the generator of EndoL2H.
 
 EndoL2H (Almalioglu et al., IEEE TMI 39(12), 2020) adds an attention block to the U-Net of Isola et
-al. (CVPR 2017): each place takes up features of all other places that are like it (Zhang et al.,
-ICML 2019). Keys and values are pooled, so that large images fit into memory.
+al. (CVPR 2017): each position attends to the features of all similar positions (Zhang et al., ICML
+2019). Keys and values are pooled, so that large images fit into memory.
 """
 
 from __future__ import annotations
@@ -12,19 +12,20 @@ from typing import Any
 from vrcaps.learn.networks import require_torch
 
 _POOLED = 4
-"""Side of the pixels that a key stands for."""
+"""Side of the pooling window of keys and values [px]."""
 _NARROWER = 16
-"""Factor by which queries, keys and values are narrower than features."""
+"""Reduction of the channels of queries, keys and values relative to the features."""
 _WIDEST = 8
-"""Largest width of a level, in that of the first."""
+"""Maximum width of a level, relative to the first."""
 _LEAK = 0.2
 
 
 def attention_unet(features: int, halvings: int) -> Any:
-    """A network from maps [b c h w] of any size to as many of the same size.
+    """Create a network that maps [b c h w] of any size to the same shape.
 
     Args:
-        features: Channels c of its input, output and first level; they double to eight times that.
+        features: Channels c of the input, the output and the first level; they double per level, up
+            to eight times that.
         halvings: Number of levels.
     """
     return _network_class()(features, halvings)
@@ -35,7 +36,7 @@ def _attention_class() -> Any:
     nn, functional = torch.nn, torch.nn.functional
 
     class SpatialAttention(nn.Module):
-        """Adds to each place what all places like it have; nothing at first."""
+        """Adds to each position the features of similar positions; initially the identity."""
 
         def __init__(self, features: int) -> None:
             super().__init__()
@@ -62,7 +63,7 @@ def _network_class() -> Any:
     nn, functional = torch.nn, torch.nn.functional
 
     class AttentionUnet(nn.Module):
-        """Halves and doubles the side; each level sees the one of its size before."""
+        """Encoder and decoder with a skip connection at each level."""
 
         def __init__(self, features: int, halvings: int) -> None:
             super().__init__()
@@ -95,7 +96,7 @@ def _network_class() -> Any:
             return x[..., :height, :width]
 
     def normalized(x: Any) -> Any:
-        """Over each image, which is over the batch at the paper's batch of one."""
+        """Instance normalization, equal to batch normalization at the paper's batch size of 1."""
         return x if x.shape[-2] * x.shape[-1] == 1 else functional.instance_norm(x)
 
     return AttentionUnet

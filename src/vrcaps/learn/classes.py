@@ -1,4 +1,4 @@
-"""Class of an image: normal, or the lesion that it shows."""
+"""Image classification: normal or lesion type."""
 
 from __future__ import annotations
 
@@ -36,26 +36,27 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ClassLearner:
-    """One class for each image.
+    """Classification of images.
 
-    Images of a folder of classes have the class of their folder. A recorded frame has the class of
-    the lesion that takes most of it, if that is enough; it is normal where there is none at all.
-    Frames between, and those whose class is not among `classes`, are left out.
+    The label of an image in a folder of classes is the name of its folder. The label of a recorded
+    frame is the kind of the lesion with the largest area, if it covers at least `min_fraction` of
+    the frame; a frame without any lesion is normal. Frames with less of a lesion, and those with a
+    label outside `classes`, are excluded.
 
-    Black corners, inserts and text tell the classes of many real data sets apart. So the same parts
-    of every image, learned from or estimated, are blackened: those of `hides`.
+    In many real datasets, black corners, inserts and text correlate with the class. Therefore the
+    same regions of every image are blackened in training and prediction: those of `hides`.
 
     Attributes:
         classes: Names of the classes, at least two.
-        size: Side of the images that the network is given [px]; maps need a multiple of 32.
-        encoder: Name of timm's, such as resnet152.
-        hides: What is hidden: `corners` (all beyond an ellipse), `insert` (the lower left part),
-            `text` (the left part). Capsules have corners only.
-        min_fraction: Share of a recorded frame that a lesion must take to give the frame its class.
-        dropout: Share of features left out while learning.
-        brightness: Largest random change of exposure, as a factor: 1.3 is ± 30 %.
-        tint: Largest random change of each color, as a factor.
-        zoom: Least side of the random part of an image that is learned from; 1 is all of it.
+        size: Side of the network's input images [px]; maps need a multiple of 32.
+        encoder: Name of a timm model, such as resnet152.
+        hides: Hidden regions: `corners` (everything outside an ellipse), `insert` (the lower left
+            part), `text` (the left part). Capsules have corners only.
+        min_fraction: Minimum fraction of a recorded frame that a lesion must cover to be its label.
+        dropout: Fraction of features that are dropped in training.
+        brightness: Maximum random change of exposure, as a factor: 1.3 is ± 30 %.
+        tint: Maximum random change of each color channel, as a factor.
+        zoom: Minimum side of a random crop, relative to the image; 1 is the whole image.
     """
 
     classes: tuple[str, ...] = (NORMAL, "polyp", "ulcer")
@@ -79,19 +80,19 @@ class ClassLearner:
         require(is_few, "classes of images", self.classes[:9], f"2 to {MOST_CLASSES} names")
 
     def items(self, sequence: FrameSequence) -> Iterable[int]:
-        """Frames that have one of the classes.
+        """Return the frames that have one of the classes.
 
         Raises:
-            InputError: If classes of frames are not known.
+            InputError: If the frames have no labels.
         """
         names = self.with_classes(sequence).values["class"]
         return [k for k, name in enumerate(names) if name in self.classes]
 
     def with_classes(self, sequence: FrameSequence) -> FrameSequence:
-        """The sequence with the class of each frame among its values, so that it is read once.
+        """Return the sequence with the labels among its values, so that they are read once.
 
         Raises:
-            InputError: If classes of frames are not known.
+            InputError: If the frames have no labels.
         """
         if "class" in sequence.values:
             return sequence
@@ -99,7 +100,7 @@ class ClassLearner:
         return replace(sequence, values={**sequence.values, "class": names})
 
     def require_classes(self, frames: Sequence[tuple[FrameSequence, int]]) -> None:
-        """Check that there is a frame of each class to learn from.
+        """Check that each class has a training frame.
 
         Raises:
             InputError: If a class has none.
@@ -115,7 +116,7 @@ class ClassLearner:
             )
 
     def sample(self, sequence: FrameSequence, index: int) -> Sample:
-        """Image and number of its class."""
+        """Return the image and the index of its class."""
         image = sequence.image("rgb", index)
         name = self._class_of(sequence, index)
         number = np.asarray(self.classes.index(str(name)))
@@ -123,7 +124,7 @@ class ClassLearner:
         return {**self.inputs(image, fit, None), "class": number}
 
     def _class_of(self, sequence: FrameSequence, index: int) -> str | None:
-        """Class of a frame; None where it is neither normal nor clearly a lesion's."""
+        """Label of a frame; None if it is neither normal nor clearly a lesion."""
         if "class" in sequence.values:
             return str(sequence.values["class"][index])
         if sequence.episode is None:
@@ -140,29 +141,29 @@ class ClassLearner:
         return shown_lesion(seen, lesions, self.min_fraction)
 
     def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Fit, camera: Any) -> Sample:
-        """The image without what is hidden; any camera will do."""
+        """Return the image with overlays hidden; the camera is not used."""
         square = fit.image(image)
         square[fit.place] *= tissue_mask(*fit.shape, self.hides)[..., None]
         return {"image": square}
 
     def augmented(self, sample: Sample, rng: np.random.Generator) -> Sample:
-        """A part of the image, mirrored, turned by quarters, and with other colors."""
+        """Apply a random crop, flips, rotations by 90° and color jitter."""
         sample = mirrored(zoomed(sample, rng, self.zoom), rng)
         image = np.rot90(sample["image"], int(rng.integers(4))).copy()
         image = recolored(image, rng, exposure=self.brightness, tint=self.tint, gamma=1.3)
         return sample | {"image": image}
 
     def network(self, *, is_pretrained: bool) -> Any:
-        """A network from batches to logits [b c]."""
+        """Create a network from batches to logits [b c]."""
         return _network_class()(self.encoder, len(self.classes), is_pretrained, self.dropout)
 
     def loss(self, network: Any, batch: Batch) -> dict[str, Any]:
-        """Cross entropy."""
+        """Cross-entropy loss."""
         torch, output = require_torch(), outputs_of(network, self, batch)
         return {"loss": torch.nn.functional.cross_entropy(output, batch["class"].long())}
 
     def scores(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
-        """Mean F1 over classes that occur, that of each, accuracy, Matthews' coefficient, AUC."""
+        """Mean F1 of the classes that occur, F1 of each, accuracy, Matthews coefficient and AUC."""
         logits = np.stack(list(outputs))
         truth = np.array([int(sample["class"]) for sample in samples])
         count = len(self.classes)
@@ -180,7 +181,7 @@ class ClassLearner:
         }
 
     def picture(self, output: NDArray, sample: Sample) -> UInt8[np.ndarray, "s k 3"]:
-        """The image with its true and its estimated class."""
+        """Image with its true and its predicted class."""
         from PIL import Image, ImageDraw
 
         text = f"{self.classes[int(output.argmax())]} {class_probabilities(output[None]).max():.2f}"
@@ -195,14 +196,14 @@ class ClassLearner:
         return {}
 
     def row(self, output: NDArray) -> Mapping[str, Any]:
-        """The most probable class, and the probability of each."""
+        """The most probable class, and the probability of each class."""
         chances = class_probabilities(output[None])[0]
         each = {name: f"{p:.4f}" for name, p in zip(self.classes, chances, strict=True)}
         return {"class": self.classes[int(chances.argmax())], **each}
 
 
 def class_probabilities(logits: NDArray) -> NDArray:
-    """Share of each class [n c]: softmax of logits."""
+    """Probability of each class [n c]: softmax of the logits."""
     from scipy.special import softmax
 
     return softmax(logits, axis=-1)
@@ -212,13 +213,13 @@ def _network_class() -> Any:
     torch = require_torch()
 
     class ClassNetwork(torch.nn.Module):
-        """A classifier of color images."""
+        """Classifier of color images."""
 
         def __init__(self, encoder: str, classes: int, is_pretrained: bool, dropout: float) -> None:
             super().__init__()
             self.net = classifier(encoder, classes, is_pretrained=is_pretrained, dropout=dropout)
-            # timm draws weights of the last layer by the number of classes: of a few classes they
-            # are so large that hundreds of steps are spent on making them small.
+            # timm scales the last layer's weights by the number of classes: with few classes they
+            # are so large that hundreds of steps are spent on reducing them.
             for value in self.net.get_classifier().parameters():
                 torch.nn.init.zeros_(value)
 

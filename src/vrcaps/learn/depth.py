@@ -1,13 +1,13 @@
-"""Metric depth of one image, learned from exact labels.
+"""Metric depth from a single image, trained on exact labels.
 
-Beside color the network is given each pixel's ray, so that one network works for any lens, and a
-cue of the light: LEDs sit beside the lens, so a wall's brightness falls with the square of its
-distance, and half the negative logarithm of brightness is the logarithm of distance but for albedo,
-incidence and exposure.
+Besides color, the network's input is each pixel's ray, so that one network works for any lens, and
+a light cue: the LEDs are next to the lens, so the brightness of a wall falls with the square of its
+distance. Half the negative logarithm of brightness is therefore the logarithm of distance up to
+albedo, incidence and exposure.
 
-The loss is on d = ln estimate − ln truth: its mean absolute value, its variance (scale-invariant
-error, Eigen et al., NIPS 2014, eq. 4 with λ = 1), and its gradients at four scales (Li and Snavely,
-CVPR 2018, eq. 4).
+The loss is on d = ln prediction − ln ground truth: its mean absolute value, its variance
+(scale-invariant error, Eigen et al., NIPS 2014, eq. 4 with λ = 1), and its gradients at four scales
+(Li and Snavely, CVPR 2018, eq. 4).
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from vrcaps.camera.camera import Camera
 
 MIDDLE = 0.03
-"""Depth [m] that an output of 0 stands for."""
+"""Depth [m] at an output of 0."""
 
 LENS_NEEDED = (
     "Depth needs the lens of the camera that took the images. Give --capsule NAME (a name of the "
@@ -54,7 +54,7 @@ LENS_NEEDED = (
     "as --fov 140."
 )
 _DARK = 0.004
-"""Added to linear brightness in the cue: one step of 8 bits."""
+"""Offset of the linear brightness in the light cue: one step of 8 bits."""
 _SCALES = 4
 
 
@@ -63,15 +63,15 @@ class DepthLearner:
     """Depth z of every pixel [m].
 
     Attributes:
-        size: Side of the images that the network is given [px]; maps need a multiple of 32.
-        encoder: Name of timm's, such as resnet152.
-        has_light_cue: Whether the network is given the cue of the light.
-        gradient_weight: Weight of the loss of gradients.
-        brightness: Largest random change of exposure, as a factor: 1.3 is ± 30 %.
-        tint: Largest random change of each color, as a factor.
-        gamma: Largest random exponent. 1 for this and both above keeps colors, which serves one
-            camera whose exposure and light are known.
-        zoom: Least side of the random part of a frame that is learned from; 1 is all of it.
+        size: Side of the network's input images [px]; maps need a multiple of 32.
+        encoder: Name of a timm model, such as resnet152.
+        has_light_cue: Whether the light cue is an input of the network.
+        gradient_weight: Weight of the gradient loss.
+        brightness: Maximum random change of exposure, as a factor: 1.3 is ± 30 %.
+        tint: Maximum random change of each color channel, as a factor.
+        gamma: Maximum random exponent. With 1 for this and both above, colors are not changed; use
+            it for one camera with known exposure and light.
+        zoom: Minimum side of a random crop, relative to the frame; 1 is the whole frame.
     """
 
     size: Annotated[int, Range(32, MOST_SIZE)] = 192
@@ -93,10 +93,10 @@ class DepthLearner:
         require_size(self.size)
 
     def items(self, sequence: FrameSequence) -> Iterable[int]:
-        """All frames of a sequence with images, depth and a camera.
+        """Return all frames of a sequence with images, depth and a camera.
 
         Raises:
-            InputError: If it has not all three.
+            InputError: If one of the three is missing.
         """
         missing = [name for name in ("rgb", "depth") if name not in sequence.channels]
         if missing or sequence.camera is None:
@@ -105,7 +105,7 @@ class DepthLearner:
         return range(len(sequence))
 
     def sample(self, sequence: FrameSequence, index: int) -> Sample:
-        """Image without its black border, rays and true depth (NaN where there is none)."""
+        """Return the image without its black border, the rays, and the true depth or NaN."""
         view = view_of(self.kind, sequence, sequence.image("rgb", index))
         fit = Fit(view.image.shape[0], view.image.shape[1], self.size)
         depth = sequence.image("depth", index)[view.place]
@@ -113,7 +113,7 @@ class DepthLearner:
         return {**self.inputs(view.image, fit, view.camera), "depth": truth}
 
     def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Fit, camera: Camera | None) -> Sample:
-        """Image and unit rays, zero where the lens has none.
+        """Return the image and unit rays, zero where the lens has none.
 
         Raises:
             InputError: If there is no camera.
@@ -121,10 +121,10 @@ class DepthLearner:
         return image_and_rays(image, fit, camera)
 
     def augmented(self, sample: Sample, rng: np.random.Generator) -> Sample:
-        """A part of the frame, mirrored and turned; half of them in other colors.
+        """Apply a random crop, flips and transposition, and color jitter to half of the samples.
 
-        Brightness tells how far the wall is. The loss is mainly absolute, so its least is at the
-        median: where half of the images keep their colors, the estimate keeps their scale.
+        Brightness is a cue of distance. The loss is mainly absolute, so it is minimal at the
+        median: as half of the images keep their colors, the prediction keeps their scale.
         """
         sample = zoomed(sample, rng, self.zoom)
         for axis, component in ((1, 0), (0, 1)):
@@ -142,15 +142,15 @@ class DepthLearner:
         return sample | {"image": image}
 
     def network(self, *, is_pretrained: bool) -> Any:
-        """A network from batches to ln(depth / 30 mm) [b 1 s s]."""
+        """Create a network from batches to ln(depth / 30 mm) [b 1 s s]."""
         return _network_class()(self.encoder, self.has_light_cue, is_pretrained)
 
     def loss(self, network: Any, batch: Batch) -> dict[str, Any]:
-        """Terms over the pixels that have a true depth."""
+        """Loss terms over the pixels that have a true depth."""
         return self.output_loss(outputs_of(network, self, batch), batch)
 
     def output_loss(self, output: Any, batch: Batch) -> dict[str, Any]:
-        """The loss of an output [b 1 s s]."""
+        """Loss terms of an output [b 1 s s]."""
         torch = require_torch()
         truth = batch["depth"]
         valid = torch.isfinite(truth) & (truth > 0.0)
@@ -166,7 +166,7 @@ class DepthLearner:
         return {**terms, "loss": sum(terms.values())}
 
     def scores(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
-        """Errors without any alignment, and relative error after scaling by the median."""
+        """Errors without alignment, and the relative error after scaling by the median."""
         plain, aligned = [], []
         for output, sample in zip(outputs, samples, strict=True):
             estimate = depth_of(output)
@@ -178,7 +178,7 @@ class DepthLearner:
         }
 
     def picture(self, output: NDArray, sample: Sample) -> UInt8[np.ndarray, "s k 3"]:
-        """Image, true depth and estimated depth in one color scale."""
+        """Image, true depth and predicted depth on one color scale."""
         return depth_picture(depth_of(output), sample)
 
     def files(self, output: NDArray, fit: Fit) -> Mapping[str, NDArray]:
@@ -186,7 +186,7 @@ class DepthLearner:
         return {".png": CHANNELS["depth"].encoding.encode(fit.back(depth_of(output)))}
 
     def row(self, output: NDArray) -> Mapping[str, Any]:
-        """Nothing."""
+        """Return no columns."""
         return {}
 
 
@@ -208,7 +208,7 @@ def depth_of(output: Float[np.ndarray, "1 s s"]) -> Float[np.ndarray, "s s"]:
 
 
 def depth_picture(depth: Float[np.ndarray, "s s"], sample: Sample) -> UInt8[np.ndarray, "s k 3"]:
-    """Image, true depth if it is known, and estimated depth in one color scale."""
+    """Image, true depth if it is known, and predicted depth on one color scale."""
     from matplotlib import colormaps
 
     maps = [sample["depth"], depth] if "depth" in sample else [depth]
@@ -219,14 +219,14 @@ def depth_picture(depth: Float[np.ndarray, "s s"], sample: Sample) -> UInt8[np.n
 
 
 def light_cue(image: Any) -> Any:
-    """−½ ln of linear brightness [b 1 s s], of color [b 3 s s] from 0 to 1."""
+    """−½ ln of linear brightness [b 1 s s], from color [b 3 s s] between 0 and 1."""
     torch = require_torch()
     linear = torch.where(image <= 0.04045, image / 12.92, ((image + 0.055) / 1.055) ** 2.4)
     return -0.5 * torch.log(linear.mean(dim=1, keepdim=True) + _DARK)
 
 
 def _gradients(error: Any, valid: Any) -> Any:
-    """Mean absolute difference of neighbors' errors, over scales 1, 2, 4, 8."""
+    """Mean absolute difference between the errors of neighbors, over scales 1, 2, 4, 8."""
     total = 0.0
     for step in (2**k for k in range(_SCALES)):
         e, v = error[:, ::step, ::step], valid[:, ::step, ::step]
@@ -240,7 +240,7 @@ def _network_class() -> Any:
     torch = require_torch()
 
     class DepthNetwork(torch.nn.Module):
-        """A U-Net on color, rays and the cue of the light."""
+        """U-Net on color, rays and the light cue."""
 
         def __init__(self, encoder: str, has_light_cue: bool, is_pretrained: bool) -> None:
             super().__init__()

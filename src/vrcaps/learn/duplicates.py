@@ -1,9 +1,9 @@
 """Near-duplicate images by a perceptual hash: copies that were resized, mirrored or compressed.
 
-The hash is the sign of each low frequency of the image in gray, from a cosine transform (Zauner,
-Implementation and Benchmarking of Perceptual Image Hash Functions, 2010, section 3.2.1, keeps 64).
-A mirrored image has the other sign at odd frequencies, a transposed one the transposed signs, so
-that one hash gives those of all eight positions of an image.
+The hash holds the signs of the low frequencies of the gray image, from a discrete cosine transform
+(Zauner, Implementation and Benchmarking of Perceptual Image Hash Functions, 2010, section 3.2.1,
+keeps 64). Mirroring flips the signs at odd frequencies, and transposition transposes the signs, so
+that one hash gives the hashes of all eight orientations of an image.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     Hashes = Int8[np.ndarray, "n k k"]
 
 _SIDE, _FREQUENCIES = 64, 16
-"""Side of the gray image [px], and how many frequencies of each axis are kept."""
+"""Side of the gray image [px], and number of frequencies kept per axis."""
 NEAR = 0.12
-"""Share of signs up to which two images may differ to be near-duplicates; `docs/learning.md` has
-how often that errs."""
+"""Maximum fraction of different signs of near-duplicates; `docs/learning.md` has the error rates of
+this threshold."""
 _AT_ONCE = 2048
 
 
@@ -46,16 +46,16 @@ def image_hash(image: UInt8[np.ndarray, "h w 3"]) -> Int8[np.ndarray, "k k"]:
 
 
 def near_duplicates(first: Hashes, second: Hashes, near: float = NEAR) -> Int[np.ndarray, "m 2"]:
-    """Pairs of images that are near-duplicates, mirrored or turned by quarters as they may be.
+    """Return pairs of images that are near-duplicates, up to mirroring and rotation by 90°.
 
     Args:
         first: Hashes of images.
         second: Hashes of other images.
-        near: Share of signs that may differ.
+        near: Maximum fraction of signs that differ.
 
     Returns:
-        Numbers of both, a row for each image of the second set that has a near-duplicate in the
-        first: the nearest there, and its own; in the order of the second.
+        A row for each image of the second set that has a near-duplicate in the first: the index of
+            the nearest image there, and its own index; in the order of the second set.
     """
     if not len(first) or not len(second):
         return np.zeros((0, 2), int)
@@ -80,21 +80,22 @@ def near_duplicates(first: Hashes, second: Hashes, near: float = NEAR) -> Int[np
 def without_duplicates(
     samples: Samples, others: Samples, *, progress: Callable[[int, int], None] | None = None
 ) -> tuple[Samples, dict[str, str]]:
-    """Frames to learn from without those that are near-duplicates of others, and what they were.
+    """Remove the training frames that are near-duplicates of validation or test frames.
 
     Frames of episodes are not compared: they differ by patient, and no real image is one of them.
-    Those that cannot be read stay, to be skipped and named as they are learned from.
+    Frames that cannot be read are kept; training skips and reports them.
 
     Args:
-        samples: Frames to learn from.
-        others: Frames to validate or test with.
-        progress: Called with the number of images read and of all.
+        samples: Training frames.
+        others: Validation or test frames.
+        progress: Called with the number of images read and the total.
 
     Returns:
-        The frames that are left, and names of others by the names of frames left out.
+        The remaining frames, and a map from the names of removed frames to those of their
+            duplicates.
 
     Raises:
-        InputError: If none would be left.
+        InputError: If no frame would remain.
     """
     own = [k for k, (one, _) in enumerate(samples.frames) if one.episode is None]
     known = [k for k, (one, _) in enumerate(others.frames) if one.episode is None]
@@ -128,7 +129,7 @@ def _hash_of(sequence: FrameSequence, index: int) -> Int8[np.ndarray, "k k"] | N
     try:
         return image_hash(sequence.image("rgb", index))
     except (InputError, OSError):
-        return None  # named when it is to be learned from
+        return None  # reported in training
 
 
 def _name(sequence: FrameSequence, index: int) -> str:
@@ -136,7 +137,7 @@ def _name(sequence: FrameSequence, index: int) -> str:
 
 
 def _positions(hashes: Hashes) -> Iterator[Hashes]:
-    """Hashes of images as they are, mirrored and transposed: eight positions."""
+    """Yield the hashes of the eight orientations: original, mirrored and transposed."""
     sign = np.where(np.arange(_FREQUENCIES) % 2 == 0, 1, -1).astype(np.int8)
     for one in (hashes, hashes.transpose(0, 2, 1)):
         yield one

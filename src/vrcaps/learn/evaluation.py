@@ -1,4 +1,4 @@
-"""Scores of weights on data, kept in a file with the checksum of the weights they are of."""
+"""Evaluation results of a checkpoint, in a file with the checksum of its weights."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ EVALUATION = "evaluation.json"
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Scores of one file of weights on one choice of data.
+    """Metrics of one checkpoint on one selection of data.
 
     Attributes:
-        task: What was estimated.
+        task: Name of the task.
         sha256: Checksum of the weights.
-        data: Where the frames were, as the command line named it.
-        split: Which split of them; empty for all.
-        frames: How many were scored.
-        skipped: How many could not be read.
-        scores: The learner's figures; NaN where one is not defined.
+        data: Sources of the frames, as given on the command line.
+        split: Split of the data; empty for all.
+        frames: Number of evaluated frames.
+        skipped: Number of frames that could not be read.
+        scores: Metrics of the learner; NaN if undefined.
     """
 
     task: str
@@ -38,13 +38,13 @@ class Evaluation:
 
 
 def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
-    """Write an evaluation into a folder, whole or not at all; NaN becomes null."""
+    """Write an evaluation into a folder atomically; NaN becomes null."""
     scores = {k: v if math.isfinite(v) else None for k, v in evaluation.scores.items()}
     write_json(folder / EVALUATION, {**asdict(evaluation), "scores": scores})
 
 
 def read_evaluation(folder: Path) -> Evaluation:
-    """The evaluation that `vrcaps evaluate TASK --out` wrote into a folder.
+    """Read the evaluation that `vrcaps evaluate TASK --out` wrote into a folder.
 
     Raises:
         InputError: If there is none, or it is damaged.

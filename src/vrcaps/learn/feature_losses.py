@@ -1,7 +1,7 @@
-"""Differences of images by the features that a network trained on ImageNet has of them.
+"""Perceptual losses: differences of image features of a network pre-trained on ImageNet.
 
-Content and style after Gatys et al. (CVPR 2016) as losses of image transformation by Johnson et al.
-(ECCV 2016); the distance after Zhang et al. (CVPR 2018), without the weights that they learned.
+Content and style follow Gatys et al. (CVPR 2016), as losses for image transformation by Johnson et
+al. (ECCV 2016). The distance follows Zhang et al. (CVPR 2018), without their trained weights.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def content_loss(found: Sequence[Any], wanted: Sequence[Any]) -> Any:
 def style_loss(found: Sequence[Any], wanted: Sequence[Any]) -> Any:
     """Squared Frobenius norm of the difference of Gram matrices, mean over images and maps.
 
-    Johnson 2016, eq. 4.
+    See Johnson 2016, eq. 4.
     """
     differences = (
         ((gram_matrix(f) - gram_matrix(w)) ** 2).sum(dim=(1, 2)).mean()
@@ -37,7 +37,7 @@ def style_loss(found: Sequence[Any], wanted: Sequence[Any]) -> Any:
 
 
 def gram_matrix(features: Any) -> Any:
-    """Products of the channels of feature maps [b c h w] over c h w: [b c c] (Johnson, eq. 3)."""
+    """Gram matrix [b c c] of feature maps [b c h w], divided by c h w (Johnson, eq. 3)."""
     rows = features.flatten(2)
     return rows @ rows.transpose(1, 2) / (rows.shape[1] * rows.shape[2])
 
@@ -45,15 +45,15 @@ def gram_matrix(features: Any) -> Any:
 def feature_distance(
     estimate: UInt8[np.ndarray, "h w 3"], truth: UInt8[np.ndarray, "h w 3"], encoder: str
 ) -> float:
-    """Squared difference of features made unit vectors, mean over pixels and maps; 0 to 4.
+    """Squared difference of unit-normalized features, mean over pixels and maps; 0 to 4.
 
-    It is LPIPS (Zhang 2018, eq. 1) with all weights 1 and another network, so its values compare
-    with those of the same network only.
+    It equals LPIPS (Zhang 2018, eq. 1) with all weights 1 and another network, so its values are
+    comparable only for the same network.
 
     Args:
-        estimate: Estimated image.
-        truth: Original, of the same size.
-        encoder: Network whose features are compared, by timm's name.
+        estimate: Predicted image.
+        truth: Ground truth of the same size.
+        encoder: Network whose features are compared, by its timm name.
 
     Raises:
         MissingExtraError: If the network's weights are not installed.

@@ -1,4 +1,4 @@
-"""The network that training begins with: at random, with ImageNet weights, or with others."""
+"""Weight initialization: random, ImageNet, or a checkpoint."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from vrcaps.learn.weights import Trained, read_weights
 
 SCRATCH, IMAGENET = "scratch", "imagenet"
 _DENSE, _WHOLE = "net.encoder.model.", "net."
-"""What names of an encoder's weights begin with in networks of maps, and in classifiers."""
+"""Prefixes of the encoder's parameter names in dense networks and in classifiers."""
 
 
 def first_network(learner: AnyLearner, start: str) -> Any:
-    """The network that training begins with.
+    """Create a network and initialize its weights.
 
-    Weights of the same task are taken as they are, but for those of another shape; of the last
-    layer the part of each class that both have, by its name. Masks of a class that the weights do
-    not know begin with those of any lesion, if the weights know these. Of weights of another task
-    the encoder is taken; what else ImageNet weights know of a classifier begins with them if these
-    weights did, and if they need no hub.
+    From a checkpoint of the same task, all parameters of the same shape are copied; of the last
+    layer, the rows of the classes that both have, by name. Segmentation classes missing from the
+    checkpoint are initialized from its `lesion` class, if it has one. From a checkpoint of another
+    task, the encoder is copied. The rest of a network is then initialized from ImageNet weights if
+    the checkpoint was, and if these weights need no hub.
 
     Args:
         learner: The task and its settings.
-        start: `scratch`, `imagenet`, the file of weights, or the name of published ones.
+        start: `scratch`, `imagenet`, a checkpoint file, or the name of published weights.
 
     Raises:
         InputError: If there are no such weights, or they have no part for this task.
@@ -53,9 +53,9 @@ def first_network(learner: AnyLearner, start: str) -> Any:
 
 
 def origin(start: str) -> str:
-    """`scratch` or `imagenet`: what a start began with, through all that it went on from.
+    """Original initialization of a start, `scratch` or `imagenet`, through all fine-tuning.
 
-    Empty where weights do not say so.
+    Empty if the checkpoint does not state it.
 
     Raises:
         InputError: If there are no such weights.
@@ -70,7 +70,7 @@ def _origin(trained: Trained) -> str:
 
 
 def _own_classes(trained: Trained, learner: AnyLearner, own: dict[str, Any]) -> dict[str, Any]:
-    """Weights of a trained network of the same task, its last layer for a learner's classes."""
+    """State of a network trained on the same task, with the last layer for a learner's classes."""
     known = trained.network.state_dict()
     theirs, ours = (getattr(one, "classes", ()) for one in (trained.learner, learner))
     if theirs == ours:
@@ -89,7 +89,7 @@ def _own_classes(trained: Trained, learner: AnyLearner, own: dict[str, Any]) -> 
 def _encoder(
     trained: Trained, learner: AnyLearner, own: dict[str, Any], path: Path
 ) -> dict[str, Any]:
-    """Weights of a trained encoder by their names in a network of another task."""
+    """Parameters of a trained encoder by their names in a network of another task."""
     encoders = [getattr(one, "encoder", None) for one in (trained.learner, learner)]
     if None in encoders or encoders[0] != encoders[1]:
         raise InputError(

@@ -1,4 +1,4 @@
-"""How an image of any size becomes a square for a network, and a map of the square the image's."""
+"""Letterbox transform between images and square network inputs."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ _STEP = 32
 
 
 def require_size(size: int) -> None:
-    """Check that a network for maps can halve its images five times.
+    """Check that the size is divisible by the total stride of a dense network, 32.
 
     Raises:
-        InputError: If it cannot.
+        InputError: If it is not.
     """
     require(size % _STEP == 0, "size", size, f"multiples of {_STEP}")
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Scaling that keeps the aspect, centered in a square; what is left of the square is empty.
+    """Letterbox transform: scaling that keeps the aspect ratio, centered in a padded square.
 
     Attributes:
-        height: Of the image [px].
-        width: Of the image [px].
+        height: Height of the image [px].
+        width: Width of the image [px].
         size: Side of the square [px].
     """
 
@@ -49,21 +49,21 @@ class Fit:
 
     @property
     def place(self) -> tuple[slice, slice]:
-        """Rows and columns of the square that the image takes."""
+        """Rows and columns of the square that the image covers."""
         height, width = self.shape
         top, left = (self.size - height) // 2, (self.size - width) // 2
         return slice(top, top + height), slice(left, left + width)
 
     @cached_property
     def pixels(self) -> Int[np.ndarray, "h w 2"]:
-        """Column and row of the image's pixel nearest each pixel of its place."""
+        """Column and row of the source pixel nearest each pixel of the image in the square."""
         height, width = self.shape
         rows = ((np.arange(height) + 0.5) * self.height / height).astype(int)
         columns = ((np.arange(width) + 0.5) * self.width / width).astype(int)
         return np.stack(np.meshgrid(columns, rows), axis=-1)
 
     def to_square(self, pixels: Any) -> Any:
-        """Pixels of the image [... 2] (column, row) as pixels of the square; arrays or tensors."""
+        """Convert pixels of the image [... 2] (column, row) to the square; arrays or tensors."""
         height, width = self.shape
         rows, columns = self.place
         column = (pixels[..., 0] + 0.5) * (width / self.width) - 0.5 + columns.start
@@ -71,7 +71,7 @@ class Fit:
         return column, row
 
     def image(self, image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "s s 3"]:
-        """A color image in the square, black around it; averaged where it shrinks."""
+        """Resize a color image into the square, with black padding; averages when it shrinks."""
         from PIL import Image
 
         height, width = self.shape
@@ -79,17 +79,17 @@ class Fit:
         return self.padded(np.asarray(small), 0)
 
     def nearest(self, values: NDArray, fill: float) -> NDArray:
-        """Values of the nearest pixels in the square, `fill` around them; nothing is averaged."""
+        """Resample values into the square by nearest neighbor, with padding `fill`."""
         return self.padded(values[self.pixels[..., 1], self.pixels[..., 0]], fill)
 
     def padded(self, values: NDArray, fill: float) -> NDArray:
-        """Values of the image's place in a square of `fill`."""
+        """Pad values of the image region to a square with `fill`."""
         square = np.full((self.size, self.size, *values.shape[2:]), fill, values.dtype)
         square[self.place] = values
         return square
 
     def back(self, square: Float[np.ndarray, "s s"]) -> Float[np.ndarray, "h w"]:
-        """A map of the square at the size of the image, by linear interpolation."""
+        """Resize a map of the square to the size of the image, by linear interpolation."""
         from PIL import Image
 
         inner = np.ascontiguousarray(square[self.place], np.float32)

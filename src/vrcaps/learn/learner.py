@@ -1,4 +1,4 @@
-"""What a learner is: samples of frames, a network, a loss, and scores."""
+"""Protocol of a learner: samples of frames, a network, a loss, and metrics."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ if TYPE_CHECKING:
     from vrcaps.learn.fit import Fit
 
 MOST_SIZE = 2048
-"""Largest side of a network's images [px]; files of weights may state any."""
+"""Maximum side of a network's images [px], since a checkpoint may state any."""
 MOST_CLASSES = 1000
-"""Largest number of classes of a network."""
+"""Maximum number of classes of a network."""
 MOST_WEIGHT = 1e6
-"""Largest weight of a term of a loss."""
+"""Maximum weight of a loss term."""
 Sample = dict[str, Any]
-"""Arrays of one frame at the network's size; `image` is uint8 [s s 3]. What is no array is for the
-loss only."""
+"""Arrays of one frame at the network's size; `image` is uint8 [s s 3]. Values that are not arrays
+are used by the loss only."""
 INPUTS = {
     "image": "color from 0 to 1, sRGB [b 3 s s]",
     "ray": "unit ray of each pixel in the camera's frame (x right, y down, z forward), zero where "
     "the lens has none [b 3 s s]",
 }
-"""What networks are given, by the names of their inputs."""
+"""Descriptions of the network inputs, by name."""
 Batch = dict[str, Any]
-"""Tensors [b c s s] or [b ...] of samples of one size; lists of what is no array."""
+"""Tensors [b c s s] or [b ...] of samples of one size; values that are not arrays are lists."""
 
 
 @dataclass(frozen=True)
 class Figure:
-    """The figure by which weights are chosen.
+    """Metric by which the best checkpoint is selected.
 
     Attributes:
-        name: One of the learner's scores.
+        name: Name of one of the learner's metrics.
         is_error: Whether smaller is better.
     """
 
@@ -48,7 +48,7 @@ class Figure:
     is_error: bool
 
     def is_better(self, value: float, best: float | None) -> bool:
-        """Whether a value is better than the best so far; NaN never is."""
+        """Return whether a value is better than the best so far; NaN never is."""
         if not np.isfinite(value):
             return False
         return best is None or (value < best if self.is_error else value > best)
@@ -58,11 +58,11 @@ class Learner(Protocol):
     """One task: a frozen dataclass whose fields are its settings.
 
     Attributes:
-        kind: Its name on the command line and in weight files.
-        input_names: Arrays of a sample that the network is given, in this order.
-        output_text: What the network gives, with unit and shape.
-        figure: By which weights are chosen.
-        size: Side of the images that the network is given [px].
+        kind: Its name on the command line and in checkpoints.
+        input_names: Arrays of a sample that are the network's inputs, in this order.
+        output_text: Description of the network's output, with unit and shape.
+        figure: Metric by which the best checkpoint is selected.
+        size: Side of the network's input images [px].
     """
 
     kind: ClassVar[str]
@@ -76,15 +76,15 @@ class Learner(Protocol):
         ...
 
     def items(self, sequence: FrameSequence) -> Iterable[int]:
-        """Numbers of the frames of a sequence that can be learned from.
+        """Return the indices of the frames of a sequence that can be used for training.
 
         Raises:
-            InputError: If the sequence lacks a channel that is learned.
+            InputError: If the sequence lacks a required channel.
         """
         ...
 
     def sample(self, sequence: FrameSequence, index: int) -> Sample:
-        """Network's input and truth of one frame.
+        """Return the network's input and the ground truth of one frame.
 
         Raises:
             InputError: If an image cannot be read.
@@ -92,11 +92,11 @@ class Learner(Protocol):
         ...
 
     def augmented(self, sample: Sample, rng: np.random.Generator) -> Sample:
-        """The sample changed at random; labels follow."""
+        """Augment a sample and its labels."""
         ...
 
     def network(self, *, is_pretrained: bool) -> Any:
-        """A new network (`torch.nn.Module`), on ImageNet weights if so asked.
+        """Create a network (`torch.nn.Module`), with ImageNet weights if requested.
 
         Raises:
             MissingExtraError: If PyTorch or the weights are not installed.
@@ -104,15 +104,15 @@ class Learner(Protocol):
         ...
 
     def loss(self, network: Any, batch: Batch) -> dict[str, Any]:
-        """Terms of the loss of a network on a batch; `loss` is their sum."""
+        """Loss terms of a network on a batch; `loss` is their sum."""
         ...
 
     def scores(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
-        """Figures over samples, from the network's outputs [c s s] or [c]."""
+        """Compute metrics over samples, from the network's outputs [c s s] or [c]."""
         ...
 
     def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Fit, camera: Any) -> Sample:
-        """Network's input of an image without truth.
+        """Return the network's input for an image without ground truth.
 
         Raises:
             InputError: If the network needs the camera and there is none.
@@ -120,43 +120,44 @@ class Learner(Protocol):
         ...
 
     def picture(self, output: NDArray, sample: Sample) -> UInt8[np.ndarray, "s k 3"]:
-        """Image, truth if there is one, and output side by side, to look at."""
+        """Image, ground truth if available, and output side by side, for inspection."""
         ...
 
     def files(self, output: NDArray, fit: Fit) -> Mapping[str, NDArray]:
-        """Images to write of an estimate, by what follows the image's name in theirs."""
+        """Output images of a prediction by file-name suffix."""
         ...
 
     def row(self, output: NDArray) -> Mapping[str, Any]:
-        """What a table says of an estimate; empty if its files say all."""
+        """Table columns of a prediction; empty if its files hold everything."""
         ...
 
 
 @runtime_checkable
 class Adversarial(Protocol):
-    """What a learner also has whose network can learn against a second one, the adversary.
+    """Further methods of a learner whose network can be trained against a discriminator.
 
-    The adversary learns to tell outputs from truths. Only checkpoints keep it.
+    The discriminator is trained to distinguish predictions from ground truth. Only training
+    checkpoints contain it.
     """
 
     def adversary(self) -> Any | None:
-        """A new adversary (`torch.nn.Module`); None if the settings want none."""
+        """Create a discriminator (`torch.nn.Module`); None if the settings disable it."""
         ...
 
     def losses(
         self, network: Any, adversary: Any, batch: Batch
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Terms of the loss of the network, and of the adversary's; `loss` is their sum."""
+        """Loss terms of the network and of the discriminator; `loss` is their sum."""
         ...
 
 
 def flip(sample: Sample, axis: int) -> Sample:
-    """All maps of a sample mirrored along columns (axis 1) or rows (axis 0)."""
+    """Flip all maps of a sample along columns (axis 1) or rows (axis 0)."""
     return _with_maps(sample, lambda array: np.flip(array, axis))
 
 
 def transposed(sample: Sample) -> Sample:
-    """All maps of a sample with rows and columns exchanged."""
+    """Exchange rows and columns of all maps of a sample."""
     return _with_maps(sample, lambda array: np.swapaxes(array, 0, 1))
 
 
@@ -168,7 +169,7 @@ def _with_maps(sample: Sample, change: Callable[[NDArray], NDArray]) -> Sample:
 
 
 def mirrored(sample: Sample, rng: np.random.Generator) -> Sample:
-    """The sample mirrored along rows, columns, both or neither."""
+    """Flip a sample along rows, columns, both or neither, at random."""
     for axis in (0, 1):
         if rng.random() < 0.5:
             sample = flip(sample, axis)
@@ -176,12 +177,12 @@ def mirrored(sample: Sample, rng: np.random.Generator) -> Sample:
 
 
 def zoomed(sample: Sample, rng: np.random.Generator, least: float) -> Sample:
-    """A random square part of a sample, brought to its size, as another lens would see it.
+    """Crop a random square from a sample and resize it to the sample's size, as if zoomed.
 
     Args:
-        sample: `image`, and maps [s s ...] of which the nearest values are taken.
-        rng: Draws the part.
-        least: Smallest side of the part, relative to the sample's.
+        sample: `image`, and maps [s s ...], which are resampled by nearest neighbor.
+        rng: Random generator for the crop.
+        least: Minimum side of the crop, relative to the sample's.
     """
     from PIL import Image
 
@@ -208,14 +209,14 @@ def recolored(
     tint: float,
     gamma: float,
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """The image with random exposure, white balance and gamma, each drawn evenly in its logarithm.
+    """Apply random exposure, white balance and gamma, each drawn log-uniformly.
 
     Args:
-        image: To change.
-        rng: Draws them.
-        exposure: Largest factor on all colors.
-        tint: Largest factor on each color.
-        gamma: Largest exponent.
+        image: Source image.
+        rng: Random generator.
+        exposure: Maximum factor on all color channels.
+        tint: Maximum factor on each color channel.
+        gamma: Maximum exponent.
     """
     change = exposure ** rng.uniform(-1.0, 1.0) * tint ** rng.uniform(-1.0, 1.0, 3)
     return with_gain(image, change, gamma ** rng.uniform(-1.0, 1.0))
@@ -224,12 +225,12 @@ def recolored(
 def with_gain(
     image: UInt8[np.ndarray, "h w 3"], gain: Float[np.ndarray, " 3"], gamma: float
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """The image with a factor per color and a gamma about middle brightness."""
+    """Apply a factor per color channel and a gamma to an image."""
     table = np.arange(256)[:, None] / 255.0
     changed = np.clip(255.0 * gain * table**gamma + 0.5, 0, 255).astype(np.uint8)
     return np.stack([changed[image[..., k], k] for k in range(3)], axis=-1)
 
 
 def outputs_of(network: Any, learner: Learner, batch: Batch) -> Any:
-    """Output of a network, in 32 bits, whatever it computed in."""
+    """Output of a network in float32, independent of its compute type."""
     return network(*(batch[name] for name in learner.input_names)).float()

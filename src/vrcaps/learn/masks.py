@@ -1,6 +1,6 @@
-"""Masks of lesions in one image.
+"""Lesion segmentation.
 
-The loss is binary cross entropy plus one minus the soft Dice coefficient, for each class (Isensee
+The loss is binary cross-entropy plus one minus the soft Dice coefficient, for each class (Isensee
 et al., Nature Methods 18, 2021, use this sum).
 """
 
@@ -37,24 +37,24 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 LESION = "lesion"
-"""Class of all that is a lesion: any `instance` of a recording, any mask of an image folder."""
+"""Class of any lesion: any `instance` of a recording, any mask of an image folder."""
 _OUTLINE = np.array([60, 220, 90], np.uint8)
 _UNKNOWN = 2
-"""Truth where a square lies beyond the image; neither inside nor outside."""
+"""Label of the padding around the image, which is neither inside nor outside a mask."""
 
 
 @dataclass(frozen=True)
 class MaskLearner:
-    """Masks of lesions, one for each class; they may overlap.
+    """Segmentation of lesions, with one mask per class; masks may overlap.
 
     Attributes:
         classes: `lesion` for any lesion, kinds of lesions of a recording such as `polyp`, or names
             of labels.
-        size: Side of the images that the network is given [px]; maps need a multiple of 32.
-        encoder: Name of timm's, such as resnet152.
-        brightness: Largest random change of exposure, as a factor: 1.3 is ± 30 %.
-        tint: Largest random change of each color, as a factor.
-        zoom: Least side of the random part of an image that is learned from; 1 is all of it.
+        size: Side of the network's input images [px]; maps need a multiple of 32.
+        encoder: Name of a timm model, such as resnet152.
+        brightness: Maximum random change of exposure, as a factor: 1.3 is ± 30 %.
+        tint: Maximum random change of each color channel, as a factor.
+        zoom: Minimum side of a random crop, relative to the image; 1 is the whole image.
     """
 
     classes: tuple[str, ...] = (LESION,)
@@ -76,10 +76,10 @@ class MaskLearner:
         require(is_few, "number of classes of masks", len(self.classes), f"1 to {MOST_CLASSES}")
 
     def items(self, sequence: FrameSequence) -> Iterable[int]:
-        """All frames of a sequence with images and masks.
+        """Return all frames of a sequence with images and masks.
 
         Raises:
-            InputError: If it has no masks, or none of a class.
+            InputError: If it has no masks, or lacks a class.
         """
         for name in self.classes:
             channel = _channel_of(sequence, name)
@@ -97,7 +97,7 @@ class MaskLearner:
         return range(len(sequence))
 
     def sample(self, sequence: FrameSequence, index: int) -> Sample:
-        """Image and mask [s s c]: 0, 1, or 2 beyond the image."""
+        """Return the image and its masks [s s c]: 0, 1, or 2 in the padding."""
         image = sequence.image("rgb", index)
         fit = Fit(image.shape[0], image.shape[1], self.size)
         masks = [self._mask(sequence, index, name) for name in self.classes]
@@ -119,11 +119,11 @@ class MaskLearner:
         return shown == sequence.label_names.index(name)
 
     def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Fit, camera: Any) -> Sample:
-        """The image; any camera will do."""
+        """Return the image; the camera is not used."""
         return {"image": fit.image(image)}
 
     def augmented(self, sample: Sample, rng: np.random.Generator) -> Sample:
-        """A part of the image, mirrored, turned by quarters, and with other colors."""
+        """Apply a random crop, flips, a transposition and color jitter."""
         sample = mirrored(zoomed(sample, rng, self.zoom), rng)
         if rng.random() < 0.5:
             sample = {name: np.swapaxes(array, 0, 1).copy() for name, array in sample.items()}
@@ -131,15 +131,15 @@ class MaskLearner:
         return sample | {"image": image}
 
     def network(self, *, is_pretrained: bool) -> Any:
-        """A network from batches to logits [b c s s]."""
+        """Create a network from batches to logits [b c s s]."""
         return _network_class()(self.encoder, len(self.classes), is_pretrained)
 
     def loss(self, network: Any, batch: Batch) -> dict[str, Any]:
-        """Cross entropy and Dice over the pixels of the images."""
+        """Cross-entropy and Dice over the pixels of the images."""
         return self.output_loss(outputs_of(network, self, batch), batch)
 
     def output_loss(self, output: Any, batch: Batch) -> dict[str, Any]:
-        """The loss of an output [b c s s]."""
+        """Loss terms of an output [b c s s]."""
         torch = require_torch()
         truth = batch["mask"]
         known = (truth != _UNKNOWN).float()
@@ -159,7 +159,7 @@ class MaskLearner:
     def scores(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
         """Means over images and classes; images without a lesion count in `specificity` only.
 
-        `specificity` is the share of lesion-free masks in which nothing was found.
+        `specificity` is the fraction of lesion-free masks with an empty prediction.
         """
         found: dict[str, list[float]] = {"dice": [], "iou": [], "boundary_f": [], "specificity": []}
         for output, sample in zip(outputs, samples, strict=True):
@@ -175,7 +175,7 @@ class MaskLearner:
         return {k: float(np.mean(v)) if v else float("nan") for k, v in found.items()}
 
     def picture(self, output: NDArray, sample: Sample) -> UInt8[np.ndarray, "s k 3"]:
-        """The image with the outlines of the true and of the estimated masks."""
+        """Image with the outlines of the true and of the predicted masks."""
         masks = [output.max(axis=0) > 0.0]
         if "mask" in sample:
             masks.insert(0, (sample["mask"] == 1).any(axis=-1))
@@ -187,18 +187,18 @@ class MaskLearner:
         return {f"_{name}.png": mask for name, mask in zip(self.classes, masks, strict=True)}
 
     def row(self, output: NDArray) -> Mapping[str, Any]:
-        """Nothing."""
+        """Return no columns."""
         return {}
 
 
 def _channel_of(sequence: FrameSequence, name: str) -> str:
-    """The channel that the masks of a class come from."""
+    """Channel that holds the masks of a class."""
     is_instance = "instance" in sequence.channels and (name == LESION or name in _kinds(sequence))
     return "instance" if is_instance else "label"
 
 
 def _kinds(sequence: FrameSequence) -> dict[str, list[int]]:
-    """Instances of each kind of lesion, of a recording; empty for data of others."""
+    """Instances of each kind of lesion in a recording; empty for other data."""
     if sequence.episode is None:
         return {}
     lesions = sequence.episode.head["organ"]["lesions"]
@@ -216,7 +216,7 @@ def _network_class() -> Any:
     torch = require_torch()
 
     class MaskNetwork(torch.nn.Module):
-        """A U-Net on color."""
+        """U-Net on color."""
 
         def __init__(self, encoder: str, classes: int, is_pretrained: bool) -> None:
             super().__init__()

@@ -1,7 +1,7 @@
-"""Model card: what published weights are, how they were made, what they score, what they are for.
+"""Model card of published weights: training, metrics, intended use and limits.
 
-All but the notes at its end is written from the training folder. The notes are a person's: intended
-use, limits; they stay when the weights are published again.
+All but the notes at its end is generated from the training folder. The notes are written by hand:
+intended use and limits. They are kept when the weights are published again.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ _NOTES = "<!-- Below is written by hand; it stays when the weights are published
 
 @dataclass(frozen=True)
 class Training:
-    """What is known of the training that made weights.
+    """Facts of the training that produced a checkpoint.
 
     Attributes:
         settings: Its settings.
-        frames: How many it learned from, and how many chose the weights.
+        frames: Number of training frames, and of validation frames that selected the checkpoint.
         made_with: Versions of vrcaps and of packages.
-        step: Steps after which these weights were kept.
-        done: Steps that were done in all.
-        scores: Scores at that step, on the frames that chose the weights.
-        plans: Plans of data sets that it learned from, by where they were.
+        step: Step of the checkpoint.
+        done: Total number of completed steps.
+        scores: Metrics at that step on the validation frames.
+        plans: Plans of the training datasets, by their source.
     """
 
     settings: TrainSettings
@@ -53,14 +53,14 @@ def card_text(
     license_name: str,
     notes: str,
 ) -> str:
-    """The card of published weights.
+    """Text of the card of published weights.
 
     Args:
-        entry: Their entry of the index.
-        training: How they were made.
-        evaluations: Their scores on other data.
+        entry: Their entry in the index.
+        training: Their training.
+        evaluations: Their metrics on other data.
         license_name: License of the weights.
-        notes: What a person says of them, in Markdown.
+        notes: Hand-written notes in Markdown.
     """
     learner = training.settings.learner
     return "\n".join(
@@ -102,15 +102,15 @@ def card_text(
 
 
 def notes_of(card: str) -> str:
-    """The part of a card that a person wrote; empty if there is none."""
+    """Hand-written part of a card; empty if there is none."""
     return card.partition(_NOTES)[2].strip()
 
 
 def train_command(settings: TrainSettings, out: str) -> str:
-    """The command line that trains with some settings, whatever preset they came from.
+    """Command line that trains with the given settings, independent of their preset.
 
     Args:
-        settings: What is trained, and how.
+        settings: Settings of the training.
         out: Folder of the training.
     """
     usual = TrainSettings(type(settings.learner)())
@@ -203,7 +203,7 @@ def _scores(training: Training, evaluations: Sequence[Evaluation]) -> list[str]:
 
 
 def _plans(training: Training) -> list[str]:
-    """Plans as `vrcaps dataset make` takes them, folded away."""
+    """Plans as input of `vrcaps dataset make`, in collapsed sections."""
     return [
         line
         for source, plan in training.plans.items()

@@ -1,4 +1,4 @@
-"""Networks: an encoder by timm, a U-Net decoder by segmentation-models-pytorch."""
+"""Networks: a timm encoder and a U-Net decoder of segmentation-models-pytorch."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ _DECODER = (128, 64, 48, 32, 24)
 
 
 def imagenet_weights() -> dict[str, Any]:
-    """ImageNet weights of `ENCODER`, by timm's names.
+    """ImageNet weights of `ENCODER`, by timm's parameter names.
 
-    The package names the same tensors otherwise; their order is that of the network.
+    The package uses other names for the same tensors; their order is that of the network.
 
     Raises:
         MissingExtraError: If they are not installed.
@@ -35,17 +35,18 @@ def imagenet_weights() -> dict[str, Any]:
 
 
 def dense_network(encoder: str, inputs: int, outputs: int, *, is_pretrained: bool) -> Any:
-    """A U-Net that gives a map [b outputs s s] of maps [b inputs s s].
+    """Create a U-Net from maps [b inputs s s] to maps [b outputs s s].
 
     Args:
-        encoder: Name of timm's.
-        inputs: Channels; the first three are color from −1 to 1, which ImageNet weights know.
-        outputs: Channels.
-        is_pretrained: Whether the encoder begins with ImageNet weights.
+        encoder: Name of a timm model.
+        inputs: Number of input channels; the first three are color from −1 to 1, as for ImageNet
+            weights.
+        outputs: Number of output channels.
+        is_pretrained: Whether the encoder is initialized from ImageNet weights.
 
     Raises:
         UnknownNameError: If timm has no such encoder.
-        InputError: If its ImageNet weights cannot be fetched.
+        InputError: If its ImageNet weights cannot be downloaded.
         MissingExtraError: If a package is not installed.
     """
     _require_encoder(encoder)
@@ -69,10 +70,11 @@ def dense_network(encoder: str, inputs: int, outputs: int, *, is_pretrained: boo
 
 
 def with_inputs(weights: Any, own: Any) -> Any:
-    """Weights of a first layer [o i h w] for as many channels as a network's own has.
+    """Adapt the weights of a first layer [o i h w] to the number of input channels of a network.
 
-    The first three channels are color in all networks; those of more channels begin at 0, so that
-    color is seen as it was. Weights that are not of a first layer are returned as they are.
+    The first three channels are color in all networks; the weights of additional channels are
+    initialized to 0, so that the response to color is unchanged. Other weights are returned as
+    they are.
     """
     torch = require_torch()
     if (
@@ -86,17 +88,17 @@ def with_inputs(weights: Any, own: Any) -> Any:
 
 
 def classifier(encoder: str, outputs: int, *, is_pretrained: bool, dropout: float) -> Any:
-    """A network that gives scores [b outputs] of color images [b 3 s s] from −1 to 1.
+    """Create a network from color images [b 3 s s], −1 to 1, to scores [b outputs].
 
     Args:
-        encoder: Name of timm's.
+        encoder: Name of a timm model.
         outputs: Number of classes.
-        is_pretrained: Whether it begins with ImageNet weights.
-        dropout: Share of features left out while learning.
+        is_pretrained: Whether it is initialized from ImageNet weights.
+        dropout: Fraction of features that are dropped in training.
 
     Raises:
         UnknownNameError: If timm has no such encoder.
-        InputError: If its ImageNet weights cannot be fetched.
+        InputError: If its ImageNet weights cannot be downloaded.
         MissingExtraError: If a package is not installed.
     """
     timm = _require_encoder(encoder)
@@ -113,11 +115,11 @@ def classifier(encoder: str, outputs: int, *, is_pretrained: bool, dropout: floa
 
 
 def motion_network(encoder: str, *, is_pretrained: bool) -> Any:
-    """A network from two color images [b 6 s s] from −1 to 1 to six numbers [b 6].
+    """Create a network from two color images [b 6 s s], −1 to 1, to six values [b 6].
 
     Raises:
         UnknownNameError: If timm has no such encoder.
-        InputError: If its ImageNet weights cannot be fetched.
+        InputError: If its ImageNet weights cannot be downloaded.
         MissingExtraError: If a package is not installed.
     """
     network = classifier(encoder, 6, is_pretrained=is_pretrained, dropout=0.0)
@@ -126,7 +128,7 @@ def motion_network(encoder: str, *, is_pretrained: bool) -> Any:
         (name, one) for name, one in network.named_modules() if isinstance(one, torch.nn.Conv2d)
     )
     wide = copy(stem)
-    # Each filter sees one of the images: sums of both would not tell which is first.
+    # Each filter reads one of the images: sums of both would lose their order.
     weight, is_even = stem.weight.detach(), torch.arange(len(stem.weight)) % 2 == 0
     halves = [weight * one[:, None, None, None] for one in (is_even, ~is_even)]
     wide.weight = torch.nn.Parameter(torch.cat(halves, dim=1))
@@ -137,7 +139,7 @@ def motion_network(encoder: str, *, is_pretrained: bool) -> Any:
 
 
 def freeze_batch_norm(network: Any) -> None:
-    """Let batch normalization use the statistics it has, until the network's mode is set anew."""
+    """Make batch normalization use its stored statistics until the network's mode is set again."""
     base = require_torch().nn.modules.batchnorm._BatchNorm
     for module in network.modules():
         if isinstance(module, base):
@@ -146,21 +148,21 @@ def freeze_batch_norm(network: Any) -> None:
 
 @cache
 def feature_network(encoder: str, device: str) -> Any:
-    """A network from color images [b 3 h w], 0 to 1, to feature maps [b c h' w'] of four scales.
+    """Create a network from images [b 3 h w], 0 to 1, to feature maps [b c h' w'] at four scales.
 
-    Its weights are ImageNet's and do not learn. To make it changes no random numbers of PyTorch.
+    It has fixed ImageNet weights. Its creation does not advance PyTorch's random state.
 
     Args:
-        encoder: Name of timm's, such as vgg19; the weights of `ENCODER` need no hub.
-        device: Where it computes.
+        encoder: Name of a timm model, such as vgg19; the weights of `ENCODER` need no hub.
+        device: Device of the computation.
 
     Raises:
         UnknownNameError: If timm has no such encoder.
-        InputError: If its weights cannot be fetched, or it has no maps of four scales.
+        InputError: If its weights cannot be downloaded, or it has no maps at four scales.
         MissingExtraError: If a package is not installed.
     """
     torch = require_torch()
-    # What is first made for scores must serve gradients, too.
+    # A network created for metrics must also propagate gradients.
     with torch.inference_mode(False), torch.random.fork_rng(devices=[]):
         network = _feature_network(encoder).eval().requires_grad_(False)
     return network.to(device)
@@ -180,7 +182,7 @@ def _feature_network(encoder: str) -> Any:
     mean, spread = (torch.tensor(normal[name]).view(3, 1, 1) for name in ("mean", "std"))
 
     class FeatureNetwork(torch.nn.Module):
-        """An encoder's maps of images, brought to the range that it was trained on."""
+        """Feature maps of an encoder, with images normalized as in its training."""
 
         def __init__(self) -> None:
             super().__init__()
@@ -196,7 +198,7 @@ def _feature_network(encoder: str) -> Any:
 
 @contextmanager
 def _hub(encoder: str, advice: str = "Give --start scratch, or") -> Iterator[None]:
-    """Errors of fetching weights as one line."""
+    """Convert errors of a download of weights to one line."""
     try:
         yield
     except (OSError, RuntimeError) as error:
@@ -216,7 +218,7 @@ def _require_encoder(encoder: str) -> Any:
 
 
 def require_torch() -> Any:
-    """PyTorch.
+    """Return PyTorch.
 
     Raises:
         MissingExtraError: If it is not installed.

@@ -1,4 +1,4 @@
-"""Trained networks as ONNX files, which run without PyTorch."""
+"""Export of trained networks to ONNX, which runs without PyTorch."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ _OUTPUT = "output"
 
 
 def write_onnx(path: Path, trained: Trained) -> None:
-    """Write a trained network as ONNX, whole or not at all.
+    """Write a trained network as ONNX atomically.
 
-    A batch may have any size; images for super-resolution, too, but those for attention-unet must
-    have sides that its levels halve without a rest. Metadata of the file say the task, its
-    settings, and what goes in and out.
+    The batch size is dynamic. For super-resolution the image size is dynamic as well, but for
+    attention-unet both sides must be divisible by 2 per level. The file's metadata hold the task,
+    its settings, and the inputs and outputs.
 
     Args:
         path: File to write.
-        trained: Learner and network; of `sfm` its network of distances.
+        trained: Learner and network; of `sfm` its distance network.
 
     Raises:
         MissingExtraError: If onnx is not installed.
@@ -42,7 +42,7 @@ def write_onnx(path: Path, trained: Trained) -> None:
     if isinstance(learner, SuperResolutionLearner):
         free |= {2: "height", 3: "width"}
     with atomic_write(path) as temporary, warnings.catch_warnings():
-        # PyTorch's newer exporter makes the same graph in twenty times the time.
+        # PyTorch's newer exporter creates the same graph but takes twenty times as long.
         warnings.simplefilter("ignore")
         torch.onnx.export(
             deepcopy(trained.network).cpu().eval(),
@@ -65,9 +65,9 @@ def write_onnx(path: Path, trained: Trained) -> None:
 
 
 def onnx_difference(path: Path, trained: Trained) -> float:
-    """Largest absolute difference of an ONNX file's outputs from those of the network.
+    """Maximum absolute difference between the outputs of an ONNX file and of the network.
 
-    It is of three random inputs: another number than the file was written with.
+    It is computed on three random inputs, a batch size other than that of the export.
 
     Raises:
         MissingExtraError: If onnxruntime is not installed.
@@ -82,7 +82,7 @@ def onnx_difference(path: Path, trained: Trained) -> float:
 
 
 def _example(trained: Trained, count: int = 2) -> dict[str, Any]:
-    """Random inputs [n 3 s s] from 0 to 1."""
+    """Random inputs [n 3 s s] between 0 and 1."""
     size = trained.learner.size
     chance = rng.stream(0, "learn/onnx", count)
     return {

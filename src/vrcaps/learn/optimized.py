@@ -1,4 +1,4 @@
-"""A network with its optimizer: how it learns from a loss, and its state in a checkpoint."""
+"""Network with its optimizer: gradient steps, and the state in a checkpoint."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from typing import Any
 from vrcaps.learn.networks import require_torch
 
 _MOST_GRADIENT = 1.0
-"""Norm that gradients are cut down to."""
+"""Maximum norm of the gradients, by clipping."""
 
 
 class Optimized:
     """A network that AdamW optimizes."""
 
     def __init__(self, network: Any, *, weight_decay: float, momentum: float = 0.9) -> None:
-        """A network that has learned nothing.
+        """Initialize the optimizer.
 
         Args:
-            network: On its device.
-            weight_decay: Of AdamW.
-            momentum: AdamW's first coefficient.
+            network: Network on its device.
+            weight_decay: Weight decay of AdamW.
+            momentum: First beta coefficient of AdamW.
         """
         self.network = network
         self.optimizer = require_torch().optim.AdamW(
@@ -27,7 +27,7 @@ class Optimized:
         )
 
     def learn(self, loss: Any, rate: float) -> None:
-        """One step down a loss, at a learning rate."""
+        """Take one gradient step on a loss, at a learning rate."""
         for group in self.optimizer.param_groups:
             group["lr"] = rate
         self.optimizer.zero_grad(set_to_none=True)
@@ -37,10 +37,10 @@ class Optimized:
         self.optimizer.step()
 
     def state(self) -> dict[str, Any]:
-        """What a checkpoint holds."""
+        """State for a checkpoint."""
         return {"network": self.network.state_dict(), "optimizer": self.optimizer.state_dict()}
 
     def load(self, state: dict[str, Any]) -> None:
-        """Go on from a state."""
+        """Restore a state."""
         self.network.load_state_dict(state["network"])
         self.optimizer.load_state_dict(state["optimizer"])

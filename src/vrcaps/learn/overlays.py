@@ -1,8 +1,8 @@
-"""What an endoscope's picture shows beside tissue: black corners, inserts, text.
+"""Overlays of an endoscope's picture: black corners, inserts, text.
 
-They differ between hospitals and classes, so a network can tell classes by them and learn nothing
-of tissue. They are hidden in every image at the same place, whether they are there or not: a mask
-that followed the image would tell what it hides.
+They differ between hospitals and classes, so that a network can classify by them without using the
+tissue. They are hidden in every image at the same position, whether they are present or not: a mask
+that followed the image would reveal them.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ if TYPE_CHECKING:
 Overlay = Literal["corners", "insert", "text"]
 
 _RADIUS = 0.46
-"""Half axes of the ellipse that is left of an image, over its sides: it lies within the octagons
+"""Half axes of the visible ellipse of an image, relative to its sides: it lies within the octagons
 and circles of HyperKvasir, Kvasir-SEG and WCEBleedGen."""
 _INSERT = (0.56, 0.45)
-"""Top and right edge of the lower left part where HyperKvasir shows the place of the endoscope."""
+"""Top and right edge of the lower left part where HyperKvasir shows the endoscope's position."""
 _TEXT = 0.27
 """Right edge of the left part where HyperKvasir and Kvasir-SEG show date and name."""
 
 
 @lru_cache(maxsize=64)
 def tissue_mask(height: int, width: int, overlays: tuple[Overlay, ...]) -> Bool[np.ndarray, "h w"]:
-    """Where tissue is seen in every image whose overlays of these kinds are hidden.
+    """Mask of the pixels that are not hidden by the overlays.
 
     Args:
-        height: Of the image [px].
-        width: Of the image [px].
-        overlays: `corners` leaves the largest ellipse that capsules and endoscopes show, `insert`
-            hides the lower left, `text` the left.
+        height: Height of the image [px].
+        width: Width of the image [px].
+        overlays: `corners` keeps the largest ellipse that both capsules and endoscopes show,
+            `insert` hides the lower left, `text` the left.
     """
     y = ((np.arange(height) + 0.5) / height)[:, None]
     x = (np.arange(width) + 0.5) / width

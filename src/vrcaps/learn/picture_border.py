@@ -1,7 +1,7 @@
 """Parts of an endoscope's picture that show no tissue: the black border, and inserts of the device.
 
-Estimates of depth leave both out, in `vrcaps predict` and in `vrcaps evaluate` alike. Recordings of
-vrcaps have no border to leave out: their cameras say where the image ends.
+Depth prediction excludes both, in `vrcaps predict` and in `vrcaps evaluate`. Recordings of vrcaps
+have no border to exclude: their cameras state the extent of the image.
 """
 
 from __future__ import annotations
@@ -25,25 +25,26 @@ if TYPE_CHECKING:
     from vrcaps.recording.frame_sequence import FrameSequence
 
 BLACK = 24
-"""Brightest channel of the border around an endoscope's picture [of 255]."""
+"""Maximum channel value of the border around an endoscope's picture [of 255]."""
 _FILLED = 0.02
-"""Least share of a row or column that is brighter, of those that belong to the picture."""
+"""Minimum fraction of brighter pixels of a row or column that belongs to the picture."""
 _MOST_INSERT = 0.3
-"""Largest share of foreign colors that are inserts; more are the light's, as of narrow bands."""
+"""Maximum fraction of non-tissue colors that are inserts; larger fractions are due to the light,
+such as narrow-band imaging."""
 _CROPPED = ("depth",)
-"""Tasks whose networks are given the picture without its border."""
+"""Tasks whose networks take the picture without its border."""
 
 
 @dataclass(frozen=True)
 class PictureView:
-    """The part of an image that a network is given.
+    """Part of an image that is the network's input.
 
     Attributes:
         image: Colors of the part, uint8 [h w 3].
-        camera: Camera of the part; None where it is not known.
+        camera: Camera of the part; None if it is not known.
         place: Rows and columns of the part in the image.
         shape: Height and width of the image [px].
-        is_insert: Where the device shows an insert, of the part [h w].
+        is_insert: Mask of the device's inserts within the part [h w].
     """
 
     image: UInt8[np.ndarray, "h w 3"]
@@ -53,7 +54,7 @@ class PictureView:
     is_insert: Bool[np.ndarray, "h w"]
 
     def whole(self, values: NDArray) -> NDArray:
-        """A map of the part as one of the image: 0 beyond it and where an insert is."""
+        """Convert a map of the part to the whole image, with 0 outside it and in inserts."""
         found = np.zeros((*self.shape, *values.shape[2:]), values.dtype)
         found[self.place] = np.where(self.is_insert, 0, values)
         return found
@@ -65,14 +66,14 @@ def view_of(
     image: UInt8[np.ndarray, "h w 3"],
     field_of_view: float | None = None,
 ) -> PictureView:
-    """The part of an image that the network of a task is given.
+    """Return the part of an image that is the input of a task's network.
 
     Args:
-        kind: The task.
-        sequence: Where the image is from.
-        image: All of it.
-        field_of_view: Angle across the width of the part [rad], for an assumed lens where the
-            camera is not known.
+        kind: Name of the task.
+        sequence: Sequence of the image.
+        image: The whole image.
+        field_of_view: Angle across the width of the part [rad], for an assumed lens if the camera
+            is not known.
 
     Raises:
         InputError: If the camera makes images of another size.
@@ -99,9 +100,9 @@ def view_of(
 
 
 def bright_part(image: UInt8[np.ndarray, "h w 3"]) -> tuple[slice, slice]:
-    """Rows and columns of an image without those at its edges in which nearly all is black.
+    """Rows and columns of an image without the almost black ones at its edges.
 
-    All rows and columns where the whole image is black.
+    All rows and columns if the whole image is black.
     """
     bright = image.max(axis=-1) > BLACK
     rows, columns = (np.flatnonzero(bright.mean(axis=axis) > _FILLED) for axis in (1, 0))
@@ -113,11 +114,11 @@ def bright_part(image: UInt8[np.ndarray, "h w 3"]) -> tuple[slice, slice]:
 def inserts(
     image: UInt8[np.ndarray, "h w 3"], within: Bool[np.ndarray, "h w"] | None = None
 ) -> Bool[np.ndarray, "h w"]:
-    """Boxes laid over a picture by the device, by colors that tissue does not have.
+    """Mask of boxes that the device overlays on a picture, by colors that tissue does not have.
 
     Args:
-        image: More green or blue than red is foreign.
-        within: Where to look; None is everywhere.
+        image: Color image; pixels with more green or blue than red are not tissue.
+        within: Mask of the search region; None for the whole image.
     """
     red, green, blue = (image[..., channel].astype(np.int16) for channel in range(3))
     foreign = (green > 1.15 * red + 8) | (blue > 1.1 * red + 8)
@@ -131,11 +132,11 @@ def inserts(
 
 
 def assumed_camera(width: int, height: int, field_of_view: float) -> Camera:
-    """A camera with an ideal equidistant lens in the middle of its images.
+    """Create a camera with an ideal equidistant lens and a centered principal point.
 
     Args:
-        width: Of the images [px].
-        height: Of the images [px].
+        width: Width of the images [px].
+        height: Height of the images [px].
         field_of_view: Angle from the left to the right edge [rad].
 
     Raises:
@@ -153,7 +154,7 @@ def assumed_camera(width: int, height: int, field_of_view: float) -> Camera:
 
 
 def _part_of(camera: Camera, rows: slice, columns: slice) -> Camera:
-    """The camera of some rows and columns of its images."""
+    """Camera that sees some rows and columns of a camera's images."""
     width, height = columns.stop - columns.start, rows.stop - rows.start
     if (width, height) == (camera.width, camera.height):
         return camera

@@ -1,4 +1,4 @@
-"""Estimates of a trained network on images, written to a folder."""
+"""Prediction: run a trained network on images and write the results to a folder."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ _SHEET_ROWS = 12
 def images_of(
     source: str, task: str, capsule: str = "", field_of_view: float | None = None
 ) -> tuple[FrameSequence, ...]:
-    """Sequences of images to estimate from, checked before any network is loaded.
+    """Read the input images of a prediction and check them before any network is loaded.
 
     Args:
-        source: As of `read_source`.
-        task: What will be estimated.
+        source: A source as in `read_source`.
+        task: Name of the task.
         capsule: Name or file of the capsule whose first camera took images without a calibration.
         field_of_view: Angle across the picture [rad] of an assumed lens instead.
 
@@ -75,25 +75,26 @@ def predict(
     field_of_view: float | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, str]:
-    """Write the estimate of each image: maps of its size under its name, or a row of a table.
+    """Write the prediction for each image: maps of its size under its name, or a row of a table.
 
     Depth is 0, no value, in the black border and the inserts of an endoscope's picture.
 
-    `sheet.png` shows some of them. A learner of motion writes `trajectory.txt` for each sequence,
-    in the form of TUM, over its images that can be read. The folder appears when all is written.
+    `sheet.png` shows a selection. For a task that predicts motion, `trajectory.txt` of each
+    sequence holds the poses of its readable images in TUM format. The folder appears once
+    everything is written.
 
     Args:
         trained: Learner and network.
-        sequences: Images.
-        out: Folder to make, new or empty.
-        field_of_view: Angle across the picture [rad] of an assumed lens, where there is no camera.
-        progress: Called with the number of images done and of all.
+        sequences: Input images.
+        out: Output folder, new or empty.
+        field_of_view: Angle across the picture [rad] of an assumed lens, if there is no camera.
+        progress: Called with the number of processed images and the total.
 
     Returns:
         Images that could not be read, with the reason.
 
     Raises:
-        InputError: If the folder holds something, or no image can be estimated from.
+        InputError: If the folder is not empty, or no image can be used.
     """
     with atomic_folder(out) as partial:
         return _write_estimates(trained, sequences, partial, field_of_view, progress)
@@ -106,7 +107,7 @@ def _write_estimates(
     field_of_view: float | None,
     progress: Callable[[int, int], None],
 ) -> dict[str, str]:
-    """Write the estimates into a folder; the images that could not be read, with the reason."""
+    """Write the predictions into a folder; return the unreadable images with the reason."""
     frames = [(one, index) for one in sequences for index in range(len(one))]
     shown = set(np.unique(np.linspace(0, len(frames) - 1, _SHEET_ROWS).astype(int)).tolist())
     rows: list[dict[str, Any]] = []
@@ -150,7 +151,7 @@ def _write_estimates(
 
 
 def _in_place(view: PictureView, estimate: NDArray) -> NDArray:
-    """A map of a part of an image as one of the image; larger images as they are."""
+    """Convert a map of a part of an image to the whole image; larger images are unchanged."""
     return view.whole(estimate) if estimate.shape[:2] == view.image.shape[:2] else estimate
 
 
@@ -160,7 +161,7 @@ def _write_trajectories(
     out: Path,
     field_of_view: float | None,
 ) -> None:
-    """Write the estimated trajectory of each sequence, over these of its frames."""
+    """Write the predicted trajectory of each sequence, over the given frames."""
     for _, group in groupby(frames, key=lambda frame: id(frame[0])):
         found = list(group)
         sequence, first = found[0]

@@ -1,4 +1,4 @@
-"""Settings of training by preset and by task."""
+"""Training settings by preset and task."""
 
 from __future__ import annotations
 
@@ -24,22 +24,23 @@ _ENDO_L2H: dict[str, Any] = {
     "content": 3e-4,
     "style": 7e-5,
 }
-"""Settings of super-resolution in the paper; the factor is its user's, 4 in the paper."""
+"""Super-resolution settings of the paper; the user sets the factor, which is 4 in the paper."""
 
 
 def default(learner: AnyLearner) -> TrainSettings:
-    """Ours."""
+    """Default settings of vrcaps."""
     return TrainSettings(learner)
 
 
 def paper(learner: AnyLearner) -> TrainSettings:
-    """The paper's (Incetan et al. 2021), where it states any; ours otherwise.
+    """Settings of the paper (Incetan et al. 2021), and default settings where it states none.
 
-    Classes: ResNet-152 without other weights, 10 epochs of 8,714 images in batches of 32, learning
-    rate 1e-3. Super-resolution: EndoL2H from 256 to 1024 pixels, 100 epochs of 6,400 images; batch,
-    rate and the weight of the adversary are those of its published program (1 : 100 beside the
-    absolute difference). That program has content and style but never uses them, and the text gives
-    no weights: ours make each as large as the adversary's share when training begins.
+    Classification: ResNet-152 trained from scratch, 10 epochs of 8,714 images with batch size 32,
+    learning rate 1e-3. Super-resolution: EndoL2H from 256 to 1024 pixels, 100 epochs of 6,400
+    images. Batch size, learning rate and the weight of the adversarial loss (1 : 100 relative to
+    the absolute difference) are those of its published program. That program defines content and
+    style losses but never uses them, and the text gives no weights: these weights make each as
+    large as the adversarial term at the start of training.
     """
     if isinstance(learner, SuperResolutionLearner):
         learner = replace(learner, **_ENDO_L2H)
@@ -53,7 +54,7 @@ def paper(learner: AnyLearner) -> TrainSettings:
 
 
 def ci(learner: AnyLearner) -> TrainSettings:
-    """A minute on one core: shows that all works, no more."""
+    """Smoke-test preset: runs for a minute on one core."""
     learner = replace(learner, size=64)
     return TrainSettings(
         learner, steps=60, batch=4, rate=2e-3, evaluate_every=30, evaluation_frames=20
@@ -72,19 +73,19 @@ def settings_of(
     *,
     validation: Sequence[str] = (),
 ) -> TrainSettings:
-    """Settings of a preset with changes.
+    """Return the settings of a preset with changes.
 
     Args:
         learner: The task and its settings.
         preset: Name of the preset.
-        data: What is learned from, to be noted.
-        start: What training begins with; empty takes the preset's.
+        data: Sources of the training data, for the record.
+        start: Weight initialization; empty for the preset's.
         changes: Texts NAME=VALUE.
-        validation: What weights are chosen by, to be noted.
+        validation: Sources of the validation data, for the record.
 
     Raises:
         UnknownNameError: If there is no such preset or setting.
-        InputError: If a value is impossible.
+        InputError: If a value is not allowed.
     """
     if preset not in PRESETS:
         raise UnknownNameError("preset", preset, PRESETS)

@@ -1,4 +1,4 @@
-"""Publishing: a training folder's best weights, with their card, into a folder of weights."""
+"""Publishing: copy a training's best checkpoint, with its model card, into a folder of weights."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from vrcaps.serialization import from_plain
 from vrcaps.training_folder import SETTINGS
 
 MOST_BYTES = 25 * 10**6
-"""Largest file that is published."""
+"""Maximum size of a published file."""
 
 
 def publish(
@@ -37,21 +37,21 @@ def publish(
     notes: str = "",
     license_name: str = "Apache-2.0",
 ) -> PublishedWeights:
-    """Publish the best weights of a training: the file, its card, its entry of the index.
+    """Publish the best checkpoint of a training: the file, its model card and its index entry.
 
-    The index is written last; what is stopped before leaves a file that the index does not name, or
-    that its checksum refuses until it is published again.
+    The index is written last. An interrupted run leaves a file that is missing from the index, or
+    that its checksum rejects until it is published again.
 
     Args:
         run: Folder that `train` wrote.
-        folder: Folder of published weights; made if it is not there.
+        folder: Folder of published weights; created if missing.
         name: The task, for its default weights, or the task, a dash and more; empty for the task.
         evaluations: Folders that `vrcaps evaluate` wrote for these weights.
-        notes: Intended use and limits, in Markdown; empty keeps those of the card before.
+        notes: Intended use and limits, in Markdown; empty keeps those of the previous card.
         license_name: License of the weights.
 
     Raises:
-        InputError: If the folder is of no training, the weights are too large or give the same
+        InputError: If the folder is not of a training, the weights are too large or give the same
             output for all images, an evaluation is of other weights, or there are no notes.
     """
     best = run / BEST
@@ -94,7 +94,7 @@ def _evaluation(folder: Path, sha256: str) -> Evaluation:
 
 
 def _training(run: Path, trained: Trained) -> Training:
-    """What the files of a training say of the weights that it kept."""
+    """Read the facts of a training from its folder."""
     path = run / SETTINGS
     stated = read_plain(path, "settings")
     try:
@@ -117,7 +117,7 @@ def _training(run: Path, trained: Trained) -> Training:
 
 
 def _plans(settings: TrainSettings) -> dict[str, dict[str, Any]]:
-    """Plans of the data that `vrcaps dataset make` made, where it still lies."""
+    """Plans of the data that `vrcaps dataset make` generated, if it is still available."""
     found = {}
     for source in (*settings.data, *settings.validation):
         if source.partition(":")[0] in FORMATS:
@@ -125,13 +125,13 @@ def _plans(settings: TrainSettings) -> dict[str, dict[str, Any]]:
         try:
             plan = read_plain_plan(open_store(source))
         except VrcapsError:
-            continue  # an episode, or data that is not here any more; the card names it
+            continue  # an episode, or data that is no longer here; the card names it
         found[source] = {key: plan[key] for key in ("dataset", "scenario") if key in plan}
     return found
 
 
 def _by_name(training: Training, scored: Sequence[Evaluation]) -> tuple[Training, list[Evaluation]]:
-    """The same with data sets by their names, in whatever folders they lay here."""
+    """Return copies in which datasets are identified by name instead of local folder."""
     plans, settings = training.plans, training.settings
     named = {source: f"runs/{plan['dataset']['name']}" for source, plan in plans.items()}
     if len(set(named.values())) < len(named):
@@ -150,7 +150,7 @@ def _by_name(training: Training, scored: Sequence[Evaluation]) -> tuple[Training
 
 
 def _summary(learner: AnyLearner, training: Training, scored: Sequence[Evaluation]) -> str:
-    """What the weights are and score, on one line."""
+    """One-line summary of the weights with their main metric."""
     meaning = (type(learner).__doc__ or "").partition("\n")[0].rstrip(".")
     figure = learner.figure.name
     scores = scored[-1].scores if scored else training.scores

@@ -1,8 +1,8 @@
 """Published weights: an index of files with checksums, in a folder or at a URL.
 
-A checkout of vrcaps has them in its folder `weights`; an installed package has none, since they are
-larger than all else of it. The variable `VRCAPS_WEIGHTS` names another folder, or a URL below which
-such a folder lies; what is read from there is kept in the cache folder.
+A checkout of vrcaps contains them in its folder `weights`. An installed package has none, since
+they are larger than the rest of it. The variable `VRCAPS_WEIGHTS` names another folder or the URL
+of such a folder; files from a URL are kept in the cache folder.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ _CHECKOUT = Path(__file__).parents[3] / "weights"
 
 @dataclass(frozen=True)
 class PublishedWeights:
-    """A published file of weights.
+    """Published weights, an entry of the index.
 
     Attributes:
         name: The task, for its default weights, or the task, a dash and more.
-        task: What they estimate.
-        file: Name of the file beside the index.
+        task: Name of the task.
+        file: Name of the file next to the index.
         sha256: Its checksum, in hexadecimal.
         bytes: Its size.
-        summary: What they are, on one line.
+        summary: One-line description.
     """
 
     name: str
@@ -53,7 +53,7 @@ class PublishedWeights:
 
 @dataclass(frozen=True)
 class Index:
-    """What is published in one place.
+    """Index of the weights published in one location.
 
     Attributes:
         format: Version of the index.
@@ -71,7 +71,7 @@ def check_name(name: str, task: str) -> None:
     """Check the name of published weights.
 
     Raises:
-        InputError: If it is neither the task nor begins with it, or has other letters.
+        InputError: If it does not start with the task, or has other characters than allowed.
     """
     is_name = _NAME.fullmatch(name) is not None and f"{name}-".startswith(f"{task}-")
     allowed = f"{task}, or {task}-NAME of small letters, digits and dashes"
@@ -95,11 +95,11 @@ def weights_folder() -> str:
 
 
 def read_index(place: str) -> dict[str, PublishedWeights]:
-    """What is published in a folder or at a URL, by name.
+    """Read the index of a folder or URL; returns its entries by name.
 
     Raises:
         InputError: If there is no index, or it is damaged.
-        StorageError: If the place cannot be reached.
+        StorageError: If the location cannot be reached.
     """
     at, text = f"{place}/{INDEX}", _read(place, INDEX)
     found = from_plain(Index, decode_json(text, at), at=at)
@@ -107,14 +107,14 @@ def read_index(place: str) -> dict[str, PublishedWeights]:
 
 
 def find_weights(given: str, task: str = "") -> Path:
-    """File of weights that a command was given.
+    """Resolve a command's argument to a file of weights.
 
     Args:
         given: A file, or the name of published weights; empty for those of the task.
-        task: The task, where `given` may be empty.
+        task: The task, if `given` may be empty.
 
     Raises:
-        InputError: If there are none, or a published file is missing or not the one of the index.
+        InputError: If there are none, or a published file is missing or differs from the index.
         UnknownNameError: If nothing of that name is published.
     """
     path = Path(given)
@@ -133,11 +133,11 @@ def find_weights(given: str, task: str = "") -> Path:
 
 
 def fetch(place: str, entry: PublishedWeights) -> Path:
-    """A published file, on this machine, with the checksum of the index.
+    """Return a local copy of a published file, with the checksum of the index.
 
     Raises:
-        InputError: If it is missing, or is not the one that the index names.
-        StorageError: If the place cannot be reached.
+        InputError: If it is missing, or differs from the index.
+        StorageError: If the location cannot be reached.
     """
     if "://" not in place:
         path = Path(place) / entry.file
@@ -157,7 +157,7 @@ def fetch(place: str, entry: PublishedWeights) -> Path:
 
 
 def add_to_index(folder: Path, entry: PublishedWeights) -> None:
-    """Add an entry to the index of a folder, or replace that of the same name.
+    """Add an entry to the index of a folder, or replace the one of the same name.
 
     Raises:
         InputError: If the index is damaged.

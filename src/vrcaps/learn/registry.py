@@ -1,4 +1,4 @@
-"""All learners: the type of a setting's field, and their names."""
+"""Registry of all learners: their union type, and the learners by task."""
 
 from typing import TypeAlias
 
@@ -21,7 +21,7 @@ LEARNERS: dict[str, type[AnyLearner]] = {
 
 
 def learner_named(kind: str) -> type[AnyLearner]:
-    """The learner of a task.
+    """Return the learner of a task.
 
     Raises:
         UnknownNameError: If there is none.

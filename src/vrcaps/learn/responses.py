@@ -1,4 +1,4 @@
-"""Responses of a network to its inputs: an output that never changes estimates nothing."""
+"""Responses of a network to its inputs, to detect networks with constant output."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from vrcaps.learn.weights import Trained
 
 LEAST_RESPONSE = 0.01
-"""Least change of each output, relative to its root mean square. Outputs of the published networks
-change by 0.05 or more between the probes."""
+"""Minimum change of each output, relative to its root mean square. Outputs of the published
+networks change by 0.05 or more between the probes."""
 _SIDE = 256
 _COLORS = ((180.0, 90.0, 70.0), (90.0, 60.0, 50.0), (200.0, 150.0, 130.0), (120.0, 60.0, 40.0))
 _WAVELENGTHS = (0.5, 0.2, 0.05, 0.3)
@@ -34,11 +34,11 @@ _CAPSULES = ("pillcam-colon2", "mono", "panoramic", "mirocam")
 def responses(trained: Trained, samples: Sequence[Sample]) -> dict[str, float]:
     """Change of each output between samples, relative to its root mean square.
 
-    Only one input changes at a time; the others are those of the first sample.
+    One input changes at a time; the others are those of the first sample.
 
     Args:
         trained: Learner and network.
-        samples: Two or more inputs of the network, as `Learner.inputs` gives them.
+        samples: Two or more inputs of the network, as `Learner.inputs` returns them.
 
     Returns:
         The change by the name of the output, its channel and the input, such as
@@ -80,7 +80,7 @@ def probes(trained: Trained) -> list[Sample]:
 
 
 def _probe(number: int) -> UInt8[np.ndarray, "s s 3"]:
-    """A color with waves in random directions around it."""
+    """Image of a color modulated by waves in random directions."""
     draw = rng.stream(number, "learn/probe")
     place = np.stack(np.meshgrid(*2 * [np.linspace(0.0, 1.0, _SIDE)]), axis=-1)
     waves = draw.normal(size=(8, 2)) / _WAVELENGTHS[number]
@@ -90,7 +90,7 @@ def _probe(number: int) -> UInt8[np.ndarray, "s s 3"]:
 
 
 def _outputs(trained: Trained, batch: dict[str, Any]) -> dict[str, np.ndarray]:
-    """All outputs [b c …] of a network, by their names."""
+    """All outputs [b c …] of a network, by name."""
     found = {"output": trained(batch)}
     if isinstance(trained.learner, SfmLearner):
         with require_torch().inference_mode():
@@ -101,7 +101,7 @@ def _outputs(trained: Trained, batch: dict[str, Any]) -> dict[str, np.ndarray]:
 
 
 def _changes(values: Float[np.ndarray, "b c ..."]) -> Float[np.ndarray, " c"]:
-    """Root mean square of what differs from the mean over a batch, over that of the values."""
+    """Standard deviation over a batch, relative to the root mean square of the values."""
     flat = values.reshape(*values.shape[:2], -1).astype(float)
     change = np.sqrt(((flat - flat.mean(axis=0)) ** 2).mean(axis=(0, 2)))
     return change / np.maximum(np.sqrt((flat**2).mean(axis=(0, 2))), 1e-12)

@@ -1,4 +1,4 @@
-"""Samples of many sequences: read once, kept while there is room, split for validation."""
+"""Samples of several sequences: cached in memory, and split for validation."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
 _KEPT_BYTES = 4 * 10**9
 _IMAGES = ("image", "before", "after")
 _HELD_OUT = 0.2
-"""Share of frames that is held out where the data has no split of its own."""
+"""Fraction of frames that is held out if the data has no split."""
 
 
 @dataclass
 class Samples:
-    """Frames that a learner can learn from.
+    """Frames that a learner can use.
 
     Attributes:
-        learner: What reads them.
-        frames: Sequence and number of each frame.
-        skipped: Why frames could not be read, by their names; they are counted, not learned.
+        learner: Learner that reads the frames.
+        frames: Sequence and index of each frame.
+        skipped: Reasons of unreadable frames, by name; they are counted but not used.
     """
 
     learner: Learner
@@ -44,7 +44,7 @@ class Samples:
         return len(self.frames)
 
     def get(self, number: int) -> Sample | None:
-        """A sample; None if its files are damaged."""
+        """Return a sample; None if its files are damaged."""
         if number in self._kept:
             return self._kept[number]
         sequence, index = self.frames[number]
@@ -63,7 +63,7 @@ class Samples:
         return sample
 
     def next(self, number: int) -> Sample:
-        """A sample, or the next one that can be read.
+        """Return a sample, or the next readable one.
 
         Raises:
             InputError: If none can be read.
@@ -75,21 +75,21 @@ class Samples:
         raise InputError(f"No frame can be read: {next(iter(self.skipped.values()), 'none')}")
 
     def subset(self, fraction: float, seed: int) -> Samples:
-        """A share of the frames, drawn at random; smaller shares lie within larger ones."""
+        """Random fraction of the frames; smaller fractions are subsets of larger ones."""
         order = rng.stream(seed, "learn/fraction").permutation(len(self))
         kept = np.sort(order[: max(1, round(fraction * len(self)))])
         return Samples(self.learner, [self.frames[k] for k in kept], self.skipped)
 
     def evenly(self, count: int) -> Int[np.ndarray, " m"]:
-        """Numbers of at most so many frames, evenly spread."""
+        """Indices of at most `count` frames, evenly spaced."""
         return np.unique(np.linspace(0, len(self) - 1, min(count, len(self))).astype(int))
 
 
 def samples_of(learner: Learner, sequences: Sequence[FrameSequence]) -> Samples:
-    """All frames of sequences that can be learned from.
+    """Collect all usable frames of sequences.
 
     Raises:
-        InputError: If a sequence lacks a channel that is learned, or there is no frame.
+        InputError: If a sequence lacks a required channel, or there is no frame.
     """
     frames = [frame for one in sequences for frame in _frames(learner, one)]
     if not frames:
@@ -99,10 +99,11 @@ def samples_of(learner: Learner, sequences: Sequence[FrameSequence]) -> Samples:
 
 
 def split_samples(learner: Learner, sequences: Sequence[FrameSequence]) -> tuple[Samples, Samples]:
-    """Frames to learn from and frames to validate with.
+    """Split frames into training and validation frames.
 
-    Splits of the data are kept: `train` and `val`. Data without `val` is parted by patient if it
-    has five or more; otherwise the last fifth of each sequence is held out. `test` is left alone.
+    Existing splits `train` and `val` are kept. Data without a `val` split is split by patient if it
+    has five or more patients; otherwise the last fifth of each sequence is held out. `test` is not
+    used.
 
     Raises:
         InputError: If either would be empty.
@@ -129,14 +130,14 @@ def split_samples(learner: Learner, sequences: Sequence[FrameSequence]) -> tuple
 
 
 def _frames(learner: Learner, sequence: FrameSequence) -> list[tuple[FrameSequence, int]]:
-    """Frames of a sequence that a learner can learn from."""
+    """Usable frames of a sequence."""
     if isinstance(learner, ClassLearner):
         sequence = learner.with_classes(sequence)
     return [(sequence, index) for index in learner.items(sequence)]
 
 
 def batch_of(samples: Sequence[Sample], device: str = "cpu") -> Batch:
-    """Tensors of samples: images from 0 to 1, channels before rows."""
+    """Tensors of samples: images from 0 to 1, with channels before rows."""
     torch = require_torch()
 
     def tensor(name: str) -> Any:

@@ -1,22 +1,23 @@
-"""Depth and motion of the camera, learned from video without any labels.
+"""Depth and camera motion, trained on video without labels.
 
-A frame is predicted from its neighbors: its estimated distances make points, the estimated motion
-moves them, the lens projects them into the neighbor, whose colors are taken there. The loss is how
-the prediction differs from the frame, and how the neighbor's own distances differ from those of
-the moved points (Bian et al., NeurIPS 2019: SC-SfMLearner). With D and D' the two distances::
+A frame is predicted from its neighbors: its predicted distances give points, the predicted motion
+transforms them, and the lens projects them into the neighbor, whose colors are sampled there. The
+loss is the difference between the prediction and the frame, and the difference between the
+neighbor's own distances and those of the transformed points (Bian et al., NeurIPS 2019:
+SC-SfMLearner). With D and D' the two distances::
 
     inconsistency  M  = |D − D'| / (D + D')                               (eq. 5)
     photometric    (0.15 |I − I'| + 0.85 (1 − SSIM) / 2) · (1 − M)         (eqs. 2, 3, 8)
     smoothness     |∇d|  e^{−|∇I|} of mean-normalized d                    (eq. 4)
 
-Distances are along rays and the lens is any of ours, so fisheye frames need no rectification. The
-LEDs move with the camera, so a wall's brightness changes as it nears: the prediction is brought to
-the mean and the spread of the frame's colors before they are compared (Ozyoruk et al., Medical
-Image Analysis 71, 2021).
+Distances are along rays and any lens model is supported, so fisheye frames need no rectification.
+The LEDs move with the camera, so a wall gets brighter as the camera approaches: the prediction is
+scaled to the mean and standard deviation of the frame's colors before they are compared (Ozyoruk et
+al., Medical Image Analysis 71, 2021).
 
-Without a start this takes very long to leave its trivial solution, one distance everywhere and no
-motion. Simulated video has labels, and `supervision` uses them: what was learned so goes on with
-video that has none.
+From scratch, training takes very long to leave its trivial solution: constant distance and no
+motion. Simulated video has labels, and `supervision` uses them; such a checkpoint can then be
+fine-tuned on video without labels.
 """
 
 from __future__ import annotations
@@ -57,22 +58,23 @@ if TYPE_CHECKING:
 
 _NEIGHBORS = ("before", "after")
 _LEAST_COSINE = 0.05
-"""Of a ray to the axis: nearer to a right angle, depth along the axis says nothing of distance."""
+"""Minimum cosine of the angle between a ray and the axis: near a right angle, depth along the axis
+does not determine the distance."""
 
 
 @dataclass(frozen=True)
 class SfmLearner:
-    """Depth up to scale, and the motion of the camera, from video without labels.
+    """Depth up to scale and camera motion, from video without labels.
 
     Attributes:
-        size: Side of the images that the network is given [px]; maps need a multiple of 32.
-        encoder: Name of timm's, such as resnet18.
-        step: From a frame to its neighbors, in frames.
-        photometric_weight: Weight of the loss of colors.
-        smoothness_weight: Weight of the loss of smoothness.
+        size: Side of the network's input images [px]; maps need a multiple of 32.
+        encoder: Name of a timm model, such as resnet18.
+        step: Offset from a frame to its neighbors, in frames.
+        photometric_weight: Weight of the photometric loss.
+        smoothness_weight: Weight of the smoothness loss.
         geometry_weight: Weight of the loss of inconsistent distances.
-        matches_brightness: Whether predictions are brought to the frame's brightness.
-        supervision: Weight of the loss of true distances and motions; 0 needs no labels.
+        matches_brightness: Whether predictions are scaled to the frame's brightness.
+        supervision: Weight of the loss on true distances and motions; 0 needs no labels.
     """
 
     size: Annotated[int, Range(32, MOST_SIZE)] = 192
@@ -94,7 +96,7 @@ class SfmLearner:
         require_size(self.size)
 
     def items(self, sequence: FrameSequence) -> Iterable[int]:
-        """Frames that have both neighbors.
+        """Return the frames that have both neighbors.
 
         Raises:
             InputError: If there are no images, no camera, too few frames, or no labels for
@@ -114,7 +116,7 @@ class SfmLearner:
         return range(self.step, len(sequence) - self.step)
 
     def sample(self, sequence: FrameSequence, index: int) -> Sample:
-        """The frame with its rays, its neighbors, and its true depth where it is known."""
+        """Return the frame with its rays, its neighbors, and its true depth if known."""
         image = sequence.image("rgb", index)
         fit = Fit(image.shape[0], image.shape[1], self.size)
         sample = self.inputs(image, fit, sequence.camera)
@@ -128,7 +130,7 @@ class SfmLearner:
         return {**sample, "view": (fit, sequence.camera)}
 
     def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Fit, camera: Camera | None) -> Sample:
-        """Image and unit rays, zero where the lens has none.
+        """Return the image and unit rays, zero where the lens has none.
 
         Raises:
             InputError: If there is no camera.
@@ -136,18 +138,18 @@ class SfmLearner:
         return image_and_rays(image, fit, camera)
 
     def augmented(self, sample: Sample, rng: np.random.Generator) -> Sample:
-        """All three frames with another exposure and white balance."""
+        """Apply the same change of exposure, white balance and gamma to all three frames."""
         gain = 1.2 ** rng.uniform(-1.0, 1.0) * rng.uniform(0.95, 1.05, 3)
         gamma = rng.uniform(0.9, 1.1)
         changed = {n: with_gain(sample[n], gain, gamma) for n in ("image", *_NEIGHBORS)}
         return sample | changed
 
     def network(self, *, is_pretrained: bool) -> Any:
-        """A network from batches to ln(distance / 30 mm) [b 1 s s], with one of motion in it."""
+        """Create a network from batches to ln(distance / 30 mm) [b 1 s s], and motion."""
         return _network_class()(self.encoder, is_pretrained)
 
     def loss(self, network: Any, batch: Batch) -> dict[str, Any]:
-        """Terms over both neighbors."""
+        """Loss terms over both neighbors."""
         terms = {"photometric": 0.0, "geometry": 0.0, "labels": 0.0}
         image, ray = batch["image"], batch["ray"]
         own = network(image, ray).float()
@@ -176,7 +178,7 @@ class SfmLearner:
         return {**weighted, "loss": sum(weighted.values())}
 
     def scores(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
-        """Errors of depth scaled by the median of each frame, where true depth is known."""
+        """Depth errors after scaling by the median of each frame, where true depth is known."""
         errors = [
             depth_errors(_depth_of(output, sample), sample["depth"], align="median")
             for output, sample in zip(outputs, samples, strict=True)
@@ -185,32 +187,35 @@ class SfmLearner:
         return asdict(mean_depth_errors(errors)) if errors else {}
 
     def picture(self, output: NDArray, sample: Sample) -> UInt8[np.ndarray, "s k 3"]:
-        """Image, true depth if it is known, and estimated depth at its scale."""
+        """Image, true depth if it is known, and predicted depth scaled to it."""
         depth = _depth_of(output, sample)
         if "depth" in sample:
             depth *= np.nanmedian(sample["depth"]) / np.median(depth)
         return depth_picture(depth, sample)
 
     def files(self, output: NDArray, fit: Fit) -> Mapping[str, NDArray]:
-        """Distance along the ray in 16 bits, in steps of 10 µm, if 30 mm were the middle."""
+        """Distance along the ray in 16 bits, in steps of 10 µm, at a reference scale of 30 mm."""
         return {".png": CHANNELS["ray_distance"].encoding.encode(fit.back(depth_of(output)))}
 
     def row(self, output: NDArray) -> Mapping[str, Any]:
-        """Nothing."""
+        """Return no columns."""
         return {}
 
 
 def estimated_trajectory(
     trained: Trained, sequence: FrameSequence, frames: Sequence[int] = ()
 ) -> FrameSequence:
-    """The sequence with the poses that were estimated, in the frame of its first camera.
+    """Predict the trajectory of a sequence, in the frame of its first camera.
 
-    Motions between neighboring frames are chained; they are up to one scale.
+    Motions between neighboring frames are chained; they are known up to one scale.
 
     Args:
         trained: Learner and network.
         sequence: Frames of one camera.
-        frames: Numbers of its frames, rising; the result has these alone. Empty for all.
+        frames: Increasing indices of the frames to use; the result has only these. Empty for all.
+
+    Returns:
+        The sequence with the predicted poses.
 
     Raises:
         InputError: If an image cannot be read.
@@ -233,20 +238,20 @@ def estimated_trajectory(
 
 
 def _motion_error(motion: Any, T_other_own: Any) -> Any:
-    """How far motions [b 4 4] are off, in steps of 2 mm and 0.02 rad, about a pixel each."""
+    """Error of motions [b 4 4], in units of 2 mm and 0.02 rad, about a pixel each."""
     turned = (motion[:, :3, :3] - T_other_own[:, :3, :3]).flatten(1).norm(dim=1)
     shifted = (MIDDLE * motion[:, :3, 3] - T_other_own[:, :3, 3]).norm(dim=1)
     return (turned / 0.02 + shifted / 0.002).mean()
 
 
 def _distances(batch: Batch) -> Batch:
-    """The truth of distances along rays, as `DepthLearner` takes that of depth."""
+    """True distances along rays, in the form of true depth for `DepthLearner`."""
     along = batch["ray"][:, 2]
     return {"depth": batch["depth"] / along.where(along > _LEAST_COSINE, np.nan)}
 
 
 def _depth_of(output: NDArray, sample: Sample) -> NDArray:
-    """Depth z of distances along rays."""
+    """Depth z from distances along rays."""
     return depth_of(output) * np.maximum(sample["ray"][..., 2], 0.0)
 
 

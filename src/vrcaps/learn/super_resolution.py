@@ -1,15 +1,15 @@
-"""Super-resolution: an image with more pixels than was taken.
+"""Super-resolution: an image with more pixels than the camera recorded.
 
-Small images are made of large ones by averaging bicubic reduction. The network is EDSR (Lim et al.,
-CVPR workshops 2017) in its small form: residual blocks without normalization, then a pixel shuffle;
-it learns what is to be added to bicubic enlargement. The loss is the mean absolute difference.
+Small images are bicubic reductions of large ones, with antialiasing. The network is the small form
+of EDSR (Lim et al., CVPR workshops 2017): residual blocks without normalization, then a pixel
+shuffle. It predicts the residual to bicubic upsampling. The loss is the mean absolute difference.
 
-Three more terms make it EndoL2H (Almalioglu et al., IEEE TMI 39(12), 2020), a conditional GAN whose
-generator is a U-Net with spatial attention::
+With three more terms it is EndoL2H (Almalioglu et al., IEEE TMI 39(12), 2020), a conditional GAN
+whose generator is a U-Net with spatial attention::
 
     loss = |Δ| + adversarial · deceived + content · ‖Δφ‖² + style · ‖ΔGram(φ)‖²
 
-with features φ of a network trained on ImageNet. It looks sharper, and is further from the truth.
+with features φ of a network pre-trained on ImageNet. The output looks sharper but is less accurate.
 """
 
 from __future__ import annotations
@@ -51,21 +51,21 @@ _MEASURES = ("psnr", "ssim", "feature_distance")
 
 @dataclass(frozen=True)
 class SuperResolutionLearner:
-    """Images of two, four or eight times the side.
+    """Upsampling of images by a factor of two, four or eight per side.
 
     Attributes:
-        factor: By which the side grows.
-        size: Side of the large crops that are learned from [px].
-        validation_size: Largest side of the middle of an image that is validated with [px].
+        factor: Upsampling factor of each side.
+        size: Side of the large training crops [px].
+        validation_size: Maximum side of the central part of an image used in validation [px].
         generator: Network: edsr, or attention-unet as in EndoL2H.
         blocks: Number of residual blocks of edsr.
         halvings: Number of levels of attention-unet.
         features: Channels of a block, and of a U-Net's first level.
-        adversarial: Weight of deceiving a network that learns to tell estimates from originals.
+        adversarial: Weight of the adversarial loss.
         content: Weight of the squared difference of features.
         style: Weight of the squared difference of the features' Gram matrices.
-        feature_encoder: Network of these features, by timm's name, such as vgg19; that of the
-            default needs no hub.
+        feature_encoder: Network of these features, by its timm name, such as vgg19; the default's
+            weights need no hub.
     """
 
     factor: Literal[2, 4, 8] = 4
@@ -89,7 +89,7 @@ class SuperResolutionLearner:
         check_fields(self)
 
     def items(self, sequence: FrameSequence) -> Iterable[int]:
-        """All frames of a sequence with images.
+        """Return all frames of a sequence with images.
 
         Raises:
             InputError: If it has none.
@@ -99,7 +99,7 @@ class SuperResolutionLearner:
         return range(len(sequence))
 
     def sample(self, sequence: FrameSequence, index: int) -> Sample:
-        """The middle of the image, and the same made small.
+        """Return the central part of the image, and a reduced copy.
 
         Raises:
             InputError: If the image is smaller than the crops.
@@ -116,7 +116,7 @@ class SuperResolutionLearner:
         return self._pair(_middle(image, *sides))
 
     def augmented(self, sample: Sample, rng: np.random.Generator) -> Sample:
-        """A crop at a random place, mirrored or turned, with another exposure."""
+        """Apply a random crop, flips, rotations by 90° and exposure."""
         truth = sample["truth"]
         top, left = (int(rng.integers(side - self.size + 1)) for side in truth.shape[:2])
         crop = {"truth": truth[top : top + self.size, left : left + self.size]}
@@ -130,11 +130,11 @@ class SuperResolutionLearner:
         return {"image": small, "truth": truth}
 
     def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Fit, camera: Any) -> Sample:
-        """The image as it is; any camera will do."""
+        """Return the image unchanged; the camera is not used."""
         return {"image": image}
 
     def network(self, *, is_pretrained: bool) -> Any:
-        """A network from images [b 3 h w] to images [b 3 fh fw]; it has no ImageNet weights."""
+        """Create a network from images [b 3 h w] to [b 3 fh fw], without ImageNet weights."""
         if self.generator == "edsr":
             body = partial(_residual_blocks, self.blocks, self.features)
         else:
@@ -142,17 +142,17 @@ class SuperResolutionLearner:
         return _network_class()(self.factor, body, self.features)
 
     def adversary(self) -> Any | None:
-        """A discriminator of patches, if its judgment weighs anything."""
+        """Create a patch discriminator, if the adversarial loss has a weight."""
         return patch_discriminator(self.features) if self.adversarial > 0.0 else None
 
     def loss(self, network: Any, batch: Batch) -> dict[str, Any]:
-        """Mean absolute difference, content and style."""
+        """Mean absolute difference, content and style losses."""
         return _summed(self._terms(outputs_of(network, self, batch), _truth_of(batch)))
 
     def losses(
         self, network: Any, adversary: Any, batch: Batch
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """The same with the adversary's judgment, and how wrong that is."""
+        """Losses of the network, including the adversarial one, and of the discriminator."""
         small, truth, output = batch["image"], _truth_of(batch), outputs_of(network, self, batch)
         deceived = self.adversarial * deceiving_loss(adversary(small, output))
         judged = adversary(small, truth), adversary(small, output.detach())
@@ -169,9 +169,10 @@ class SuperResolutionLearner:
         return terms
 
     def scores(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
-        """PSNR [dB] and SSIM of 8-bit images without a border of `factor`, and bicubic's.
+        """PSNR [dB] and SSIM of 8-bit images, also for bicubic upsampling.
 
-        `feature_distance` is that of `feature_losses`, on the features of the setting.
+        A border of `factor` pixels is excluded. `feature_distance` is that of `feature_losses`,
+        with the feature network of the settings.
         """
         rows = []
         distance = partial(feature_distance, encoder=self.feature_encoder)
@@ -191,29 +192,29 @@ class SuperResolutionLearner:
         return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))
 
     def picture(self, output: NDArray, sample: Sample) -> UInt8[np.ndarray, "s k 3"]:
-        """The middle of bicubic enlargement, of the output, and of the original."""
+        """Central parts of the bicubic upsampling, the output and the ground truth."""
         large = image_of(output)
         shown = [_resized(sample["image"], *large.shape[:2]), large]
         shown += [sample["truth"]] if "truth" in sample else []
         return np.concatenate([_middle(one, self.size, self.size) for one in shown], axis=1)
 
     def files(self, output: NDArray, fit: Fit) -> Mapping[str, NDArray]:
-        """The large image."""
+        """The upsampled image."""
         return {".png": image_of(output)}
 
     def row(self, output: NDArray) -> Mapping[str, Any]:
-        """Nothing."""
+        """Return no columns."""
         return {}
 
 
 def image_of(output: NDArray) -> UInt8[np.ndarray, "h w 3"]:
-    """The image of a network's output [3 h w]."""
+    """Image of a network's output [3 h w]."""
     levels = np.clip(np.rint(_LARGEST * np.moveaxis(output, 0, -1)), 0, _LARGEST)
     return np.ascontiguousarray(levels.astype(np.uint8))
 
 
 def _resized(image: NDArray, height: int, width: int) -> UInt8[np.ndarray, "h w 3"]:
-    """Bicubic, averaging where it shrinks."""
+    """Bicubic resampling, with antialiasing when it shrinks."""
     from PIL import Image
 
     resized = Image.fromarray(image).resize((width, height), Image.Resampling.BICUBIC)
@@ -221,7 +222,7 @@ def _resized(image: NDArray, height: int, width: int) -> UInt8[np.ndarray, "h w 
 
 
 def _middle(image: NDArray, height: int, width: int) -> NDArray:
-    """The middle of an image, or all of a smaller one."""
+    """Central part of an image, or all of a smaller one."""
     top = max(0, image.shape[0] - height) // 2
     left = max(0, image.shape[1] - width) // 2
     return np.ascontiguousarray(image[top : top + height, left : left + width])
@@ -241,7 +242,7 @@ def _residual_blocks(count: int, features: int) -> Any:
     nn = torch.nn
 
     class Block(nn.Module):
-        """Two convolutions added to their input."""
+        """Two convolutions with a residual connection."""
 
         def __init__(self, features: int) -> None:
             super().__init__()
@@ -258,7 +259,7 @@ def _network_class() -> Any:
     nn = require_torch().nn
 
     class SuperResolutionNetwork(nn.Module):
-        """What is to be added to bicubic enlargement."""
+        """Residual to bicubic upsampling, added to it."""
 
         def __init__(self, factor: int, body: Callable[[], Any], features: int) -> None:
             super().__init__()
@@ -266,7 +267,7 @@ def _network_class() -> Any:
             self.head = nn.Conv2d(3, features, 3, padding=1)
             self.body = body()
             self.tail = nn.Conv2d(features, 3 * factor**2, 3, padding=1)
-            nn.init.zeros_(self.tail.weight)  # begins as bicubic enlargement
+            nn.init.zeros_(self.tail.weight)  # initially bicubic upsampling
             nn.init.zeros_(self.tail.bias)
 
         def forward(self, image: Any) -> Any:

@@ -35,31 +35,31 @@ WEIGHTS, BEST = "weights.safetensors", "best.safetensors"
 _PACKAGES = ("numpy", "pillow", "segmentation-models-pytorch", "timm", "torch")
 """Packages that a training's bytes depend on."""
 _WARM_UP = 0.05
-"""Share of the steps in which the learning rate rises."""
+"""Fraction of the steps in which the learning rate rises."""
 _ADVERSARIAL_MOMENTUM = 0.5
-"""AdamW's first coefficient where two networks learn against each other (Radford, ICLR 2016)."""
+"""First beta coefficient of AdamW in adversarial training (Radford, ICLR 2016)."""
 
 
 @dataclass(frozen=True)
 class TrainSettings:
-    """All that a training's result follows from, beside the files of its data.
+    """All settings that determine a training's result, besides the files of its data.
 
     Attributes:
         learner: The task and its settings.
-        data: What is learned from, as the command line named it.
-        validation: Where weights are chosen by, likewise; empty for a part of the data.
-        start: `imagenet`, `scratch`, or weights to go on from: a file, or a published name.
-        steps: Batches learned from.
-        batch: Frames in a batch.
-        rate: Largest learning rate of AdamW; it rises, then falls as a cosine to zero.
-        weight_decay: Of AdamW.
-        fraction: Share of the training frames that is used, for learning curves.
+        data: Sources of the training data, as given on the command line.
+        validation: Validation data, likewise; empty holds out part of the training data.
+        start: `imagenet`, `scratch`, or a checkpoint to fine-tune: a file, or a published name.
+        steps: Number of training steps.
+        batch: Batch size, in frames.
+        rate: Maximum learning rate of AdamW, after a linear warm-up; cosine decay to zero.
+        weight_decay: Weight decay of AdamW.
+        fraction: Fraction of the training frames that is used, for learning curves.
         evaluate_every: Steps between evaluations and checkpoints.
-        evaluation_frames: Most frames of an evaluation, evenly spread.
-        freeze_batch_norm: Whether batch normalization keeps the statistics that it began with. The
-            brightness of a batch of few frames is partly normalized away, and absolute depth with
-            it; so this is for weights that go on, not for first ones.
-        seed: Of all that is random.
+        evaluation_frames: Maximum number of frames of an evaluation, evenly spaced.
+        freeze_batch_norm: Whether batch normalization keeps its initial statistics. Otherwise the
+            brightness of a small batch, and with it absolute depth, is partly normalized away. Use
+            it for fine-tuning, not when training from scratch.
+        seed: Random seed.
     """
 
     learner: AnyLearner = field(default_factory=DepthLearner)
@@ -82,13 +82,13 @@ class TrainSettings:
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a training is.
+    """Progress of a training.
 
     Attributes:
-        step: Steps that are done.
-        total: Steps in all.
-        rows: A row for each evaluation: mean loss since the last, and the scores.
-        best: Best value of the learner's figure; None before the first evaluation.
+        step: Number of completed steps.
+        total: Total number of steps.
+        rows: A row for each evaluation: mean loss since the previous one, and the metrics.
+        best: Best value of the learner's metric; None before the first evaluation.
     """
 
     step: int
@@ -99,11 +99,11 @@ class Progress:
 
 @dataclass(frozen=True)
 class Machine:
-    """What computes.
+    """Compute settings: device and number of threads.
 
     Attributes:
-        device: `cpu`, `cuda`, `mps`, or `auto` for the fastest there is.
-        threads: PyTorch's on a CPU; more than one is slower on a machine with other work.
+        device: `cpu`, `cuda`, `mps`, or `auto` for the fastest available.
+        threads: PyTorch threads on a CPU; more than one is slower on a machine with other load.
     """
 
     device: str = "auto"
@@ -124,24 +124,24 @@ def train(
     tensorboard: bool = False,
     report: Callable[[Progress], None] = lambda progress: None,
 ) -> Progress:
-    """Train a learner, or go on with a training that was cut off, to the same bytes on a CPU.
+    """Train a learner, or resume an interrupted training; bytes are reproducible on a CPU.
 
-    `out` then holds `best.safetensors` of the best evaluation and `weights.safetensors` of the
-    last; `settings.json`, `progress.csv`, `pictures/`, and `checkpoint.pt` to go on from.
+    `out` then holds `best.safetensors` of the best evaluation, `weights.safetensors` of the last,
+    `settings.json`, `progress.csv`, `pictures/`, and `checkpoint.pt` to resume from.
 
     Args:
-        settings: What is trained, and how.
-        samples: Frames to learn from.
-        validation: Frames to choose the weights by.
+        settings: Settings of the training.
+        samples: Training frames.
+        validation: Validation frames, which select the best checkpoint.
         out: Folder: new, empty, or of the same training.
-        machine: What computes; by default the fastest there is.
-        is_forced: Go on even if vrcaps or a package has changed since the training began.
+        machine: Compute settings; by default the fastest available device.
+        is_forced: Resume even if vrcaps or a package has changed since the start of the training.
         tensorboard: Whether files for TensorBoard are written.
         report: Called after each step.
 
     Raises:
-        InputError: If the folder holds something else, or the loss is no number any more; the last
-            good checkpoint is kept.
+        InputError: If the folder holds something else, or the loss is not finite; the last good
+            checkpoint is kept.
         MissingExtraError: If a package is not installed.
     """
     machine = machine or Machine()
@@ -152,7 +152,7 @@ def train(
     samples = samples.subset(settings.fraction, settings.seed)
     if isinstance(settings.learner, ClassLearner):
         settings.learner.require_classes(samples.frames)
-    # Some of what learners need has no exact form on a GPU.
+    # Some operations of the learners have no deterministic implementation on a GPU.
     with exact_torch(machine.threads) if device == "cpu" else nullcontext():
         run = _Run(settings, samples, validation, out, device)
         writer = _writer(out / "tensorboard") if tensorboard else None
@@ -166,10 +166,10 @@ def train(
 
 
 def chosen_device(device: str) -> str:
-    """The device meant by `auto`, or the one that is named.
+    """Resolve `auto` to a device, and check that a named one is available.
 
     Raises:
-        InputError: If it is not there.
+        InputError: If it is not available.
         MissingExtraError: If PyTorch is not installed.
     """
     torch = require_torch()
@@ -186,7 +186,7 @@ def chosen_device(device: str) -> str:
 
 
 class _Run:
-    """Networks that learn, and where they are."""
+    """Networks in training, and their progress."""
 
     def __init__(
         self,
@@ -200,7 +200,7 @@ class _Run:
         self.settings, self.samples, self.validation = settings, samples, validation
         self.out, self.device, self.learner = out, device, settings.learner
         torch.manual_seed(settings.seed)
-        # Convolutions of images with neighboring channels take two thirds of the time.
+        # The channels-last memory format reduces the time of convolutions to two thirds.
         self.network = first_network(settings.learner, settings.start).to(
             device, memory_format=torch.channels_last
         )
@@ -213,7 +213,7 @@ class _Run:
         self._read_checkpoint()
 
     def step(self) -> None:
-        """Learn from one batch."""
+        """Train on one batch."""
         torch = require_torch()
         number = self.progress.step
         torch.manual_seed(int(rng.stream(self.settings.seed, "learn/step", number).integers(2**31)))
@@ -237,19 +237,19 @@ class _Run:
         )
 
     def _losses_of(self, batch: Any) -> list[Any]:
-        """The loss of each network that learns."""
+        """Loss of each trained network."""
         if self.adversary is None or not isinstance(self.learner, Adversarial):
             return [self.learner.loss(self.network, batch)["loss"]]
         both = self.learner.losses(self.network, self.adversary, batch)
         return [terms["loss"] for terms in both]
 
     def is_due(self) -> bool:
-        """Whether an evaluation is due."""
+        """Return whether an evaluation is due."""
         done = self.progress.step
         return done % self.settings.evaluate_every == 0 or done == self.settings.steps
 
     def evaluate(self, writer: Any) -> None:
-        """Evaluate, keep the best weights, write the checkpoint."""
+        """Evaluate, keep the best weights, and write the checkpoint."""
         trained = Trained(self.learner, self.network.eval(), {}, self.device, threads=None)
         found = validate(trained, self.validation, self.settings.evaluation_frames)
         value, progress = found.scores[self.learner.figure.name], self.progress
@@ -280,7 +280,7 @@ class _Run:
             writer.flush()
 
     def _samples_of(self, number: int) -> list[Any]:
-        """Samples of a batch, changed at random; the same for the same number."""
+        """Augmented samples of a batch; the same for the same index."""
         count, size = len(self.samples), self.settings.batch
         places = np.arange(number * size, (number + 1) * size)
         orders = {
@@ -321,19 +321,19 @@ class _Run:
                 part.load(one)
             found = state["progress"]
             self.progress = Progress(**{**found, "rows": tuple(found["rows"])})
-        except Exception as error:  # what a damaged pickle raises has no common base
+        except Exception as error:  # errors of a damaged pickle have no common base
             reason = str(error).splitlines()[0]
             raise InputError(f"{path} is damaged ({reason}). Give a new folder.") from error
 
 
 def _adversary(settings: TrainSettings, device: str) -> Any | None:
-    """The network that the learner's learns against; None for most learners."""
+    """Discriminator of the learner; None for most learners."""
     found = settings.learner.adversary() if isinstance(settings.learner, Adversarial) else None
     return None if found is None else found.to(device)
 
 
 def _optimized(settings: TrainSettings, network: Any, adversary: Any | None) -> list[Optimized]:
-    """The networks that learn, each with its optimizer."""
+    """The networks to train, each with its optimizer."""
     decay = settings.weight_decay
     if adversary is None:
         return [Optimized(network, weight_decay=decay)]

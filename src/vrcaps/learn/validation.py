@@ -1,4 +1,4 @@
-"""Scores and pictures of a trained network on frames with truth."""
+"""Evaluation: metrics and pictures of a trained network on frames with ground truth."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _SHOWN = 6
 
 @dataclass(frozen=True)
 class Found:
-    """What a network made of frames.
+    """Result of an evaluation.
 
     Attributes:
-        scores: The learner's figures.
+        scores: Metrics of the learner.
         outputs: The network's output for each frame.
-        samples: Input and truth of each.
+        samples: Input and ground truth of each frame.
     """
 
     scores: Mapping[str, float]
@@ -37,12 +37,12 @@ class Found:
 
 
 def validate(trained: Trained, samples: Samples, most: int | None = None) -> Found:
-    """Scores over frames; those that cannot be read are left out and noted in `samples.skipped`.
+    """Evaluate a network on frames; unreadable ones are omitted and noted in `samples.skipped`.
 
     Args:
-        trained: What is judged.
-        samples: Frames with truth.
-        most: Largest number of frames, evenly spread; None takes all.
+        trained: Learner and network.
+        samples: Frames with ground truth.
+        most: Maximum number of frames, evenly spaced; None for all.
 
     Raises:
         InputError: If no frame can be read.
@@ -50,7 +50,7 @@ def validate(trained: Trained, samples: Samples, most: int | None = None) -> Fou
     numbers = samples.evenly(len(samples) if most is None else most)
     known = [sample for k in numbers if (sample := samples.get(int(k))) is not None]
     if not known:
-        samples.next(0)  # says why
+        samples.next(0)  # raises with the reason
     is_one_size = len({sample["image"].shape for sample in known}) == 1
     step = _BATCH if is_one_size else 1
     learner, outputs, losses = trained.learner, [], []
@@ -66,7 +66,7 @@ def validate(trained: Trained, samples: Samples, most: int | None = None) -> Fou
 
 
 def write_pictures(path: Path, learner: Learner, found: Found) -> UInt8[np.ndarray, "h w 3"]:
-    """Write a picture of a few frames below one another; returns it."""
+    """Write a picture of a few frames below one another and return it."""
     from PIL import Image
 
     chosen = np.unique(np.linspace(0, len(found.samples) - 1, _SHOWN).astype(int))
@@ -78,7 +78,7 @@ def write_pictures(path: Path, learner: Learner, found: Found) -> UInt8[np.ndarr
 
 
 def below_one_another(pictures: Sequence[NDArray]) -> UInt8[np.ndarray, "h w 3"]:
-    """Pictures as one, black beside narrow ones."""
+    """Stack pictures vertically, with black padding of narrow ones."""
     width = max(picture.shape[1] for picture in pictures)
     wide = [np.pad(one, ((0, 0), (0, width - one.shape[1]), (0, 0))) for one in pictures]
     return np.concatenate(wide, axis=0)

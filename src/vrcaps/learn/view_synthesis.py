@@ -1,4 +1,4 @@
-"""A frame predicted from a neighbor by distances and motion, for any lens, with gradients."""
+"""View synthesis: differentiable prediction of a frame from a neighbor, for any lens."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _SSIM_SHARE = 0.85
 
 @dataclass(frozen=True)
 class Predicted:
-    """A frame as a neighbor sees it.
+    """A frame predicted from a neighbor.
 
     Attributes:
-        color: Colors taken from the neighbor [b 3 s s].
+        color: Colors sampled from the neighbor [b 3 s s].
         distance: The neighbor's own distance there [b s s].
-        moved: Distance of the moved points from the neighbor [b s s].
+        moved: Distance of the transformed points from the neighbor [b s s].
         is_valid: Whether a pixel has a ray and its point is in the neighbor's image [b s s].
     """
 
@@ -46,11 +46,11 @@ def predicted(
 
     Args:
         neighbor: Colors [b 3 s s].
-        neighbor_output: ln of its distances [b 1 s s].
+        neighbor_output: ln of the neighbor's distances [b 1 s s].
         own_output: ln of the frame's distances [b 1 s s].
         T_other_own: Pose of the frame's camera in the neighbor's [b 4 4].
         ray: Unit rays [b 3 s s], zero where the lens has none.
-        views: How each image lies in the square, and its camera.
+        views: Letterbox transform and camera of each image.
     """
     torch = require_torch()
     size = ray.shape[-1]
@@ -83,7 +83,7 @@ def inconsistency_of(found: Predicted) -> Any:
 
 
 def matched_brightness(color: Any, image: Any, is_valid: Any) -> Any:
-    """Colors [b 3 s s] with the mean and spread that the image has on the valid pixels."""
+    """Scale colors [b 3 s s] to the image's mean and standard deviation on the valid pixels."""
     weight = is_valid[:, None].to(color.dtype)
     count = weight.sum(dim=(2, 3), keepdim=True).clamp(min=1.0)
 
@@ -97,7 +97,7 @@ def matched_brightness(color: Any, image: Any, is_valid: Any) -> Any:
 
 
 def photometric_error(color: Any, image: Any) -> Any:
-    """Difference of colors, by value and by structure [b s s]."""
+    """Photometric difference by color value and by SSIM [b s s]."""
     plain = (color - image).abs().mean(dim=1)
     return (1.0 - _SSIM_SHARE) * plain + _SSIM_SHARE * _dissimilarity(color, image)
 
@@ -118,7 +118,7 @@ def _dissimilarity(color: Any, image: Any) -> Any:
 
 
 def smoothness(output: Any, image: Any) -> Any:
-    """Mean slope of mean-normalized inverse distance, less where the image has edges."""
+    """Mean gradient of mean-normalized inverse distance, weighted down at image edges."""
     torch = require_torch()
     inverse = torch.exp(-output)
     inverse = inverse / inverse.mean(dim=(2, 3), keepdim=True)

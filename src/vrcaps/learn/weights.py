@@ -1,4 +1,4 @@
-"""Weights of a trained network: a safetensors file of 16-bit numbers that says what it is."""
+"""Checkpoints: fp16 safetensors files with metadata."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ _FORMAT, _KEY = "vrcaps-weights/1", "vrcaps"
 
 @dataclass(frozen=True)
 class Trained:
-    """A learner with its trained network, ready to estimate.
+    """A learner with its trained network, ready for prediction.
 
     Attributes:
         learner: The task and its settings.
-        network: On the device, in evaluation mode.
-        about: What the file says of itself: steps, scores, data.
-        device: Where it computes.
-        threads: PyTorch's on a CPU; more than one is slower on a machine with other work. None
-            leaves them as they are.
+        network: Network on the device, in evaluation mode.
+        about: Metadata of the file: steps, metrics, data.
+        device: Device of the computation.
+        threads: PyTorch threads on a CPU; more than one is slower on a machine with other load.
+            None keeps the current setting.
     """
 
     learner: AnyLearner
@@ -41,13 +41,13 @@ class Trained:
     threads: int | None = 1
 
     def __call__(self, inputs: dict[str, Any]) -> np.ndarray:
-        """Outputs [b …] of a batch of inputs."""
+        """Return the outputs [b …] for a batch of inputs."""
         with self._threads(), require_torch().inference_mode():
             given = (inputs[name].to(self.device) for name in self.learner.input_names)
             return self.network(*given).float().cpu().numpy()
 
     def loss(self, batch: dict[str, Any]) -> float:
-        """The learner's loss on a batch."""
+        """Return the learner's loss on a batch."""
         with self._threads(), require_torch().inference_mode():
             return float(self.learner.loss(self.network, batch)["loss"])
 
@@ -58,13 +58,13 @@ class Trained:
 
 
 def write_weights(path: Path, learner: AnyLearner, network: Any, about: dict[str, Any]) -> None:
-    """Write a network's weights, whole or not at all.
+    """Write a network's weights atomically.
 
     Args:
         path: File to write, `.safetensors`.
         learner: Its task and settings.
-        network: Its weights are rounded to 16 bits.
-        about: What is told of them: steps, scores, data.
+        network: Network; its weights are rounded to 16 bits.
+        about: Metadata: steps, metrics, data.
 
     Raises:
         MissingExtraError: If safetensors is not installed.
@@ -81,7 +81,7 @@ def write_weights(path: Path, learner: AnyLearner, network: Any, about: dict[str
         "learner": to_plain(learner, type(learner)),
         "about": about,
     }
-    # One key, since safetensors writes several in no certain order.
+    # One key, since safetensors writes several in no defined order.
     metadata = {_KEY: json.dumps(stated, sort_keys=True)}
     with atomic_write(path) as temporary:
         save_file(tensors, str(temporary), metadata=metadata)
@@ -92,12 +92,12 @@ def read_weights(path: str | Path, *, task: str | None = None, device: str = "cp
 
     Args:
         path: The file.
-        task: The task that they must be of; None takes any.
-        device: Where the network is to compute.
+        task: Required task; None for any.
+        device: Device of the network.
 
     Raises:
-        InputError: If the file is damaged, no such file, of another task, holds a number that is
-            not finite, or does not fit the network that it states.
+        InputError: If the file is damaged, is not a weights file, is of another task, holds a value
+            that is not finite, or does not fit the network that it states.
         MissingExtraError: If a package is not installed.
     """
     stated, tensors = _read_file(path)
@@ -121,10 +121,10 @@ def read_weights(path: str | Path, *, task: str | None = None, device: str = "cp
 
 
 def _read_file(path: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What a file says of itself, and its tensors, all finite.
+    """Read the metadata and the tensors of a file, all finite.
 
     Raises:
-        InputError: If it cannot be read, or a number is not finite.
+        InputError: If it cannot be read, or a value is not finite.
         MissingExtraError: If a package is not installed.
     """
     safe_open, torch = import_extra("safetensors", "learn").safe_open, require_torch()
@@ -138,7 +138,7 @@ def _read_file(path: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _network_of(learner: AnyLearner, tensors: dict[str, Any]) -> Any:
-    """The network of a learner with these weights; shapes are compared before it is allocated.
+    """Create a learner's network with the given weights; shapes are compared before allocation.
 
     Raises:
         InputError: If the weights are of another network.

@@ -1,7 +1,7 @@
-"""Data sets: plans of many recordings, their units, making them exactly once, reading them.
+"""Data sets: plan many recordings, make each exactly once, and read them back.
 
-`plan` reads a plan, `units` resolves it to recordings, `make` records them with many workers into
-a `store`, whose `ledger` says which are whole. `dataset` and `sequences` read them back.
+`plan` reads a plan, `units` resolves it to recordings, `make` records them in parallel into a
+`store`, whose `ledger` lists the complete ones. `dataset` and `sequences` read them back.
 
 The names in `__init__.pyi` are loaded when they are first used.
 """

@@ -1,6 +1,6 @@
-"""What a recording holds, in the few words that its entry in the ledger keeps.
+"""Summary of a recording, kept in its entry in the ledger.
 
-So a data card, a count or a table of all recordings needs the ledger and no other file.
+A data card, a count or a table of all recordings therefore needs only the ledger.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.scenario.scenario import MOST_FRAMES
 
 ABOUT = "about"
-"""Key of an entry of the ledger."""
+"""Key in an entry of the ledger."""
 
 
 _CONTENTS = ("bubbles", "chyme", "liquid")
 
 
 def about_recording(folder: Path) -> dict[str, Any]:
-    """What the episode in a folder holds, as JSON keeps it.
+    """Summarize the episode in a folder, in JSON form.
 
     Raises:
-        InputError: If the folder holds no whole episode.
+        InputError: If the folder does not hold a complete episode.
     """
     episode = read_episode(folder)
     head, scenario = episode.head, episode.head["scenario"]
@@ -55,16 +55,16 @@ def about_recording(folder: Path) -> dict[str, Any]:
 
 
 def _organ_sha256(episode: Episode) -> str:
-    """A checksum of how the organ was made: equal for the same anatomy in any posture."""
+    """Checksum of how the organ was made: equal for the same anatomy in any posture."""
     plain = json.dumps(episode.head["scenario"]["organ"], sort_keys=True)
     return hashlib.sha256(plain.encode()).hexdigest()
 
 
 def require_about(about: dict[str, Any]) -> None:
-    """Check the values that are counted of what an entry says of its recording.
+    """Check the values in an entry's summary that are counted.
 
     Raises:
-        InputError: If a number is out of range, or no table is where one is due.
+        InputError: If a number is out of range, or a table is missing.
     """
     frames, seconds = about.get("frames"), about.get("seconds")
     is_count = type(frames) is int and 0 < frames <= MOST_FRAMES

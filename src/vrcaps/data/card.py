@@ -39,12 +39,12 @@ _PLAIN_LICENSES = {
 
 
 def write_card(store: Store) -> None:
-    """Write the card of a data set as it is now.
+    """Write the card of a data set in its current state.
 
     Raises:
         InputError: If the store holds no data set, or its ledger is damaged.
     """
-    # Of two that write at once, the later one to finish has seen all that was whole by then.
+    # Of two concurrent writers, the last to finish has seen all units that were complete by then.
     while True:
         names = whole_units(store)
         store.write(CARD, card_text(store).encode())
@@ -53,7 +53,7 @@ def write_card(store: Store) -> None:
 
 
 def read_plan_of(store: Store) -> Plan:
-    """The plan that a data set is made from.
+    """Plan of a data set.
 
     Raises:
         InputError: If the store holds no data set.
@@ -62,7 +62,7 @@ def read_plan_of(store: Store) -> Plan:
 
 
 def card_text(store: Store) -> str:
-    """The card of a data set as it is now.
+    """Text of the card of a data set in its current state.
 
     Raises:
         InputError: If the store holds no data set, or its ledger is damaged.
@@ -82,13 +82,13 @@ def card_text(store: Store) -> str:
 
 
 def size_text(num_bytes: float) -> str:
-    """A size for people: `12.3 GB`."""
+    """Human-readable size: `12.3 GB`."""
     unit, name = (1e9, "GB") if num_bytes >= 1e9 else (1e6, "MB")
     return f"{num_bytes / unit:,.1f} {name}"
 
 
 def duration_text(seconds: float) -> str:
-    """A time for people: `36 s`, `12.5 min`, `3.2 h`."""
+    """Human-readable duration: `36 s`, `12.5 min`, `3.2 h`."""
     if seconds < 120.0:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.1f} min" if seconds < 7200.0 else f"{seconds / 3600:,.1f} h"
@@ -215,7 +215,7 @@ def _count_table(title: str, counts: dict[Any, Count]) -> str:
 
 
 def _table(head: tuple[str, ...], lines: Iterable[tuple[Any, ...]]) -> str:
-    """A Markdown table; counts have commas."""
+    """Markdown table; counts have thousands separators."""
     rows = [head, tuple("---" for _ in head)]
     rows += [tuple(f"{x:,}" if isinstance(x, int) else str(x) for x in line) for line in lines]
     return "".join(f"| {' | '.join(row)} |\n" for row in rows)

@@ -26,15 +26,15 @@ _TASKS = (
     ("image-segmentation", {"label", "instance"}),
     ("object-detection", {"instance"}),
 )
-"""Tasks and the channels of which one is enough for them."""
+"""Tasks, each with the channels of which one suffices."""
 
 
 def header(settings: DatasetSettings, rows: Sequence[Row]) -> str:
-    """The block with its marks.
+    """YAML block with its delimiters.
 
     Args:
-        settings: Of the data set.
-        rows: Its recordings.
+        settings: Settings of the data set.
+        rows: Recordings of the data set.
     """
     channels = {channel for row in rows for channel in row.about["channels"]}
     tasks = [name for name, needs in _TASKS if needs & channels]
@@ -50,12 +50,12 @@ def header(settings: DatasetSettings, rows: Sequence[Row]) -> str:
 
 
 def size_category(frames: int) -> str:
-    """The Hub's name for a number of rows."""
+    """Size category of the Hub for a number of rows."""
     return next((name for limit, name in _SIZES if frames < limit), _LARGEST)
 
 
 def configurations(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    """Recordings whose tables have the same columns, by a name: that of their capsule."""
+    """Recordings grouped by equal table columns, under the name of their capsule."""
     groups: dict[tuple[str, ...], list[Row]] = {}
     for row in rows:
         groups.setdefault(tuple(row.about["columns"]), []).append(row)
@@ -88,7 +88,7 @@ def _config_lines(rows: Sequence[Row]) -> Iterator[str]:
 
 
 def _paths(rows: Sequence[Row], sizes: dict[int, int]) -> list[str]:
-    """Paths of tables; one pattern where all recordings of a patient are among them."""
+    """Paths of tables; one pattern if all recordings of a patient are included."""
     by_patient: dict[int, list[str]] = {}
     for row in rows:
         by_patient.setdefault(row.patient, []).append(row.name)

@@ -1,4 +1,4 @@
-"""Known limits of a data set, for its card: of the simulator, and of what its plan left out."""
+"""Known limits of a data set, for its card: of the simulator, and of its plan."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ _LIGHTS = {
 }
 
 _TIMES = {"auto_exposure", "adaptive_frame_rate"}
-"""Effects that say when and how long a camera exposes, and degrade no image."""
+"""Effects that set when and how long a camera exposes, and do not degrade the image."""
 
 
 def limits_text(rows: Sequence[Row]) -> str:
-    """The section of a card.
+    """Section of a card on known limits.
 
     Args:
         rows: Recordings of the data set.

@@ -1,4 +1,4 @@
-"""Check of a data set: every file, every label, every patient in one split, no doubles."""
+"""Check of a data set: all files, all labels, each patient in one split, no duplicates."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ def check_dataset(
     checksums_only: bool = False,
     workers: int = 0,
 ) -> list[str]:
-    """Faults of a data set, one line each.
+    """Return the faults of a data set, one line each.
 
     Args:
-        url: Its folder or URL.
-        progress: Called with the number of recordings checked and of all.
-        checksums_only: Compare checksums only; labels are not looked at.
-        workers: Processes that check recordings; 0 checks in this one.
+        url: Folder or URL of the data set.
+        progress: Called with the number of checked recordings and the total.
+        checksums_only: Compare checksums only; skip the labels.
+        workers: Number of processes; 0 checks in this process.
 
     Raises:
-        InputError: If it is no data set, or its ledger is damaged.
+        InputError: If it is not a data set, or its ledger is damaged.
     """
     store = open_store(url)
     units, found = Units(read_plan_of(store)), entries(store)
@@ -54,7 +54,7 @@ def check_dataset(
     jobs = []
     for name, entry in found.items():
         organ = (entry.get("organ") or {}).get("path")
-        # Labels cannot be judged against an organ that is damaged.
+        # Labels cannot be checked against a damaged organ.
         is_enough = checksums_only or wrong.get(organ) is not None
         jobs.append(_Job(str(url), name, entry["files"], organ, is_enough))
     for done, faults_of_job in enumerate(_all_checked(jobs, workers), 1):
@@ -74,14 +74,14 @@ def check_dataset(
 
 @dataclass(frozen=True)
 class _Job:
-    """A recording to check.
+    """Recording to check.
 
     Attributes:
-        url: Of the data set.
-        name: Of the recording.
+        url: URL of the data set.
+        name: Name of the recording.
         files: Checksum of each of its files.
         organ: Name of the organ's file in the data set; None if it is the episode's own.
-        checksums_only: Whether checksums are enough.
+        checksums_only: Whether to compare checksums only.
     """
 
     url: str
@@ -92,7 +92,7 @@ class _Job:
 
 
 def _all_checked(jobs: Sequence[_Job], workers: int) -> Iterator[list[str]]:
-    """Faults of each recording; in their order without processes, as they come with them."""
+    """Faults of each recording; in order without processes, otherwise as they complete."""
     if not workers:
         yield from map(_check_unit, jobs)
         return
@@ -104,7 +104,7 @@ def _all_checked(jobs: Sequence[_Job], workers: int) -> Iterator[list[str]]:
 
 
 def _check_unit(job: _Job) -> list[str]:
-    """Faults of one recording; a remote one is fetched for it."""
+    """Faults of one recording; a remote one is downloaded first."""
     store = open_store(job.url)
     if isinstance(store, LocalStore):
         return _faults_of_folder(store.folder / EPISODES / job.name, job)
@@ -116,7 +116,7 @@ def _check_unit(job: _Job) -> list[str]:
 
 
 def _fetch(store: Store, folder: Path, name: str) -> None:
-    """Copy a file of a store into a folder; one that is missing is left out."""
+    """Copy a file of a store into a folder; skip it if it is missing."""
     path = folder / name
     path.parent.mkdir(parents=True, exist_ok=True)
     with suppress(FileNotFoundError):
@@ -127,7 +127,7 @@ def _faults_of_folder(folder: Path, job: _Job) -> list[str]:
     store = LocalStore(folder)
     changed = [_fault_of(store, name, checksum) for name, checksum in job.files.items()]
     faults = [fault for fault in changed if fault is not None]
-    # What has changed needs no second reason.
+    # A changed file needs no second message.
     if not job.checksums_only and not faults:
         faults = [f"{folder / str(problem)}" for problem in check_episode(folder)]
     present = {p.relative_to(folder).as_posix() for p in files_in(folder)}
@@ -136,7 +136,7 @@ def _faults_of_folder(folder: Path, job: _Job) -> list[str]:
 
 
 def _fault_of(store: Store, name: str, checksum: str) -> str | None:
-    """What is wrong with a file; None if nothing."""
+    """Fault of a file; None if it has none."""
     where = f"{store.url}/{name}"
     try:
         found = hashlib.sha256(store.read(name)).hexdigest()
@@ -146,7 +146,7 @@ def _fault_of(store: Store, name: str, checksum: str) -> str | None:
 
 
 def _faults_of_plan(units: Units, found: Mapping[str, _Entry]) -> Iterator[str]:
-    """Entries that the plan does not have so."""
+    """Entries that disagree with the plan."""
     for name, entry in found.items():
         number = entry["number"]
         if not 0 <= number < len(units) or units.name(number) != name:
@@ -171,7 +171,7 @@ def _shared_patients(found: Mapping[str, _Entry]) -> Iterator[str]:
 
 
 def _doubles(found: Mapping[str, _Entry]) -> Iterator[str]:
-    """Recordings with the same images; a clean twin of a patient without lesions may have them."""
+    """Recordings with equal images; allowed for a clean twin of a patient without lesions."""
     seen: dict[frozenset[tuple[str, str]], str] = {}
     for name, entry in found.items():
         images = frozenset(item for item in entry["files"].items() if item[0].count("/") == 2)

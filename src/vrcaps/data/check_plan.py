@@ -1,6 +1,6 @@
-"""Check of a plan before anything is made: every value that it may draw is one that a scenario has.
+"""Check of a plan before anything is made: every value that it may draw is valid in a scenario.
 
-Without it a wrong name among many would be found by the recordings that happen to draw it.
+Otherwise a wrong name among many would only fail in the recordings that happen to draw it.
 """
 
 from __future__ import annotations
@@ -14,12 +14,13 @@ from vrcaps.scenario.scenario import Scenario
 
 
 def check_plan(units: Units) -> None:
-    """Make the scenario of each extreme of each distribution, all else as in the first unit.
+    """Build the scenario of each extreme of each distribution, all else as in the first unit.
 
-    The extremes of numbers are their limits, those of names all of them.
+    The extremes of numeric distributions are their limits, those of names all names.
 
     Raises:
-        InputError: If one is none, or names a capsule or a patient's value that is not there.
+        InputError: If a scenario is invalid, or names a capsule or a patient's value that does not
+            exist.
     """
     _check_stratify(units)
     _check_capsule(units[0].scenario, "The plan")
@@ -42,7 +43,7 @@ def _check_capsule(scenario: Scenario, where: str) -> None:
 
 
 def _check_stratify(units: Units) -> None:
-    """A path that leads nowhere would put all patients into one group, silently."""
+    """Check that each path exists; an invalid one would silently group all patients together."""
     plan = units.plan
     for path in plan.settings.stratify:
         found = plan.scenario

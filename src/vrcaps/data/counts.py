@@ -17,15 +17,15 @@ from vrcaps.recording.frame_sequence import SPLITS
 
 @dataclass(frozen=True)
 class Row:
-    """One whole recording, as the ledger has it.
+    """Complete recording, as stored in the ledger.
 
     Attributes:
-        name: Of the unit.
-        patient: Number of the patient.
+        name: Name of the unit.
+        patient: Index of the patient.
         split: `train`, `val` or `test`.
         num_bytes: Size of its files.
-        about: What it holds, see `about_recording`.
-        organ: Path and bytes of the organ's file, which recordings share; None if it has its own.
+        about: Summary of its contents, see `about_recording`.
+        organ: Path and bytes of the organ's file if recordings share it; None if it has its own.
     """
 
     name: str
@@ -37,21 +37,21 @@ class Row:
 
     @property
     def frames(self) -> int:
-        """Number of its frames."""
+        """Number of frames."""
         return self.about["frames"]
 
 
 @dataclass(frozen=True)
 class Count:
-    """How much of a data set has something in common.
+    """Size of a part of a data set.
 
     Attributes:
         patients: Number of patients.
         recordings: Number of recordings.
         frames: Number of frames.
-        images: Number of images: each camera has one for each frame.
-        seconds: Time that was recorded [s].
-        num_bytes: Size of all files, with organs once.
+        images: Number of images: one per frame and camera.
+        seconds: Recorded time [s].
+        num_bytes: Size of all files; shared organs count once.
     """
 
     patients: int
@@ -63,10 +63,10 @@ class Count:
 
 
 def rows_of(store: Store) -> list[Row]:
-    """All whole recordings of a data set, in the order of the plan.
+    """Return all complete recordings of a data set, in the order of the plan.
 
     Raises:
-        InputError: If an entry of the ledger is damaged or says nothing of its recording.
+        InputError: If an entry of the ledger is damaged or lacks a summary of its recording.
     """
     names = whole_units(store)
     found = list(zip(names, read_at_once(partial(read_entry, store), names), strict=True))
@@ -101,7 +101,7 @@ def count(rows: Iterable[Row]) -> Count:
 
 
 def count_by(rows: Sequence[Row], value: Callable[[Row], Any]) -> dict[Any, Count]:
-    """Counts of recordings that have a value in common, the most frames first."""
+    """Counts of recordings grouped by a value, most frames first."""
     groups: dict[Any, list[Row]] = {}
     for row in rows:
         groups.setdefault(value(row), []).append(row)
@@ -110,14 +110,14 @@ def count_by(rows: Sequence[Row], value: Callable[[Row], Any]) -> dict[Any, Coun
 
 
 def by_split(rows: Sequence[Row]) -> dict[str, Count]:
-    """Counts of each split, also of an empty one."""
+    """Counts of each split, including empty ones."""
     return {name: count(row for row in rows if row.split == name) for name in SPLITS}
 
 
 def lesion_counts(rows: Sequence[Row]) -> dict[str, tuple[int, int, int]]:
-    """Lesions, patients and recordings of each kind of lesion, the most lesions first.
+    """Lesions, patients and recordings of each kind of lesion, most lesions first.
 
-    A lesion of a patient counts once, in however many recordings it is.
+    A lesion of a patient counts once, regardless of the number of recordings with it.
     """
     patients: dict[str, dict[int, int]] = {}
     recordings: dict[str, int] = {}
@@ -135,7 +135,7 @@ def lesion_counts(rows: Sequence[Row]) -> dict[str, tuple[int, int, int]]:
 
 
 def segment_counts(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
-    """Frames with the capsule in each segment, by split; the most frames first."""
+    """Frames with the capsule in each segment, by split; most frames first."""
     found: dict[str, dict[str, int]] = {}
     for row in rows:
         for segment, frames in row.about["segments"].items():
@@ -145,7 +145,7 @@ def segment_counts(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
 
 
 def shared_organs(rows: Sequence[Row]) -> list[tuple[int, ...]]:
-    """Groups of patients that have the same organ although they are in different splits."""
+    """Groups of patients in different splits that have the same organ."""
     groups: dict[str, dict[int, str]] = {}
     for row in rows:
         groups.setdefault(row.about["organ_sha256"], {})[row.patient] = row.split

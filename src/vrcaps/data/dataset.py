@@ -1,4 +1,4 @@
-"""Read a data set: its splits, patients and recordings."""
+"""Data set reader: splits, patients and recordings."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from vrcaps.recording.frame_sequence import SPLITS, FrameSequence
 
 @dataclass(frozen=True)
 class Member:
-    """One recording of a data set.
+    """Recording of a data set.
 
     Attributes:
-        name: Of its folder.
-        patient: Number of the patient.
+        name: Name of its folder.
+        patient: Index of the patient.
         split: `train`, `val` or `test`.
-        files: Where its files lie.
+        files: Access to its files.
     """
 
     name: str
@@ -34,11 +34,11 @@ class Member:
     files: EpisodeFiles
 
     def read(self) -> Episode:
-        """The episode; images are read when asked for."""
+        """Open the episode; images are read on demand."""
         return read_episode(self.files)
 
     def sequences(self, camera: str | None = None) -> tuple[FrameSequence, ...]:
-        """The frames of each of its cameras, or of one.
+        """Return the frame sequence of each camera, or of the given one.
 
         Raises:
             UnknownNameError: If there is no such camera.
@@ -51,7 +51,7 @@ class Member:
 
 @dataclass(frozen=True)
 class Dataset:
-    """Recordings that are whole, by split and patient.
+    """Complete recordings, by split and patient.
 
     Example:
         >>> dataset = vrcaps.data.open("s3://bucket/cohort")
@@ -59,9 +59,9 @@ class Dataset:
         ...     sequence[0]["rgb"], sequence[0]["T_world_camera"]
 
     Attributes:
-        url: Folder or URL where it lies.
-        plan: What it was made of.
-        all_members: Its recordings, by number.
+        url: Folder or URL of the data set.
+        plan: Plan of the data set.
+        all_members: All recordings, by index.
     """
 
     url: str
@@ -75,7 +75,7 @@ class Dataset:
         return iter(self.all_members)
 
     def members(self, split: str | None = None) -> tuple[Member, ...]:
-        """Recordings of one split, or all.
+        """Return the recordings of one split, or all.
 
         Raises:
             UnknownNameError: If there is no such split.
@@ -85,15 +85,15 @@ class Dataset:
         return tuple(m for m in self.all_members if split in (None, m.split))
 
     def patients(self, split: str | None = None) -> tuple[int, ...]:
-        """Numbers of the patients of one split, or all."""
+        """Indices of the patients of one split, or of all."""
         return tuple(sorted({member.patient for member in self.members(split)}))
 
     def sequences(
         self, split: str | None = None, camera: str | None = None
     ) -> tuple[FrameSequence, ...]:
-        """Sequences of frames: one for each camera of each recording.
+        """Return the frame sequences: one for each camera of each recording.
 
-        The tables of all recordings are read at once; images when they are asked for.
+        The tables of all recordings are read immediately, images on demand.
 
         Raises:
             UnknownNameError: If there is no such split or camera.
@@ -103,16 +103,16 @@ class Dataset:
 
 
 def open(url: str | Path) -> Dataset:
-    """Open a data set; only its plan and its ledger are read at once.
+    """Open a data set; only its plan and its ledger are read immediately.
 
-    Units that are not whole are left out.
+    Incomplete units are left out.
 
     Args:
-        url: Its folder, or a URL such as ``s3://bucket/cohort``.
+        url: Folder, or URL such as ``s3://bucket/cohort``.
 
     Raises:
         InputError: If there is no data set, or its ledger is damaged.
-        MissingExtraError: If what reads this kind of URL is not installed.
+        MissingExtraError: If the package for this kind of URL is not installed.
     """
     store = open_store(url)
     plan = read_plain_plan(store)

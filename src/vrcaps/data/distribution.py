@@ -1,4 +1,4 @@
-"""Distributions: what may stand in a plan in the place of a value."""
+"""Distributions that may replace values in a plan."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from vrcaps.errors import InputError, nearest
 PROBABILITY = "probability"
 
 Plain = Any
-"""A value of TOML or JSON."""
+"""Value of TOML or JSON."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """One of some values: ``{ choice = ["colon", "stomach"], weights = [2, 1] }``."""
+    """Random choice from a list: ``{ choice = ["colon", "stomach"], weights = [2, 1] }``."""
 
     choice: Sequence[Plain]
     weights: Sequence[float] = ()
 
     def draw(self, rng: np.random.Generator) -> Plain:
-        """One of the values; all alike without weights."""
+        """Draw one of the values; with equal probability if there are no weights."""
         weights = np.array([float(w) for w in self.weights] or [1.0] * len(self.choice))
         return self.choice[int(rng.choice(len(self.choice), p=weights / weights.sum()))]
 
     def extremes(self) -> Sequence[Plain]:
-        """All values."""
+        """Return all values."""
         return [value for k, value in enumerate(self.choice) if not self.weights or self.weights[k]]
 
     def check(self, path: str) -> None:
@@ -46,56 +46,56 @@ class Choice:
 
 @dataclass(frozen=True)
 class Uniform:
-    """A number evenly between two: ``{ uniform = [0.005, 0.02] }``."""
+    """Uniform distribution: ``{ uniform = [0.005, 0.02] }``."""
 
     uniform: Sequence[float]
 
     def draw(self, rng: np.random.Generator) -> float:
-        """A number."""
+        """Draw a number."""
         low, high = map(float, self.uniform)
         return float(rng.uniform(low, high))
 
     def extremes(self) -> Sequence[Plain]:
-        """Its limits."""
+        """Return the limits."""
         return list(map(float, self.uniform))
 
     def check(self, path: str) -> None:
-        """Raise InputError if the limits are no two rising numbers."""
+        """Raise InputError unless the limits are two increasing numbers."""
         _check_limits(self.uniform, path)
 
 
 @dataclass(frozen=True)
 class LogUniform:
-    """A number even in its logarithm: ``{ log-uniform = [0.003, 0.03] }``."""
+    """Log-uniform distribution: ``{ log-uniform = [0.003, 0.03] }``."""
 
     log_uniform: Sequence[float]
 
     def draw(self, rng: np.random.Generator) -> float:
-        """A number."""
+        """Draw a number."""
         low, high = (math.log(float(x)) for x in self.log_uniform)
         return math.exp(float(rng.uniform(low, high)))
 
     def extremes(self) -> Sequence[Plain]:
-        """Its limits."""
+        """Return the limits."""
         return list(map(float, self.log_uniform))
 
     def check(self, path: str) -> None:
-        """Raise InputError if the limits are no two rising numbers above 0."""
+        """Raise InputError unless the limits are two increasing positive numbers."""
         _check_limits(self.log_uniform, path, above=0.0)
 
 
 @dataclass(frozen=True)
 class Normal:
-    """A normal number within limits: ``{ normal = [0.01, 0.002], limits = [0.005, 0.02] }``.
+    """Truncated normal: ``{ normal = [0.01, 0.002], limits = [0.005, 0.02] }``.
 
-    It is drawn again until it lies within.
+    Values outside the limits are drawn again.
     """
 
     normal: Sequence[float]
     limits: Sequence[float] = ()
 
     def draw(self, rng: np.random.Generator) -> float:
-        """A number."""
+        """Draw a number."""
         mean, deviation = map(float, self.normal)
         low, high = map(float, self.limits or (-math.inf, math.inf))
         while not low <= (value := float(rng.normal(mean, deviation))) <= high:
@@ -103,11 +103,11 @@ class Normal:
         return value
 
     def extremes(self) -> Sequence[Plain]:
-        """Its limits; the mean without them."""
+        """Return the limits; without limits the mean."""
         return list(map(float, self.limits or self.normal[:1]))
 
     def check(self, path: str) -> None:
-        """Raise InputError if mean, deviation or limits are impossible or hardly ever met."""
+        """Raise InputError if mean, deviation or limits are invalid or hardly ever satisfied."""
         if len(self.normal) != 2 or _number(self.normal[1], path) < 0.0:
             raise InputError(f"{path}: normal is {list(self.normal)}. Allowed: mean, deviation.")
         mean, deviation = (_number(x, path) for x in self.normal)
@@ -123,21 +123,21 @@ class Normal:
 
 @dataclass(frozen=True)
 class Integer:
-    """A whole number from one to another, both included: ``{ integer = [0, 4] }``."""
+    """Uniform integer between inclusive limits: ``{ integer = [0, 4] }``."""
 
     integer: Sequence[int]
 
     def draw(self, rng: np.random.Generator) -> int:
-        """A number."""
+        """Draw a number."""
         low, high = self.integer
         return int(rng.integers(low, high + 1))
 
     def extremes(self) -> Sequence[Plain]:
-        """Its limits."""
+        """Return the limits."""
         return list(self.integer)
 
     def check(self, path: str) -> None:
-        """Raise InputError if the limits are no two rising whole numbers."""
+        """Raise InputError unless the limits are two increasing integers."""
         if len(self.integer) != 2 or not all(type(x) is int for x in self.integer):
             raise InputError(f"{path}: integer is {list(self.integer)}. Allowed: two integers.")
         _check_limits(self.integer, path)
@@ -145,12 +145,12 @@ class Integer:
 
 @dataclass(frozen=True)
 class Each:
-    """Every one of some values, as recordings of their own: ``{ each = ["mirocam", "mono"] }``."""
+    """All values of a list, as separate recordings: ``{ each = ["mirocam", "mono"] }``."""
 
     each: Sequence[Plain]
 
     def extremes(self) -> Sequence[Plain]:
-        """All values."""
+        """Return all values."""
         return self.each
 
     def check(self, path: str) -> None:
@@ -161,16 +161,16 @@ class Each:
 
 @dataclass(frozen=True)
 class Prevalence:
-    """A patient's lesions, of the table of a screening population: ``{ prevalence = 2.0 }``.
+    """Lesions of a patient by prevalence in a screening population: ``{ prevalence = 2.0 }``.
 
-    The number multiplies the mean number of every lesion, for rare disease to be seen at all. The
-    table is of the colon; organs without one have no lesions.
+    The factor multiplies the mean number of every lesion, to make rare disease more frequent. The
+    table is for the colon; other organs have no lesions.
     """
 
     prevalence: float
 
     def draw(self, rng: np.random.Generator) -> list[Plain]:
-        """Lesions in plain form."""
+        """Draw lesions in plain form."""
         from vrcaps.lesion import AnyLesion, draw_lesions
         from vrcaps.serialization import to_plain
 
@@ -178,7 +178,7 @@ class Prevalence:
         return to_plain(lesions, tuple[AnyLesion, ...])
 
     def extremes(self) -> Sequence[Plain]:
-        """None: all that it draws are lesions."""
+        """Return no values: only lesions are drawn."""
         return ()
 
     def check(self, path: str) -> None:
@@ -189,20 +189,20 @@ class Prevalence:
 
 @dataclass(frozen=True)
 class Probability:
-    """Whether an item of a list is there: ``probability = 0.3`` in its table."""
+    """Presence of a list item: ``probability = 0.3`` in its table."""
 
     probability: float
 
     def draw(self, rng: np.random.Generator) -> bool:
-        """Whether it is."""
+        """Draw whether it is present."""
         return bool(rng.random() < float(self.probability))
 
     def extremes(self) -> Sequence[Plain]:
-        """Both."""
+        """Return both values."""
         return (True, False)
 
     def check(self, path: str) -> None:
-        """Raise InputError if it is no probability."""
+        """Raise InputError if it is not a probability."""
         if not 0.0 <= _number(self.probability, path) <= 1.0:
             raise InputError(f"{path}: probability is {self.probability}. Allowed: 0 to 1.")
 
@@ -212,14 +212,14 @@ _BY_KEY = {next(iter(cls.__dataclass_fields__)).replace("_", "-"): cls for cls i
 
 
 def distribution_of(plain: Plain, path: str) -> Any:
-    """The distribution that a table states; None if it is no distribution.
+    """Distribution in a table; None if the table is not a distribution.
 
     Args:
-        plain: What a plan holds at a place.
-        path: The place, for messages.
+        plain: Value in a plan.
+        path: Path of the value, for messages.
 
     Raises:
-        InputError: If it is one, but an impossible one.
+        InputError: If the distribution is invalid.
     """
     if not isinstance(plain, Mapping):
         return None
@@ -240,12 +240,12 @@ def distribution_of(plain: Plain, path: str) -> Any:
 
 
 def _refuse_misspelled(plain: Mapping[str, Plain], path: str) -> None:
-    """Refuse a table that is a distribution but for its name.
+    """Reject a table that is a distribution except for its misspelled name.
 
-    No key of a scenario that holds a list resembles one of them.
+    No key of a scenario that holds a list resembles one of these names.
 
     Raises:
-        InputError: If it is one; names the nearest.
+        InputError: If it is one; the message gives the nearest name.
     """
     for name, value in plain.items():
         if isinstance(value, list) or name.startswith("prev"):
@@ -256,7 +256,7 @@ def _refuse_misspelled(plain: Mapping[str, Plain], path: str) -> None:
 
 
 def slots(plain: Plain, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Paths of all distributions in a plan's scenario, in its order; list items by number."""
+    """Paths and distributions in a plan's scenario, in order; list items by index."""
     found = distribution_of(plain, path) if path else None
     if found is not None:
         yield path, found

@@ -1,4 +1,4 @@
-"""Estimate of a data set before it is made: frames, time and bytes, from a short measurement."""
+"""Estimate of a data set before making it: frames, time and bytes, from a short measurement."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _KINDS = 4
 
 @dataclass(frozen=True)
 class Estimate:
-    """What recordings take.
+    """Estimated cost of recordings.
 
     Attributes:
         frames: Number of frames.
-        seconds: Time on this machine, one recording after the other on all processors [s].
+        seconds: Time on this machine, sequentially with all processors [s].
         num_bytes: Size of all files.
-        measured: Kinds of recordings that were measured: an organ and a capsule each.
+        measured: Measured kinds of recordings: an organ and a capsule each.
     """
 
     frames: int
@@ -46,7 +46,7 @@ class _Cost:
 
 @dataclass(frozen=True)
 class _Costs:
-    """What one kind of recording takes: to begin it, each frame, and its organ."""
+    """Costs of one kind of recording: start, each frame, and organ."""
 
     begin: _Cost
     frame: _Cost
@@ -56,13 +56,13 @@ class _Costs:
 def estimate(units: Units, numbers: Sequence[int]) -> Estimate:
     """Measure a few frames of each kind of recording and extrapolate.
 
-    A kind is an organ and a capsule; the four most frequent ones are measured. A recording of few
-    frames and one of twice as many tell the time of a frame from that of the beginning. Organs are
-    made anew for this, so that what is in the cache does not count.
+    A kind is an organ and a capsule; the four most frequent ones are measured. Two recordings,
+    one with twice as many frames, separate the time per frame from that of the start. Organs are
+    generated again for this, without the cache.
 
     Args:
-        units: Of the data set.
-        numbers: Of the recordings; at least one.
+        units: Units of the data set.
+        numbers: Indices of the recordings; at least one.
 
     Raises:
         InputError: If a recording cannot be made.
@@ -91,7 +91,7 @@ def estimate(units: Units, numbers: Sequence[int]) -> Estimate:
 
 
 def _sample(units: Units, numbers: Sequence[int]) -> list[Unit]:
-    """All asked recordings of at most 25 patients, evenly spread."""
+    """Requested recordings of at most 25 evenly spaced patients."""
     patients = sorted({number // units.per_patient for number in numbers})
     taken = set(patients[:: max(1, len(patients) // _PATIENTS)])
     return [units[number] for number in numbers if number // units.per_patient in taken]
@@ -105,17 +105,17 @@ def _kind(scenario: Scenario) -> str:
 
 
 def _organ_of(unit: Unit) -> tuple[object, ...]:
-    """What tells one stored organ from another; capsules share one, twins do not."""
+    """Key of a stored organ; capsules share one, twins do not."""
     scenario = unit.scenario
     return unit.patient, bool(scenario.lesions) and scenario.clean_twin
 
 
 def _measured(units: Mapping[str, Unit], scratch: Path) -> dict[str, _Costs]:
-    """Costs of some recordings; an organ that two of them share is made once.
+    """Costs of some recordings; a shared organ is generated once.
 
     Args:
-        units: Recordings by their kind.
-        scratch: Folder to record into.
+        units: Recordings by kind.
+        scratch: Folder for the recordings.
     """
     costs: dict[str, _Costs] = {}
     organs: dict[object, _Cost] = {}
@@ -139,7 +139,7 @@ def _build_seconds(scenario: Scenario) -> float:
 
 
 def _recording_costs(scenario: Scenario, folder: Path) -> tuple[_Cost, _Cost, int]:
-    """Costs to begin a recording and of each frame, and the size of its organ [bytes]."""
+    """Costs of the start of a recording and of each frame, and the size of its organ [bytes]."""
     from vrcaps.recording.layout import ORGAN_GLB
     from vrcaps.recording.recorder import record
 

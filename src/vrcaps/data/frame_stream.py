@@ -1,4 +1,4 @@
-"""Windows of frames in a shuffled order that workers share: an iterable data set."""
+"""Iterable data set: windows of frames in a shuffled order shared by workers."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 
 @dataclass
 class FrameStream:
-    """Every window once in each pass, as PyTorch's `DataLoader` takes an iterable data set.
+    """Iterable data set for PyTorch's `DataLoader` with every window once per epoch.
 
     Windows are cut into shards of neighbors. Shards come in a shuffled order, and windows are drawn
-    from a buffer that the shards fill: so reading stays local. The workers of a loader, and the
-    ranks of a distributed training, share the shards without doubles or gaps. The order follows
-    from seed, epoch and number of workers alone. A worker counts the epochs that it has begun
-    itself; workers that are started anew for each epoch do not, so call `set_epoch` before each.
+    from a shuffle buffer that the shards fill, so reads stay local. The workers of a loader and the
+    ranks of a distributed training partition the shards without duplicates or gaps. The order
+    depends only on seed, epoch and number of workers. A worker counts its epochs itself, but not if
+    it is restarted for each epoch; then call `set_epoch` before each.
 
     Example:
         >>> windows = vrcaps.data.FrameWindows(sequences, ("rgb", "depth"))
@@ -36,13 +36,13 @@ class FrameStream:
         >>> loader = torch.utils.data.DataLoader(stream, 8, num_workers=2)
 
     Attributes:
-        windows: What to give, their transform included; their `threads` read several at once.
-        shuffle: Whether to shuffle; otherwise a worker gives its shards in their order.
-        seed: Of the order.
-        shard: Windows of a shard.
-        buffer: Windows among which the next is drawn.
-        rank: Number of this process in a distributed training.
-        num_ranks: Processes of the training.
+        windows: Windows to yield, including their transform; their `threads` read several at once.
+        shuffle: Whether to shuffle; otherwise a worker yields its shards in order.
+        seed: Random seed of the order.
+        shard: Number of windows in a shard.
+        buffer: Number of windows in the shuffle buffer.
+        rank: Rank of this process in a distributed training.
+        num_ranks: Number of processes of the training.
     """
 
     windows: FrameWindows
@@ -60,21 +60,21 @@ class FrameStream:
         self.set_epoch(0)
 
     def set_epoch(self, epoch: int) -> None:
-        """The next pass is the one of this number, from its beginning."""
+        """Set the epoch of the next pass, which starts from its beginning."""
         require(epoch >= 0, "epoch", epoch, "0 or more")
         self._next_epoch, self._epoch, self._done, self._skip = epoch, epoch, 0, 0
 
     def state_dict(self) -> dict[str, int]:
-        """Where a pass is, to go on from: its epoch, and the windows that it gave."""
+        """State of a pass for resuming: its epoch and the number of windows yielded."""
         return {"epoch": self._epoch, "done": self._done}
 
     def load_state_dict(self, state: dict[str, int]) -> None:
-        """Let the next pass go on where `state_dict` was taken, without reading what is passed."""
+        """Resume the next pass at the position of `state_dict`, without reading earlier windows."""
         self.set_epoch(state["epoch"])
         self._skip = state["done"]
 
     def __iter__(self) -> Iterator[Any]:
-        """A pass over the windows of this worker."""
+        """Iterate over the windows of this worker."""
         from torch.utils.data import get_worker_info
 
         info = get_worker_info()
@@ -85,12 +85,12 @@ class FrameStream:
         return self._pass(order[self._done :])
 
     def order(self, epoch: int, worker: int, num_workers: int) -> NDArray:
-        """Numbers of the windows that one of several workers gives in an epoch.
+        """Indices of the windows that one of several workers yields in an epoch.
 
         Args:
-            epoch: Number of the pass.
-            worker: Its number among those of all ranks.
-            num_workers: How many there are.
+            epoch: Index of the epoch.
+            worker: Index of the worker among those of all ranks.
+            num_workers: Number of workers of all ranks.
         """
         shards = np.arange(0, len(self.windows), self.shard)
         if self.shuffle:
@@ -124,7 +124,7 @@ class FrameStream:
 
 
 def _drawn_from_buffer(numbers: NDArray, size: int, generator: np.random.Generator) -> NDArray:
-    """Numbers in the order in which a buffer gives them that is kept full and drawn from."""
+    """Indices in the order in which a full buffer yields them."""
     waiting, found = list(numbers[:size]), []
     for number in numbers[size:]:
         place = generator.integers(len(waiting))
@@ -135,5 +135,5 @@ def _drawn_from_buffer(numbers: NDArray, size: int, generator: np.random.Generat
 
 @cache
 def _make_iterable_style() -> None:
-    """Tell PyTorch that a `FrameStream` is an iterable data set, without being a class of it."""
+    """Register `FrameStream` with PyTorch as an iterable data set, without inheritance."""
     import_extra("torch.utils.data", "learn", package="torch").IterableDataset.register(FrameStream)

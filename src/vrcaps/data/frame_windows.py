@@ -1,4 +1,4 @@
-"""Windows of consecutive frames of many sequences, by number: a map-style data set."""
+"""Map-style data set: windows of consecutive frames of many sequences."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 FIRST_POSE = "T_first_camera"
-"""Name of the camera's poses relative to that at the first frame of a window."""
+"""Name of the camera's poses relative to the first frame of a window."""
 
 Sample = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class FrameWindows:
-    """Windows of frames of many sequences, as PyTorch's `DataLoader` takes them.
+    """Windows of frames of many sequences, as a map-style data set for PyTorch's `DataLoader`.
 
-    A sample is a dictionary of arrays: the chosen channels and the values that all sequences have,
-    `index` of the frame in its sequence and `sequence`, its number in `sequences`. With a `length`
-    they have an axis of time in front, and `T_first_camera` is the pose of the camera at each frame
-    in its frame at the first. Where there is no value float channels hold NaN. Images of several
-    sequences must be of one size to make a batch.
+    A sample is a dictionary of arrays: the selected channels, the values that all sequences have,
+    `index` of the frame in its sequence, and `sequence`, the index in `sequences`. With a `length`
+    they have a leading time axis, and `T_first_camera` is the pose of the camera at each frame
+    relative to the first. Float channels hold NaN where there is no value. Images of several
+    sequences must have the same size to form a batch.
 
     Example:
         >>> sequences = vrcaps.data.open("runs/cohort").sequences("train")
@@ -40,13 +40,13 @@ class FrameWindows:
         >>> loader = torch.utils.data.DataLoader(windows, 8, shuffle=True, num_workers=2)
 
     Attributes:
-        sequences: Where the frames come from.
+        sequences: Source of the frames.
         channels: Channels to decode; None takes those that all sequences have.
-        length: Frames of a window; None gives single frames without an axis of time.
-        step: From a frame of a window to the next, in frames.
-        stride: From the start of a window to that of the next, in frames.
+        length: Frames per window; None yields single frames without a time axis.
+        step: Frames from one frame of a window to the next.
+        stride: Frames from the start of one window to that of the next.
         transform: Applied to each sample.
-        threads: Threads that read images at once, for sequences at a URL; 0 reads one by one.
+        threads: Number of threads that read images, for sequences at a URL; 0 reads sequentially.
     """
 
     sequences: Sequence[FrameSequence]
@@ -85,13 +85,13 @@ class FrameWindows:
         """One window.
 
         Raises:
-            IndexError: If there is none of this number.
+            IndexError: If there is no window of this index.
             InputError: If an image cannot be read.
         """
         return self.__getitems__([number])[0]
 
     def __getitems__(self, numbers: Sequence[int]) -> list[Any]:
-        """Several windows, as a `DataLoader` asks for those of a batch."""
+        """Return several windows; a `DataLoader` requests a batch this way."""
         places = [self._place(number) for number in numbers]
         wanted = [
             (self.sequences[sequence], channel, int(frame))
@@ -105,12 +105,12 @@ class FrameWindows:
 
     @property
     def _span(self) -> int:
-        """Frames from the first of a window to the last, both included."""
+        """Frames from the first to the last of a window, inclusive."""
         return ((self.length or 1) - 1) * self.step + 1
 
     @cached_property
     def _ends(self) -> NDArray:
-        """Number of windows in each sequence and those before it."""
+        """Cumulative number of windows per sequence."""
         starts = [max(0, len(sequence) - self._span + 1) for sequence in self.sequences]
         return np.cumsum([-(-count // self.stride) for count in starts])
 
@@ -120,7 +120,7 @@ class FrameWindows:
         return tuple(name for name in first if all(name in values for values in others))
 
     def _place(self, number: int) -> tuple[int, NDArray]:
-        """Number of a window's sequence, and its frames there."""
+        """Index of a window's sequence, and its frames there."""
         if not -len(self) <= number < len(self):
             raise IndexError(f"No window {number}. Allowed: 0 to {len(self) - 1}.")
         number %= len(self)

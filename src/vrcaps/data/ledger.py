@@ -1,6 +1,6 @@
-"""Ledger of a data set: which units are whole, with the checksum of every file of theirs.
+"""Ledger of a data set: its complete units, with the checksum of each of their files.
 
-A unit counts as there when its entry is written, which happens last. So readers never see a part.
+A unit is complete once its entry is written, as the last step; readers never see a part.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ LEDGER = "ledger"
 FAILED = "failed"
 
 _FEW = 128
-"""Units that are asked for one by one; a listing gives a thousand at once."""
+"""Maximum number of units looked up one by one; a listing returns a thousand at once."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """Entry of a whole unit, as its file in the ledger states it.
+    """Entry of a complete unit, as stored in its file in the ledger.
 
     Attributes:
-        number: Of the unit.
-        patient: Number of the patient.
-        split: Split that the patient is in.
-        files: Checksum of each file of the recording by its path.
-        bytes: Size of these files.
-        about: Content of the recording; entries of earlier versions have none.
-        organ: Organ that is stored beside the recordings, if there is one.
+        number: Index of the unit.
+        patient: Index of the patient.
+        split: Split of the patient.
+        files: Checksum of each file of the recording, by path.
+        bytes: Total size of these files.
+        about: Summary of the recording; entries of earlier versions have none.
+        organ: Organ that is stored separately, if there is one.
     """
 
     number: Annotated[int, Range(0)]
@@ -67,11 +67,11 @@ class Entry:
 
 @dataclass(frozen=True)
 class Failure:
-    """Note of a unit that could not be made.
+    """Record of a unit that could not be made.
 
     Attributes:
-        number: Of the unit.
-        error: Message of the error.
+        number: Index of the unit.
+        error: Error message.
         reproduce: Command that makes the unit again.
     """
 
@@ -81,7 +81,7 @@ class Failure:
 
 
 def entry_of(unit: Unit, folder: Path) -> dict[str, Any]:
-    """Entry of a unit whose files lie in a folder."""
+    """Build the entry of a unit from its files in a folder."""
     paths = files_in(folder)
     return {
         "number": unit.number,
@@ -94,26 +94,26 @@ def entry_of(unit: Unit, folder: Path) -> dict[str, Any]:
 
 
 def enter(store: Store, unit: Unit, entry: dict[str, Any]) -> None:
-    """Make a unit count; readers forget an earlier failure of it."""
+    """Enter a unit as complete; readers ignore its earlier failures."""
     store.write(f"{LEDGER}/{unit.name}.json", _json(entry))
 
 
 def enter_failure(store: Store, name: str, number: int, message: str, command: str) -> None:
-    """Note why a unit could not be made, with the command that shows it again.
+    """Record the reason of a unit's failure, with the command that reproduces it.
 
     Args:
-        store: Of the data set.
-        name: Of the unit.
-        number: Of the unit.
-        message: What went wrong.
-        command: What makes the unit again.
+        store: Store of the data set.
+        name: Name of the unit.
+        number: Index of the unit.
+        message: Error message.
+        command: Command that makes the unit again.
     """
     failure = {"number": number, "error": message, "reproduce": command}
     store.write(f"{FAILED}/{name}.json", _json(failure))
 
 
 def entries(store: Store) -> dict[str, dict[str, Any]]:
-    """All whole units by name.
+    """Return the entries of all complete units by name.
 
     Raises:
         InputError: If an entry is damaged.
@@ -122,12 +122,12 @@ def entries(store: Store) -> dict[str, dict[str, Any]]:
 
 
 def whole_units(store: Store, asked: Sequence[str] | None = None) -> list[str]:
-    """Names of the units that are whole.
+    """Names of the complete units.
 
     Args:
-        store: Of the data set.
-        asked: Only these; None gives all. A few are asked for one by one, so that the slices of
-            a large data set do not each list all of it.
+        store: Store of the data set.
+        asked: Only these; None returns all. A few are looked up one by one, so that the slices
+            of a large data set do not each list all of it.
     """
     if asked is not None and len(asked) <= _FEW:
         return [name for name in asked if is_whole(store, name)]
@@ -135,17 +135,17 @@ def whole_units(store: Store, asked: Sequence[str] | None = None) -> list[str]:
 
 
 def is_whole(store: Store, name: str) -> bool:
-    """Whether a unit is whole."""
+    """Whether a unit is complete."""
     return store.has(f"{LEDGER}/{name}.json")
 
 
 def forget_failure(store: Store, name: str) -> None:
-    """Remove the note of a unit that has been made since."""
+    """Remove the failure record of a unit that has been made since."""
     store.remove(f"{FAILED}/{name}.json")
 
 
 def failures(store: Store) -> dict[str, dict[str, Any]]:
-    """Units that could not be made and were not made since."""
+    """Return the failure records of units that have not been made since."""
     names = [name.removesuffix(".json") for name in store.names(FAILED)]
     whole = set(whole_units(store, names))
     return {
@@ -156,7 +156,7 @@ def failures(store: Store) -> dict[str, dict[str, Any]]:
 
 
 def read_entry(store: Store, name: str) -> dict[str, Any]:
-    """Entry of one unit, with the keys of `Entry`.
+    """Return the entry of one unit, with the keys of `Entry`.
 
     Raises:
         InputError: If it is damaged.
@@ -165,10 +165,10 @@ def read_entry(store: Store, name: str) -> dict[str, Any]:
 
 
 def _checked(store: Store, where: str, kind: type) -> dict[str, Any]:
-    """Table of a file in a store that fits a dataclass.
+    """Read a table from a file in a store and check it against a dataclass.
 
     Raises:
-        InputError: If it does not.
+        InputError: If it does not match.
     """
     place = f"{store.url}/{where}"
     try:
@@ -183,7 +183,7 @@ def _checked(store: Store, where: str, kind: type) -> dict[str, Any]:
 
 
 def read_plain_plan(store: Store) -> dict[str, Any]:
-    """The plan of a data set, as `plan_to_plain` made it.
+    """Plan of a data set, in the form of `plan_to_plain`.
 
     Raises:
         InputError: If the store holds no data set, or its plan is damaged.
@@ -195,18 +195,18 @@ def read_plain_plan(store: Store) -> dict[str, Any]:
 
 
 def require_same_plan(store: Store, plan: Plan) -> None:
-    """Make a store the data set of a plan, or check that it is.
+    """Initialize a store with a plan, or check that it has the same plan.
 
     Raises:
         InputError: If it holds the data set of another plan or of other versions, or something
             else.
     """
     if not require_target(store, plan) and not store.create(PLAN, _plan_file(plan)):
-        require_target(store, plan)  # another process was first
+        require_target(store, plan)  # another process may have been first
 
 
 def require_target(store: Store, plan: Plan) -> bool:
-    """Check that a store is empty or holds the data set of a plan; whether it holds it.
+    """Check that a store is empty or holds the data set of a plan; return whether it holds it.
 
     Raises:
         InputError: If it holds the data set of another plan or of other versions, or something
@@ -241,12 +241,12 @@ def require_target(store: Store, plan: Plan) -> bool:
 
 
 def _plan_file(plan: Plan) -> bytes:
-    """What a data set is made of: its plan, and the versions of what makes it."""
+    """Contents of the plan's file: the plan and the versions of the software."""
     return _json({**plan_to_plain(plan), MADE_WITH: made_here()})
 
 
 def _stored_plan(store: Store) -> Any:
-    """The plan in a store as JSON holds it; None if there is none.
+    """Plan in a store in JSON form; None if there is none.
 
     Raises:
         InputError: If it is damaged.

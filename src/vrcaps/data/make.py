@@ -1,4 +1,4 @@
-"""Make a data set: its units are run by whatever runs them, and each counts exactly once."""
+"""Make a data set: a runner processes its units, each exactly once."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from vrcaps.made_with import made_here
 
 @dataclass(frozen=True)
 class Made:
-    """What a run did.
+    """Result of a run.
 
     Attributes:
-        made: Units that were recorded now.
-        present: Units that were whole before.
-        failed: Names of units that could not be made, with the reason.
+        made: Units that were recorded in this run.
+        present: Units that were already complete.
+        failed: Names of failed units, with the reason.
     """
 
     made: int
@@ -50,22 +50,22 @@ def make_dataset(
     progress: Callable[[int, int], None] | None = None,
     source: str = "PLAN",
 ) -> Made:
-    """Record the units of a plan that are not whole yet; the same plan gives the same bytes.
+    """Record the incomplete units of a plan; the same plan gives the same bytes.
 
-    When none is left to be made, the data card is written.
+    The data card is written when all units are complete.
 
     Args:
-        plan: What to make.
-        url: Folder or URL of the data set: new, or this plan's own from before.
+        plan: Plan to make.
+        url: Folder or URL of the data set: new, or of an earlier run of this plan.
         numbers: Units to make; None makes all.
-        runner: What runs the units; None takes a process for each processor.
-        progress: Called with the number of units done and of all that are asked for.
-        source: How the command line named the plan, for the line that repeats a failed unit.
+        runner: Runner of the units; None takes a process for each processor.
+        progress: Called with the number of finished units and of all requested ones.
+        source: Name of the plan on the command line, for the command that reproduces a failure.
 
     Raises:
-        InputError: If the plan may draw what is no scenario, the store holds something else, or a
-            number is of no unit.
-        StorageError: If the place cannot be written or reached; what is whole there stays whole.
+        InputError: If the plan may draw an invalid scenario, the store holds something else, or an
+            index is out of range.
+        StorageError: If the store cannot be written or reached; its complete files are kept.
     """
     units, store = Units(plan), open_store(url)
     chosen = range(len(units)) if numbers is None else numbers
@@ -98,10 +98,10 @@ def make_dataset(
 
 
 def _noted(outcome: Outcome) -> str:
-    """Why a unit could not be made.
+    """Reason of a unit's failure.
 
     Raises:
-        StorageError: If no other can be made either.
+        StorageError: If no other unit can be made either.
     """
     assert outcome.fault is not None
     if outcome.stops_all:

@@ -1,4 +1,4 @@
-"""One unit of a data set made: recorded, committed in one step, entered in the ledger."""
+"""Make one unit of a data set: record it, commit it in one step, enter it in the ledger."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from vrcaps.made_with import made_here
 from vrcaps.organ.cache import passing_organs
 
 _WAIT = 0.2
-"""Between looks at a unit that another process is making [s]."""
+"""Interval between checks of a unit that another process is making [s]."""
 
 _FULL = {errno.ENOSPC, errno.EDQUOT}
 
 
 @dataclass(frozen=True)
 class Job:
-    """What every worker needs to know.
+    """Job description shared by all workers.
 
     Attributes:
         plan: The plan.
-        url: Of the store; an absolute path where it is a folder.
-        folder: Working directory, from which paths in the plan lead.
-        source: How the command line named the plan.
-        made_with: Versions that every worker must have; None asks for none.
+        url: URL of the store; an absolute path for a folder.
+        folder: Working directory for relative paths in the plan.
+        source: Name of the plan on the command line.
+        made_with: Versions that every worker must have; None checks none.
     """
 
     plan: Plan
@@ -45,20 +45,19 @@ class Job:
     made_with: Mapping[str, str] | None = None
 
     def command(self, number: int) -> str:
-        """The line that makes one unit again."""
+        """Command that makes one unit again."""
         source, url = shlex.quote(self.source), shlex.quote(self.url)
         return f"vrcaps dataset make {source} --out {url} --units {number}:{number + 1} --workers 0"
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How the making of a unit ended.
+    """Result of making a unit.
 
     Attributes:
-        number: Of the unit.
-        fault: Why it could not be made; None if it is whole.
-        stops_all: Whether the fault is of the place where the data set lies, so that no other
-            unit can be made either.
+        number: Index of the unit.
+        fault: Reason of the failure; None if the unit is complete.
+        stops_all: Whether the fault is of the store, so that no other unit can be made either.
     """
 
     number: int
@@ -67,14 +66,14 @@ class Outcome:
 
 
 class Maker:
-    """Makes units of a job, one after the other; each worker has one."""
+    """Make units of a job, one after the other; each worker has one instance."""
 
     def __init__(self, job: Job) -> None:
-        """Opens the store.
+        """Open the store.
 
         Raises:
             VrcapsError: If that is not possible.
-            InputError: If this worker has other versions than the head, so that its bytes differ.
+            InputError: If this worker has other versions than the head node, so bytes would differ.
         """
         here = made_here()
         for name, version in (job.made_with or here).items():
@@ -86,7 +85,7 @@ class Maker:
         self._units, self._store = Units(job.plan), open_store(job.url)
 
     def make(self, number: int) -> Outcome:
-        """Make a unit; a mistake of the plan or the place is told in the outcome."""
+        """Make a unit; plan and storage errors are returned in the outcome."""
         try:
             make_unit(self._units, self._store, number)
         except StorageError as error:
@@ -98,15 +97,15 @@ class Maker:
         return Outcome(number)
 
     def make_always(self, number: int) -> Outcome:
-        """Make a unit; every fault is told in the outcome, also one of vrcaps itself."""
+        """Make a unit; all errors are returned in the outcome, including internal ones."""
         try:
             return self.make(number)
-        except Exception as error:  # whatever it is, the other units are still to be made
+        except Exception as error:  # any error: the other units are still to be made
             return Outcome(number, f"{type(error).__name__}: {reason_of(error)}")
 
 
 def make_unit(units: Units, store: Store, number: int) -> None:
-    """Record one unit and commit it; one that another process is making is waited for.
+    """Record one unit and commit it; wait if another process is making it.
 
     Raises:
         VrcapsError: If it cannot be made.
@@ -118,7 +117,7 @@ def make_unit(units: Units, store: Store, number: int) -> None:
     lock = store.staging(f"{unit.name}.lock")
     while not is_whole(store, unit.name):
         try:
-            # To the end: one who comes between recording and entry would write what is moved away.
+            # Keep the lock: a process between recording and entry would write moved files.
             with file_lock(lock, f"the recording {unit.name}"):
                 if not is_whole(store, unit.name):
                     _make_alone(unit, store)
@@ -127,14 +126,14 @@ def make_unit(units: Units, store: Store, number: int) -> None:
 
 
 def _make_alone(unit: Unit, store: Store) -> None:
-    """Record a unit that nobody else is making, and commit it."""
+    """Record and commit a unit that no other process is making."""
     from vrcaps.recording.layout import EPISODE_JSON
     from vrcaps.recording.recorder import record
 
     folder = store.staging(unit.name)
     if folder.exists() and not (folder / EPISODE_JSON).exists():
-        shutil.rmtree(folder)  # what has no head cannot be gone on with
-    with passing_organs():  # one that was broken off goes on where it stopped
+        shutil.rmtree(folder)  # a recording without a head cannot be resumed
+    with passing_organs():  # an interrupted recording resumes
         record(unit.scenario, folder, store_organ=partial(store_organ, store))
     entry = entry_of(unit, folder) | {"organ": organ_entry(store, folder)}
     store.put(folder, f"{EPISODES}/{unit.name}")

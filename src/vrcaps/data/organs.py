@@ -1,7 +1,7 @@
-"""Organs of a data set: each is stored once, however many recordings show it.
+"""Organs of a data set: each is stored once, regardless of the number of its recordings.
 
-An organ's file is named after all that the organ is, so equal organs have one file, whichever
-worker was first. It is in the patient frame: recordings in other postures share it.
+The file name is derived from all properties of the organ, so equal organs share one file,
+whichever worker was first. It is in the patient frame: recordings in other postures share it.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class StoredOrgan:
 
 
 def store_organ(store: Store, organ: OrganSurface) -> str:
-    """Store an organ if it is not there yet.
+    """Store an organ if it does not exist yet.
 
     Returns:
         The path of its file, relative to an episode of the data set.
@@ -58,7 +58,7 @@ def store_organ(store: Store, organ: OrganSurface) -> str:
         data = b"".join(organ_glb(organ, compact=True))
         entry = {"path": name, "sha256": hashlib.sha256(data).hexdigest(), "bytes": len(data)}
         store.write(name, data)
-        # Last: where it is there, the organ is whole.
+        # Written last: if it exists, the organ is complete.
         store.write(_entry_name(name), (json.dumps(entry) + "\n").encode())
     return f"../../{name}"
 
@@ -74,7 +74,7 @@ def _entry_name(name: str) -> str:
 
 
 def _read_entry(store: Store, name: str) -> dict[str, Any] | None:
-    """What was entered of a stored organ; None if it is not there, or that is damaged."""
+    """Entry of a stored organ; None if it is missing or damaged."""
     where = _entry_name(name)
     try:
         plain = decode_json(store.read(where), where)

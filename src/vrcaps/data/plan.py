@@ -1,8 +1,8 @@
-"""Plan of a data set: a scenario in which distributions may stand for values.
+"""Plan of a data set: a scenario in which distributions may replace values.
 
-A plan is a scenario file with one more table, ``[dataset]``; the scenario may also lie below a
-table ``[scenario]``. Anywhere else a distribution may stand in the place of a value. What lies
-under ``organ`` and ``lesions`` is drawn once for each patient, everything else for each recording.
+A plan is a scenario file with an additional table ``[dataset]``; the scenario may also be in a
+table ``[scenario]``. A distribution may replace any other value. Values under ``organ`` and
+``lesions`` are drawn once per patient, all others once per recording.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ LICENSES = (
     *("cc-by-nc-sa-4.0", "cc-by-nd-4.0", "cc-by-sa-4.0", "cdla-permissive-2.0", "mit", "odbl"),
     *("odc-by", "other", "pddl", "unknown"),
 )
-"""Identifiers of licenses as the Hugging Face Hub calls them."""
+"""License identifiers of the Hugging Face Hub."""
 
 
 @dataclass(frozen=True)
 class Split:
-    """Fractions of the patients; they add up to 1.
+    """Fractions of patients per split; they add up to 1.
 
     Attributes:
-        train: To learn from.
-        val: To choose by.
-        test: To judge by.
+        train: Fraction of the training set.
+        val: Fraction of the validation set.
+        test: Fraction of the test set.
     """
 
     train: Annotated[float, Range(0.0, 1.0)] = 0.7
@@ -53,18 +53,18 @@ class Split:
 
 @dataclass(frozen=True)
 class DatasetSettings:
-    """The table ``[dataset]`` of a plan.
+    """Table ``[dataset]`` of a plan.
 
     Attributes:
         name: Name of the data set, for its data card.
-        seed: Of everything that is drawn.
+        seed: Random seed.
         patients: Number of patients.
         repeats: Recordings of each patient with each combination of `each`.
         split: Fractions of the patients.
-        stratify: Paths of a scenario whose values are spread evenly over the splits.
-        license: Under which others may use it, such as ``cc-by-4.0``, for its data card. `unknown`
-            grants nothing; `other` is said in the description.
-        description: What it is for, for its data card.
+        stratify: Paths of scenario values that are balanced over the splits.
+        license: License of the data set, such as ``cc-by-4.0``, for its data card. `unknown` grants
+            nothing; `other` is explained in the description.
+        description: Purpose of the data set, for its data card.
     """
 
     name: str
@@ -92,12 +92,12 @@ class DatasetSettings:
 
 @dataclass(frozen=True)
 class Plan:
-    """A plan as read.
+    """Parsed plan.
 
     Attributes:
-        settings: What it says of the data set as a whole.
-        scenario: Its scenario as plain values, with distributions.
-        has_units: Whether devices in it have keys in the units of device files.
+        settings: Settings of the data set.
+        scenario: Scenario as plain values, with distributions.
+        has_units: Whether its devices have keys with the units of device files.
     """
 
     settings: DatasetSettings
@@ -129,7 +129,7 @@ def read_plan(path: str | Path) -> Plan:
 
 
 def _scenario_of(plain: Mapping[str, Any], path: Path) -> dict[str, Any]:
-    """The scenario of a plan: its tables but for [dataset], which may lie below [scenario].
+    """Scenario of a plan: all tables except [dataset]; it may be in [scenario].
 
     Raises:
         InputError: If a key is in both places.
@@ -145,7 +145,7 @@ def _scenario_of(plain: Mapping[str, Any], path: Path) -> dict[str, Any]:
 
 
 def plan_to_plain(plan: Plan) -> dict[str, Any]:
-    """A plan as JSON holds it."""
+    """Plan in JSON form."""
     scenario = as_floats(dict(plan.scenario))
     return {
         "dataset": to_plain(plan.settings, DatasetSettings),
@@ -155,14 +155,14 @@ def plan_to_plain(plan: Plan) -> dict[str, Any]:
 
 
 def plan_from_plain(plain: Mapping[str, Any], *, at: str) -> Plan:
-    """The plan that `plan_to_plain` wrote.
+    """Inverse of `plan_to_plain`.
 
     Args:
-        plain: As JSON holds it.
-        at: Where it was read, for messages.
+        plain: Plan in JSON form.
+        at: Source of the plan, for messages.
 
     Raises:
-        InputError: If it is no plan.
+        InputError: If it is not a plan.
     """
     if not isinstance(plain.get("scenario"), dict):
         raise InputError(f"{at} is no plan of a data set: it has no scenario.")

@@ -1,8 +1,7 @@
-"""Store of a data set at a URL, such as ``s3://bucket/name``: any place that fsspec reaches.
+"""Store of a data set at a URL, such as ``s3://bucket/name``: any file system of fsspec.
 
-The service's own package waits and tries again where a request fails; what still fails then is one
-line. A unit counts when its entry in the ledger is there, so one of which only some files were
-written does not.
+The service's own package waits and retries failed requests; a remaining error is reported on
+one line. A unit is complete once its entry is in the ledger, so partly written units are ignored.
 """
 
 from __future__ import annotations
@@ -22,17 +21,17 @@ from vrcaps.files import files_in
 from vrcaps.organ.cache import cache_folder
 
 _TRANSFERS = 8
-"""Files written or read at once; each takes at most its own size of memory, or 100 MB."""
+"""Concurrent reads or writes; each needs at most the file's size of memory, or 100 MB."""
 
 
 class RemoteStore:
-    """A place that fsspec reaches."""
+    """Store on a file system of fsspec."""
 
     def __init__(self, url: str) -> None:
-        """Connects to nothing yet.
+        """Initialize without connecting.
 
         Raises:
-            MissingExtraError: If fsspec or what it needs for this kind of URL is not installed.
+            MissingExtraError: If fsspec or its package for this kind of URL is not installed.
             InputError: If the kind of URL is unknown.
         """
         try:
@@ -47,23 +46,23 @@ class RemoteStore:
             raise MissingExtraError(error.name or str(error).rstrip("."), "scale") from error
         except ValueError as error:
             raise InputError(f"Cannot open {url}: {error}. Allowed: a folder or a URL.") from error
-        # Object stores have no folders, show a file when it is whole, and serve many requests at
-        # once; fsspec speaks to them asynchronously. Others, such as SFTP, do none of that.
+        # Object stores have no folders, show a file once it is complete, and serve many requests at
+        # once; fsspec accesses them asynchronously. Others, such as SFTP, do not.
         self._is_object_store = bool(self._system.async_impl)
 
     def read(self, name: str) -> bytes:
-        """A file's bytes."""
+        """Return the bytes of a file."""
         with self._told("read"):
             return self._system.cat_file(self._path(name))
 
     def has(self, name: str) -> bool:
-        """Whether a file is there."""
+        """Whether a file exists."""
         with self._told("read"):
             self._system.invalidate_cache()
             return self._system.isfile(self._path(name))
 
     def write(self, name: str, data: bytes) -> None:
-        """Write a file whole or not at all."""
+        """Write a file atomically."""
         path = self._path(name)
         with self._told("write"):
             if self._is_object_store:
@@ -75,7 +74,7 @@ class RemoteStore:
             self._system.mv(temporary, path)
 
     def create(self, name: str, data: bytes) -> bool:
-        """Write a file that is not there yet."""
+        """Write a file that does not exist yet."""
         path = self._path(name)
         with self._told("write"):
             if not self._is_object_store:
@@ -87,35 +86,35 @@ class RemoteStore:
         return True
 
     def remove(self, name: str) -> None:
-        """Remove a file, if it is there."""
+        """Remove a file, if it exists."""
         if self.has(name):
             with self._told("write"):
                 self._system.rm_file(self._path(name))
 
     def is_empty(self) -> bool:
-        """Whether there is nothing."""
+        """Whether the store is empty."""
         return not self._list(self._root)
 
     def names(self, folder: str) -> list[str]:
-        """Names of the files in a folder, without those being written."""
+        """Names of the files in a folder, except those being written."""
         found = self._list(self._path(folder))
         names = (e["name"].rpartition("/")[2] for e in found if e["type"] == "file")
         return sorted(name for name in names if not name.endswith(".tmp"))
 
     def staging(self, name: str) -> Path:
-        """A folder of this machine's cache, where a killed recording is found and gone on with."""
+        """Folder in this machine's cache, where a killed recording can be resumed."""
         place = hashlib.sha256(self.url.encode()).hexdigest()[:16]
         return cache_folder() / "unfinished" / place / name.replace("/", "_")
 
     def put(self, staged: Path, name: str) -> None:
-        """Copy all files, several at once; the ledger says when they are all there."""
+        """Copy all files, several at once; the ledger marks the unit complete afterwards."""
         transfer = partial(self._upload, staged, name)
         with ThreadPoolExecutor(_TRANSFERS if self._is_object_store else 1) as pool:
             list(pool.map(transfer, files_in(staged)))
         shutil.rmtree(staged)
 
     def free_bytes(self) -> int | None:
-        """Not known."""
+        """Unknown."""
         return None
 
     def _upload(self, staged: Path, name: str, file: Path) -> None:
@@ -141,7 +140,7 @@ class RemoteStore:
 
     @contextmanager
     def _told(self, action: str) -> Iterator[None]:
-        """Errors of the service in one line; a missing file to be read stays what it is.
+        """Convert errors of the service to one line; a missing file on reading is passed on.
 
         Raises:
             StorageError: If the block fails.
@@ -152,7 +151,7 @@ class RemoteStore:
             if action == "read":
                 raise
             raise self._error(action, error) from error
-        except Exception as error:  # every service has errors of its own kinds
+        except Exception as error:  # each service has its own exception types
             raise self._error(action, error) from error
 
     def _error(self, action: str, error: Exception) -> StorageError:

@@ -1,4 +1,4 @@
-"""The frame sequences of an episode or a data set: one for each camera of each recording."""
+"""Frame sequences of an episode or a data set: one for each camera of each recording."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from vrcaps.recording.frame_sequence import FrameSequence
 def sequences_of(
     source: str | Path, *, camera: str | None = None, split: str | None = None
 ) -> tuple[FrameSequence, ...]:
-    """Sequences of an episode or of the whole recordings of a data set.
+    """Frame sequences of an episode or of the complete recordings of a data set.
 
     Args:
         source: Folder or URL of an episode or a data set.

@@ -1,7 +1,7 @@
-"""Store of a data set: a folder here, or a place that a URL names, such as ``s3://bucket/name``.
+"""Store of a data set: a local folder, or a URL such as ``s3://bucket/name``.
 
-A store holds whole files under names with slashes. A local one keeps what it was given over a loss
-of power; a remote one as its service promises.
+A store holds complete files under names with slashes. A local store is durable over a power
+failure; a remote one has the durability of its service.
 """
 
 from __future__ import annotations
@@ -20,69 +20,69 @@ from vrcaps.temporary_files import remove_stale, temporary_beside
 
 
 class Store(Protocol):
-    """Where a data set lies; each method raises StorageError if it cannot be reached or written."""
+    """Storage of a data set; each method raises StorageError if it cannot be reached or written."""
 
     url: str
 
     def read(self, name: str) -> bytes:
-        """A file's bytes; FileNotFoundError if there is none."""
+        """Return the bytes of a file; raise FileNotFoundError if there is none."""
         ...
 
     def has(self, name: str) -> bool:
-        """Whether a file is there."""
+        """Whether a file exists."""
         ...
 
     def write(self, name: str, data: bytes) -> None:
-        """Write a file whole or not at all; a file of that name is replaced."""
+        """Write a file atomically; an existing file is replaced."""
         ...
 
     def create(self, name: str, data: bytes) -> bool:
-        """Write a file that is not there yet; False if it is, also if another was first."""
+        """Write a new file; False if it exists, also if another process was first."""
         ...
 
     def remove(self, name: str) -> None:
-        """Remove a file, if it is there."""
+        """Remove a file, if it exists."""
         ...
 
     def is_empty(self) -> bool:
-        """Whether nothing is there that is seen."""
+        """Whether there are no visible files."""
         ...
 
     def names(self, folder: str) -> list[str]:
-        """Names of the files right in a folder, sorted; none where there is no folder."""
+        """Names of the files directly in a folder, sorted; none if there is no folder."""
         ...
 
     def staging(self, name: str) -> Path:
-        """The local folder in which to prepare a folder of this name."""
+        """Local folder in which to prepare a folder of this name."""
         ...
 
     def put(self, staged: Path, name: str) -> None:
-        """Move a prepared folder to its name; nothing happens where it is there already."""
+        """Move a prepared folder to its name; do nothing if it exists."""
         ...
 
     def free_bytes(self) -> int | None:
-        """Room that is left; None if it is not known."""
+        """Free space; None if unknown."""
         ...
 
 
 class LocalStore:
-    """A folder of this machine or of a shared file system."""
+    """Folder on this machine or on a shared file system."""
 
     def __init__(self, folder: Path) -> None:
-        """The folder need not exist yet."""
+        """Initialize; the folder need not exist yet."""
         self.folder = Path(os.path.abspath(folder))
         self.url = str(self.folder)
 
     def read(self, name: str) -> bytes:
-        """A file's bytes."""
+        """Return the bytes of a file."""
         return (self.folder / name).read_bytes()
 
     def has(self, name: str) -> bool:
-        """Whether a file is there."""
+        """Whether a file exists."""
         return (self.folder / name).is_file()
 
     def write(self, name: str, data: bytes) -> None:
-        """Write a file whole or not at all."""
+        """Write a file atomically."""
         path = self.folder / name
         with _told(self.url), self._staged(data) as staged:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -90,7 +90,7 @@ class LocalStore:
             sync_folder(path.parent)
 
     def create(self, name: str, data: bytes) -> bool:
-        """Write a file under another name and give it its own if that is free, in one step."""
+        """Write a temporary file and give it its name atomically if that is free."""
         path = self.folder / name
         with _told(self.url), self._staged(data) as staged:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -103,7 +103,7 @@ class LocalStore:
 
     @contextmanager
     def _staged(self, data: bytes) -> Iterator[Path]:
-        """A whole file in the hidden folder; one that a killed process leaves there is no data."""
+        """Write a complete file in the hidden folder; one left by a killed process is ignored."""
         place = self.staging("file")
         place.parent.mkdir(parents=True, exist_ok=True)
         with temporary_beside(place) as path:
@@ -114,18 +114,18 @@ class LocalStore:
             yield path
 
     def remove(self, name: str) -> None:
-        """Remove a file, if it is there."""
+        """Remove a file, if it exists."""
         with _told(self.url):
             (self.folder / name).unlink(missing_ok=True)
 
     def is_empty(self) -> bool:
-        """Whether the folder holds nothing but hidden files."""
+        """Whether the folder holds only hidden files."""
         if self.folder.exists() and not self.folder.is_dir():
             return False
         return not self.folder.is_dir() or all(p.name[0] == "." for p in self.folder.iterdir())
 
     def names(self, folder: str) -> list[str]:
-        """Names of the files in a folder, without those being written."""
+        """Names of the files in a folder, except those being written."""
         path = self.folder / folder
         if not path.is_dir():
             return []
@@ -133,11 +133,11 @@ class LocalStore:
             return sorted(entry.name for entry in found if entry.name[0] != "." and entry.is_file())
 
     def staging(self, name: str) -> Path:
-        """A hidden folder beside the data, so that a move is one step."""
+        """Hidden folder next to the data, so that a move is atomic."""
         return self.folder / ".staging" / name.replace("/", "_")
 
     def put(self, staged: Path, name: str) -> None:
-        """Move a folder to its name in one step."""
+        """Move a folder to its name atomically."""
         path = self.folder / name
         with _told(self.url):
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -150,7 +150,7 @@ class LocalStore:
             sync_folder(path.parent)
 
     def free_bytes(self) -> int | None:
-        """Room on the disk."""
+        """Free space on the disk."""
         folder = self.folder
         while not folder.exists():
             folder = folder.parent
@@ -159,7 +159,7 @@ class LocalStore:
 
 @contextmanager
 def _told(url: str) -> Iterator[None]:
-    """Errors of the file system in one line.
+    """Convert errors of the file system to one line.
 
     Raises:
         StorageError: If the block raises OSError.
@@ -175,7 +175,7 @@ def _told(url: str) -> Iterator[None]:
 
 
 def tidy_staging(store: Store) -> None:
-    """Remove temporary files and locks of killed processes; what a running one holds stays."""
+    """Remove temporary files and locks of killed processes; those of running ones are kept."""
     folder = store.staging("")
     remove_stale(folder)
     for lock in folder.glob("*.lock"):
@@ -184,7 +184,7 @@ def tidy_staging(store: Store) -> None:
 
 
 def open_store(url: str | Path) -> Store:
-    """The store at a path or URL; nothing is made yet."""
+    """Return the store at a path or URL; nothing is created yet."""
     text = str(url)
     if "://" in text and not text.startswith("file://"):
         from vrcaps.data.remote_store import RemoteStore

@@ -1,4 +1,4 @@
-"""The files of an episode in a store, read one by one when they are asked for."""
+"""Files of an episode in a store, read one by one on demand."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 _READS = 32
-"""Reads at once; those of a remote store mostly wait."""
+"""Concurrent reads; reads of a remote store mostly wait."""
 
 
 @dataclass(frozen=True)
 class StoredFiles:
-    """The files of an episode in a remote store, in this process and those that it starts.
+    """Files of an episode in a remote store, in this process and its child processes.
 
     Attributes:
-        store_url: Where the store lies.
-        folder: Of the episode in the store; names may lead out of it, to what episodes share.
+        store_url: URL of the store.
+        folder: Folder of the episode in the store; names may lead out of it, to shared files.
     """
 
     store_url: str
@@ -38,7 +38,7 @@ class StoredFiles:
         return self.store_url if self.folder == "." else f"{self.store_url}/{self.folder}"
 
     def read(self, name: str) -> bytes:
-        """A file's bytes."""
+        """Return the bytes of a file."""
         path, root = posixpath.normpath(posixpath.join(self.folder, name)), self.store_url
         while path.startswith("../"):
             path, root = path.removeprefix("../"), root.rpartition("/")[0]
@@ -46,19 +46,19 @@ class StoredFiles:
 
 
 def episode_files(store: Store, folder: str = ".") -> EpisodeFiles:
-    """The files of an episode in a folder of a store, or of one that is the store."""
+    """Files of an episode in a folder of a store, or at the root of the store."""
     if isinstance(store, LocalStore):
         return LocalFiles(store.folder / folder)
     return StoredFiles(store.url, folder)
 
 
 def read_at_once(read: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-    """What reading each of some items gives, several at once, in their order."""
+    """Read several items at once; results are in the order of the items."""
     with ThreadPoolExecutor(_READS) as pool:
         return list(pool.map(read, items))
 
 
 @lru_cache(maxsize=16)
 def _connection(url: str, process: int) -> Store:
-    """The store of a URL as a process reaches it: a forked one cannot use its parent's."""
+    """Store of a URL for a process: a forked process cannot use its parent's."""
     return open_store(url)

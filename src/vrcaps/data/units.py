@@ -1,4 +1,4 @@
-"""Units of a data set: one recording each, the same however many workers there are."""
+"""Units of a data set: one recording each, independent of the number of workers."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from vrcaps.scenario.scenario import OrganGenerated, Scenario, scenario_from_pla
 
 _SEEDS = 2**31
 _TWIN = "clean_twin"
-"""A twin shares all draws with the recording that shows the lesions."""
+"""Key of a clean twin, which shares all draws with the recording that shows the lesions."""
 
 
 @dataclass(frozen=True)
 class Unit:
-    """One recording of a data set.
+    """Recording of a data set.
 
     Attributes:
-        number: Its place in the plan, from 0.
-        patient: Number of the patient, from 0.
-        split: `train`, `val` or `test`: that of the patient.
+        number: Index in the plan, from 0.
+        patient: Index of the patient, from 0.
+        split: `train`, `val` or `test`, by patient.
         name: Name of its folder.
-        scenario: What to record.
+        scenario: Scenario to record.
     """
 
     number: int
@@ -42,10 +42,10 @@ class Unit:
 
 
 class Units:
-    """All units of a plan, made one by one when they are asked for."""
+    """All units of a plan, resolved on demand."""
 
     def __init__(self, plan: Plan) -> None:
-        """Looks at the plan's distributions; draws nothing."""
+        """Collect the plan's distributions; nothing is drawn."""
         self.plan = plan
         self.slots = dict(slots(plan.scenario))
         self._each = [(path, slot) for path, slot in self.slots.items() if isinstance(slot, Each)]
@@ -62,11 +62,11 @@ class Units:
         return self.plan.settings.patients * self.per_patient
 
     def __getitem__(self, number: int) -> Unit:
-        """One unit.
+        """Return one unit.
 
         Raises:
             IndexError: If there is no such unit.
-            InputError: If what was drawn is no scenario; names the unit.
+            InputError: If the drawn scenario is invalid; the message names the unit.
         """
         if not 0 <= number < len(self):
             raise IndexError(f"No unit {number}. Allowed: 0 to {len(self) - 1}.")
@@ -78,14 +78,14 @@ class Units:
         return Unit(number, patient, self.splits[patient], self.name(number), scenario)
 
     def scenario(self, number: int, others: Mapping[str, Any] | None = None) -> Scenario:
-        """What a unit records.
+        """Scenario of a unit.
 
         Args:
-            number: Of the unit.
-            others: Values by path that stand in the place of those that are drawn.
+            number: Index of the unit.
+            others: Values by path that replace the drawn ones.
 
         Raises:
-            VrcapsError: If what was drawn is no scenario.
+            VrcapsError: If the drawn scenario is invalid.
         """
         patient, index = divmod(number, self.per_patient)
         repeat, combination = divmod(index, len(self._combinations))
@@ -109,12 +109,12 @@ class Units:
         return scenario
 
     def name(self, number: int) -> str:
-        """Name of a unit: its patient and its number."""
+        """Name of a unit: its patient and index."""
         return f"p{number // self.per_patient:05d}-{number:06d}"
 
     @cached_property
     def splits(self) -> tuple[str, ...]:
-        """Split of each patient; patients alike in what is stratified are spread evenly."""
+        """Split of each patient; patients with equal stratified values are distributed evenly."""
         settings, groups = self.plan.settings, {}
         for patient in range(settings.patients):
             drawn = self._draw(patient, False, only=settings.stratify)
@@ -137,7 +137,7 @@ class Units:
 
     @cached_property
     def _kinds(self) -> list[list[Any]]:
-        """Values of all combinations without what tells twins apart, each once."""
+        """Unique values of all combinations, without the keys of twins."""
         found: list[list[Any]] = []
         for values in self._combinations:
             others = _without_twin(values)
@@ -148,14 +148,14 @@ class Units:
     def _draw(
         self, patient: int, of_recording: bool, *key: int, only: Sequence[str] | None = None
     ) -> dict[str, Any]:
-        """Values of the slots of a patient, or of a recording of his.
+        """Values of the slots of a patient or of one of the patient's recordings.
 
         Args:
-            patient: Number of the patient.
-            of_recording: Whether they are the recording's.
-            key: Tells recordings of the patient apart.
-            only: Paths of the slots that are needed; None draws all. A whole cohort is drawn for
-                its splits, and most slots play no part in them.
+            patient: Index of the patient.
+            of_recording: Whether to draw the slots of the recording.
+            key: Distinguishes recordings of the patient.
+            only: Paths of the required slots; None draws all. The splits require draws for a whole
+                cohort, and most slots do not affect them.
         """
         seed = self.plan.settings.seed
         wanted = self.slots if only is None or "lesions" in only else only
@@ -179,7 +179,7 @@ class Units:
 
 
 def _without_twin(values: Mapping[str, Any]) -> list[Any]:
-    """Chosen values but for what tells twins apart."""
+    """Chosen values without the keys of twins."""
     return [value for path, value in values.items() if path != _TWIN]
 
 
@@ -188,9 +188,9 @@ def _is_patients(path: str) -> bool:
 
 
 def _spread(order: Sequence[int], fractions: Sequence[float]) -> tuple[str, ...]:
-    """Splits for patients in an order, so that each stretch of it has the fractions, too.
+    """Splits for ordered patients such that each stretch has about the given fractions.
 
-    Each patient goes to the split that lacks most of what it should have by then.
+    Each patient goes to the split with the largest deficit.
     """
     counts, split = [0.0] * len(fractions), [""] * len(order)
     for place, patient in enumerate(order):
@@ -202,7 +202,7 @@ def _spread(order: Sequence[int], fractions: Sequence[float]) -> tuple[str, ...]
 
 
 def _at(plain: Any, path: str) -> Any:
-    """What a plain tree holds at a path; None if nothing."""
+    """Value of a plain tree at a path; None if there is none."""
     for name in path.split("."):
         if isinstance(plain, Mapping):
             plain = plain.get(name)
@@ -214,7 +214,7 @@ def _at(plain: Any, path: str) -> Any:
 
 
 def _filled(plain: Any, drawn: Mapping[str, Any], path: str = "") -> Any:
-    """A copy of a plain tree with values in the places of distributions."""
+    """Copy of a plain tree with distributions replaced by values."""
     if path in drawn:
         return drawn[path]
     if isinstance(plain, Mapping):

@@ -1,4 +1,4 @@
-"""Units made in this process, one after the other."""
+"""Runner in this process, one unit after the other."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from vrcaps.data.make_unit import Job, Maker, Outcome
 
 @dataclass(frozen=True)
 class InProcess:
-    """Makes units in this process; a fault of vrcaps itself is raised with its traceback."""
+    """Make units in this process; internal errors of vrcaps are raised with their traceback."""
 
     def run(self, job: Job, numbers: Sequence[int]) -> Generator[Outcome, None, None]:
-        """Make units in their order."""
+        """Make units in order."""
         maker = Maker(job)
         for number in numbers:
             yield maker.make(number)

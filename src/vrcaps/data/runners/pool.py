@@ -1,4 +1,4 @@
-"""Units made by a pool of processes on this machine; one that dies is replaced."""
+"""Runner with a pool of processes on this machine; dead processes are replaced."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from vrcaps.processes import spawned
 
 @dataclass(frozen=True)
 class Pool:
-    """Processes that make units.
+    """Pool of processes that make units.
 
     Attributes:
         workers: Number of processes; None takes one for each processor.
@@ -27,7 +27,7 @@ class Pool:
     workers: int | None = None
 
     def run(self, job: Job, numbers: Sequence[int]) -> Generator[Outcome, None, None]:
-        """Make units; one whose process dies is made again by another, but not for ever."""
+        """Make units; if a process dies, another retries its unit a limited number of times."""
         count = min(self.workers or num_processors(), len(numbers))
         run = _Run(job, numbers, count)
         try:
@@ -37,7 +37,7 @@ class Pool:
 
 
 class _Run:
-    """Processes at work, each with the unit that it makes."""
+    """Running processes, each with its current unit."""
 
     def __init__(self, job: Job, numbers: Sequence[int], workers: int) -> None:
         self._queue = UnitQueue(numbers, Units(job.plan).per_patient)
@@ -61,7 +61,7 @@ class _Run:
             process.join()
 
     def _start(self) -> None:
-        """A new process with the next unit, if there is one."""
+        """Start a process with the next unit, if there is one."""
         if not self._queue:
             return
         ours, theirs = multiprocessing.Pipe()
@@ -73,7 +73,7 @@ class _Run:
     def _give(self, connection: Connection, process: Any, last: int | None = None) -> None:
         number = self._queue.take(last)
         self._busy[connection] = (process, number)
-        with suppress(BrokenPipeError):  # it has died; `wait` will tell
+        with suppress(BrokenPipeError):  # it has died; `wait` will report it
             connection.send(number)
 
     def _answer(self, connection: Connection) -> Iterator[Outcome]:
@@ -95,7 +95,7 @@ class _Run:
         yield outcome
 
     def _bury(self, process: Any, number: int) -> Iterator[Outcome]:
-        """A process has died: its unit is tried again by a new one."""
+        """Handle the death of a process: a new one retries its unit."""
         process.join()
         self._queue.end(number)
         outcome = self._deaths.bury(number, f"exit code {process.exitcode}")
@@ -107,7 +107,7 @@ class _Run:
 
 
 def _work(job: Job, connection: Connection, threads: int) -> None:
-    """A worker: makes the units that it is told until it is told none."""
+    """Worker loop: make the received units until there are none."""
     os.environ.setdefault("RAYON_NUM_THREADS", str(threads))
     maker = Maker(job)
     with suppress(EOFError, BrokenPipeError, KeyboardInterrupt):

@@ -1,4 +1,4 @@
-"""Units made by a Ray cluster, or by one that is started on this machine."""
+"""Runner on a Ray cluster, existing or started on this machine."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from vrcaps.errors import InputError, import_extra
 LOCAL, AUTO = "local", "auto"
 
 _POLL = 2.0
-"""Between looks at whether the head of the cluster still answers [s]."""
+"""Interval between checks that the head node still answers [s]."""
 
 _CONNECT = 5.0
-"""Time that the head has to answer [s]."""
+"""Timeout of the head node [s]."""
 
 _OBJECT_STORE = 80 * 2**20
-"""Memory of a cluster started here for what tasks give each other [bytes]: a plan, and outcomes."""
+"""Object store of a local cluster, for the plan and the outcomes [bytes]."""
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,9 @@ class RayCluster:
     """Workers of a Ray cluster, one processor each.
 
     Attributes:
-        address: `local` starts a cluster on this machine and ends it after; `auto` joins the one
-            that this machine belongs to; ``HOST:PORT`` names the head of that one.
-        workers: Units made at once; None makes one on each processor of the cluster.
+        address: `local` starts a cluster on this machine and stops it at the end; `auto` joins the
+            cluster of this machine; ``HOST:PORT`` is the address of the head node.
+        workers: Units made at once; None makes one per processor of the cluster.
     """
 
     address: str
@@ -56,7 +56,7 @@ class RayCluster:
             )
 
     def run(self, job: Job, numbers: Sequence[int]) -> Generator[Outcome, None, None]:
-        """Make units; one whose worker dies is made again by another, but not for ever."""
+        """Make units; if a worker dies, another retries its unit a limited number of times."""
         if not numbers:
             return
         ray = import_extra("ray", "scale")
@@ -66,21 +66,21 @@ class RayCluster:
 
 @contextmanager
 def _connected(ray: Any, cluster: RayCluster) -> Iterator[str]:
-    """A connection to a cluster; gives the address of its head.
+    """Connect to a cluster; yields the address of its head node.
 
     Raises:
         InputError: If there is no such cluster.
     """
     options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
     if cluster.address == LOCAL:
-        # Tells nobody that it was started.
+        # Starts without usage reports.
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         options |= {
             "num_cpus": cluster.workers or num_processors(),
             "include_dashboard": False,
             "object_store_memory": _OBJECT_STORE,
             "_node_ip_address": "127.0.0.1",
-            # Otherwise a first worker that dies while it starts leaves this process waiting.
+            # Otherwise this process would wait forever if the first worker died during its start.
             "_system_config": {"prestart_worker_first_driver": False},
         }
     with _own_token() if cluster.address == LOCAL else nullcontext():
@@ -103,8 +103,8 @@ def _connected(ray: Any, cluster: RayCluster) -> Iterator[str]:
 
 @contextmanager
 def _guarded(token: str) -> Iterator[None]:
-    """Should this process be killed in this block, the cluster of a token ends with it (Linux)."""
-    if sys.platform != "linux":  # elsewhere Ray has such a program of its own
+    """End the cluster of a token if this process is killed in this block (Linux)."""
+    if sys.platform != "linux":  # elsewhere Ray has such a program itself
         yield
         return
     environment = {name: v for name, v in os.environ.items() if name != "RAY_AUTH_TOKEN"}
@@ -123,11 +123,11 @@ def _guarded(token: str) -> Iterator[None]:
 
 @contextmanager
 def _own_token() -> Iterator[None]:
-    """In this block clusters that start here ask who connects for a token of this process.
+    """Require this process's token for connections to clusters started in this block.
 
-    Who connects to a cluster runs code in it, and any process of the machine reaches its ports.
-    The token is passed in the environment, which other users cannot read; by itself Ray keeps one
-    in a file of the home folder, which they can.
+    A client of a cluster can run code in it, and any process of the machine can reach its ports.
+    The token is passed in the environment, which other users cannot read; by default Ray stores
+    it in a file of the home folder, which they can.
     """
     from ray._raylet import (
         AuthenticationTokenLoader,  # pyright: ignore[reportAttributeAccessIssue]
@@ -147,12 +147,12 @@ def _own_token() -> Iterator[None]:
         for name in names:
             os.environ.pop(name, None)
         os.environ |= before
-        Config.initialize("")  # first: threads of Ray that still end would miss the token
+        Config.initialize("")  # first: stopping Ray threads would miss the token
         AuthenticationTokenLoader.instance().reset_cache()
 
 
 def _require_head(address: str) -> None:
-    """Check that the head of a cluster answers; Ray itself would wait for minutes.
+    """Check that the head node answers; Ray itself would wait for minutes.
 
     Raises:
         InputError: If it does not.
@@ -171,14 +171,14 @@ def _require_head(address: str) -> None:
 def _outcomes(
     ray: Any, job: Job, numbers: Sequence[int], workers: int | None, head: str
 ) -> Iterator[Outcome]:
-    """Outcomes of units, as many at once as there are processors.
+    """Outcomes of units, as many concurrent ones as there are processors.
 
     Raises:
         InputError: If the cluster is lost or cannot run vrcaps.
     """
     most = workers or max(1, int(ray.cluster_resources().get("CPU", 1)))
     task = ray.remote(num_cpus=1, max_retries=0)(_make)
-    # In a tuple a reference stays one: the worker gets the job when it has not got it yet.
+    # In a tuple the reference is not resolved: the worker fetches the job if it lacks it.
     shared, deaths = (ray.put(job),), Deaths()
     queue = UnitQueue(numbers, Units(job.plan).per_patient)
     running: dict[Any, int] = {}
@@ -203,7 +203,7 @@ def _outcomes(
 
 
 def _outcome(ray: Any, reference: Any, number: int, deaths: Deaths, head: str) -> Outcome | None:
-    """The outcome of a task that has ended; None if its unit is to be tried again."""
+    """Outcome of a finished task; None if its unit is retried."""
     try:
         return ray.get(reference)
     except ray.exceptions.LocalRayletDiedError as error:
@@ -227,7 +227,7 @@ def _lost(head: str, how: str) -> str:
 
 
 def _answers(address: str) -> bool:
-    """Whether something listens at an address."""
+    """Whether an address accepts connections."""
     host, _, port = address.rpartition(":")
     try:
         socket.create_connection((host.strip("[]"), int(port)), timeout=_CONNECT).close()
@@ -237,11 +237,11 @@ def _answers(address: str) -> bool:
 
 
 def _make(shared: tuple[Any], number: int) -> Outcome:
-    """The task: makes a unit in a worker of the cluster, on one processor.
+    """Remote task: make a unit in a worker of the cluster, on one processor.
 
     Args:
         shared: Reference to the job.
-        number: Of the unit.
+        number: Index of the unit.
     """
     os.environ.setdefault("RAYON_NUM_THREADS", "1")
     return _maker(*shared).make_always(number)
@@ -249,7 +249,7 @@ def _make(shared: tuple[Any], number: int) -> Outcome:
 
 @lru_cache(maxsize=1)
 def _maker(reference: Any) -> Maker:
-    """The maker of a job, one in each worker: to resolve a plan takes longer the larger it is."""
+    """Maker of a job, one per worker, because resolving a large plan is slow."""
     import ray
 
     job: Any = ray.get(reference)

@@ -1,10 +1,10 @@
-"""Program that ends the processes of a Ray cluster when the process that started it is killed.
+"""Watchdog program: end the processes of a Ray cluster when the process that started it is killed.
 
-Reads the cluster's token from standard input, whose end comes with the end of that process; a
-second line says that the cluster was shut down. Ray's own workers notice the end of their cluster
-when a task gives the interpreter back, or, while they start, after a minute.
+Reads the cluster's token from standard input, which is closed when that process ends; a second
+line confirms that the cluster was shut down. Ray's workers notice the end of their cluster only
+when a task returns control to the interpreter or, during start-up, after a minute.
 
-Runs by itself, with the standard library alone, so that it is there at once.
+Runs as a script with the standard library only, so that it starts immediately.
 """
 
 import contextlib
@@ -16,15 +16,15 @@ from pathlib import Path
 
 _ROUNDS = 20
 _PAUSE = 0.05
-"""Between looks for processes that were just being started [s]."""
+"""Interval between searches for processes that were just starting [s]."""
 
 
 def end_processes(token: str) -> int:
-    """Kill the processes with a token in their environment; how many were found."""
+    """Kill the processes with a token in their environment; return their number."""
     found = 0
     for path in Path("/proc").iterdir():
         if path.name.isdigit() and int(path.name) != os.getpid():
-            with contextlib.suppress(OSError):  # of another user, or ended meanwhile
+            with contextlib.suppress(OSError):  # of another user, or already ended
                 variables = (path / "environ").read_bytes().split(b"\0")
                 if f"RAY_AUTH_TOKEN={token}".encode() in variables:
                     os.kill(int(path.name), signal.SIGKILL)
@@ -35,7 +35,7 @@ def end_processes(token: str) -> int:
 def main() -> None:
     """Wait, then kill if the cluster was not shut down."""
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)  # Ctrl-C is for the process that is watched
+        signal.signal(number, signal.SIG_IGN)  # Ctrl-C is for the watched process
     token = sys.stdin.readline().strip()
     if not token or sys.stdin.readline():
         return

@@ -1,4 +1,4 @@
-"""The protocol of what runs units, in which order they are run, and how often each is tried."""
+"""Runner protocol, order of the units, and number of retries."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from typing import Protocol
 from vrcaps.data.make_unit import Job, Outcome
 
 _MOST = 3
-"""Times that a unit may kill its worker before it counts as failed."""
+"""Maximum number of workers that a unit may kill before it counts as failed."""
 
 
 class Runner(Protocol):
-    """What runs units."""
+    """Runner of units."""
 
     def run(self, job: Job, numbers: Sequence[int]) -> Generator[Outcome, None, None]:
-        """Make units; gives one outcome for each, in the order in which they end.
+        """Make units; yields one outcome for each, in the order of completion.
 
-        What still runs is ended when the iterator is closed.
+        Running units are stopped when the iterator is closed.
 
         Args:
-            job: What they are units of.
-            numbers: Of the units.
+            job: Job of the units.
+            numbers: Indices of the units.
 
         Raises:
             VrcapsError: If units cannot be run at all.
@@ -32,17 +32,17 @@ class Runner(Protocol):
 
 
 def num_processors() -> int:
-    """Processors that this process may use; a job of a cluster has some of its machine's."""
+    """Number of processors available to this process; a cluster job has only some of a machine."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 class UnitQueue:
-    """Units that wait for a worker, so that workers are with patients of their own.
+    """Queue of units that assigns each worker its own patients.
 
-    The first recording of a patient makes the organ, which takes long, and the others find it in
-    the cache; two workers that begin with the same patient would both make it.
+    The first recording of a patient generates the organ, which is slow, and the others read it from
+    the cache; two workers that start with the same patient would both generate it.
     """
 
     def __init__(self, numbers: Sequence[int], per_patient: int) -> None:
@@ -56,13 +56,13 @@ class UnitQueue:
         return bool(self._waiting)
 
     def take(self, last: int | None = None) -> int:
-        """The next unit for a worker.
+        """Return the next unit for a worker.
 
-        It is of the worker's last patient, else of the first one that no worker is with, else of
-        the first.
+        Units of the worker's last patient come first, then those of the first patient without a
+        worker, then all others.
 
         Args:
-            last: Unit that the worker made before.
+            last: Previous unit of the worker.
         """
         patient = None if last is None else last // self._per_patient
         if patient not in self._waiting:
@@ -75,29 +75,29 @@ class UnitQueue:
         return number
 
     def end(self, number: int) -> None:
-        """A unit is no longer with a worker."""
+        """Mark a unit as no longer assigned to a worker."""
         patient = number // self._per_patient
         self._running[patient] -= 1
         if not self._running[patient]:
             del self._running[patient]
 
     def put_back(self, number: int) -> None:
-        """A unit that has ended waits again, before all others of its patient."""
+        """Requeue a unit that has ended, before all others of its patient."""
         self._waiting.setdefault(number // self._per_patient, deque()).appendleft(number)
 
 
 class Deaths:
-    """Workers that died while they made a unit, counted by unit."""
+    """Number of workers that died while making each unit."""
 
     def __init__(self) -> None:
         self._counts: Counter[int] = Counter()
 
     def bury(self, number: int, how: str) -> Outcome | None:
-        """Count a death; the outcome if the unit is not to be tried again.
+        """Count a death; return the outcome if the unit is not retried.
 
         Args:
-            number: Of the unit.
-            how: How the worker died, for the message.
+            number: Index of the unit.
+            how: Cause of death, for the message.
         """
         self._counts[number] += 1
         if self._counts[number] < _MOST:

@@ -1,4 +1,4 @@
-"""Policies: what moves the capsule in an environment, without learning and learned; their judging.
+"""Policies for the capsule in an environment, baselines and trained ones, and their evaluation.
 
-`policy` says what a policy is and reads one by its name; `registry` lists the baselines.
+`policy` defines the protocol of a policy and reads one by name; `registry` lists the baselines.
 """

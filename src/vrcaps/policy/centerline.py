@@ -1,4 +1,4 @@
-"""Centerline: fly along the centerline, looking ahead, to one end and then to the other."""
+"""Centerline policy: fly along the centerline to one end and then to the other, looking ahead."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ if TYPE_CHECKING:
     from vrcaps.env.vector_env import CapsuleVectorEnv
 
 _NEAR = 8.0 * MM
-"""Distance from an end at which it is reached."""
+"""Distance from an end at which it counts as reached."""
 
 _PATIENCE = 4.0
-"""Time without getting on after which the capsule turns back [s]."""
+"""Time without progress after which the capsule turns back [s]."""
 
 
 @dataclass
 class Walk:
-    """How far one capsule is on its way.
+    """Progress of one capsule along its route.
 
     Attributes:
         sign: 1 towards the anal end, −1 towards the oral end, 0 before the first action.
-        farthest: Arc length reached since it turned [m].
-        since: Time when it got there [s].
+        farthest: Farthest arc length reached since the last turn [m].
+        since: Time at which it was reached [s].
     """
 
     sign: int = 0
@@ -41,12 +41,12 @@ class Walk:
     since: float = 0.0
 
     def follow(self, route: Route, arc_length: float, time: float) -> None:
-        """Take in where the capsule is; turn at the ends and where it gets no farther.
+        """Update the progress; turn back at the ends and when the capsule is stuck.
 
         Args:
-            route: Its route.
-            arc_length: Where it is [m].
-            time: Now [s].
+            route: Route of the capsule.
+            arc_length: Arc length of the capsule [m].
+            time: Current time [s].
         """
         low, high = route.ends
         if self.sign == 0:  # the nearer end first
@@ -60,24 +60,24 @@ class Walk:
 
 
 class CenterlinePolicy:
-    """Follows the centerline to the nearer end, and from there to and fro."""
+    """Follow the centerline to the nearer end, then back and forth."""
 
     requires = Requirements(actuations=SERVO_ACTUATIONS)
     speed = 30.0 * MM
     ahead = 15.0 * MM
-    """How far ahead on the centerline the goal is [m]."""
+    """Lookahead distance of the goal on the centerline [m]."""
 
     def __init__(self) -> None:
         self._routes = Routes()
         self._walks: dict[int, Walk] = {}
 
     def reset(self, numbers: np.ndarray, seeds: Sequence[int]) -> None:
-        """Begin new walks."""
+        """Reset the progress of some worlds."""
         for number in np.asarray(numbers).tolist():
             self._walks[number] = Walk()
 
     def act(self, observations: dict[str, np.ndarray], env: CapsuleVectorEnv) -> np.ndarray:
-        """Towards the next place on the centerline."""
+        """Return actions towards the next position on the centerline."""
         simulation = env.episode.simulation
         goals = [self._goal(simulation, k) for k in range(env.num_envs)]
         position, heading = (np.stack(part) for part in zip(*goals, strict=True))
@@ -94,11 +94,11 @@ class CenterlinePolicy:
     def heading(
         self, R_world_line: Float[np.ndarray, "3 3"], sign: int, time: float
     ) -> Float[np.ndarray, " 3"]:
-        """Where to look: ahead.
+        """Viewing direction: straight ahead.
 
         Args:
-            R_world_line: The centerline's frame; its z axis points to the anal end.
-            sign: Of the way along it.
-            time: Since the episode began [s].
+            R_world_line: Rotation of the centerline's frame; its z axis points to the anal end.
+            sign: Direction of travel along the centerline.
+            time: Time since the start of the episode [s].
         """
         return sign * R_world_line[:, 2]

@@ -1,4 +1,4 @@
-"""Judging: any policy over many seeds and episodes, with what went wrong told."""
+"""Policy evaluation over seeds and episodes; failures are reported."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ if TYPE_CHECKING:
     from vrcaps.policy.policy import Policy
 
 _SEEDS_APART = 1000
-"""Episode e of seed s begins with the seed 1000 s + e."""
+"""Seed stride: episode e of seed s uses the seed 1000 s + e."""
 
 _DONE = "done"
-"""End of an episode whose task is done."""
+"""End of an episode whose task is completed."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How much is run.
+    """Size of an evaluation.
 
     Attributes:
-        seeds: Seeds 0, 1, …; seed s is in organ s modulo the number of organs.
-        episodes: Episodes of each seed, each from another start.
-        worlds: Episodes side by side.
+        seeds: Number of seeds 0, 1, …; seed s uses organ s modulo the number of organs.
+        episodes: Number of episodes per seed, each from another start.
+        worlds: Number of parallel episodes.
     """
 
     seeds: Annotated[int, Range(least=1)] = 80
@@ -49,7 +49,7 @@ class Plan:
         check_fields(self)
 
     def trials(self, organ: int, num_organs: int) -> list[tuple[int, int]]:
-        """Seed and episode of all in one organ."""
+        """Seeds and episode indices of all trials in one organ."""
         seeds = range(organ, self.seeds, num_organs)
         return [(seed, episode) for seed in seeds for episode in range(self.episodes)]
 
@@ -61,14 +61,14 @@ def evaluate(
     evaluation: Evaluation,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Run all episodes that the folder does not hold yet.
+    """Run all episodes that are missing from the folder.
 
     Args:
-        policy: What is judged.
-        settings: Of the environment, with all organs.
-        plan: How many episodes.
-        evaluation: Folder that they go into.
-        progress: Called with the number of episodes done and of all.
+        policy: Policy to evaluate.
+        settings: Settings of the environment, with all organs.
+        plan: Number of seeds and episodes.
+        evaluation: Output folder.
+        progress: Called with the number of completed episodes and the total.
     """
     total, num_organs = plan.seeds * plan.episodes, len(settings.organs)
     if progress is not None:
@@ -100,7 +100,7 @@ def organ_name(organ: Any) -> str:
 def _run(
     policy: Policy, envs: CapsuleVectorEnv, trials: Sequence[tuple[int, int]]
 ) -> tuple[list[dict[str, Any]], list[EpisodeCurves]]:
-    """Episodes side by side; worlds without one stand still."""
+    """Run episodes in parallel; worlds without one are not stepped."""
     count, simulation = len(trials), envs.episode.simulation
     seeds = [_SEEDS_APART * seed + episode for seed, episode in trials]
     seeds += seeds[-1:] * (envs.num_envs - count)
@@ -138,7 +138,7 @@ def _run(
 
 
 def _sample(simulation: Simulation) -> np.ndarray:
-    """All that curves hold, a row for each world."""
+    """Values of all curves, a row for each world."""
     T = simulation.T_world_capsule
     return np.column_stack(
         [
@@ -158,7 +158,7 @@ def _curves(rows: np.ndarray) -> EpisodeCurves:
 
 
 def _end(step: EpisodeStep, index: int) -> str:
-    """Why an episode is over."""
+    """Reason of an episode's end."""
     measures = step.measures
     if measures["is_outside"][index]:
         return "outside the wall"

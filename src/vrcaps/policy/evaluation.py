@@ -1,4 +1,4 @@
-"""Evaluation on disk: a row for each episode, and what each did over time."""
+"""Evaluation on disk: a row for each episode, and its curves over time."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 
 EPISODES, CURVES, SETTINGS = "episodes.csv", "curves.parquet", "settings.json"
 PAPER_TIME = 47.62
-"""Time at which VR-Caps states its coverage [s] (Incetan et al., Med. Image Anal. 70, 2021)."""
+"""Time at which VR-Caps reports its coverage [s] (Incetan et al., Med. Image Anal. 70, 2021)."""
 
 PAPER_COVERAGE = 96.04
-"""That coverage [%]."""
+"""Coverage of VR-Caps at that time [%]."""
 
 TARGETS = (90.0, 95.0, PAPER_COVERAGE)
-"""Coverages whose times are told [%]; the last is VR-Caps'."""
+"""Coverages whose times are reported [%]; the last is that of VR-Caps."""
 
 FORCE_PERCENTILES = (50, 90, 99, 100)
 
@@ -37,14 +37,14 @@ POSE = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
 
 @dataclass(frozen=True)
 class EpisodeCurves:
-    """What one episode did over time, from its start on: a row for each action.
+    """Curves of one episode over time: a row for the start and one for each action.
 
     Attributes:
-        time: Since the episode began [s].
+        time: Time since the start of the episode [s].
         fraction: Fraction of the wall seen so far at each of `POINT_LEVELS`.
-        arc_length: Place along the centerline [m].
+        arc_length: Position along the centerline [m].
         normal_force: Mean sum of the normal forces during the action [N].
-        pose: Of the capsule in the world: position [m] and quaternion wxyz.
+        pose: Pose of the capsule in the world: position [m] and quaternion wxyz.
     """
 
     time: Float[np.ndarray, " t"]
@@ -54,7 +54,7 @@ class EpisodeCurves:
     pose: Float[np.ndarray, "t 7"]
 
     def columns(self) -> dict[str, np.ndarray]:
-        """As columns of a table."""
+        """Return the curves as columns of a table."""
         return {
             "time_s": self.time,
             **{level: self.fraction[:, k] for k, level in enumerate(POINT_LEVELS)},
@@ -65,23 +65,24 @@ class EpisodeCurves:
 
 
 def judged_time(whole_time: float) -> float:
-    """Time at which coverage is told [s]: VR-Caps', or the end of shorter episodes."""
+    """Time at which coverage is reported [s]: that of VR-Caps, or the end of shorter episodes."""
     return min(PAPER_TIME, whole_time)
 
 
 def success_measures(
     curves: EpisodeCurves, progress: float, *, is_success: bool
 ) -> dict[str, float]:
-    """How an episode's task went.
+    """Metrics of an episode's task.
 
     Args:
-        curves: Of the episode.
-        progress: Of the task at its end: largest part of the way, of the lesions or of the wall.
-        is_success: Whether the task was done.
+        curves: Curves of the episode.
+        progress: Progress of the task at its end: maximum fraction of the way, the lesions or the
+            wall.
+        is_success: Whether the task was completed.
 
     Returns:
-        Whether it was done (1 or 0), the time that took [s] (NaN where it was not), progress in
-        percent, and the length of the capsule's path [m].
+        Success (1 or 0), time to success [s] (NaN without success), progress in percent, and the
+        length of the capsule's path [m].
     """
     way = np.linalg.norm(np.diff(curves.pose[:, :3], axis=0), axis=1).sum()
     return {
@@ -93,14 +94,14 @@ def success_measures(
 
 
 def episode_measures(curves: EpisodeCurves, whole_time: float) -> dict[str, float]:
-    """What an episode is judged by; after its end, its coverage stays as it was.
+    """Coverage and force metrics of an episode; after its end, its coverage stays constant.
 
     Args:
-        curves: Of the episode.
-        whole_time: Time over which the area under the curve is taken [s].
+        curves: Curves of the episode.
+        whole_time: Time over which the area under the curve is computed [s].
 
     Returns:
-        Coverages and areas under the curve in percent; times in seconds, NaN where a coverage was
+        Coverages and areas under the curve in percent; times in seconds, NaN if a coverage was
         not reached; percentiles of the normal force in newtons.
     """
     figures: dict[str, float] = {}
@@ -125,27 +126,27 @@ def coverage_at(
     percent: Float[np.ndarray, " t"],
     when: float | Float[np.ndarray, " k"],
 ) -> Float[np.ndarray, "*k"]:
-    """Coverage that was reached at times [s]; the last after the end."""
+    """Coverage reached by times [s]; the final one after the end."""
     return percent[np.maximum(np.searchsorted(time, when, side="right") - 1, 0)]
 
 
 def _mean_until(
     time: Float[np.ndarray, " t"], percent: Float[np.ndarray, " t"], whole_time: float
 ) -> float:
-    """Mean over a time [s] of what stays as it is until the next row."""
+    """Mean over a time [s] of values that stay constant until the next row."""
     edges = np.append(np.minimum(time, whole_time), whole_time)
     return float(np.diff(edges) @ percent / whole_time)
 
 
 class Evaluation:
-    """Folder of an evaluation; what is in it is whole, whenever the run stopped."""
+    """Folder of an evaluation; its files are complete whenever a run is interrupted."""
 
     def __init__(self, folder: Path, settings: dict[str, Any]) -> None:
-        """Opens or makes the folder.
+        """Open or create the folder.
 
         Args:
-            folder: Where.
-            settings: What is evaluated; plain values.
+            folder: Path of the folder.
+            settings: Settings of the evaluation; plain values.
 
         Raises:
             InputError: If the folder holds an evaluation of something else.
@@ -170,7 +171,7 @@ class Evaluation:
         return {(row["seed"], row["episode"]) for row in self.rows}
 
     def add(self, rows: list[dict[str, Any]], curves: list[EpisodeCurves]) -> None:
-        """Add episodes and write both files; the curves first, so that each row has its own."""
+        """Add episodes and write both files, curves first, so that each row has its curves."""
         parts = [self.curves] if self.curves else []
         for row, curve in zip(rows, curves, strict=True):
             keys = {k: np.full(len(curve.time), row[k], np.int64) for k in ("seed", "episode")}
@@ -182,11 +183,11 @@ class Evaluation:
         write_csv(self.folder / EPISODES, texts)
 
     def column(self, name: str) -> np.ndarray:
-        """One figure of all episodes."""
+        """Values of one metric over all episodes."""
         return np.array([row[name] for row in self.rows])
 
     def episode_curves(self, row: dict[str, Any]) -> dict[str, np.ndarray]:
-        """What one episode did over time; a killed run's second writing of it does not count."""
+        """Curves of one episode; only the last copy is used if an interrupted run wrote two."""
         own = (self.curves["seed"] == row["seed"]) & (self.curves["episode"] == row["episode"])
         numbers = np.flatnonzero(own)
         starts = np.flatnonzero(self.curves["time_s"][numbers] == 0.0)
@@ -204,13 +205,13 @@ class Evaluation:
         return np.array(found)
 
     def median_row(self, name: str) -> dict[str, Any]:
-        """The episode in the middle when they are sorted by a figure."""
+        """Return the episode with the median value of a metric."""
         order = np.argsort(self.column(name), kind="stable")
         return self.rows[int(order[len(order) // 2])]
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:
-    """Rows of an `episodes.csv`, numbers as numbers.
+    """Read the rows of an `episodes.csv`, with numeric values converted.
 
     Raises:
         InputError: If the file cannot be read.

@@ -1,4 +1,4 @@
-"""Look around: along the centerline while the front turns on a cone about the way."""
+"""Look-around policy: follow the centerline while the front rotates on a cone about the path."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _TILT = math.radians(70.0)
-"""Between the front and the way."""
+"""Angle between the front and the direction of travel."""
 
 _TURN = 4.0
-"""Time of a turn about the way [s]."""
+"""Period of a rotation about the direction of travel [s]."""
 
 
 class LookAroundPolicy(CenterlinePolicy):
-    """The centerline's way, slower, with a spiral of looks at the wall around."""
+    """Follow the centerline at lower speed, with views that spiral along the wall."""
 
     speed = 15.0 * MM
     ahead = 8.0 * MM
@@ -29,7 +29,7 @@ class LookAroundPolicy(CenterlinePolicy):
     def heading(
         self, R_world_line: Float[np.ndarray, "3 3"], sign: int, time: float
     ) -> Float[np.ndarray, " 3"]:
-        """Where to look: on the cone, a turn every few seconds; see `CenterlinePolicy.heading`."""
+        """Viewing direction, rotating on the cone; see `CenterlinePolicy.heading`."""
         phase = 2.0 * math.pi * time / _TURN
         around = np.array([math.cos(phase), math.sin(phase), 0.0]) * math.sin(_TILT)
         return R_world_line @ (around + np.array([0.0, 0.0, sign * math.cos(_TILT)]))

@@ -1,4 +1,4 @@
-"""Multilayer perceptron: a learned policy run with NumPy alone, and its file."""
+"""Multilayer perceptron policy: inference with NumPy alone, and its file format."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ if TYPE_CHECKING:
 
 _FORMAT = 1
 _MOST_BYTES = 2**28
-"""Largest size of the arrays of a policy's file."""
+"""Maximum size of the arrays of a policy's file."""
 _KEPT = (
     *("task", "actuation", "observations", "capsule", "control_period", "episode_time"),
     *("criteria", "grid", "num_points"),
 )
-"""Fields of the environment's settings that a policy was made for; not its patients."""
+"""Environment settings that a policy was trained for; its patients are excluded."""
 
 
 @dataclass(frozen=True)
 class Normalizer:
-    """Mean and variance of observations, which a policy sees as (x − mean) / √(variance + 1e-8).
+    """Mean and variance of observations; the policy's input is (x − mean) / √(variance + 1e-8).
 
     Attributes:
-        mean: Of each number.
-        variance: Of each number.
-        limit: Numbers are cut off at ± this.
+        mean: Mean of each value.
+        variance: Variance of each value.
+        limit: Normalized values are clipped to ± this.
     """
 
     mean: Float[np.ndarray, " k"]
@@ -48,13 +48,13 @@ class Normalizer:
     limit: float = 10.0
 
     def __call__(self, rows: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
-        """Normalized rows, as Stable-Baselines3's `VecNormalize` computes them."""
+        """Normalize rows as Stable-Baselines3's `VecNormalize` does."""
         scaled = (rows - self.mean) / np.sqrt(self.variance + 1e-8)
         return np.clip(scaled, -self.limit, self.limit).astype(np.float32)
 
 
 class MlpPolicy:
-    """Layers with tanh between them, from normalized observations to the mean of the actions.
+    """Layers with tanh activations, from normalized observations to the mean of the actions.
 
     In a discrete action space it chooses the action with the largest output.
     """
@@ -65,12 +65,12 @@ class MlpPolicy:
         normalizer: Normalizer,
         settings: dict[str, Any],
     ) -> None:
-        """Holds what was learned.
+        """Initialize the policy.
 
         Args:
             layers: Weights and bias of each layer.
-            normalizer: Of the observations, key after key as in the settings.
-            settings: Keywords of `env_settings` that it was made for.
+            normalizer: Normalizer of the observations, concatenated in the order of the settings.
+            settings: Keyword arguments of `env_settings` that it was trained with.
         """
         self.layers = [(np.asarray(w, np.float32), np.asarray(b, np.float32)) for w, b in layers]
         self.normalizer, self.settings = normalizer, settings
@@ -78,14 +78,14 @@ class MlpPolicy:
 
     @property
     def requires(self) -> Requirements:
-        """The observations and the actuation that it was trained with."""
+        """Observations and actuation that it was trained with."""
         return Requirements(self.settings, self._names, (self.settings["actuation"].kind,))
 
     def reset(self, numbers: np.ndarray, seeds: Sequence[int]) -> None:
-        """Remembers nothing."""
+        """Do nothing; the policy has no state."""
 
     def act(self, observations: dict[str, np.ndarray], env: CapsuleVectorEnv) -> np.ndarray:
-        """Actions for all worlds.
+        """Return actions for all worlds.
 
         Raises:
             InputError: If the observations or actions are not those that it was trained with.
@@ -104,9 +104,9 @@ class MlpPolicy:
         return np.clip(output.reshape(-1, *(space.shape or ())), space.low, space.high)  # type: ignore[attr-defined]
 
     def output(self, observations: dict[str, np.ndarray]) -> Float[np.ndarray, "n o"]:
-        """Numbers of the last layer.
+        """Output of the last layer.
 
-        Rows are multiplied one by one, so that an action does not depend on the worlds beside.
+        Rows are multiplied one by one, so that an action does not depend on other worlds.
         """
         rows = [np.reshape(observations[n], (len(observations[n]), -1)) for n in self._names]
         given, known = sum(row.shape[1] for row in rows), len(self.normalizer.mean)
@@ -122,17 +122,17 @@ class MlpPolicy:
 
 
 def kept_settings(settings: EnvSettings) -> dict[str, Any]:
-    """Fields of an environment's settings that a policy's file keeps."""
+    """Environment settings that a policy's file stores."""
     return {name: getattr(settings, name) for name in _KEPT}
 
 
 def write_mlp_policy(path: Path, policy: MlpPolicy, notes: dict[str, Any]) -> None:
-    """Write a policy whole or not at all; the same policy gives the same bytes.
+    """Write a policy atomically; the same policy gives the same bytes.
 
     Args:
         path: An .npz file.
-        policy: What was learned.
-        notes: What else is to be known of it, plain values.
+        policy: Trained policy.
+        notes: Further metadata, plain values.
     """
     hints = get_type_hints(EnvSettings)
     plain = {name: to_plain(value, hints[name]) for name, value in policy.settings.items()}
@@ -149,7 +149,7 @@ def read_mlp_policy(path: Path) -> MlpPolicy:
 
     Raises:
         InputError: If the file holds none, one of another version of vrcaps, layers that do not fit
-            each other or the observations, or numbers that are not finite.
+            each other or the observations, or values that are not finite.
     """
     try:
         arrays = read_arrays(path, _MOST_BYTES)
@@ -174,7 +174,7 @@ def read_mlp_policy(path: Path) -> MlpPolicy:
 
 
 def _settings_of(form: Any, plain: dict[str, Any]) -> dict[str, Any]:
-    """Settings of a policy's file.
+    """Parse the settings of a policy's file.
 
     Raises:
         InputError: If the format is another, or a setting is missing, unknown or not allowed.
@@ -191,7 +191,7 @@ def _settings_of(form: Any, plain: dict[str, Any]) -> dict[str, Any]:
 
 
 def _require_numbers(path: Path, arrays: list[np.ndarray]) -> None:
-    """Check that arrays hold real numbers that are finite.
+    """Check that arrays hold finite real numbers.
 
     Raises:
         InputError: If one does not.
@@ -204,7 +204,7 @@ def _require_numbers(path: Path, arrays: list[np.ndarray]) -> None:
 def _require_shapes(
     path: Path, layers: list[tuple[np.ndarray, np.ndarray]], values: dict[str, np.ndarray]
 ) -> None:
-    """Check that layers follow each other, from the observations on.
+    """Check that the shapes of consecutive layers match, starting with the observations.
 
     Raises:
         InputError: If they do not, or the normalizer is impossible.

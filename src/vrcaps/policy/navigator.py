@@ -1,14 +1,15 @@
-"""Navigator: a magnet leads the capsule along the lower wall of the gut to its goal.
+"""Navigator policy: a magnet guides the capsule along the lower wall of the gut to its goal.
 
 Each capsule follows a path along the wall, see `centerline_wall_path`. In every control period the
-magnet is asked to be where the capsule's front is turned to the direction t towards the place on
-the path a little ahead, and the capsule feels the force
+magnet pose is solved for which the capsule's front turns to the direction t towards a lookahead
+point on the path, and the capsule feels the force
 
     F = (m g − R) up + (k_p e + k_i ∫e dt) t,    e = v* − v·t
 
-with the weight R that rests on the wall and the speed v* along the path. F changes evenly, so that
-the magnet can follow. Where a fold stops the capsule, the integral grows; where that is not enough,
-the capsule hops: for a while it is lifted off the wall with its nose up, higher each time.
+with the weight R that rests on the wall and the speed v* along the path. The rate of F is limited,
+so that the magnet can follow. When a fold stops the capsule, the integral grows. If that is not
+enough, the capsule hops: it is lifted off the wall with its nose up for some time, with more force
+in each hop.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ _SPEED = 2.0 * CM
 """Speed v* along the path [m/s]."""
 
 _AHEAD, _NEARBY = 20.0 * MM, 40.0 * MM
-"""How far ahead on the path the capsule is led, and how far around it is sought there [m]."""
+"""Lookahead distance on the path, and search radius around the capsule's position there [m]."""
 
 _REST = 0.04
 """Weight R that rests on the wall [N]."""
@@ -51,35 +52,35 @@ _PROPORTIONAL, _INTEGRAL = 0.3, 0.8
 """Gains k_p [N·s/m] and k_i [N/m]."""
 
 _PULL = (-0.04, 0.07)
-"""Least and largest pull along the way [N]."""
+"""Minimum and maximum pull along the path [N]."""
 
 _HEIGHT, _HEIGHT_GAIN, _SINK = 8.0 * MM, 3.0, 0.06
-"""Height above the path from which it is supported less [m], how much so [N/m], at most [N]."""
+"""Height above the path from which the support is reduced [m], its gain [N/m] and maximum [N]."""
 
 _SMOOTHING = 0.5
 """Time over which velocity is averaged [s]."""
 
 _FORCE_RATE, _TURN_RATE, _LEAD = 0.08, 0.6, 0.6
-"""How fast force [N/s] and heading [rad/s] change; the heading's largest angle ahead [rad]."""
+"""Maximum rates of force [N/s] and heading [rad/s]; maximum lead angle of the heading [rad]."""
 
 _PATIENCE, _GAIN = 4.0, 5.0 * MM
-"""Time without this gain of way after which the capsule hops [s], [m]."""
+"""Time without this gain along the path after which the capsule hops [s], [m]."""
 
 _HOP, _HOP_PULL, _HOP_PITCH = 3.0, 0.05, 0.5
-"""Length of a hop [s], pull during it [N], upward part of its heading."""
+"""Duration of a hop [s], pull during it [N], upward component of its heading."""
 
 _HOP_LIFT, _HIGHEST_HOP = 0.02, 5
-"""Lift beyond the weight in the first hop [N]; hop after which it grows no more. Every third hop
-begins backward."""
+"""Lift beyond the weight in the first hop [N]; index of the hop after which it stops growing. Every
+third hop starts backward."""
 
 _MOTION_WEIGHT = 1.0
-"""Weight of moving the magnet by its distance, beside force errors of 10 mN."""
+"""Weight of the magnet's displacement, relative to force errors of 10 mN."""
 
 _ITERATIONS = 10
 
 
 class NavigatorPolicy:
-    """Leads capsules to the goal of `navigate`; without one, to the farther end of the gut."""
+    """Guide capsules to the goal of `navigate`; without one, to the farther end of the gut."""
 
     requires = Requirements(
         settings={"task": "navigate", "control_period": 0.05}, actuations=("magnet",)
@@ -89,12 +90,12 @@ class NavigatorPolicy:
         self._guides: dict[int, Guide] = {}
 
     def reset(self, numbers: np.ndarray, seeds: Sequence[int]) -> None:
-        """Forget the paths of some worlds."""
+        """Discard the paths of some worlds."""
         for number in np.asarray(numbers).tolist():
             self._guides.pop(number, None)
 
     def act(self, observations: dict[str, np.ndarray], env: CapsuleVectorEnv) -> np.ndarray:
-        """The magnets' twists for the next control period."""
+        """Return the magnets' twists for the next control period."""
         simulation = env.episode.simulation
         for index in range(env.num_envs):
             if index not in self._guides:
@@ -104,19 +105,19 @@ class NavigatorPolicy:
 
 
 class Guide:
-    """Leads the capsule of one world; holds its path and the controller's state.
+    """Guide of the capsule in one world, with its path and the controller's state.
 
     Attributes:
-        path: Along the wall.
-        place: Where the capsule is along it [m].
+        path: Path along the wall.
+        place: Arc length of the capsule along it [m].
     """
 
     def __init__(self, simulation: Simulation, index: int) -> None:
-        """Plans the path.
+        """Plan the path.
 
         Args:
-            simulation: Where an episode has begun.
-            index: The world.
+            simulation: Simulation at the start of an episode.
+            index: Index of the world.
         """
         model, memory = simulation.patient(index).model, simulation.memory
         self._actuation = _magnet_of(simulation)
@@ -133,7 +134,7 @@ class Guide:
         self._best, self._since, self._hops = 0.0, 0.0, 0
 
     def twist(self, simulation: Simulation) -> Float[np.ndarray, " 6"]:
-        """The magnet's action for the next control period."""
+        """Return the magnet's action for the next control period."""
         dt, T = simulation.settings.control_period, simulation.T_world_capsule[self._index]
         self._velocity += min(dt / _SMOOTHING, 1.0) * (
             (T[:3, 3] - self._position) / dt - self._velocity
@@ -152,7 +153,7 @@ class Guide:
     def _places(
         self, position: Float[np.ndarray, " 3"]
     ) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
-        """Positions on the path where the capsule is and a little ahead [m]."""
+        """Closest point on the path and the lookahead point [m]."""
         path = self.path
         away = np.abs(path.arc_length - self.place)
         squares = np.sum((path.positions - position) ** 2, axis=1)
@@ -164,7 +165,7 @@ class Guide:
     def _pull(
         self, way: Float[np.ndarray, " 3"], dt: float, time: float
     ) -> tuple[float, float, float]:
-        """Pull along the way [N], lift beyond the weight [N] and upward part of the heading."""
+        """Pull along the path [N], lift beyond the weight [N], upward component of the heading."""
         error = _SPEED - float(self._velocity @ way)
         self._integral = float(np.clip(self._integral + _INTEGRAL * error * dt, *_PULL))
         if self.place > self._best + _GAIN:
@@ -181,7 +182,7 @@ class Guide:
     def _led(
         self, R_world_capsule: Float[np.ndarray, "3 3"], heading: Float[np.ndarray, " 3"], dt: float
     ) -> Float[np.ndarray, "3 3"]:
-        """Rotation of the capsule a little nearer to a heading than it was led before."""
+        """Rotation of the capsule, turned from the previous reference towards a heading."""
         turn = clamp_norm(heading_error(self._heading[None], heading[None])[0], _TURN_RATE * dt)
         led = rotation_from_vector(turn) @ self._heading[:, 2]
         lead = clamp_norm(heading_error(R_world_capsule[None], led[None])[0], _LEAD)
@@ -191,7 +192,7 @@ class Guide:
     def _towards(
         self, simulation: Simulation, T_world_capsule: Float[np.ndarray, "4 4"], dt: float
     ) -> Float[np.ndarray, " 6"]:
-        """Action that moves the magnet to where a capsule at a pose would feel the force."""
+        """Action that moves the magnet towards where it exerts the force on a capsule at a pose."""
         now = simulation.memory["magnet/T"][self._index]
         target = WrenchTarget(self._force.tolist(), motion_weight=_MOTION_WEIGHT)
         solution = self._solver.solve(target, T_world_capsule, now, max_iterations=_ITERATIONS)
@@ -199,19 +200,19 @@ class Guide:
 
 
 def _path(simulation: Simulation, index: int) -> WallPath:
-    """Path along the lower wall from where the capsule is to its goal."""
+    """Path along the lower wall from the capsule to its goal."""
     model, start = simulation.patient(index).model, float(simulation.arc_length[index])
     length, memory = float(simulation.course.length[index]), simulation.memory
     goal = length if start < 0.5 * length else 0.0
     if "navigate/goal" in memory:
         goal = float(memory["navigate/goal"][index])
-    if abs(goal - start) < MM:  # nowhere to go: to the nearer side
+    if abs(goal - start) < MM:  # already at the goal: move to the nearer side
         goal = start + MM if start < 0.5 * length else start - MM
     return centerline_wall_path(model, start, goal, wall="lower")
 
 
 def _magnet_of(simulation: Simulation) -> MagnetActuation:
-    """The actuation, which must be a magnet.
+    """Return the actuation, which must be a magnet.
 
     Raises:
         InputError: If it is another.

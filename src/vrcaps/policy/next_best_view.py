@@ -1,4 +1,4 @@
-"""Next best view: go where most of the wall that was not seen yet is seen in the least time."""
+"""Next-best-view policy: go to the view with the most unseen wall per unit of time."""
 
 from __future__ import annotations
 
@@ -25,36 +25,36 @@ if TYPE_CHECKING:
 
 _NUM_NEAR, _NUM_HEADINGS = 24, 4
 _REACH = 6.0 * CM
-"""Farthest straight way that is proposed."""
+"""Maximum length of a straight path to a candidate."""
 
 _ALONG = np.array([1.0, 2.0, 4.0, 7.0, 11.0, 16.0]) * CM
-"""Ways along the centerline that are proposed, either way."""
+"""Distances of candidates along the centerline, in both directions."""
 
 _SHARE = 0.4
-"""Part of the points not seen yet by which proposals are judged."""
+"""Fraction of the unseen points that is used to evaluate candidates."""
 
 _ALL_SEEN = (1 << len(POINT_LEVELS)) - 1
 _SPEED, _TURN = 40.0 * MM, 2.0
 _PAUSE = 0.5
-"""Time that every view costs beside the way [s]: else the nearest look would always win."""
+"""Fixed time cost of every view [s]; without it the nearest view would always win."""
 
 _AT, _ALIGNED = 4.0 * MM, 0.2
 """Distance [m] and angle [rad] from a view at which it counts as reached."""
 
 _STILL = (2.0 * MM, 0.1)
-"""Speed [m/s] and rate of turning [rad/s] below which a capsule on its way is held up."""
+"""Speed [m/s] and angular speed [rad/s] below which a moving capsule counts as stuck."""
 
 
 @dataclass
 class _Plan:
-    """What one capsule is about.
+    """Plan of one capsule: its current target view.
 
     Attributes:
-        position: Of the view [m].
-        heading: Of the front there.
-        arc_length: Where the way along the centerline ends [m]; NaN where it is straight.
-        began: When it was made [s].
-        until: When it is given up [s].
+        position: Position of the view [m].
+        heading: Direction of the front there.
+        arc_length: End of the path along the centerline [m]; NaN if the path is straight.
+        began: Time at which the plan was made [s].
+        until: Time at which it is abandoned [s].
     """
 
     position: np.ndarray
@@ -75,13 +75,13 @@ class NextBestViewPolicy:
         self._plans: dict[int, _Plan | None] = {}
 
     def reset(self, numbers: np.ndarray, seeds: Sequence[int]) -> None:
-        """Forget the plans."""
+        """Discard the plans of some worlds."""
         for number, seed in zip(np.asarray(numbers).tolist(), seeds, strict=True):
             self._draws[number] = rng.stream(int(seed), "policy/next-best-view")
             self._plans[number] = None
 
     def act(self, observations: dict[str, np.ndarray], env: CapsuleVectorEnv) -> np.ndarray:
-        """Towards the view that is planned, or a new one where that is reached."""
+        """Return actions towards the planned view, or towards a new one when it is reached."""
         simulation = env.episode.simulation
         places = []
         for index in range(env.num_envs):
@@ -93,7 +93,7 @@ class NextBestViewPolicy:
         return servo_actions(simulation, Goal(position, heading, _SPEED, _TURN))
 
     def _next(self, simulation: Simulation, index: int, plan: _Plan) -> np.ndarray:
-        """Where to go now: straight to the view, or along the centerline until that is near."""
+        """Next position: the view itself, or a point on the centerline until the view is near."""
         if np.isnan(plan.arc_length):
             return plan.position
         left = plan.arc_length - simulation.arc_length[index]
@@ -101,7 +101,7 @@ class NextBestViewPolicy:
         return self._routes.of(simulation, index).poses(np.array([step]))[0, :3, 3]
 
     def _best(self, simulation: Simulation, index: int) -> _Plan:
-        """The proposal with the most gain over time."""
+        """Candidate with the most gain over time."""
         draw, route = self._draws[index], self._routes.of(simulation, index)
         T, now = simulation.T_world_capsule[index], float(simulation.arc_length[index])
         points, arc_length, way = _proposals(draw, route, T[:3, 3], now)
@@ -121,7 +121,7 @@ class NextBestViewPolicy:
 
 
 def _is_over(simulation: Simulation, index: int, plan: _Plan) -> bool:
-    """Whether a view is reached, takes too long, or the capsule is held up on the way."""
+    """Whether a view is reached, takes too long, or the capsule is stuck on the way."""
     T, now = simulation.T_world_capsule[index], simulation.time[index]
     speeds = np.linalg.norm(simulation.velocity_world[index], axis=1)
     is_held = now > plan.began + _PAUSE and bool((speeds < _STILL).all())
@@ -133,13 +133,13 @@ def _is_over(simulation: Simulation, index: int, plan: _Plan) -> bool:
 def _proposals(
     draw: np.random.Generator, route: Route, start: Float[np.ndarray, " 3"], arc_length: float
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Positions that the capsule can go to, where on the centerline (NaN: straight), the way [m].
+    """Candidate positions, their arc lengths (NaN for a straight path), and path lengths [m].
 
     Args:
-        draw: Chooses them.
-        route: Through the organ.
-        start: Where the capsule is.
-        arc_length: Its place along the centerline [m].
+        draw: Random generator.
+        route: Route through the organ.
+        start: Position of the capsule.
+        arc_length: Its arc length along the centerline [m].
     """
     reach = _REACH * draw.random((_NUM_NEAR, 1))
     near = start + reach * unit(draw.normal(size=(_NUM_NEAR, 3)))
@@ -157,14 +157,14 @@ def _gains(
     points: Float[np.ndarray, "n 3"],
     headings: Float[np.ndarray, "n 3"],
 ) -> Float[np.ndarray, " n"]:
-    """Fraction of the wall that views would show for the first time, of some of its points.
+    """Fraction of the wall that each view would newly show, estimated on a subset of its points.
 
     Args:
-        simulation: The worlds.
-        index: Which of them.
-        draw: Chooses the points of the wall.
+        simulation: Simulation of the worlds.
+        index: Index of the world.
+        draw: Random generator for the subset of the wall's points.
         points: Positions of the capsule.
-        headings: Of its front.
+        headings: Directions of its front.
     """
     patient, settings = simulation.patient(index), simulation.settings
     up = np.eye(3)[np.abs(headings).argmin(axis=1)]

@@ -1,4 +1,4 @@
-"""Policy: what chooses the actions in an environment."""
+"""Protocol of a policy, which chooses the actions in an environment."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ _SHIPPED = Path(__file__).parent / "trained"
 
 @dataclass(frozen=True)
 class Requirements:
-    """What an environment must have for a policy to work in it; what is empty asks for nothing.
+    """Requirements of a policy on its environment; empty fields require nothing.
 
     Attributes:
-        settings: Keywords of `env_settings` that it was made for, such as `observations`; an
-            evaluation takes them where the user does not say otherwise.
-        observations: Names of observations that it reads.
-        actuations: Kinds of actuation that it can act by, one of them.
+        settings: Keyword arguments of `env_settings` that it was made for, such as `observations`;
+            an evaluation uses them as defaults.
+        observations: Names of the observations that it reads.
+        actuations: Kinds of actuation that it supports; one is needed.
     """
 
     settings: dict[str, Any] = field(default_factory=dict)
@@ -42,11 +42,11 @@ class Requirements:
     actuations: tuple[str, ...] = ()
 
     def check(self, settings: EnvSettings, name: str) -> None:
-        """Check that an environment has it all.
+        """Check that an environment meets the requirements.
 
         Args:
-            settings: Of the environment.
-            name: Of the policy.
+            settings: Settings of the environment.
+            name: Name of the policy.
 
         Raises:
             InputError: If something is missing.
@@ -68,39 +68,39 @@ class Requirements:
 
 @runtime_checkable
 class Policy(Protocol):
-    """What chooses an action for each world of a vector environment.
+    """Chooses an action for each world of a vector environment.
 
-    It may look at observations only, or at `env.episode.simulation`, which no capsule of flesh and
-    blood could. What is random in it comes from the seeds of its episodes alone, so that an
-    episode is the same whichever others run beside it.
+    It may use observations only, or `env.episode.simulation`, which is not available to a real
+    capsule. Its randomness depends on the seeds of its episodes alone, so that an episode does not
+    depend on the other worlds.
     """
 
     @property
     def requires(self) -> Requirements:
-        """What the environment must have."""
+        """Requirements on the environment."""
         ...
 
     def reset(self, numbers: np.ndarray, seeds: Sequence[int]) -> None:
-        """Forget what was of some worlds, in which an episode begins.
+        """Reset the state of some worlds in which an episode starts.
 
         Args:
-            numbers: Of the worlds.
-            seeds: Of their episodes, one for each.
+            numbers: Indices of the worlds.
+            seeds: Seeds of their episodes, one for each.
         """
         ...
 
     def act(self, observations: dict[str, np.ndarray], env: CapsuleVectorEnv) -> np.ndarray:
-        """Actions for all worlds, a row each.
+        """Return actions for all worlds, a row each.
 
         Args:
-            observations: By name, with a row for each world.
+            observations: Arrays by name, with a row for each world.
             env: The environment; read-only.
         """
         ...
 
 
 def read_policy(name: str | Path) -> Policy:
-    """A policy by the name of a baseline, its import path, or the file of a trained one.
+    """Create a policy by the name of a baseline, an import path, or the file of a trained policy.
 
     Example:
         >>> read_policy("centerline")
@@ -142,10 +142,10 @@ def _shipped() -> dict[str, Path]:
 
 
 def _imported(path: str) -> Policy:
-    """A policy of a class by its import path, made without arguments.
+    """Create a policy from the import path of its class, without arguments.
 
     Raises:
-        InputError: If the module cannot be imported, or the path names no policy class.
+        InputError: If the module cannot be imported, or the path is not that of a policy class.
     """
     module_name, _, class_name = path.partition(":")
     try:
@@ -171,13 +171,13 @@ def _imported(path: str) -> Policy:
 
 
 def _is_policy_class(value: Any) -> bool:
-    """Whether a value is a class with the methods of `Policy`; `requires` may be of the object."""
+    """Whether a value is a class with the methods of `Policy`; `requires` may be set per object."""
     if not isinstance(value, type):
         return False
     return all(callable(getattr(value, name, None)) for name in ("reset", "act"))
 
 
 def _reason(error: BaseException) -> str:
-    """Kind and first line of an error."""
+    """Type and first line of an error."""
     first = next(iter(str(error).splitlines()), "").rstrip(".")
     return f"{type(error).__name__}: {first}" if first else type(error).__name__

@@ -1,8 +1,8 @@
-"""Proximal policy optimization (Schulman et al. 2017) with Stable-Baselines3, one episode a round.
+"""Proximal policy optimization (Schulman et al. 2017) with Stable-Baselines3, in rounds.
 
-In a round all worlds run for the time of one episode, from a reset with seeds that follow from
-the run's seed and the round's number; then the policy is improved. So between rounds the policy,
-its optimizer and the normalizer are all there is, and a run goes on from them to the same bytes.
+In a round all worlds run for the duration of one episode, from a reset with seeds that follow from
+the run's seed and the round's index; then the policy is updated. The state between rounds therefore
+consists of the policy, its optimizer and the normalizer, from which a run resumes byte for byte.
 """
 
 from __future__ import annotations
@@ -30,26 +30,25 @@ _SHARE = Range(least=0.0, most=1.0)
 
 @dataclass(frozen=True)
 class PpoSettings:
-    """How a policy is learned.
+    """Hyperparameters of PPO.
 
     Attributes:
-        num_envs: Worlds side by side.
-        num_actions: Actions in all worlds together after which training ends, rounded up to whole
-            rounds.
-        updates: How often the policy is improved in a round; more learn sooner from less.
-        hidden: Neurons of each layer, of the policy and of its value function alike.
+        num_envs: Number of parallel worlds.
+        num_actions: Total number of actions in all worlds, rounded up to whole rounds.
+        updates: Number of policy updates per round; more updates train faster on less data each.
+        hidden: Neurons of each hidden layer, of both the policy and its value function.
         batch: Actions in a minibatch.
-        epochs: Times that each action is learned from.
-        learning_rate: Of Adam.
-        is_annealed: Whether the learning rate falls to a tenth until the end, in equal steps.
-        gamma: Discount of a reward from action to action.
+        epochs: Number of passes over the collected actions per update.
+        learning_rate: Learning rate of Adam.
+        is_annealed: Whether the learning rate decreases to a tenth by the end, linearly.
+        gamma: Discount factor of rewards per action.
         gae_lambda: λ of generalized advantage estimation.
-        clip: Largest relative change of an action's probability that is rewarded.
-        entropy: Weight of the entropy's bonus.
-        initial_std: Standard deviation of continuous actions at first.
-        is_normalized: Whether observations and rewards are divided by their spread so far.
+        clip: Clipping range of the probability ratio.
+        entropy: Weight of the entropy bonus.
+        initial_std: Initial standard deviation of continuous actions.
+        is_normalized: Whether observations and rewards are normalized by their running statistics.
         evaluate_every: Rounds between evaluations; 0 for none.
-        evaluation_episodes: Episodes of an evaluation, always the same.
+        evaluation_episodes: Number of episodes of an evaluation, always the same ones.
     """
 
     num_envs: Annotated[int, _COUNT] = 32
@@ -76,14 +75,14 @@ class PpoSettings:
 
 
 class Ppo:
-    """A policy in the making.
+    """PPO training of a policy.
 
     Attributes:
-        num_rounds: Rounds until `num_actions` are done.
+        num_rounds: Number of rounds for `num_actions`.
     """
 
     def __init__(self, env: EnvSettings, settings: PpoSettings, seed: int) -> None:
-        """Makes worlds and a policy that has learned nothing.
+        """Create the worlds and an untrained policy.
 
         Raises:
             MissingExtraError: If Stable-Baselines3 is not installed.
@@ -114,13 +113,13 @@ class Ppo:
         self.model.set_logger(Logger(None, []))
 
     def run_round(self, number: int) -> dict[str, float]:
-        """Play an episode in every world and learn from it.
+        """Run an episode in every world and update the policy.
 
         Args:
-            number: Of the round, from 0; its randomness follows from it.
+            number: Index of the round, from 0; it determines the randomness.
 
         Returns:
-            What the round was like.
+            Statistics of the round.
         """
         from stable_baselines3.common.utils import set_random_seed
 
@@ -142,7 +141,7 @@ class Ppo:
         return {**watch.means(), **{n: float(logged.get(k, np.nan)) for n, k in _LOGGED.items()}}
 
     def policy(self) -> MlpPolicy:
-        """What was learned so far."""
+        """Return the current policy."""
         net: Any = self.model.policy
         chain = [*net.mlp_extractor.policy_net, net.action_net]
         layers = [
@@ -158,7 +157,7 @@ class Ppo:
         return MlpPolicy(layers, normalizer, kept_settings(self.env_settings))
 
     def state(self) -> dict[str, np.ndarray]:
-        """All that a later round depends on."""
+        """State on which later rounds depend."""
         net = self.model.policy
         arrays = {f"policy/{k}": v.numpy().copy() for k, v in net.state_dict().items()}
         for number, moments in net.optimizer.state_dict()["state"].items():
@@ -169,7 +168,7 @@ class Ppo:
         return arrays
 
     def load(self, arrays: dict[str, np.ndarray]) -> None:
-        """Puts back what `state` gave."""
+        """Restore a state from `state`."""
         import torch
 
         net, optimizer = self.model.policy, self.model.policy.optimizer
@@ -186,7 +185,7 @@ class Ppo:
                 setattr(rms, key, float(value) if key == "count" else value.copy())
 
     def log_to(self, folder: Path) -> None:
-        """Write what the rounds are like for TensorBoard, too.
+        """Log the statistics of rounds to TensorBoard as well.
 
         Raises:
             MissingExtraError: If TensorBoard is not installed.
@@ -199,7 +198,7 @@ class Ppo:
             raise MissingExtraError("tensorboard", "learn") from error
 
     def close(self) -> None:
-        """Lets go of the worlds."""
+        """Close the worlds."""
         self.envs.close()
 
     def _spreads(self) -> list[tuple[str, RunningMeanStd]]:
@@ -217,7 +216,7 @@ _LOGGED = {
 
 
 def require_learner() -> None:
-    """Check that what learns is installed.
+    """Check that Stable-Baselines3 is installed.
 
     Raises:
         MissingExtraError: If it is not.
@@ -234,7 +233,7 @@ def _below(tensors: dict[str, Any], prefix: str) -> dict[str, Any]:
 
 
 def _model(ppo: Ppo) -> PPO:
-    """Stable-Baselines3's PPO with the settings."""
+    """Create Stable-Baselines3's PPO from the settings."""
     from stable_baselines3 import PPO
 
     s = ppo.settings
@@ -261,7 +260,7 @@ def _model(ppo: Ppo) -> PPO:
 
 
 def _watch(num_envs: int) -> Any:
-    """A callback that keeps what episodes of a round were like."""
+    """Create a callback that records the episodes of a round."""
     from stable_baselines3.common.callbacks import BaseCallback
 
     class Watch(BaseCallback):

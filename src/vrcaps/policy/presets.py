@@ -1,4 +1,4 @@
-"""Presets of trainings by task: the paper's hyper-parameters, ours, and one of seconds."""
+"""Training presets by task: the paper's hyperparameters, the defaults, and a smoke test."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from vrcaps.serialization import from_plain
 
 
 def paper() -> TrainingSettings:
-    """The paper's training of coverage (Incetan et al. 2021).
+    """Training for coverage as in the paper (Incetan et al. 2021).
 
-    It states the reward, the discrete actions, 7,500 steps of 1/30 s an episode, three stomachs,
+    It states the reward, the discrete actions, 7,500 steps of 1/30 s per episode, three stomachs,
     3 layers of 256, minibatches of 64, the learning rate and 500,000 steps. Epochs, γ, λ, the
-    clipping and the entropy's weight are those of ML-Agents, which it used.
+    clipping and the entropy weight are the defaults of ML-Agents, which it used.
     """
     env = EnvSettings(
         task=CoverageTask(level="frustum"),
@@ -49,11 +49,11 @@ def paper() -> TrainingSettings:
 
 
 def default() -> TrainingSettings:
-    """Ours: what is in sight counts, and a guide tells the same of every organ.
+    """Default preset: visible coverage, with observations that are the same for every organ.
 
-    All is told and done in the capsule's frame, so that what is learned in one pose holds in all.
-    Freely, the capsule goes at up to 55 mm/s and turns at up to about 2 rad/s. The last hundredths
-    are paid for, too, and no episode ends early, so that they are sought.
+    Observations and actions are in the capsule's frame, so that a policy generalizes over poses.
+    In free motion, the capsule reaches 55 mm/s and about 2 rad/s. The last hundredths are rewarded
+    as well, and no episode ends early, so that the policy seeks full coverage.
     """
     env = EnvSettings(
         task=CoverageTask(target=1.0),
@@ -68,7 +68,7 @@ def default() -> TrainingSettings:
 
 
 def ci() -> TrainingSettings:
-    """Ours in seconds, to see that all is well; it learns nothing."""
+    """Smoke-test preset: runs in seconds, too short to learn."""
     ours = default()
     env = replace(ours.env, organs=_stomachs(1), episode_time=1.0, num_points=256)
     learner = replace(
@@ -82,7 +82,7 @@ PRESETS = {"default": default, "paper": paper, "ci": ci}
 
 
 def changed_settings(settings: Any, path: str, value: Any) -> Any:
-    """Settings with one value changed.
+    """Return settings with one value changed.
 
     Example:
         >>> changed_settings(default(), "env.actuation", "magnet")
@@ -90,8 +90,8 @@ def changed_settings(settings: Any, path: str, value: Any) -> Any:
 
     Args:
         settings: A dataclass.
-        path: Names of fields, from `settings` down.
-        value: A plain value; a part or a list of parts may be given by their kinds.
+        path: Dotted path of field names, relative to `settings`.
+        value: A plain value; a part or a list of parts may be given by kind.
 
     Raises:
         UnknownNameError: If there is no such field.
@@ -109,7 +109,7 @@ def changed_settings(settings: Any, path: str, value: Any) -> Any:
 
 
 def _from_plain(declared: Any, value: Any, at: str) -> Any:
-    """A value of a type; parts may be given by their kinds."""
+    """Convert a plain value to a type; parts may be given by kind."""
     kinds = {cls.kind: cls for cls in _members(declared) if hasattr(cls, "kind")}
     if isinstance(value, str) and kinds and str not in _members(declared):
         if value not in kinds:

@@ -1,4 +1,4 @@
-"""Random: each second another way to go and to look; or, where that is not possible, actions."""
+"""Random policy: a new random target every second, or random actions if the servo cannot drive."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ if TYPE_CHECKING:
     from vrcaps.env.vector_env import CapsuleVectorEnv
 
 _HELD = 6
-"""Actions for which a choice is held: at the default control period, a second."""
+"""Actions for which a choice is held: one second at the default control period."""
 
 _FAR = 10.0 * CM
-"""Distance of the place that it goes towards."""
+"""Distance of the target position."""
 
 
 class RandomPolicy:
-    """A random walk at a steady speed, whatever it sees.
+    """Random walk at constant speed, independent of observations.
 
-    Random forces would be no baseline: with inertia they throw the capsule about. An actuation that
-    the servo cannot drive gets actions drawn evenly from its space.
+    Random forces would not be a useful baseline: with inertia they throw the capsule about. For an
+    actuation that the servo cannot drive, actions are drawn uniformly from the action space.
     """
 
     requires = Requirements()
@@ -38,13 +38,13 @@ class RandomPolicy:
         self._held: dict[int, np.ndarray] = {}
 
     def reset(self, numbers: np.ndarray, seeds: Sequence[int]) -> None:
-        """Begin each world's own stream of numbers."""
+        """Start a random stream for each world."""
         for number, seed in zip(np.asarray(numbers).tolist(), seeds, strict=True):
             self._draws[number] = rng.stream(int(seed), "policy/random")
             self._age[number] = 0
 
     def act(self, observations: dict[str, np.ndarray], env: CapsuleVectorEnv) -> np.ndarray:
-        """What is chosen now."""
+        """Return the current actions."""
         is_walk = env.settings.actuation.kind in SERVO_ACTUATIONS
         space = env.single_action_space
         for number in range(env.num_envs):

@@ -1,4 +1,4 @@
-"""All baselines: policies that need no learning."""
+"""Registry of baselines: policies without training."""
 
 BASELINES = {
     "random": "vrcaps.policy.random:RandomPolicy",
@@ -7,4 +7,4 @@ BASELINES = {
     "next-best-view": "vrcaps.policy.next_best_view:NextBestViewPolicy",
     "navigator": "vrcaps.policy.navigator:NavigatorPolicy",
 }
-"""Import path of each by its name."""
+"""Import path of each baseline by its name."""

@@ -1,4 +1,4 @@
-"""Route: the centerline of a patient as far as the capsule can go, in the world frame."""
+"""Route: the passable part of a patient's centerline, in the world frame."""
 
 from __future__ import annotations
 
@@ -18,33 +18,33 @@ if TYPE_CHECKING:
 
 _SPACING = 2.0 * MM
 _PROBES = 8
-"""Points of a straight way at which its clearance is tested."""
+"""Number of points of a straight path at which its clearance is tested."""
 
 
 @dataclass(frozen=True)
 class Route:
-    """Where the capsule can go along an organ.
+    """Passable part of an organ's centerline.
 
     Attributes:
         model: The organ and the capsule.
-        ends: Arc lengths of the first and the last place at which the capsule fits [m].
+        ends: Arc lengths of the first and the last position at which the capsule fits [m].
     """
 
     model: Model
     ends: tuple[float, float]
 
     def poses(self, arc_length: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 4 4"]:
-        """Poses that look towards the anal end, at arc lengths [m] between the ends."""
+        """Poses that look towards the anal end, at arc lengths [m] clamped to the ends."""
         return self.model.centerline_poses(np.clip(arc_length, *self.ends))
 
     def fits(self, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        """Whether a ball as thick as the capsule fits at points in the world frame."""
+        """Return whether a sphere of the capsule's radius fits at points in the world frame."""
         return np.asarray(self.model.wall.signed_distance(points)) > self.model.device.radius
 
     def is_free(
         self, points: Float[np.ndarray, "n 3"], headings: Float[np.ndarray, "n 3"]
     ) -> Bool[np.ndarray, " n"]:
-        """Whether the whole capsule fits at points with its front in some directions."""
+        """Return whether the whole capsule fits at points with the given headings."""
         device = self.model.device
         half = (0.5 * device.length - device.radius) * headings
         ends = np.concatenate([points + half, points - half])
@@ -53,14 +53,14 @@ class Route:
     def is_clear(
         self, start: Float[np.ndarray, " 3"], points: Float[np.ndarray, "n 3"]
     ) -> Bool[np.ndarray, " n"]:
-        """Whether that ball passes from a point straight to each of others."""
+        """Return whether that sphere can move straight from a start to each of the points."""
         part = np.linspace(1.0, 0.0, _PROBES, endpoint=False)[:, None, None]
         way = start + part * (points - start)
         return np.all(self.fits(way.reshape(-1, 3)).reshape(_PROBES, -1), axis=0)
 
 
 def make_route(model: Model) -> Route:
-    """The route through an organ."""
+    """Create the route through an organ."""
     whole = Route(model, (0.0, model.organ.centerline.length))
     arc_length = np.linspace(*whole.ends, max(2, round(whole.ends[1] / _SPACING)))
     fitting = np.flatnonzero(whole.fits(whole.poses(arc_length)[:, :3, 3]))
@@ -70,13 +70,13 @@ def make_route(model: Model) -> Route:
 
 
 class Routes:
-    """Routes of an environment's patients, each made when it is first needed."""
+    """Routes of an environment's patients, created on first use."""
 
     def __init__(self) -> None:
         self._made: dict[int, tuple[Patient, Route]] = {}
 
     def of(self, simulation: Simulation, index: int) -> Route:
-        """The route of the patient of one world."""
+        """Return the route of the patient of one world."""
         patient = simulation.patient(index)
         if id(patient) not in self._made:
             self._made[id(patient)] = (patient, make_route(patient.model))

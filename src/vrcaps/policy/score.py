@@ -1,4 +1,4 @@
-"""Score of a policy while it is learned: the same few episodes, side by side."""
+"""Score of a policy during training: the same few episodes, in parallel."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ if TYPE_CHECKING:
 
 
 class Score:
-    """Plays the same episodes with any policy; a mean over them for each measure."""
+    """Runs the same episodes with any policy and averages each metric over them."""
 
     def __init__(self, settings: EnvSettings, num_episodes: int, seed: int) -> None:
-        """Makes room for the worlds.
+        """Create the environment; worlds are created on the first call.
 
         Args:
-            settings: What the worlds are made of.
-            num_episodes: How many there are.
-            seed: Of the episodes; none of them is trained in.
+            settings: Settings of the environment.
+            num_episodes: Number of episodes.
+            seed: Seed of the episodes; training uses none of them.
         """
         draw = rng.stream(seed, "policy/score")
         self._envs = CapsuleVectorEnv(settings, num_episodes)
         self._seeds = draw.integers(2**31, size=num_episodes).tolist()
 
     def __call__(self, policy: Policy) -> dict[str, float]:
-        """Mean sum of rewards, and mean of each measure at the end."""
+        """Return the mean sum of rewards, and the mean of each metric at the end."""
         count = self._envs.num_envs
         observations, infos = self._envs.reset(seed=self._seeds)
         policy.reset(np.arange(count), self._seeds)
@@ -46,10 +46,10 @@ class Score:
         return {"reward": float(total.mean()), **{k: float(v.mean()) for k, v in last.items()}}
 
     def close(self) -> None:
-        """Lets go of the worlds."""
+        """Close the worlds."""
         self._envs.close()
 
 
 def _numbers(infos: dict) -> list[str]:
-    """Names of the measures that are numbers or truth values."""
+    """Names of the numeric and boolean metrics."""
     return [k for k, v in infos.items() if not k.startswith("_") and v.dtype.kind in "fb"]

@@ -1,4 +1,4 @@
-"""Servo: actions that bring each capsule to a goal, by whatever actuation an environment has."""
+"""Servo controller: actions that bring each capsule to a goal, for several actuations."""
 
 from __future__ import annotations
 
@@ -25,33 +25,33 @@ if TYPE_CHECKING:
     from vrcaps.env.simulation import Simulation
 
 SERVO_ACTUATIONS = ("wrench", "magnet")
-"""Kinds of actuation that it can drive."""
+"""Supported kinds of actuation."""
 
 _RATE = 2.0
-"""Share of what is left of the way that is made in a second."""
+"""Fraction of the remaining distance that is covered per second."""
 
 _REST = 0.05
 """Force with which a capsule under a magnet still rests on the wall below it [N]."""
 
 _MAGNET_FORCE = 0.02
-"""Largest force across with which a magnet pulls [N]."""
+"""Maximum horizontal force of a magnet [N]."""
 
 _WALL_RESISTANCE, _CREEP = 3e-3, 5.0 * MM
-"""Resistance of the wall to a capsule that rests on it [N], at least at this speed [m/s]."""
+"""Resistance of the wall to a capsule that rests on it [N], from this speed on [m/s]."""
 
 _LEAD = 0.4
-"""Time by which the field's direction is ahead of the capsule's [s]."""
+"""Lead time of the field's direction relative to the capsule's [s]."""
 
 
 @dataclass(frozen=True)
 class Goal:
-    """Where capsules shall go and look, a row for each world, in the world frame.
+    """Target position and viewing direction, a row for each world, in the world frame.
 
     Attributes:
-        position: Of the center of mass [m].
-        heading: Of the front, unit vectors.
-        speed: Not to be exceeded on the way [m/s].
-        turn: Rate of turning not to be exceeded [rad/s].
+        position: Position of the center of mass [m].
+        heading: Direction of the front, unit vectors.
+        speed: Maximum speed on the way [m/s].
+        turn: Maximum angular speed [rad/s].
     """
 
     position: Float[np.ndarray, "n 3"]
@@ -61,7 +61,7 @@ class Goal:
 
 
 def servo_actions(simulation: Simulation, goal: Goal) -> np.ndarray:
-    """Actions of all worlds for the next control period.
+    """Return the actions of all worlds for the next control period.
 
     Raises:
         InputError: If it cannot drive the environment's actuation.
@@ -90,18 +90,18 @@ def wanted_twist(
 def heading_error(
     R_world_capsule: Float[np.ndarray, "n 3 3"], heading: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Axis times angle [rad] of the shortest turn that brings each front to its heading."""
+    """Axis times angle [rad] of the shortest rotation of each front to its heading."""
     front = R_world_capsule[:, :, 2]
     axis = np.cross(front, heading)
     sine = np.linalg.norm(axis, axis=1, keepdims=True)
     cosine = np.sum(front * heading, axis=1, keepdims=True)
-    # Where the goal is right behind, any axis across will do.
+    # If the goal is right behind, any perpendicular axis is valid.
     axis = np.where(sine > 1e-6, axis / np.maximum(sine, 1e-6), R_world_capsule[:, :, 0])
     return np.arctan2(sine, cosine) * axis
 
 
 def _limited(vectors: Float[np.ndarray, "n 3"], most: float) -> Float[np.ndarray, "n 3"]:
-    """Vectors shortened to a length."""
+    """Limit vectors to a maximum length."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     return vectors * np.minimum(1.0, most / np.maximum(length, 1e-12))
 
@@ -111,8 +111,8 @@ def _loads(
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
     """Forces [N] and torques [N·m] that give a twist at the end of a control period Δt.
 
-    With inertia and drag, v = v₀ a + (1 − a) F τ/m with a = exp(−Δt/τ); quasi-static, a = 0.
-    Torques alike.
+    With inertia and drag, v = v₀ a + (1 − a) F τ/m with a = exp(−Δt/τ); in quasi-static motion,
+    a = 0. Torques are analogous.
     """
     settings, body = simulation.settings, homogeneous_body(simulation.device)
     linear, angular = simulation.velocity_world[:, 0], simulation.velocity_world[:, 1]
@@ -133,7 +133,7 @@ def _wrench(
     velocity: Float[np.ndarray, "n 3"],
     spin: Float[np.ndarray, "n 3"],
 ) -> np.ndarray:
-    """Wrench that gives the twist, gravity balanced, as far as the limits allow."""
+    """Wrench that gives the twist and balances gravity, within the limits."""
     force, torque = _loads(simulation, velocity, spin)
     if not actuation.is_weightless:
         force[:, 2] += simulation.device.mass * GRAVITY
@@ -152,10 +152,10 @@ def _magnet(
     velocity: Float[np.ndarray, "n 3"],
     spin: Float[np.ndarray, "n 3"],
 ) -> np.ndarray:
-    """Twist of the magnet towards where it would pull and turn the capsule as wanted.
+    """Twist of the magnet towards a pose that exerts the wanted force and torque on the capsule.
 
-    It carries the weight but for a small rest, so that the capsule stays on the wall below it:
-    a capsule that hangs free under a magnet has no stable place.
+    It supports all but a small part of the weight, so that the capsule rests on the wall below it:
+    a capsule that hangs freely under a magnet has no stable position.
     """
     force, _ = _loads(simulation, velocity, spin)
     force += (
@@ -189,12 +189,12 @@ def magnet_action(
     wanted: Float[np.ndarray, "4 4"],
     dt: float,
 ) -> Float[np.ndarray, " 6"]:
-    """Action that brings a magnet towards a pose, straight on and by the shortest turn.
+    """Action that moves a magnet towards a pose, on a straight line and by the shortest rotation.
 
     Args:
-        actuation: Whose largest speeds the action is a share of.
-        now: Pose of the magnet, in the world.
-        wanted: Pose that it is to have.
+        actuation: Actuation whose maximum speeds scale the action.
+        now: Current pose of the magnet in the world.
+        wanted: Target pose.
         dt: Control period [s].
     """
     way = (wanted[:3, 3] - now[:3, 3]) / (actuation.speed * dt)
@@ -203,13 +203,13 @@ def magnet_action(
 
 
 def _share(wanted: Float[np.ndarray, "n 3"], most: float) -> Float[np.ndarray, "n 3"]:
-    """Part of what is possible in each direction; in the wanted direction where that is less."""
+    """Fraction of the maximum in each direction; vectors beyond it are scaled down as a whole."""
     strength = np.abs(wanted).max(axis=1, keepdims=True)
     return wanted / np.maximum(strength, most) if most > 0.0 else np.zeros_like(wanted)
 
 
 def _choices(force: Float[np.ndarray, "n 3"], strength: float) -> np.ndarray:
-    """Discrete action nearest to each force: along its largest part, none where that is small."""
+    """Nearest discrete action of each force: its dominant axis, or none if it is small."""
     axis = np.abs(force).argmax(axis=1)
     largest = force[np.arange(len(force)), axis]
     action = 1 + axis + np.where(largest < 0.0, 3, 0)

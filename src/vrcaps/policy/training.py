@@ -1,4 +1,4 @@
-"""Training of a policy in a folder: settings, checkpoints, progress, and the policies learned."""
+"""Training of a policy in a folder: settings, checkpoints, progress, and the trained policies."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ _PACKAGES = ("gymnasium", "numpy", "scipy", "stable-baselines3", "torch")
 
 @dataclass(frozen=True)
 class TrainingSettings:
-    """All that a training's result follows from.
+    """All settings that determine a training's result.
 
     Attributes:
-        env: What is trained in.
-        learner: How it is learned.
-        seed: Of all that is random.
+        env: Settings of the environment.
+        learner: Hyperparameters of PPO.
+        seed: Random seed.
     """
 
     env: EnvSettings = field(default_factory=EnvSettings)
@@ -57,13 +57,13 @@ class TrainingSettings:
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a training is.
+    """Progress of a training.
 
     Attributes:
-        num_rounds: Rounds that are done.
-        total: Rounds in all.
-        rows: What each round was like.
-        best: Largest score of an evaluation; None before the first.
+        num_rounds: Number of completed rounds.
+        total: Total number of rounds.
+        rows: Statistics of each round.
+        best: Maximum score of an evaluation; None before the first.
     """
 
     num_rounds: int
@@ -82,18 +82,18 @@ def train(
     tensorboard: Path | None = None,
     report: Callable[[Progress], None] = lambda progress: None,
 ) -> Progress:
-    """Train a policy, or go on with a training that was cut off, to the same bytes.
+    """Train a policy, or resume an interrupted training byte for byte.
 
-    A training that is done goes on if `num_actions` has grown since; an annealed learning rate then
-    falls until the new end. `out` then holds `policy.npz`, the last policy, and `best.npz`, that of
-    the best evaluation; `settings.json`, `progress.csv` with a row for each round, and
-    `checkpoint.npz` to go on from.
+    A completed training continues if `num_actions` has grown since; an annealed learning rate then
+    decreases until the new end. `out` then holds `policy.npz`, the last policy, `best.npz`, the one
+    with the best evaluation, `settings.json`, `progress.csv` with a row for each round, and
+    `checkpoint.npz` to resume from.
 
     Args:
-        settings: What is trained, and how.
+        settings: Settings of the training.
         out: Folder: new, empty, or of the same training.
-        threads: PyTorch's; one is fastest for a small network.
-        is_forced: Go on even if vrcaps or a package has changed since the training began.
+        threads: Number of PyTorch threads; one is fastest for a small network.
+        is_forced: Resume even if vrcaps or a package has changed since the start of the training.
         start: Folder of a training or file of a policy to start from, see `warm_start`.
         tensorboard: Folder for TensorBoard's files; None writes none.
         report: Called after each round.
@@ -132,7 +132,7 @@ def train(
 def _run(
     settings: TrainingSettings, out: Path, learner: Ppo, report: Callable[[Progress], None]
 ) -> Progress:
-    """All rounds from the last checkpoint on."""
+    """Run all rounds from the last checkpoint on."""
     score = Score(settings.env, settings.learner.evaluation_episodes, settings.seed)
     progress = _read_checkpoint(out, learner)
     report(progress)
@@ -146,7 +146,7 @@ def _run(
 def _round(
     settings: TrainingSettings, out: Path, learner: Ppo, score: Score, progress: Progress
 ) -> Progress:
-    """One more round, and the evaluation that is due after it."""
+    """Run one round, and the evaluation that is due after it."""
     number, began = progress.num_rounds, time.perf_counter()
     row = {"round": number + 1.0, "actions": (number + 1.0) * learner.actions_per_round}
     row |= learner.run_round(number)
@@ -177,7 +177,7 @@ def plain_settings(settings: TrainingSettings) -> dict[str, Any]:
 
 
 def plain_environment(env: EnvSettings) -> dict[str, Any]:
-    """Settings of an environment as plain values; of an organ in memory its name and checksum."""
+    """Settings of an environment as plain values; an organ in memory as its name and checksum."""
     hints = get_type_hints(EnvSettings)
     plain = {
         f.name: to_plain(getattr(env, f.name), hints[f.name])
@@ -194,7 +194,7 @@ def plain_environment(env: EnvSettings) -> dict[str, Any]:
 
 
 def _read_checkpoint(out: Path, learner: Ppo) -> Progress:
-    """Where the training is; the learner goes on from there."""
+    """Read the progress of a training and restore the learner's state."""
     path = out / CHECKPOINT
     if not path.is_file():
         return Progress(0, learner.num_rounds)

@@ -1,4 +1,4 @@
-"""Warm starts: a training that begins with what another has learned."""
+"""Warm starts: initialization of a training from another one."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ CHECKPOINT = "checkpoint.npz"
 
 
 def start_file(start: Path) -> Path:
-    """The file of a start: the checkpoint of a training's folder, or a policy's file.
+    """Resolve a start to a file: the checkpoint of a training's folder, or a policy's file.
 
     Raises:
         InputError: If there is none.
@@ -28,14 +28,14 @@ def start_file(start: Path) -> Path:
 
 
 def warm_start(learner: Ppo, path: Path) -> None:
-    """Give a learner what a checkpoint or a policy's file holds.
+    """Initialize a learner from a checkpoint or a policy's file.
 
     A checkpoint holds the policy, its value function, Adam's moments and the normalizer; the file
     of a policy holds the policy and the normalizer.
 
     Args:
-        learner: One that has learned nothing.
-        path: As `start_file` gives it.
+        learner: Untrained learner.
+        path: File from `start_file`.
 
     Raises:
         InputError: If the file is damaged, or of other observations, actions or layers.

@@ -1,4 +1,4 @@
-"""Layouts of others: written from episodes and data sets, read as frame sequences.
+"""External file formats: written from episodes and data sets, read as frame sequences.
 
 One file each; `registry` lists them, `export` writes any of them.
 """

@@ -1,12 +1,12 @@
-"""BOP: lesions as objects with models and 6D poses, as the benchmark of object poses has them.
+"""BOP: lesions as objects with models and 6D poses, in the layout of the pose benchmark.
 
-Models are the patches of the wall that lesions cover, in `models/`, ASCII PLY in millimeters. Each
-sequence is a scene `<split>/000000/` (`train` where there are no splits). `cam_R_w2c`, `cam_t_w2c`
+Models are the patches of the wall covered by lesions, in `models/`, ASCII PLY in millimeters. Each
+sequence is a scene `<split>/000000/` (`train` if there are no splits). `cam_R_w2c`, `cam_t_w2c`
 are world to camera, `cam_R_m2c`, `cam_t_m2c` model to camera, millimeters; pixel (0, 0) is the
 center of the top-left pixel. Depth is a 16-bit PNG of z in steps of `depth_scale` millimeters, 0
-without a value. `mask/` is the whole silhouette in the image, `mask_visib/` what is seen of it;
-`px_count_all` and `bbox_obj` are of a canvas of three times the image's sides. Boxes are x, y and
-the differences of the last and the first pixel. Source:
+without a value. `mask/` is the whole silhouette in the image, `mask_visib/` its visible part;
+`px_count_all` and `bbox_obj` refer to a canvas of three times the image's sides. Boxes are x,
+y and the differences between the last and the first pixel. Source:
 https://github.com/thodan/bop_toolkit/blob/master/docs/bop_datasets_format.md.
 """
 
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from vrcaps.recording.frame_sequence import FrameSequence
 
 _SAME_WALL = 0.2 * MM
-"""By how much a lesion's surface may lie beside its model, in the median of its pixels."""
+"""Maximum median distance between a lesion's surface and its model over its pixels."""
 
 Models = Mapping[int, LesionModel]
 Rows = list[dict[str, Any]]
@@ -54,7 +54,7 @@ class Bop:
     """BOP: `models/`, scenes with `scene_camera.json`, `scene_gt.json`, masks.
 
     Attributes:
-        depth_step_mm: Step of the stored depth; 65,535 steps are the farthest.
+        depth_step_mm: Step of the stored depth; the maximum depth is 65,535 steps.
     """
 
     depth_step_mm: Annotated[float, Range(above=0.0)] = 0.01
@@ -90,7 +90,7 @@ class Bop:
             write_json(folder / "test_targets_bop19.json", targets)
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
-        """The scenes of a folder; `instance` is of what is seen of each object.
+        """Return the scenes of a folder; `instance` is the visible part of each object.
 
         Raises:
             InputError: If it is not in this layout.
@@ -100,7 +100,7 @@ class Bop:
     def _write_scene(
         self, place: Path, sequence: FrameSequence, models: Models, advance: Advance
     ) -> dict[str, list[tuple[int, float]]]:
-        """Write a scene; gives object and visible share of what each image shows."""
+        """Write a scene; return objects and visible fractions for each image."""
         for name in ("rgb", "depth", "mask", "mask_visib"):
             (place / name).mkdir(parents=True)
         cameras: dict[str, Any] = {}
@@ -135,7 +135,7 @@ class Bop:
 
 @dataclass(frozen=True)
 class _Seen:
-    """What an image shows of a lesion: its masks, and its rows of `scene_gt` and the info."""
+    """Lesion in an image: its masks, and its rows of `scene_gt` and `scene_gt_info`."""
 
     mask: Bool[np.ndarray, "h w"]
     visible: Bool[np.ndarray, "h w"]
@@ -144,7 +144,7 @@ class _Seen:
 
 
 def _models(sequence: FrameSequence, known: dict[str, Models]) -> Models:
-    """Models of a sequence's lesions; those of an organ that episodes share are the same."""
+    """Models of a sequence's lesions; episodes with the same organ share them."""
     episode = sequence.episode
     assert episode is not None
     name = organ_name(episode.head)
@@ -182,7 +182,7 @@ def _camera_row(sequence: FrameSequence, index: int, step_mm: float) -> dict[str
 def _seen_lesions(
     sequence: FrameSequence, index: int, models: Models, depth: NDArray
 ) -> Sequence[_Seen]:
-    """Lesions whose silhouette lies in an image, hidden ones too."""
+    """Lesions whose silhouette lies in an image, including occluded ones."""
     episode = sequence.episode
     assert episode is not None
     T_world_patient = np.array(episode.head["T_world_patient"])
@@ -215,7 +215,7 @@ def _seen_lesions(
 def _in_image(
     part: tuple[tuple[int, int], NDArray], shape: tuple[int, int]
 ) -> Float[np.ndarray, "h w"]:
-    """What of a part of the canvas lies in the image; NaN elsewhere."""
+    """Part of a canvas crop that lies in the image; NaN elsewhere."""
     (column, row), values = part
     image = np.full(shape, np.nan)
     low = max(row, 0), max(column, 0)
@@ -263,7 +263,7 @@ def _bytes(mask: NDArray) -> NDArray:
 
 
 def _targets(infos: dict[str, list[tuple[int, float]]], scene: int) -> Rows:
-    """Objects that are to be found: those of which a tenth or more is seen."""
+    """Objects to detect: those with a visible fraction of at least 10 %."""
     return [
         {"im_id": int(key), "inst_count": 1, "obj_id": number, "scene_id": scene}
         for key, rows in infos.items()

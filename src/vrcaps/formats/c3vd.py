@@ -1,13 +1,13 @@
-"""C3VD: a phantom colon with depth, normals, flow and poses, and the folders its readers expect.
+"""C3VD: phantom colon with depth, normals, flow and poses, and the layouts of its readers.
 
-Depth is z in 16 bits, 65,535 is 100 mm: 1.53 µm a step; 0 and 65,535 are no value. Normals are
+Depth is z in 16 bits, 65,535 is 100 mm: 1.53 µm a step; 0 and 65,535 mean no value. Normals are
 camera x, y, z from −1 to 1 in red, green, blue, 0 to 65,535. Flow goes to the frame *before*: x
 and y from −20 to 20 px in red and green. A row of ``pose.txt`` is the *transpose* of the
 camera-to-world matrix in millimeters: points are rows, ``p_world = p_camera T``. Where normals or
 flow have no value, all planes are 0, as outside the image of the real endoscope.
 
-C3VD's occlusions are pixels that hide something within 100 mm; those of an episode are points that
-the next frame does not see, so they are neither written nor read. Source:
+C3VD's occlusions are pixels that hide something within 100 mm; those of an episode are points not
+visible in the next frame, so they are neither written nor read. Source:
 https://durrlab.github.io/C3VD and https://github.com/DurrLab/C3VD.
 """
 
@@ -55,7 +55,7 @@ _FULL = 65535
 _DEPTH = fixed_point("m", 100.0 * MM / _FULL)
 _DEPTH_8_BITS = fixed_point("m", 100.0 * MM / 255)
 _LARGEST = {"normal": 1.0, "flow_backward": 20.0}
-"""What the largest stored number stands for [1, px]."""
+"""Maximum absolute value of the stored range [1, px]."""
 
 Layout = Literal["c3vd", "flat", "endogslam", "ppsnet", "endostreamdepth"]
 _FLAT = {
@@ -88,11 +88,11 @@ class C3vd:
     """C3VD: color, depth, normals and flow with poses, for an omnidirectional lens.
 
     Attributes:
-        layout: Whose folders: of the data set (`rgb/0000.png`, `depth/0000_depth.tiff`, …), of its
+        layout: Folder layout: of the data set (`rgb/0000.png`, `depth/0000_depth.tiff`, …), of its
             first release (`flat`: `0000_color.png`, …), or of a reader. EndoGSLAM and PPSNet need
-            pinholes without distortion, PPSNet normals too.
-        lens: Which lens data that are read have: that of their calibration, or the pinhole that
-            EndoGSLAM fitted to the colonoscope of C3VD. Writing takes no notice of it.
+            pinholes without distortion, PPSNet also normals.
+        lens: Lens on reading: from the calibration, or the pinhole that EndoGSLAM fitted to the
+            colonoscope of C3VD. Ignored on writing.
         fps: Frames per second of data without `times.txt`, which only vrcaps writes.
     """
 
@@ -110,7 +110,7 @@ class C3vd:
         """Write a folder for each sequence.
 
         Raises:
-            InputError: If the reader of the layout needs a lens or a channel that is not there.
+            InputError: If the reader of the layout needs a lens or a channel that is missing.
         """
         lists: dict[str, list[str]] = {}
         for sequence, place in self._folders(sequences, folder):
@@ -132,10 +132,10 @@ class C3vd:
                 write_bytes(folder / f"{part}.txt", (" ".join(names) + "\n").encode())
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
-        """The sequences of a folder; those without poses or calibration lack that.
+        """Return the sequences of a folder; poses and calibration are optional.
 
         Raises:
-            InputError: If it is not in this layout; names the one that it is in.
+            InputError: If it is not in this layout; the message names the detected layout.
         """
         try:
             places = [*found_folders(folder, self._pattern("rgb"))]
@@ -151,7 +151,7 @@ class C3vd:
         if self.layout != "endostreamdepth":
             yield from each_folder(sequences, folder)
             return
-        for sequence in sequences:  # its loader has the splits itself, and looks for no folders
+        for sequence in sequences:  # its loader has the splits itself, and ignores folders
             yield sequence, new_folder(folder, "cv3d", folder_name(sequence))
 
     def _path(self, place: Path, channel: str, index: int) -> Path:
@@ -225,7 +225,7 @@ def _joined(matrix: NDArray, separator: str) -> str:
 
 
 def _read_poses(path: Path) -> NDArray:
-    """Matrices [n 4 4] of rows of 16 numbers; PPSNet has the frame's number before them.
+    """Matrices [n 4 4] from rows of 16 numbers; in PPSNet the frame index precedes them.
 
     Raises:
         InputError: If the file cannot be read or a row has another number of columns.
@@ -252,7 +252,7 @@ def _write_image(path: Path, channel: str, image: NDArray) -> None:
 
 
 def _stored_vectors(vectors: NDArray, largest: float) -> NDArray:
-    """Three planes [h w 3] of 16 bits; all 0 where a component is NaN or beyond the largest."""
+    """Three planes [h w 3] of 16 bits; all 0 where a component is NaN or out of range."""
     steps = np.rint((vectors.astype(float) / largest + 1.0) * (_FULL / 2))
     known = ((steps >= 0) & (steps <= _FULL)).all(axis=-1, keepdims=True)
     stored = np.where(known, steps, 0).astype(np.uint16)

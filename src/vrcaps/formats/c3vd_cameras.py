@@ -1,9 +1,9 @@
 """Cameras of C3VD and of its readers.
 
 ``*_omnidirectional_values.txt`` holds ``width height cx cy a0 [a1] a2 a3 a4 c d e``: the
-model of Scaramuzza, a1 always 0. The data set's own loader counts pixels from 0 and uses
-the stretch matrix [[c, d], [e, 1]]. For pinholes there is ``*_pinhole_values.txt`` in the same
-manner, ``width height fx fy cx cy k1 k2 p1 p2 k3``. EndoGSLAM reads a YAML file, PPSNet
+Scaramuzza model, a1 always 0. The data set's own loader counts pixels from 0 and uses
+the stretch matrix [[c, d], [e, 1]]. Pinholes have ``*_pinhole_values.txt`` in the same
+form, ``width height fx fy cx cy k1 k2 p1 p2 k3``. EndoGSLAM reads a YAML file, PPSNet
 ``camera.txt``, whose second to fifth words are fx fy cx cy.
 """
 
@@ -32,7 +32,7 @@ _FIT_SIZE = (1350, 1080)
 
 
 def write_calibration(folder: Path, camera: Camera) -> None:
-    """Write the lens of a camera as C3VD does, with a file that names the numbers."""
+    """Write the lens of a camera as C3VD does, with a file that names the values."""
     lens = camera.lens
     if isinstance(lens, LensScaramuzza):
         kind = OMNIDIRECTIONAL
@@ -50,9 +50,9 @@ def write_calibration(folder: Path, camera: Camera) -> None:
 
 
 def read_calibration(folder: Path, top: Path, image: Path) -> Camera | None:
-    """Camera of the nearest calibration in a sequence's folder or above; None without one.
+    """Camera of the nearest calibration in a sequence's folder or above; None if there is none.
 
-    Raises:
+    InputError: If it cannot be read, or is for another image size.
         InputError: If it cannot be read, or is of images of another size.
     """
     path = nearest_file(folder, top, OMNIDIRECTIONAL, PINHOLE)
@@ -82,11 +82,11 @@ def _lens(path: Path, values: list[float]) -> LensScaramuzza | LensPinhole:
 
 
 def fitted_camera(image: Path, *, is_undistorted: bool) -> Camera:
-    """The pinhole that EndoGSLAM fitted to C3VD's colonoscope, for images of any size.
+    """Pinhole camera that EndoGSLAM fitted to C3VD's colonoscope, for images of any size.
 
     Args:
         image: One of the images.
-        is_undistorted: Whether the distortion was taken out of them.
+        is_undistorted: Whether the images are undistorted.
     """
     height, width = image_size(image)
     across, down = width / _FIT_SIZE[0], height / _FIT_SIZE[1]
@@ -103,7 +103,7 @@ def fitted_camera(image: Path, *, is_undistorted: bool) -> Camera:
 
 
 def write_endogslam(folder: Path, lens: LensPinhole, camera: Camera, step: float) -> None:
-    """Write the camera as EndoGSLAM's configuration of a data set; `step` [m] is that of depth."""
+    """Write the camera in EndoGSLAM's data set configuration; `step` [m] is the depth step."""
     scale = MM / step
     text = f"""dataset_name: c3vd
 camera_params:
@@ -119,7 +119,7 @@ camera_params:
 
 
 def read_endogslam(folder: Path, top: Path) -> Camera | None:
-    """Camera of the nearest `c3vd.yaml`; None without one.
+    """Camera of the nearest `c3vd.yaml`; None if there is none.
 
     Raises:
         InputError: If it cannot be read.
@@ -135,7 +135,7 @@ def read_endogslam(folder: Path, top: Path) -> Camera | None:
 
 
 def write_ppsnet(folder: Path, lens: LensPinhole) -> None:
-    """Write `camera.txt`, a line of six words."""
+    """Write `camera.txt`, one line of six words."""
     numbers = " ".join(f"{value!r}" for value in (lens.fx, lens.fy, lens.cx, lens.cy))
     write_bytes(folder / PPSNET, f"pinhole {numbers} 0\n".encode())
 

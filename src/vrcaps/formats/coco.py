@@ -1,8 +1,8 @@
-"""COCO: instances of lesions with outlines or masks, boxes and areas, for detectors.
+"""COCO: lesion instances with outlines or masks, boxes and areas, for object detection.
 
-One file `annotations/instances_<split>.json` for each split, its images in `<split>/`; images
-without lesions are listed too. Boxes are x, y, width, height from the top-left corner of the image
-[px]; areas and boxes are those of the mask. Source: https://cocodataset.org/#format-data.
+One file `annotations/instances_<split>.json` per split, with its images in `<split>/`; images
+without lesions are also listed. Boxes are x, y, width, height from the top-left corner of the image
+[px]; areas and boxes are computed from the mask. Source: https://cocodataset.org/#format-data.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from vrcaps.recording.frame_sequence import FrameSequence
 
 _OTHER = "lesion"
-"""Category of instances of which nothing is known."""
+"""Category of instances of unknown kind."""
 
 
 @dataclass(frozen=True)
@@ -41,12 +41,12 @@ class Coco:
     """COCO: `annotations/instances_<split>.json`, images by split.
 
     Attributes:
-        masks: How masks are written: `polygons` along pixel edges, several where a lesion is seen
-            in parts; or `rle`, run lengths.
-        grades: Whether lesions of other grades are other categories, such as polyp-Ip.
-        crowd: Kinds of lesions that are marked as crowds, which detectors are not judged by, such
-            as colitis; their masks are run lengths.
-        least_area: Fewest pixels of a lesion that is annotated.
+        masks: Encoding of masks: `polygons` along pixel edges, several if a lesion is visible in
+            parts; or `rle`, run lengths.
+        grades: Whether lesions of different grades are separate categories, such as polyp-Ip.
+        crowd: Kinds of lesions marked as crowds, on which detectors are not evaluated, such as
+            colitis; their masks are run lengths.
+        least_area: Minimum number of pixels of an annotated lesion.
     """
 
     masks: Literal["polygons", "rle"] = "polygons"
@@ -65,7 +65,7 @@ class Coco:
                 raise UnknownNameError("kind of lesion", name, known)
 
     def write(self, sequences: Sequence[FrameSequence], folder: Path, advance: Advance) -> None:
-        """Write images, and a file of annotations for each split."""
+        """Write images, and an annotation file for each split."""
         categories = _categories(sequences, grades=self.grades)
         files: dict[str, _File] = {}
         images = annotations = 0
@@ -92,9 +92,9 @@ class Coco:
             write_bytes(path, file.text(categories))
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
-        """Frames with their lesions as `instance` and their categories as `label`.
+        """Return frames with lesions as `instance` and categories as `label`.
 
-        Images of others are one sequence for each file of annotations.
+        External images form one sequence per annotation file.
 
         Raises:
             InputError: If it is not in this layout.
@@ -107,7 +107,7 @@ class Coco:
         names: dict[int, tuple[str, str]],
         categories: dict[str, int],
     ) -> Iterator[dict[str, Any]]:
-        """What an image shows of each lesion, without numbers of annotation and image."""
+        """Annotations of the lesions in an image, without annotation and image IDs."""
         for number in np.unique(instance[instance > 0]).tolist():
             kind, category = names.get(number, (_OTHER, _OTHER))
             mask = instance == number
@@ -127,13 +127,13 @@ class Coco:
 
 @dataclass
 class _File:
-    """Rows of a file of annotations, as JSON."""
+    """Rows of an annotation file, as JSON."""
 
     images: list[str] = field(default_factory=list)
     annotations: list[str] = field(default_factory=list)
 
     def text(self, categories: dict[str, int]) -> Iterator[bytes]:
-        """Pieces of the file."""
+        """Yield the file in pieces."""
         info = {"description": f"Made with vrcaps {_core.__version__}"}
         named = [
             {"id": number, "name": name, "supercategory": name.split("-")[0]}
@@ -154,7 +154,7 @@ class _File:
 def _image(
     sequence: FrameSequence, index: int, number: int, name: str, shape: tuple[int, ...]
 ) -> dict[str, Any]:
-    """Row of an image; what COCO does not know tells where it is from."""
+    """Row of an image; additional keys, unknown to COCO, give its origin."""
     return {
         "id": number,
         "file_name": name,
@@ -180,14 +180,14 @@ def _box(mask: Bool[np.ndarray, "h w"]) -> list[int]:
 
 
 def _kinds() -> list[str]:
-    """Kinds of lesions, always in the same order."""
+    """Kinds of lesions, in a fixed order."""
     from vrcaps.lesion import LESIONS  # slow to load
 
     return list(LESIONS)
 
 
 def _lesion_names(sequence: FrameSequence, *, grades: bool) -> dict[int, tuple[str, str]]:
-    """Kind and category of each lesion of an episode by its number."""
+    """Kind and category of each lesion of an episode, by lesion ID."""
     if sequence.episode is None:
         return {}
     found = {}
@@ -198,9 +198,9 @@ def _lesion_names(sequence: FrameSequence, *, grades: bool) -> dict[int, tuple[s
 
 
 def _categories(sequences: Sequence[FrameSequence], *, grades: bool) -> dict[str, int]:
-    """Numbers of categories from 1: all kinds, so that they are the same in every export.
+    """Category IDs from 1: all kinds, so that they are the same in every export.
 
-    With grades those that occur follow, and `lesion` last, each by its name.
+    With grades, the existing ones follow, and `lesion` last, each by name.
     """
     found = {
         category

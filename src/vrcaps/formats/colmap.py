@@ -1,9 +1,9 @@
 """COLMAP: text models with rigs, for structure from motion, Gaussian splatting and radiance fields.
 
-A folder for each episode holds `images/` and the model in `sparse/0/`. Poses are world to camera,
-quaternions wxyz, lengths meters, pixel centers at 0.5. The cameras of one capsule are a rig, whose
-reference is the first of them; their images of one time have equal names. Models have no times;
-`times.txt` beside them has. Sources:
+A folder per episode holds `images/` and the model in `sparse/0/`. Poses are world to camera,
+quaternions wxyz, lengths meters, pixel centers at 0.5. The cameras of one capsule form a rig, whose
+reference is the first of them; simultaneous images have equal names. Models have no times;
+these are in an additional `times.txt`. Sources:
 https://colmap.github.io/format.html, https://colmap.github.io/rigs.html.
 """
 
@@ -49,9 +49,8 @@ class Colmap:
     """COLMAP text model with rigs: `images/`, `sparse/0/`.
 
     Attributes:
-        points: How many points of the wall are looked for, spread over all images; those that two
-            or more images see become points of the model. They need the channel depth; 0 writes
-            none.
+        points: Number of wall points sampled over all images; those visible in two or more images
+            become points of the model. They need the channel depth; 0 writes none.
     """
 
     points: Annotated[int, Range(0)] = 10000
@@ -66,7 +65,7 @@ class Colmap:
         """Write a model for each episode.
 
         Raises:
-            InputError: If points are asked for and there is no depth.
+            InputError: If points are requested and there is no depth.
         """
         for sequence in sequences:
             if self.points > 0 and "depth" not in sequence.channels:
@@ -92,9 +91,9 @@ class Colmap:
                     advance()
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
-        """A sequence for each camera of each model, images sorted by name.
+        """Return a sequence for each camera of each model, with images sorted by name.
 
-        Without `times.txt` a frame's time is its number.
+        Without `times.txt` the time of a frame is its index.
 
         Raises:
             InputError: If it is not in this layout.
@@ -107,7 +106,7 @@ class Colmap:
 
 
 def _prefixes(rig: Sequence[FrameSequence]) -> list[str]:
-    """Folder of each camera's images."""
+    """Folder names of the cameras' images."""
     names = [None if one.camera is None else one.camera.name for one in rig]
     return [f"rig1/{name}" for name in names]
 
@@ -117,7 +116,7 @@ def _image_name(prefix: str, index: int) -> str:
 
 
 def _image_id(rig: Sequence[FrameSequence], camera: int, index: int) -> int:
-    """Number of an image from 1: frame by frame, in each camera by camera."""
+    """Image ID from 1: frame by frame, in each camera by camera."""
     return index * len(rig) + camera + 1
 
 
@@ -141,7 +140,7 @@ def _cameras_text(rig: Sequence[FrameSequence]) -> str:
 
 
 def _rigs_text(rig: Sequence[FrameSequence]) -> str:
-    """One rig; poses of its cameras are reference to camera."""
+    """Text of one rig; poses of its cameras are reference to camera."""
     words = [f"1 {len(rig)} CAMERA 1"]
     for number, sequence in enumerate(rig[1:], 2):
         T_camera_reference = invert(sequence.Ts_world_camera[0]) @ rig[0].Ts_world_camera[0]
@@ -173,7 +172,7 @@ def _images_text(rig: Sequence[FrameSequence], points: SeenPoints) -> str:
 
 
 def _points_text(points: SeenPoints) -> str:
-    """Points with their tracks: image, and place in the image's list of points."""
+    """Text of points with their tracks: image ID, and index in the image's list of points."""
     tracks: list[list[str]] = [[] for _ in points.positions]
     num_cameras = len(points.seen)
     for c, frames in enumerate(points.seen):
@@ -217,7 +216,7 @@ def _read_model(place: Path, split: str | None) -> list[FrameSequence]:
 
 
 def _image_root(place: Path) -> Path:
-    """Folder of a model's scene, which has the folder of its images."""
+    """Image folder of the scene of a model."""
     for root in (place.parent.parent, place.parent, place):
         if (root / "images").is_dir():
             return root
@@ -225,7 +224,7 @@ def _image_root(place: Path) -> Path:
 
 
 def _rows(path: Path, every: int = 1) -> list[list[str]]:
-    """Words of the lines that are no comments; of each second one where `every` is 2."""
+    """Words of the lines without comments; of every second one if `every` is 2."""
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, ValueError) as error:
@@ -246,7 +245,7 @@ def _read_camera(row: list[str], name: str, place: Path) -> Camera:
 
 
 def _read_mounts(path: Path) -> dict[int, np.ndarray]:
-    """Pose of each camera in its rig [m], where there are rigs; the reference has none."""
+    """Pose of each camera in its rig [m], if there are rigs; the reference has none."""
     mounts: dict[int, np.ndarray] = {}
     for row in _rows(path) if path.exists() else []:
         words = row[4:]

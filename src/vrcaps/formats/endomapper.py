@@ -1,14 +1,14 @@
-"""EndoMapper's simulated sequences: color, depth as OpenEXR, a trajectory of Unity.
+"""EndoMapper's simulated sequences: color, depth as OpenEXR, trajectory from Unity.
 
 ``rgb/image_0000.png``, ``depth/aov_image_0000.exr`` (its red channel), ``calibration.txt``
 (``fx: …``, no distortion), ``trajectory.csv`` (camera to world in Unity's left-handed frame, in
 decimeters, quaternion xyzw, cells separated by ``;``, some rows damaged), ``rgb.txt`` and
 ``depth.txt`` (time and path), ``info.txt``.
 
-Readers disagree on depth. NR-SLAM and a converter that names the data set's author take it for
+Readers disagree on depth. NR-SLAM and a converter that names the data set's author interpret it as
 Unity's reversed z-buffer v with near = 0.01 and far = 4, ``1/z = v/near + (1 − v)/far``; VSLAM-LAB
-takes it for decimeters. The z-buffer is the default here; its z is in decimeters as the
-trajectory is, so it reaches from 1 to 400 mm. Steps are those of 32-bit floats. Source:
+interprets it as decimeters. The z-buffer is the default here; its z is in decimeters, as is the
+trajectory, so it ranges from 1 to 400 mm. Steps are those of 32-bit floats. Source:
 https://www.synapse.org/Synapse:syn26707219.
 """
 
@@ -56,7 +56,7 @@ class EndoMapper:
     """EndoMapper, simulated: `rgb/`, `depth/*.exr`, `calibration.txt`, `trajectory.csv`.
 
     Attributes:
-        depth: What the images of depth hold: `z-buffer`, as NR-SLAM reads them (near 1 mm, far
+        depth: Encoding of depth images: `z-buffer`, as NR-SLAM reads them (near 1 mm, far
             400 mm), or `linear`, decimeters, as VSLAM-LAB reads them.
     """
 
@@ -100,7 +100,7 @@ class EndoMapper:
             write_bytes(place / _CALIBRATION, text.encode())
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
-        """The sequences of a folder. Frames whose row of poses is damaged are left out.
+        """Return the sequences of a folder. Frames whose row of poses is damaged are left out.
 
         Raises:
             InputError: If it is not in this layout.
@@ -123,7 +123,7 @@ class EndoMapper:
 
 
 def _stored_depth(kind: Depth, depth: NDArray) -> NDArray:
-    """Stored numbers of z [m]; 0 where there is no value."""
+    """Stored values of z [m]; 0 where there is no value."""
     z = depth.astype(float)
     if kind == "linear":
         return np.nan_to_num(z / DM)

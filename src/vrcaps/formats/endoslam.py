@@ -1,9 +1,9 @@
-"""EndoSLAM: the synthetic frames of its UnityCam, and frames of its real cameras.
+"""EndoSLAM: synthetic frames of its UnityCam, and frames of its real cameras.
 
 A sequence has ``Frames/image_0000.png``, ``Pixelwise Depths/aov_image_0000.png`` (z, one byte in
 four equal planes, 1 cm a step) and ``Poses/*_position_rotation.csv``: camera to world in Unity's
-left-handed frame, in decimeters, quaternion xyzw, a row a frame from 0; the last row is
-often cut off. ``Calibration/cam.txt`` holds K. The real cameras have `Frames` only in
+left-handed frame, in decimeters, quaternion xyzw, one row per frame from 0; the last row is
+often cut off. ``Calibration/cam.txt`` holds K. Of the real cameras only `Frames` have
 this form; frames without such a file have no poses. Source:
 https://github.com/CapsuleEndoscope/EndoSLAM.
 """
@@ -55,9 +55,9 @@ class EndoSlam:
     """EndoSLAM's UnityCam: `Frames/`, `Pixelwise Depths/`, `Poses/*.csv`, `Calibration/cam.txt`.
 
     Attributes:
-        depth_step_mm: Millimeters of depth that one step of its byte stands for. Readers of
-            EndoSLAM expect 10; 1 is what PolypSense3D has, and reaches 255 mm.
-        fps: Frames per second of data that have no file of times and poses.
+        depth_step_mm: Depth per step of the stored byte [mm]. Readers of EndoSLAM expect 10;
+            PolypSense3D uses 1, which reaches 255 mm.
+        fps: Frames per second of data without a file of times and poses.
     """
 
     depth_step_mm: Annotated[float, Range(above=0.0, unit="mm")] = 10.0
@@ -92,7 +92,7 @@ class EndoSlam:
             write_bytes(place / _CALIBRATION / "cam.txt", f"{row}\n".encode())
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
-        """The sequences of a folder; those without a file of poses or `cam.txt` lack that.
+        """Return the sequences of a folder; poses and `cam.txt` are optional.
 
         Frames whose row of poses is cut off or damaged are left out.
 

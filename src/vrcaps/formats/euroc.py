@@ -1,10 +1,10 @@
-"""EuRoC MAV: images named by their time, a calibration in YAML, and the path of the body.
+"""EuRoC MAV: images named by their time, calibration in YAML, and trajectory of the body.
 
 ``mav0/cam0/data/NS.png`` with ``data.csv`` and ``sensor.yaml``;
 ``mav0/state_groundtruth_estimate0/data.csv`` has rows of time [ns], position [m] and quaternion
-wxyz of the *body*, body to world; ``T_BS`` of ``sensor.yaml`` is camera to body. A written
-body is the camera. Its rows end after the quaternion: velocities and biases, which EuRoC has too,
-are not known of a camera alone. Source:
+wxyz of the *body*, body to world; ``T_BS`` of ``sensor.yaml`` is camera to body. On writing, the
+body is the camera. Rows end after the quaternion: EuRoC's velocities and biases are unknown for a
+camera alone. Source:
 https://projects.asl.ethz.ch/datasets/doku.php?id=kmavvisualinertialdatasets.
 """
 
@@ -52,7 +52,7 @@ _HEADER = (
     "#timestamp,p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []"
 )
 _MODELS = {"radial-tangential": False, "radtan": False, "equidistant": True, "none": False}
-"""Whether a distortion model is that of a fisheye."""
+"""Fisheye flag of each distortion model."""
 
 
 @dataclass(frozen=True)
@@ -87,9 +87,9 @@ class Euroc:
             write_bytes(truth / "data.csv", f"{_HEADER}\n{poses}".encode())
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
-        """The sequences of a folder, one for each camera.
+        """Return the sequences of a folder, one for each camera.
 
-        An image takes the pose nearest in time; without one within 20 ms it is left out.
+        The pose of an image is the nearest in time; images without one within 20 ms are left out.
 
         Raises:
             InputError: If it is not in this layout.
@@ -149,7 +149,7 @@ distortion_coefficients: {yaml_list(distortion)}
 
 
 def _read_sensor(path: Path) -> tuple[Camera, NDArray]:
-    """Camera and its pose in the body."""
+    """Camera and its pose in the body frame."""
     plain = read_yaml(path)
     model = plain.get("distortion_model", "none")
     if model not in _MODELS:

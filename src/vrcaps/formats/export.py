@@ -1,4 +1,4 @@
-"""Write sequences in a format, whole or not at all."""
+"""Write sequences in a format, atomically."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ def export(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write sequences in a format; the folder appears when all is written.
+    """Write sequences in a format; the folder appears when all files are written.
 
     Example:
         >>> episode = vrcaps.read_episode("runs/colon")
         >>> export(Tum(), [episode.sequence("front")], "runs/colon-tum")
 
     Args:
-        form: The format with its options.
-        sequences: What to write; `sequences_of` gives those of an episode or a data set.
-        out: Folder to make.
-        progress: Called with the number of frames written and of all.
+        form: Format with its options.
+        sequences: Sequences to write; `sequences_of` returns those of an episode or a data set.
+        out: Folder to create.
+        progress: Called with the number of written frames and the total.
 
     Returns:
         The folder.
 
     Raises:
         InputError: If the format cannot hold them, the folder exists, or an image is damaged;
-            nothing is left behind.
+            no files remain.
     """
     require_needs(form, sequences)
     out = Path(out)

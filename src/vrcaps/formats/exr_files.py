@@ -1,4 +1,4 @@
-"""OpenEXR images of one plane of floats."""
+"""OpenEXR images with one plane of floats."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ def write_exr(path: Path, plane: Float[np.ndarray, "h w"]) -> None:
 
 
 def read_exr(path: Path) -> Float[np.ndarray, "h w"]:
-    """The red channel of an image.
+    """Read the red channel of an image.
 
     Raises:
-        InputError: If the file cannot be read, has none, or is larger than `MOST_PIXELS`.
+        InputError: If the file cannot be read, has no red channel, or exceeds `MOST_PIXELS`.
         MissingExtraError: If OpenEXR is not installed.
     """
     exr = _openexr()

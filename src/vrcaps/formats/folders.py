@@ -1,4 +1,4 @@
-"""What formats of one folder per sequence share."""
+"""Shared functions of formats with one folder per sequence."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _NAMES = "sequences.json"
 
 @dataclass(frozen=True)
 class _Named:
-    """What a row of `sequences.json` says of a sequence."""
+    """Row of `sequences.json` that describes a sequence."""
 
     name: str
     patient: str | None = None
@@ -28,14 +28,14 @@ class _Named:
 
 
 def folder_name(sequence: FrameSequence) -> str:
-    """Name of a sequence as one folder: `colon-0007_front`."""
+    """Name of a sequence as a single folder: `colon-0007_front`."""
     return sequence.name.replace("/", "_")
 
 
 def each_folder(
     sequences: Sequence[FrameSequence], folder: Path
 ) -> Iterator[tuple[FrameSequence, Path]]:
-    """Sequences with a new folder for each: by splits, where there are splits."""
+    """Sequences with a new folder for each: by split, if there are splits."""
     for sequence in sequences:
         yield sequence, new_folder(folder, sequence.split, folder_name(sequence))
 
@@ -43,19 +43,19 @@ def each_folder(
 def each_rig(
     sequences: Sequence[FrameSequence], folder: Path
 ) -> Iterator[tuple[tuple[FrameSequence, ...], Path]]:
-    """Sequences of the cameras of one capsule together, with a new folder for each recording.
+    """Sequences of the cameras of each capsule, with a new folder for each recording.
 
-    A sequence of no episode is by itself.
+    A sequence without an episode is on its own.
     """
     for split, name, rig in recordings(sequences):
         yield rig, new_folder(folder, split, name)
 
 
 def new_folder(folder: Path, split: str | None, name: str) -> Path:
-    """Make the folder of a sequence, in that of its split if it has one.
+    """Create the folder of a sequence, in that of its split if it has one.
 
     Raises:
-        InputError: If two sequences have the same, or it would lie outside.
+        InputError: If it is the folder of another sequence, or lies outside.
     """
     place = inside(folder, f"{split}/{name}" if split else name)
     if place.exists():
@@ -81,7 +81,7 @@ def recordings(
 
 
 def found_folders(folder: Path, mark: str) -> Iterator[tuple[Path, str | None]]:
-    """Folders that hold a file of a name, sorted, with the split that they lie in.
+    """Sorted folders that hold a file of a name, with their split.
 
     Args:
         folder: One sequence, or a folder of sequences at any depth.
@@ -99,13 +99,13 @@ def found_folders(folder: Path, mark: str) -> Iterator[tuple[Path, str | None]]:
 
 
 def split_of(place: Path, folder: Path) -> str | None:
-    """Split that a sequence lies in: the first folder on its path that is named like one."""
+    """Split of a sequence: the first folder on its path with the name of a split."""
     above = place.relative_to(folder).parts[:-1]
     return next((part for part in above if part in SPLITS), None)
 
 
 def read_rows(path: Path, columns: int) -> np.ndarray:
-    """Numbers [n columns] of a text table with blanks between; lines with # are comments.
+    """Read the numbers [n columns] of a whitespace-separated table; lines with # are comments.
 
     Raises:
         InputError: If the file cannot be read or a row has another number of columns.
@@ -120,7 +120,7 @@ def read_rows(path: Path, columns: int) -> np.ndarray:
 
 
 def write_names(folder: Path, places: Mapping[str, FrameSequence]) -> None:
-    """Note what the sequences of a layout that numbers them are called; others do not look."""
+    """Write the names of sequences in a layout that numbers them; other readers ignore the file."""
     rows = {
         place: asdict(_Named(one.name, one.patient, one.split)) for place, one in places.items()
     }
@@ -130,7 +130,7 @@ def write_names(folder: Path, places: Mapping[str, FrameSequence]) -> None:
 def with_names(
     folder: Path, found: Iterable[tuple[str, FrameSequence]]
 ) -> tuple[FrameSequence, ...]:
-    """Sequences with the names, patients and splits that `write_names` noted for their places.
+    """Sequences with the names, patients and splits written by `write_names`.
 
     Raises:
         InputError: If the file of names is damaged; remove it to read without names.

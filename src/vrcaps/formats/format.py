@@ -1,4 +1,4 @@
-"""What a format is, and what it needs of the sequences that are written in it."""
+"""Format protocol, and requirements of a format on the sequences."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ if TYPE_CHECKING:
     from vrcaps.render.channels import Channel  # noqa: F401  (named in docstrings)
 
 Advance = Callable[[], None]
-"""Called after each frame that is written."""
+"""Called after each written frame."""
 
 
 @dataclass(frozen=True)
 class Needs:
-    """What a format cannot do without.
+    """Requirements of a format.
 
     Attributes:
         channels: Image channels that every sequence must have.
-        lenses: Lens models that it can hold; None holds any.
-        poses: Whether poses of the camera must be known.
-        episode: Whether only episodes can be written, since it stores more than frames.
+        lenses: Lens models that it supports; None supports any.
+        poses: Whether camera poses must be known.
+        episode: Whether only episodes can be written, because it stores more than frames.
     """
 
     channels: tuple[str, ...] = ("rgb",)
@@ -36,13 +36,13 @@ class Needs:
 
 
 class Format(Protocol):
-    """A layout of files that other tools read.
+    """Layout of files that other tools read.
 
     A format is a frozen dataclass; its fields are the options of `vrcaps export KIND`.
 
     Attributes:
-        kind: Its name on the command line.
-        needs: What it cannot do without.
+        kind: Name on the command line.
+        needs: Requirements on the sequences.
     """
 
     kind: ClassVar[str]
@@ -52,14 +52,14 @@ class Format(Protocol):
         """Write sequences into a new folder.
 
         Args:
-            sequences: They meet `needs`.
-            folder: Exists and is empty.
+            sequences: Sequences that meet `needs`.
+            folder: Existing empty folder.
             advance: Called after each frame.
         """
         ...
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
-        """The sequences of a folder in this layout; images are read when asked for.
+        """Return the sequences of a folder in this layout; images are read on demand.
 
         Raises:
             InputError: If the folder is not in this layout.
@@ -71,7 +71,7 @@ def require_needs(form: Format, sequences: Sequence[FrameSequence]) -> None:
     """Check that a format can hold sequences.
 
     Raises:
-        InputError: If it cannot; says what is missing and what to do.
+        InputError: If it cannot; the message says what is missing and what to do.
     """
     if not sequences:
         raise InputError("There is nothing to export: no recording fits what was asked for.")

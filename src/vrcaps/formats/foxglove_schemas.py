@@ -1,8 +1,8 @@
-"""Messages of Foxglove as JSON, and the schemas that go with them.
+"""Foxglove messages as JSON, with their schemas.
 
 Names of messages and fields, their types and units:
 https://docs.foxglove.dev/docs/sdk/schemas. Lengths are meters; quaternions have keys x y z w; a
-transform is that of the child frame in its parent, ``T_parent_child``.
+transform is the pose of the child frame in its parent, ``T_parent_child``.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ _NS = 10**9
 
 
 def time_ns(seconds: float) -> int:
-    """A time in whole nanoseconds."""
+    """Convert a time to integer nanoseconds."""
     return round(seconds * _NS)
 
 
 def timestamp(ns: int) -> Message:
-    """A time as messages have it."""
+    """Convert a time to the form of messages."""
     return {"sec": ns // _NS, "nsec": ns % _NS}
 
 
 def transform(ns: int, parent: str, child: str, T_parent_child: NDArray) -> Message:
-    """A message `foxglove.FrameTransform`.
+    """Build a message `foxglove.FrameTransform`.
 
     Args:
         ns: Time [ns].
@@ -56,18 +56,18 @@ def transform(ns: int, parent: str, child: str, T_parent_child: NDArray) -> Mess
 
 
 def pose_of(message: Mapping[str, Any]) -> NDArray:
-    """``wxyz`` and position [m] of a transform, as one row of 7 numbers."""
+    """``wxyz`` and position [m] of a transform, as a row of 7 numbers."""
     turn, place = message["rotation"], message["translation"]
     return np.array([*(turn[k] for k in "wxyz"), *(place[k] for k in "xyz")], float)
 
 
 def vector(xyz: NDArray) -> Message:
-    """Three numbers by name."""
+    """Convert three numbers to a vector message."""
     return dict(zip("xyz", map(float, xyz), strict=True))
 
 
 def compressed_image(ns: int, frame: str, data: bytes, kind: str) -> Message:
-    """A message `foxglove.CompressedImage`.
+    """Build a message `foxglove.CompressedImage`.
 
     Args:
         ns: Time [ns].
@@ -87,7 +87,7 @@ _ENCODINGS = {"uint8": "8UC1", "uint16": "16UC1", "float32": "32FC1"}
 
 
 def raw_image(ns: int, frame: str, values: NDArray) -> Message:
-    """A message `foxglove.RawImage` of one number a pixel: uint8, uint16 or float32."""
+    """Build a message `foxglove.RawImage` with one value per pixel: uint8, uint16 or float32."""
     stored = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
     return {
         "timestamp": timestamp(ns),
@@ -101,7 +101,7 @@ def raw_image(ns: int, frame: str, values: NDArray) -> Message:
 
 
 def values_of(message: Mapping[str, Any]) -> NDArray:
-    """The numbers [h w] of a message that `raw_image` made."""
+    """Values [h w] of a message built by `raw_image`."""
     dtype = next(name for name, known in _ENCODINGS.items() if known == message["encoding"])
     shape = (message["height"], message["width"])
     data = base64.b64decode(message["data"])
@@ -109,16 +109,16 @@ def values_of(message: Mapping[str, Any]) -> NDArray:
 
 
 def camera_calibration(ns: int, frame: str, camera: Camera, name: str) -> Message:
-    """A message `foxglove.CameraCalibration`; as here, pixel (0, 0) is a pixel's center.
+    """Build a message `foxglove.CameraCalibration`; pixel (0, 0) is a pixel's center, as here.
 
     Args:
         ns: Time [ns].
         frame: Name of the camera's frame.
-        camera: With a lens of `OPENCV_LENSES`.
-        name: Whose camera it is, for messages.
+        camera: Camera with a lens of `OPENCV_LENSES`.
+        name: Name of the camera, for messages.
 
     Raises:
-        InputError: If it is a pinhole with skew, which no model has.
+        InputError: If it is a pinhole with skew, which no model supports.
     """
     model, fx, fy, distortion = _model(camera.lens, name)
     cx, cy = camera.lens.cx, camera.lens.cy
@@ -136,7 +136,7 @@ def camera_calibration(ns: int, frame: str, camera: Camera, name: str) -> Messag
 
 
 def _model(lens: Any, name: str) -> tuple[str, float, float, list[float]]:
-    """Name of the distortion, focal lengths [px], coefficients."""
+    """Name of the distortion model, focal lengths [px], coefficients."""
     if isinstance(lens, LensEquidistant):
         return "kannala_brandt", lens.focal, lens.focal, [0.0] * 4
     if isinstance(lens, LensKannalaBrandt):
@@ -147,12 +147,12 @@ def _model(lens: Any, name: str) -> tuple[str, float, float, list[float]]:
 
 
 def entity(ns: int, name: str, frame: str, **primitives: list[Message]) -> Message:
-    """One entity of a message `foxglove.SceneUpdate`, which stays until it is replaced.
+    """Entity of a message `foxglove.SceneUpdate`; it persists until it is replaced.
 
     Args:
         ns: Time [ns].
-        name: Of the entity.
-        frame: That it moves with.
+        name: Name of the entity.
+        frame: Frame that it moves with.
         primitives: Lists of primitives by kind, such as ``triangles``.
     """
     kinds = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
@@ -168,12 +168,12 @@ def entity(ns: int, name: str, frame: str, **primitives: list[Message]) -> Messa
 
 
 def pose(position: NDArray) -> Message:
-    """A pose that is not turned."""
+    """Build a pose without rotation."""
     return {"position": vector(position), "orientation": _quaternion(np.eye(3))}
 
 
 def color(r: float, g: float, b: float, a: float) -> Message:
-    """A color; all from 0 to 1."""
+    """Build a color; all components from 0 to 1."""
     return {"r": r, "g": g, "b": b, "a": a}
 
 
@@ -246,9 +246,9 @@ SCHEMAS: dict[str, Message] = {
         ),
     }.items()
 }
-"""JSON schemas of the messages that are written, by name."""
+"""JSON schemas of the written messages, by name."""
 
 
 def row_schema(kinds: Mapping[str, Message]) -> Message:
-    """Schema of a message of this project: a time, and values of these kinds by name."""
+    """Schema of a message of this project: a time, and values of these types by name."""
     return _object(timestamp=_TIME, **kinds)

@@ -1,4 +1,4 @@
-"""Files of frames: in the order of their numbers, matched between channels, read when asked for."""
+"""Frame files: sorted by index, matched between channels, read on demand."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ if TYPE_CHECKING:
     from vrcaps.recording.frame_sequence import FrameSequence
 
 TIMES = "times.txt"
-"""Times of the frames [s], a row each; for layouts that hold none. Other readers do not look."""
+"""Times of the frames [s], one per row; for layouts without times. Other readers ignore it."""
 _NUMBER = re.compile(r"\d+")
 
 Reader = Callable[[Path], "NDArray"]
-"""Reads the image of one channel in SI units."""
+"""Reader of the image of one channel in SI units."""
 
 
 def by_number(paths: Iterable[Path]) -> dict[int, Path]:
-    """Files by the last number in their names, in its order: 10 after 9 without leading zeros.
+    """Files by the last number in their names, in numeric order: 10 after 9 without leading zeros.
 
     Raises:
         InputError: If a name has no number, or two have the same.
@@ -52,7 +52,7 @@ def images_in(folder: Path) -> list[Path]:
 
 
 def matched(channels: Mapping[str, Mapping[int, Path]]) -> dict[str, list[Path]]:
-    """Files of each channel for the frames of `rgb`; channels without any file are left out.
+    """Files of each channel for the frames of `rgb`; channels without files are left out.
 
     Raises:
         InputError: If a channel lacks a frame.
@@ -75,7 +75,7 @@ def matched(channels: Mapping[str, Mapping[int, Path]]) -> dict[str, list[Path]]
 def image_loader(
     paths: Mapping[str, Sequence[Path]], readers: Mapping[str, Reader]
 ) -> Callable[[str, int], NDArray]:
-    """Reads an image, from channel and number of the frame, by the reader of its channel."""
+    """Function that reads an image by channel and frame index, with the reader of its channel."""
     return partial(_load, paths, readers)
 
 
@@ -92,7 +92,7 @@ def write_times(folder: Path, sequence: FrameSequence) -> None:
 
 
 def read_times(folder: Path, numbers: Iterable[int], fps: float) -> Float[np.ndarray, " n"]:
-    """Times of frames [s]: by their numbers the rows of `times.txt`, or number / `fps` without it.
+    """Times of frames [s]: by index from `times.txt`, or index / `fps` without the file.
 
     Raises:
         InputError: If the file cannot be read or has too few rows.
@@ -107,7 +107,7 @@ def read_times(folder: Path, numbers: Iterable[int], fps: float) -> Float[np.nda
 def rows_of(
     rows: Float[np.ndarray, "n c"], frames: Iterable[int], path: Path
 ) -> Float[np.ndarray, "m c"]:
-    """Rows of frames, by their numbers from 0.
+    """Rows of frames, by indices from 0.
 
     Raises:
         InputError: If there are too few.

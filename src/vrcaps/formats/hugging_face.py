@@ -1,8 +1,8 @@
-"""A data set of Hugging Face: Parquet files of one split each, a row per frame.
+"""Hugging Face data set: Parquet files per split, one row per frame.
 
 ``data/<split>-00000-of-0000N.parquet``; a README whose header names the splits. Images are columns
-of the kind ``Image`` (a file's bytes and its name), those that Pillow cannot read whole (16-bit
-color, `.npy`) plain bytes. Parquet's metadata hold the kinds of the columns under ``huggingface``.
+of type ``Image`` (a file's bytes and its name); those that Pillow cannot read losslessly (16-bit
+color, `.npy`) are plain bytes. Parquet's metadata hold the column types under ``huggingface``.
 Source: https://huggingface.co/docs/datasets/about_dataset_features and
 https://huggingface.co/docs/hub/datasets-manual-configuration.
 """
@@ -44,19 +44,19 @@ if TYPE_CHECKING:
 
 _MB = 1e6
 _GROUP = 32
-"""Rows that are read at once."""
+"""Number of rows read at once."""
 _SPLIT = "train"
-"""Where there are no splits: every data set of Hugging Face has one."""
+"""Default split: every data set of Hugging Face has one."""
 _TEXTS, _LISTS = ("sequence", "patient", "camera"), ("label_names", "channels")
-"""Columns of texts, and of lists of texts, that every data set has."""
+"""Columns of strings, and of lists of strings, in every data set."""
 
 
 @dataclass(frozen=True)
 class HuggingFace:
-    """A Hugging Face data set: Parquet files in `data/` and a README that names the splits.
+    """Hugging Face data set: Parquet files in `data/` and a README that names the splits.
 
     Attributes:
-        shard_mb: Size of the images beyond which a file ends.
+        shard_mb: Size of the images at which a file ends.
     """
 
     shard_mb: Annotated[float, Range(above=0.0, unit="MB")] = 130.0
@@ -85,10 +85,10 @@ class HuggingFace:
         write_bytes(folder / "README.md", _readme(names, columns).encode())
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
-        """The sequences of all files; images are read when asked for.
+        """Return the sequences of all files; images are read on demand.
 
         Raises:
-            InputError: If there are no such files, or one is damaged or of others.
+            InputError: If there are no such files, or one is damaged or not written by vrcaps.
         """
         paths = listed(folder, "data/*.parquet")
         if not paths:
@@ -124,11 +124,11 @@ class HuggingFace:
 
 @dataclass(frozen=True)
 class _Columns:
-    """The columns of all files of a data set: what any of its sequences has."""
+    """Columns of all files of a data set: the union over its sequences."""
 
     channels: tuple[str, ...]
     values: dict[str, int]
-    """Number of axes of the values of a frame."""
+    """Number of axes of a frame's values."""
 
     @classmethod
     def of(cls, sequences: Sequence[FrameSequence]) -> _Columns:
@@ -139,7 +139,7 @@ class _Columns:
         return cls(tuple(name for name in CHANNELS if name in channels), values)
 
     def schema(self) -> Any:
-        """Schema of Arrow, with the kinds that Hugging Face gives the columns."""
+        """Arrow schema, with the Hugging Face column types."""
         import pyarrow as pa
 
         fields: dict[str, tuple[Any, Any]] = {name: _value(pa.string()) for name in _TEXTS}
@@ -160,7 +160,7 @@ class _Columns:
 
 
 def _value(kind: Any) -> tuple[Any, Any]:
-    """Column of plain values: kind of Arrow, kind of Hugging Face."""
+    """Column type of plain values: for Arrow and for Hugging Face."""
     name = {"double": "float64"}.get(str(kind), str(kind))
     return kind, {"dtype": name, "_type": "Value"}
 
@@ -173,7 +173,7 @@ def _list_of(column: tuple[Any, Any]) -> tuple[Any, Any]:
 
 
 def _is_image(channel: str) -> bool:
-    """Whether Pillow reads a channel's files whole: not so PNG of 16 bits with three planes."""
+    """Whether Pillow reads a channel's files losslessly: not for 16-bit PNG with three planes."""
     encoding = CHANNELS[channel].encoding
     return encoding.suffix == ".png" and (encoding.dtype == "uint8" or encoding.planes == 1)
 
@@ -185,7 +185,7 @@ def _row(sequence: FrameSequence, index: int, images: dict[str, bytes]) -> dict[
     for channel, data in images.items():
         name = f"{key}.{channel}{suffix(channel)}"
         row[channel] = {"bytes": data, "path": name} if _is_image(channel) else data
-    del row["split"]  # the file's name tells
+    del row["split"]  # given by the file name
     return row | {"channels": list(sequence.channels)}
 
 
@@ -201,7 +201,7 @@ def _write_rows(path: Path, columns: _Columns, groups: Iterator[list[dict[str, A
 
 
 def _samples(path: Path) -> Iterator[Sample]:
-    """Samples of a file, without their images."""
+    """Samples of a file, without images."""
     split = path.name.rpartition("-of-")[0].rpartition("-")[0] or path.stem
     with open_parquet(path, path) as file:
         names = [name for name in file.schema_arrow.names if name not in CHANNELS]
@@ -212,7 +212,7 @@ def _samples(path: Path) -> Iterator[Sample]:
 
 
 def _plain(row: dict[str, Any], split: str) -> dict[str, Any]:
-    """A row as the sample that it was written from."""
+    """Convert a row to the sample that it was written from."""
     camera = row.get("camera")
     known = {name: value for name, value in row.items() if value is not None or name in _TEXTS}
     more = {"camera": None if camera is None else json.loads(camera), "split": split}
@@ -227,13 +227,13 @@ def _read(place: tuple[Path, int, int, str]) -> bytes:
 
 @lru_cache(maxsize=16)
 def _column(path: Path, group: int, name: str) -> Any:
-    """A column of the rows that are stored together."""
+    """Column of a row group."""
     with open_parquet(path, path) as file:
         return file.read_row_group(group, [name]).column(0)
 
 
 def _readme(splits: list[str], columns: _Columns) -> str:
-    """Header that names the splits, and what the columns mean."""
+    """README with a header that names the splits, and the meaning of the columns."""
     files = "".join(f"  - split: {name}\n    path: data/{name}-*\n" for name in splits)
     return f"---\nconfigs:\n- config_name: default\n  data_files:\n{files}---\n\n{_table(columns)}"
 

@@ -1,9 +1,9 @@
-"""Folders of images: one for each class, or images with masks beside them; of any sizes.
+"""Image folders: one per class, or images with masks in a neighboring folder; of any sizes.
 
-Masks lie in a folder beside that of their images, under the same names: ``masks`` or ``mask``
-beside ``images`` or ``image``, as in Kvasir-SEG and BKAI-IGH NeoPolyp, or ``bleeding_mask`` beside
-``bleeding``, as in WCEBleedGen. A mask holds 255 (or what JPEG leaves of it) where a lesion is, or
-the number of a class. Other folders of images are classes, as in HyperKvasir and Kvasir-Capsule.
+Masks lie in a folder next to that of their images, under the same names: ``masks`` or ``mask``
+next to ``images`` or ``image``, as in Kvasir-SEG and BKAI-IGH NeoPolyp, or ``bleeding_mask``
+next to ``bleeding``, as in WCEBleedGen. A mask holds 255 (or its JPEG approximation) for
+lesions, or class indices. Other folders of images are classes, as in HyperKvasir and Kvasir-Capsule.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from vrcaps.formats.format import Advance
 
 FILE_NAME = "file_name"
-"""Name of the value that is the name of an image's file without its ending."""
+"""Name of the value with an image's file name without its extension."""
 
 _IMAGES, _MASKS = ("images", "image"), ("masks", "mask")
 _CLASSES = "classes.txt"
@@ -49,17 +49,17 @@ Masks = Literal["auto", "binary", "numbers"]
 
 @dataclass(frozen=True)
 class Images:
-    """Folders of images: a folder for each class, or images with masks beside them.
+    """Image folders: one per class, or images with masks in a neighboring folder.
 
     Attributes:
-        layout: What is written: `masks` (`images/`, `masks/`), or `classes`, a folder for the kind
-            of lesion that takes most of an image, and `normal`.
-        masks: What masks hold: `binary` 255 where a lesion is, `numbers` the number of a class.
-            `auto` writes lesions where instances were recorded and labels otherwise, and reads
-            masks with values above 127, and JPEG, as binary.
-        min_fraction: Share of an image that a lesion must take to give it its class; with less it
-            is left out.
-        fps: Frames per second of what is read; such folders have no times.
+        layout: Layout on writing: `masks` (`images/`, `masks/`), or `classes`, a folder per kind of
+            the largest lesion in an image, and `normal`.
+        masks: Mask values: `binary` is 255 for lesions, `numbers` class indices. `auto` writes
+            lesions if instances were recorded and labels otherwise, and reads masks with values
+            above 127, and JPEG, as binary.
+        min_fraction: Minimum fraction of an image that a lesion must cover to determine its class;
+            images with smaller lesions are left out.
+        fps: Frames per second on reading; such folders have no times.
     """
 
     layout: Literal["masks", "classes"] = "masks"
@@ -74,7 +74,7 @@ class Images:
         check_fields(self)
 
     def write(self, sequences: Sequence[FrameSequence], folder: Path, advance: Advance) -> None:
-        """Write all images, by splits where there are splits; `classes.txt` has names of classes.
+        """Write all images, by split if there are splits; `classes.txt` holds the class names.
 
         Raises:
             InputError: If there is no channel for masks or classes, or there are two lists of
@@ -97,7 +97,7 @@ class Images:
             write_bytes(folder / _CLASSES, lines.encode())
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
-        """A sequence for each folder of images; the class of a folder is in `values["class"]`.
+        """Return a sequence for each folder of images; its class is in `values["class"]`.
 
         Raises:
             InputError: If there is no image, or a mask is missing.
@@ -186,7 +186,7 @@ def _masks_beside(place: Path, files: dict[Path, list[Path]]) -> Path | None:
 
 
 def _matching(paths: list[Path], folder: Path, masks: list[Path]) -> list[Path]:
-    """Masks of images: of the same name, or with `_mask` after it."""
+    """Masks of images: of the same name, optionally with `_mask` appended."""
     by_stem = {path.stem.removesuffix("_mask"): path for path in masks}
     missing = [path for path in paths if path.stem not in by_stem]
     if missing:
@@ -198,25 +198,25 @@ def _matching(paths: list[Path], folder: Path, masks: list[Path]) -> list[Path]:
 
 
 def file_name(sequence: FrameSequence, index: int) -> str:
-    """Name of an image's file without its ending, where it has one of its own; else its number."""
+    """Name of an image's file without its extension, if it has one; otherwise its index."""
     names = sequence.values.get(FILE_NAME)
     return f"{index:06d}" if names is None else str(names[index])
 
 
 def _file_names(paths: list[Path]) -> list[str]:
-    """Names without endings; with them where two would be the same."""
+    """Names without extensions; with them if two would be equal."""
     stems = [path.stem for path in paths]
     return stems if len({*stems}) == len(stems) else [path.name for path in paths]
 
 
 def _natural(path: Path) -> list[str | int]:
-    """Key of a name with numbers as numbers: 10 comes after 9."""
+    """Natural sort key: 10 comes after 9."""
     parts = _DIGITS.split(path.name)
     return [int(part) if k % 2 else part for k, part in enumerate(parts)]
 
 
 def _read_mask(kind: Masks, path: Path) -> NDArray:
-    """Class of each pixel: 0 or 1 of a binary mask, numbers otherwise."""
+    """Class of each pixel: 0 or 1 for a binary mask, indices otherwise."""
     stored = read_plane(path)
     is_binary = kind == "binary"
     if kind == "auto":

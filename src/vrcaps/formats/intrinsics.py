@@ -1,4 +1,4 @@
-"""Cameras of layouts that hold the 3×3 matrix of a pinhole without distortion.
+"""Cameras of layouts that store the 3×3 matrix of a pinhole without distortion.
 
 ``K = [[fx, skew, cx], [0, fy, cy], [0, 0, 1]]`` with pixel (0, 0) at the center of the top-left
 pixel, as the loaders of these layouts use it.
@@ -28,10 +28,10 @@ _SEPARATOR = re.compile(r"[\s,;]+")
 
 
 def plain_pinhole(form: Format, sequence: FrameSequence) -> LensPinhole:
-    """The lens of a sequence, a pinhole without distortion.
+    """Lens of a sequence, which must be a pinhole without distortion.
 
     Raises:
-        InputError: If it has another; says what to do.
+        InputError: If it is another lens; the message says what to do.
     """
     lens = None if sequence.camera is None else sequence.camera.lens
     if isinstance(lens, LensPinhole) and not any((lens.k1, lens.k2, lens.k3, lens.p1, lens.p2)):
@@ -51,13 +51,13 @@ def matrix_of(lens: LensPinhole) -> Float[np.ndarray, "3 3"]:
 
 
 def matrix_text(lens: LensPinhole, separator: str = " ") -> str:
-    """K as three rows of text."""
+    """Format K as three rows of text."""
     rows = (separator.join(f"{value:.12g}" for value in row) for row in matrix_of(lens))
     return "".join(f"{row}\n" for row in rows)
 
 
 def read_text_numbers(path: Path) -> list[float]:
-    """All numbers of a text file, with blanks or commas between them.
+    """Read all numbers of a text file, separated by whitespace or commas.
 
     Raises:
         InputError: If the file cannot be read or holds anything else.
@@ -71,10 +71,10 @@ def read_text_numbers(path: Path) -> list[float]:
 
 
 def read_matrix_camera(path: Path, image: Path) -> Camera:
-    """Camera of a file with the nine numbers of K.
+    """Camera from a file with the nine numbers of K.
 
     Raises:
-        InputError: If the file cannot be read, or holds another number of them.
+        InputError: If the file cannot be read, or does not hold nine numbers.
     """
     numbers = read_text_numbers(path)
     if len(numbers) != 9:
@@ -84,13 +84,13 @@ def read_matrix_camera(path: Path, image: Path) -> Camera:
 
 
 def camera_of(lens: LensPinhole, image: Path) -> Camera:
-    """Camera of a lens whose images are as large as a file's."""
+    """Camera with a lens and the image size of a file."""
     height, width = image_size(image)
     return Camera("camera", lens, width, height)
 
 
 def nearest_file(folder: Path, top: Path, *patterns: str) -> Path | None:
-    """First file that fits a pattern: in a folder or in those above it, up to that of `top`."""
+    """First file that matches a pattern, in a folder or its parents up to `top`."""
     place = folder.resolve()
     last = top.resolve().parent
     while True:

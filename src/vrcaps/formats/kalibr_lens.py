@@ -1,4 +1,4 @@
-"""Lenses as EuRoC, Kalibr and VSLAM-LAB have them: focal length, center, four or five coefficients.
+"""Lenses of EuRoC, Kalibr and VSLAM-LAB: focal length, center, four or five coefficients.
 
 Pixel (0, 0) is the center of the top-left pixel, as in OpenCV. Radial-tangential distortion is
 k1 k2 p1 p2 and, in lists of five, k3; equidistant distortion is k1 k2 k3 k4 of Kannala and Brandt.
@@ -17,7 +17,7 @@ __all__ = ["KALIBR_LENSES", "is_fisheye", "kalibr_values", "lens_from"]
 
 
 def is_fisheye(lens: AnyLens) -> bool:
-    """Whether the distortion of a lens is equidistant."""
+    """Whether the distortion model of a lens is equidistant."""
     return isinstance(lens, (LensKannalaBrandt, LensEquidistant))
 
 
@@ -26,11 +26,11 @@ def kalibr_values(lens: AnyLens, name: str, count: int) -> tuple[list[float], li
 
     Args:
         lens: One of `KALIBR_LENSES`.
-        name: Whose lens it is, for messages.
-        count: How many numbers of radial-tangential distortion the layout has, 4 or 5.
+        name: Name of the lens, for messages.
+        count: Number of radial-tangential coefficients in the layout, 4 or 5.
 
     Raises:
-        InputError: If it is a pinhole with skew, or with k3 where there are but four.
+        InputError: If it is a pinhole with skew, or with k3 if there are only four coefficients.
     """
     center = [lens.cx, lens.cy]
     if isinstance(lens, LensEquidistant):
@@ -49,7 +49,7 @@ def kalibr_values(lens: AnyLens, name: str, count: int) -> tuple[list[float], li
 
 
 def lens_from(values: Sequence[float], distortion: Sequence[float], *, fisheye: bool) -> AnyLens:
-    """The lens of ``fx fy cx cy`` and up to five numbers of distortion."""
+    """Lens from ``fx fy cx cy`` and up to five distortion coefficients."""
     fx, fy, cx, cy = values
     padded = [*distortion, 0.0, 0.0, 0.0, 0.0, 0.0][:5]
     if fisheye:

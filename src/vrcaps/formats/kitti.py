@@ -1,10 +1,10 @@
-"""KITTI odometry: color images, times, a calibration, and a file of poses for each sequence.
+"""KITTI odometry: color images, times, a calibration, and a pose file for each sequence.
 
 A row of ``poses/NN.txt`` is the upper 3×4 part of the camera-to-world matrix, row by row [m]; the
 rows of ``calib.txt`` are projection matrices ``P = K [I | t]`` of rectified cameras in the frame of
-camera 0, so a camera's center is ``-inv(K) P[:, 3]``. Ours is camera 2 (left, color) and lies at
-camera 0. Loaders ask for the row ``Tr``, the pose of a lidar; it is the identity here. The poses of
-KITTI begin at the identity; written ones are in the episode's world. Source: the development kit of
+camera 0, so a camera's center is ``-inv(K) P[:, 3]``. Ours is camera 2 (left, color), located at
+camera 0. Loaders expect the row ``Tr``, the pose of a lidar; it is the identity here. The poses of
+KITTI start at the identity; written ones are in the episode's world. Source: the development kit of
 https://www.cvlibs.net/datasets/kitti/eval_odometry.php.
 """
 
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from vrcaps.formats.format import Advance
 
 _CAMERAS = (2, 0)
-"""Cameras that are read, the first that has images: left in color, left in gray."""
+"""Cameras to read, by priority: left color, left gray."""
 _CALIBRATION = "calib.txt"
 
 
@@ -57,7 +57,7 @@ class Kitti:
     needs: ClassVar[Needs] = Needs(lenses=(LensPinhole,))
 
     def write(self, sequences: Sequence[FrameSequence], folder: Path, advance: Advance) -> None:
-        """Write the sequences as 00, 01, …; `sequences.json` has their names and splits.
+        """Write the sequences as 00, 01, …; `sequences.json` holds their names and splits.
 
         Raises:
             InputError: If a lens has distortion.
@@ -81,7 +81,7 @@ class Kitti:
         write_names(folder, names)
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
-        """The sequences of a folder, of its left color camera or else of its left gray one.
+        """Return the sequences of a folder, of the left color camera or else the left gray one.
 
         The sequences 11 to 21 of KITTI have no poses.
 
@@ -121,7 +121,7 @@ def _read_one(place: Path) -> FrameSequence:
 
 
 def _projections(path: Path) -> dict[str, NDArray]:
-    """Matrices [3 4] of a calibration by their names."""
+    """Matrices [3 4] of a calibration by name."""
     found = {}
     try:
         for line in filter(None, path.read_text("utf-8-sig").splitlines()):

@@ -1,10 +1,10 @@
-"""LeRobot v3.0: recordings as episodes with state, action and films, for learning to steer.
+"""LeRobot v3.0: episodes with states, actions and videos for imitation learning.
 
-`data/` has a row for each frame with `observation.state` and `action` from `frames.parquet` (their
-names have the units), `videos/` a film for each camera, `meta/` what they mean. Depth is z in the
-camera frame [m], float32, NaN = no value, as the array `observation.depth.<camera>`: films of
-depth, which newer readers know, have nothing that means no value. `meta/vrcaps.json` keeps cameras,
-patients and names; other readers do not look. Layout: https://huggingface.co/docs/lerobot/lerobot-dataset-v3.
+`data/` has a row per frame with `observation.state` and `action` from `frames.parquet` (with units
+in the names), `videos/` a video per camera, `meta/` their description. Depth is z in the
+camera frame [m], float32, NaN = no value, as the array `observation.depth.<camera>`: depth
+videos, supported by newer readers, cannot encode missing values. `meta/vrcaps.json` keeps cameras,
+patients and names; other readers ignore it. Layout: https://huggingface.co/docs/lerobot/lerobot-dataset-v3.
 """
 
 from __future__ import annotations
@@ -52,22 +52,22 @@ FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 IMAGES, DEPTH = "observation.images.", "observation.depth."
 _CHUNK = 1000
 _KEY_INTERVAL = 8
-"""Frames of a film between two that are decoded without others: frames are read at random."""
+"""Key-frame interval of a video: frames are read in random order."""
 
 _Cameras = tuple["FrameSequence", ...]
 
 
 @dataclass(frozen=True)
 class LeRobot:
-    """LeRobot v3.0: films with the states and actions of capsule and magnet.
+    """LeRobot v3.0: videos with the states and actions of capsule and magnet.
 
-    Recordings with other cameras, frame rates or columns become data sets of their own, in folders
+    Recordings with different cameras, frame rates or columns become separate data sets, in folders
     named after their capsules.
 
     Attributes:
-        images: Store images in the tables, as PNG without loss, instead of films.
-        crf: Of films in VP9: 0 is best, 63 smallest.
-        depth: Store depth, where it is recorded.
+        images: Store images in the tables, as lossless PNG, instead of videos.
+        crf: Constant rate factor of VP9 videos: 0 is best, 63 smallest.
+        depth: Store depth, if it is recorded.
     """
 
     images: bool = False
@@ -94,7 +94,7 @@ class LeRobot:
             self._write_group(place, group, advance)
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
-        """The sequences of all data sets in a folder, of others too; a sequence for each camera.
+        """Return the sequences of all data sets in a folder, also external ones; one per camera.
 
         Raises:
             InputError: If there is none, or a file is damaged.
@@ -107,11 +107,11 @@ class LeRobot:
         return tuple(sequence for place in places for sequence in read_dataset(place))
 
     def _kind_of(self, cameras: _Cameras) -> Any:
-        """What must be alike in all recordings of a data set."""
+        """Key of a data set: the same for all of its recordings."""
         return json.dumps([self._features(cameras), _episode(cameras).head["fps"]])
 
     def _features(self, cameras: _Cameras) -> dict[str, Any]:
-        """Features of recordings like one, as `info.json` says them."""
+        """Features of a kind of recording, as in `info.json`."""
         fps = _episode(cameras).head["fps"]
         found: dict[str, Any] = {}
         for sequence in cameras:
@@ -121,7 +121,7 @@ class LeRobot:
             if self.images:
                 image: dict[str, Any] = {"dtype": "image", "shape": [*size, 3]}
             else:
-                # Films have even sizes.
+                # Video sizes are even.
                 even = [side + side % 2 for side in size]
                 image = {"dtype": "video", "shape": [*even, 3], "info": _film_info(even, fps)}
             found[f"{IMAGES}{camera.name}"] = {**image, "names": ["height", "width", "channels"]}
@@ -161,7 +161,7 @@ class LeRobot:
         episode: _Numbers,
         advance: Advance,
     ) -> dict[str, NDArray]:
-        """Write what an episode has for each frame; how often its images have each level."""
+        """Write the frames of an episode; return the color histogram of its images."""
         count, fps = len(cameras[0]), _episode(cameras).head["fps"]
         columns: dict[str, Any] = {
             **{name: own.values for name, own in _rows(cameras).items()},
@@ -198,7 +198,7 @@ class LeRobot:
 
 @dataclass(frozen=True)
 class _Numbers:
-    """Number of an episode, of its first frame in the data set, and of its task."""
+    """Index of an episode, of its first frame in the data set, and of its task."""
 
     number: int
     first: int
@@ -206,7 +206,7 @@ class _Numbers:
 
 
 class _Images:
-    """Images of a camera: a film being encoded, or files."""
+    """Images of a camera: a video being encoded, or files."""
 
     def __init__(self, form: LeRobot, feature: Mapping[str, Any], fps: float) -> None:
         height, width, _ = feature["shape"]
@@ -226,13 +226,13 @@ class _Images:
         self.files.append({"bytes": data, "path": f"frame-{len(self.files):06d}.png"})
 
     def film(self) -> bytes:
-        """The film's file."""
+        """Finish encoding and return the video file."""
         assert self._film is not None
         return self._film.finish()
 
 
 class _Statistics:
-    """Statistics of a data set, gathered episode by episode."""
+    """Statistics of a data set, collected episode by episode."""
 
     def __init__(self) -> None:
         self._values: dict[str, list[NDArray]] = {}
@@ -242,7 +242,7 @@ class _Statistics:
     def add(
         self, rows: Mapping[str, Rows], histograms: Mapping[str, NDArray], frames: int
     ) -> dict[str, dict[str, list]]:
-        """Add an episode; its own statistics."""
+        """Add an episode; return its own statistics."""
         self._frames += frames
         for name, own in rows.items():
             self._values.setdefault(name, []).append(own.values)
@@ -252,7 +252,7 @@ class _Statistics:
         return {name: statistics(own.values) for name, own in rows.items()} | colors
 
     def all(self) -> dict[str, dict[str, list]]:
-        """Statistics of all episodes."""
+        """Return the statistics of all episodes."""
         found = {name: statistics(np.concatenate(own)) for name, own in self._values.items()}
         for name, histogram in self._histograms.items():
             found[name] = color_statistics(histogram, self._frames)
@@ -271,7 +271,7 @@ def _episode(cameras: _Cameras) -> Any:
 
 
 def _file(number: int) -> str:
-    """Place of the file of an episode."""
+    """Path of the file of an episode."""
     return FILE.format(chunk_index=number // _CHUNK, file_index=number % _CHUNK)
 
 
@@ -289,7 +289,7 @@ def _film_info(size: Sequence[int], fps: float) -> dict[str, Any]:
 
 
 def _whole(fps: float) -> float:
-    """A whole number where it is one: readers expect that."""
+    """Convert integral values to int, as readers expect."""
     return int(fps) if float(fps).is_integer() else fps
 
 
@@ -300,7 +300,7 @@ def _episode_row(
     features: Mapping[str, Any],
     own: Mapping[str, Mapping[str, list]],
 ) -> dict[str, Any]:
-    """What the table of episodes says of one."""
+    """Row of an episode in the table of episodes."""
     place = {"chunk_index": episode.number // _CHUNK, "file_index": episode.number % _CHUNK}
     frames = len(cameras[0])
     seconds = frames / _episode(cameras).head["fps"]
@@ -352,7 +352,7 @@ def _info(
 
 
 def _names(cameras: _Cameras) -> dict[str, Any]:
-    """What other readers do not ask for."""
+    """Metadata that other readers ignore."""
     return {
         "patient": cameras[0].patient,
         "split": cameras[0].split,

@@ -1,4 +1,4 @@
-"""Reader of LeRobot data sets: films and images of each camera of each episode."""
+"""LeRobot reader: videos and images of each camera of each episode."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _FIELD = re.compile(r"\{(\w+)(?::(0?\d?d))?\}")
-"""Field of a template: a name, and how wide its number is."""
+"""Field of a template: its name and width."""
 _CAPSULE = tuple(f"capsule_{name}" for name in POSE_COLUMNS)
 
 
 def read_dataset(folder: Path) -> Iterator[FrameSequence]:
-    """A sequence for each camera of each episode; images are read when asked for.
+    """Frame sequence of each camera of each episode; images are read on demand.
 
     Raises:
         InputError: If a file is damaged.
@@ -91,7 +91,7 @@ def _sequences_of(
 
 
 def _capsule_poses(features: Mapping[str, Any], frames: list[dict[str, Any]]) -> NDArray:
-    """``T_world_capsule`` [n 4 4] of the states; of other data an empty array."""
+    """``T_world_capsule`` [n 4 4] from the states; an empty array for external data."""
     names: list[str] = list(features.get(STATE, {}).get("names") or [])
     if not set(_CAPSULE) <= set(names):
         return np.zeros((0, 4, 4))
@@ -102,7 +102,7 @@ def _capsule_poses(features: Mapping[str, Any], frames: list[dict[str, Any]]) ->
 
 
 def _split_of(info: Mapping[str, Any], number: int) -> str | None:
-    """Split that an episode is in: `splits` has ranges such as ``0:3``."""
+    """Split of an episode: `splits` has ranges such as ``0:3``."""
     for name, text in info.get("splits", {}).items():
         first, _, end = str(text).partition(":")
         is_range = first.isdigit() and end.isdigit()
@@ -135,10 +135,10 @@ def _load(
 
 
 def _file(folder: Path, template: str, values: Mapping[str, Any]) -> Path:
-    """File that a template such as ``data/chunk-{chunk_index:03d}.parquet`` names.
+    """Path from a template such as ``data/chunk-{chunk_index:03d}.parquet``.
 
     Raises:
-        InputError: If it is another template, or leads out of the folder.
+        InputError: If the template is unsupported, or leads out of the folder.
     """
     try:
         name = _FIELD.sub(lambda field: f"{values[field[1]]:{field[2] or ''}}", template)
@@ -154,7 +154,7 @@ def _column(path: Path, name: str) -> Any:
 
 
 def _film_frame(path: Path, time: float) -> NDArray:
-    """The frame of a film that is nearest to a time [s]."""
+    """Video frame nearest to a time [s]."""
     import av
 
     with reading(path), av.open(str(path)) as container:

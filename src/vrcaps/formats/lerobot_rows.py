@@ -1,4 +1,4 @@
-"""State, action and statistics of episodes, as LeRobot's tables have them."""
+"""State, action and statistics of episodes, in the form of LeRobot's tables."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 
 @dataclass(frozen=True)
 class Rows:
-    """Numbers of each frame of an episode under their names, which have the units.
+    """Named values of each frame of an episode; the names include the units.
 
     Attributes:
-        names: Of the columns.
+        names: Names of the columns.
         values: A row for each frame.
     """
 
@@ -43,9 +43,9 @@ class Rows:
 
 
 def state_rows(episode: Episode) -> Rows:
-    """What is known at each frame: all columns of numbers that always have a value.
+    """State at each frame: all numeric columns that always have a value.
 
-    Poses of cameras are left out: they are the capsule's and their mounts'.
+    Camera poses are left out: they follow from the capsule pose and the mounts.
     """
     columns = episode.table.columns
     left_out = {*_NO_STATE, *pad_column_names(episode.scenario.sensors)}
@@ -59,11 +59,11 @@ def state_rows(episode: Episode) -> Rows:
 
 
 def action_rows(episode: Episode) -> Rows:
-    """What is commanded from each frame to the next; the last frame repeats its own row.
+    """Action from each frame to the next; the last frame repeats its own row.
 
-    Pose of the magnet and angles of the arm at the next frame, where a magnet steers; mean
-    commanded wrench until then and insufflation, where the motion is by dynamics; otherwise the
-    velocity of the capsule at the frame itself.
+    With a steering magnet: pose of the magnet and joint angles of the arm at the next frame. With
+    dynamics: mean commanded wrench until then, and insufflation. Otherwise: velocity of the
+    capsule at the frame itself.
     """
     columns = episode.table.columns
     names = list(_MAGNET_POSE) if _MAGNET_POSE[0] in columns else []
@@ -78,7 +78,7 @@ def action_rows(episode: Episode) -> Rows:
 
 
 def task_of(episode: Episode) -> str:
-    """What an episode does, in words."""
+    """Task of an episode, in words."""
     organ, motion = episode.head["organ"]["name"], episode.scenario.motion.kind
     if _MAGNET_POSE[0] in episode.table.columns:
         return f"Steer the capsule through the {organ} with a magnet."
@@ -91,7 +91,7 @@ def task_of(episode: Episode) -> str:
 
 
 def statistics(values: Float[np.ndarray, "n k"]) -> dict[str, list]:
-    """Statistics of columns over rows, as `stats.json` has them."""
+    """Statistics of columns over rows, as in `stats.json`."""
     quantiles = np.quantile(values, list(QUANTILES.values()), axis=0)
     found = {
         "min": values.min(axis=0),
@@ -104,15 +104,15 @@ def statistics(values: Float[np.ndarray, "n k"]) -> dict[str, list]:
 
 
 def color_histogram(rgb: np.ndarray) -> Int[np.ndarray, "3 256"]:
-    """How many pixels of an image have each level of red, green and blue."""
+    """Number of pixels of an image at each level of red, green and blue."""
     return np.stack([np.bincount(rgb[..., k].ravel(), minlength=256) for k in range(3)])
 
 
 def color_statistics(histogram: Int[np.ndarray, "3 256"], frames: int) -> dict[str, list]:
-    """Statistics of images with levels from 0 to 1, as `stats.json` has them: 3×1×1.
+    """Statistics of images with levels from 0 to 1, as in `stats.json`: 3×1×1.
 
     Args:
-        histogram: Of all images, from `color_histogram`.
+        histogram: Histogram of all images, from `color_histogram`.
         frames: Number of images.
     """
     level = np.arange(256) / 255.0
@@ -131,7 +131,7 @@ def color_statistics(histogram: Int[np.ndarray, "3 256"], frames: int) -> dict[s
 
 
 def features_of(rows: Mapping[str, Rows]) -> dict[str, Any]:
-    """Features of columns of numbers, and those that every table has, as `info.json` says them."""
+    """Features of numeric columns, and those of every table, as in `info.json`."""
     found: dict[str, Any] = {
         name: {"dtype": "float32", "shape": [len(own.names)], "names": list(own.names)}
         for name, own in rows.items()
@@ -149,7 +149,7 @@ TABLE_COLUMNS = {
     "task_index": "int64",
     "next.done": "bool",
 }
-"""Columns of every table of frames."""
+"""Columns of every frame table."""
 
 
 def _rows(episode: Episode, names: Sequence[str]) -> Rows:

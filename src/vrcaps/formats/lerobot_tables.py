@@ -1,4 +1,4 @@
-"""Tables of LeRobot: frames, tasks and episodes, as Parquet."""
+"""LeRobot tables: frames, tasks and episodes, as Parquet."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 _INDEX = "__index_level_0__"
-"""Column in which pandas keeps the names of rows."""
+"""Column in which pandas stores row names."""
 
 
 def arrow_kind(feature: Mapping[str, Any]) -> tuple[pa.DataType, dict[str, Any]]:
-    """Kind of a feature's column for Arrow and for Hugging Face.
+    """Type of a feature's column for Arrow and for Hugging Face.
 
     Args:
-        feature: `dtype` and `shape`, as `info.json` says them.
+        feature: `dtype` and `shape`, as in `info.json`.
     """
     import pyarrow as pa
 
@@ -46,8 +46,8 @@ def write_frames(
     """Write the frames of an episode.
 
     Args:
-        path: Of the file.
-        features: Of `info.json`; videos have no column.
+        path: Path of the file.
+        features: Features of `info.json`; videos have no column.
         columns: Values of each feature.
     """
     import pyarrow as pa
@@ -62,7 +62,7 @@ def write_frames(
 
 
 def write_tasks(path: Path, tasks: Sequence[str]) -> None:
-    """Write the tasks; pandas reads their texts as names of the rows."""
+    """Write the tasks; pandas reads their texts as row names."""
     import pyarrow as pa
 
     text = {"pandas_type": "unicode", "numpy_type": "object", "metadata": None}
@@ -96,8 +96,8 @@ def read_rows(path: Path, names: Sequence[str] | None = None) -> list[dict[str, 
     """Rows of a table.
 
     Args:
-        path: Of the file.
-        names: Of the columns to read; None reads all.
+        path: Path of the file.
+        names: Names of the columns to read; None reads all.
 
     Raises:
         InputError: If it cannot be read.
@@ -107,7 +107,7 @@ def read_rows(path: Path, names: Sequence[str] | None = None) -> list[dict[str, 
 
 
 def _array(values: Any, kind: pa.DataType) -> pa.Array:
-    """A column of Arrow; of arrays with more axes without a copy in Python's own lists."""
+    """Arrow column; multi-dimensional arrays are not copied to Python lists."""
     import pyarrow as pa
 
     if not isinstance(values, np.ndarray) or values.ndim == 1:

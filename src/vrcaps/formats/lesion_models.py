@@ -1,4 +1,4 @@
-"""Lesions as objects: the patch of the wall that each covers, with a frame of its own."""
+"""Lesions as objects: the wall patch of each, in its own frame."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ if TYPE_CHECKING:
     from vrcaps.recording.episode import Episode
 
 _DIRECTIONS = 48
-"""Rows of directions in which the farthest vertices are looked for; 2.6° apart."""
+"""Rows of directions for the search of extreme vertices; 2.6° apart."""
 _NEAREST = 1e-4
-"""Least z at which a vertex counts as before the camera [m]."""
+"""Minimum z of a vertex in front of the camera [m]."""
 
 
 @dataclass(frozen=True)
 class LesionModel:
-    """A lesion's patch of the wall.
+    """Wall patch of a lesion.
 
     Attributes:
-        number: Number of the object in a data set, from 1.
-        vertices: About the middle of its box, axes of the patient [m].
+        number: ID of the object in a data set, from 1.
+        vertices: Relative to the center of its box, axes of the patient [m].
         faces: Counterclockwise as seen from the lumen.
-        center_patient: Middle of its box in the patient frame [m].
-        wall: The same for rays.
+        center_patient: Center of its box in the patient frame [m].
+        wall: Ray-casting scene of the same surface.
     """
 
     number: int
@@ -48,7 +48,7 @@ class LesionModel:
 
     @property
     def T_patient_model(self) -> Float[np.ndarray, "4 4"]:
-        """Its place in the patient [m]."""
+        """Pose in the patient frame [m]."""
         return transform_from(np.eye(3), self.center_patient)
 
     def ply(self) -> bytes:
@@ -63,10 +63,10 @@ class LesionModel:
         return "\n".join([*header, "end_header", *lines, ""]).encode()
 
     def info(self) -> dict[str, float]:
-        """Its box and its diameter [mm], by the keys of BOP's `models_info.json`.
+        """Bounding box and diameter [mm], by the keys of BOP's `models_info.json`.
 
-        The diameter is the largest distance between two vertices, of those that are the farthest
-        in any of many directions.
+        The diameter is the maximum distance between two vertices that are extreme in any of many
+        directions.
         """
         low, high = self.vertices.min(axis=0) / MM, self.vertices.max(axis=0) / MM
         towards = octahedral_directions(_DIRECTIONS).reshape(-1, 3)
@@ -84,7 +84,7 @@ class LesionModel:
         matrix: Float[np.ndarray, "3 3"],
         canvas: tuple[int, int, int, int],
     ) -> tuple[tuple[int, int], Float[np.ndarray, "h w"]] | None:
-        """Camera z of its surface by itself, NaN beside it; None if it is not in the canvas.
+        """Camera z of its surface alone, NaN elsewhere; None if it is outside the canvas.
 
         Args:
             T_camera_model: Its pose in the camera frame [m].
@@ -92,14 +92,14 @@ class LesionModel:
             canvas: First column and row, last column and row [px].
 
         Returns:
-            First column and row of the part of the canvas that it lies in, and that part.
+            First column and row of the part of the canvas that it covers, and that part.
         """
         points = transform_points(T_camera_model, self.vertices)
         before = points[:, 2] > _NEAREST
         if not before.any():
             return None
         low, high = np.array(canvas[:2]), np.array(canvas[2:])
-        if before.all():  # otherwise its image may reach anywhere
+        if before.all():  # otherwise its image is unbounded
             pixels = points @ matrix.T
             pixels = pixels[:, :2] / pixels[:, 2:]
             low = np.maximum(low, np.floor(pixels.min(axis=0)).astype(int))
@@ -118,14 +118,14 @@ class LesionModel:
 
 
 def lesion_models(episode: Episode, first: int) -> Mapping[int, LesionModel]:
-    """Models of an episode's lesions by their instance numbers.
+    """Models of an episode's lesions by instance ID.
 
     Args:
-        episode: With lesions or without.
-        first: Number of the first model.
+        episode: Episode with or without lesions.
+        first: ID of the first model.
 
     Raises:
-        InputError: If the stored organ has no lesion numbers.
+        InputError: If the stored organ has no lesion IDs.
     """
     if not episode.head["organ"].get("lesions"):
         return {}

@@ -1,7 +1,7 @@
-"""Masks as polygons along pixel edges and as run lengths, without loss, as COCO holds them.
+"""Lossless masks as polygons along pixel edges and as run lengths, in the form of COCO.
 
-Coordinates have their origin at the top-left corner of the top-left pixel. Runs go down the
-columns, the first of them of zeros. Source: https://cocodataset.org/#format-data.
+Coordinates have their origin at the top-left corner of the top-left pixel. Runs are in column-major
+order and start with zeros. Source: https://cocodataset.org/#format-data.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ if TYPE_CHECKING:
 _STEPS = ((1, 0), (0, 1), (-1, 0), (0, -1))
 """Right, down, left, up as steps of (x, y)."""
 _LONGEST_COUNT = 60
-"""Most bits of a count of compressed runs."""
+"""Maximum number of bits of a count in compressed runs."""
 _TURNS = (1, 0, 3)
-"""Right turn first, so that pixels that touch at a corner only are apart."""
+"""Right turn first, to separate pixels that touch only at a corner."""
 
 
 def outlines(mask: Bool[np.ndarray, "h w"]) -> list[Int[np.ndarray, "k 2"]]:
-    """Corners (x, y) of polygons that cover exactly a mask's pixels, each without holes.
+    """Corners (x, y) of polygons that cover exactly a mask's pixels, without holes.
 
-    Each part of the mask has a polygon, clockwise as one sees it. A part with a hole is cut in
-    two at the hole, since polygons of COCO have none.
+    Each part of the mask has a polygon, clockwise in the image. A part with a hole is cut in
+    two at the hole, because polygons of COCO have no holes.
     """
     parts = np.zeros(mask.shape, np.int32)
     scipy.ndimage.label(mask, output=parts)  # pixels that share an edge
@@ -49,7 +49,7 @@ def outlines(mask: Bool[np.ndarray, "h w"]) -> list[Int[np.ndarray, "k 2"]]:
 
 
 def run_lengths(mask: Bool[np.ndarray, "h w"]) -> dict[str, Any]:
-    """A mask as `size` and `counts`, not compressed."""
+    """Uncompressed run lengths of a mask, as `size` and `counts`."""
     flat = np.concatenate([[False], mask.ravel(order="F"), [False]])
     changes = np.flatnonzero(flat[1:] != flat[:-1])
     ends = np.concatenate([[0], changes, [mask.size]])
@@ -58,13 +58,13 @@ def run_lengths(mask: Bool[np.ndarray, "h w"]) -> dict[str, Any]:
 
 
 def mask_of(segmentation: Any, height: int, width: int, where: str) -> Bool[np.ndarray, "h w"]:
-    """The mask that polygons or run lengths stand for; a pixel counts by its center.
+    """Mask of polygons or run lengths; a pixel is set by its center.
 
     Args:
-        segmentation: Of an annotation: polygons, or runs as numbers or as COCO compresses them.
-        height: Of the image [px].
-        width: Of the image [px].
-        where: Whose it is, for messages.
+        segmentation: Value of an annotation: polygons, or runs as numbers or compressed by COCO.
+        height: Height of the image [px].
+        width: Width of the image [px].
+        where: Source of the annotation, for messages.
 
     Raises:
         InputError: If it is neither, or does not fit the image.
@@ -95,7 +95,7 @@ def _loops(part: Bool[np.ndarray, "h w"]) -> list[Int[np.ndarray, "k 2"]]:
     """Closed outlines of one part: clockwise around it, counterclockwise around its holes."""
     leaving: dict[tuple[int, int], list[int]] = {}
     inside = np.pad(part, 1)
-    # What lies beyond a pixel's upper, right, lower and left edge, and where the edge begins.
+    # Pixel beyond the upper, right, lower and left edge, and start of that edge.
     beyond = (inside[:-2, 1:-1], inside[1:-1, 2:], inside[2:, 1:-1], inside[1:-1, :-2])
     starts = ((0, 0), (1, 0), (1, 1), (0, 1))
     for direction, (other, (x, y)) in enumerate(zip(beyond, starts, strict=True)):
@@ -109,8 +109,8 @@ def _loops(part: Bool[np.ndarray, "h w"]) -> list[Int[np.ndarray, "k 2"]]:
 
 
 def _followed(leaving: dict[tuple[int, int], list[int]]) -> list[tuple[int, int]]:
-    """Corners of one closed outline, whose edges are taken away."""
-    at = first = min(leaving)  # in its leftmost column, where it passes once
+    """Corners of one closed outline; its edges are removed."""
+    at = first = min(leaving)  # in its leftmost column, visited once
     direction = -1
     corners: list[tuple[int, int]] = []
     while at != first or not corners:
@@ -131,7 +131,7 @@ def _followed(leaving: dict[tuple[int, int], list[int]]) -> list[tuple[int, int]
 
 
 def _signed_area(corners: Int[np.ndarray, "k 2"]) -> float:
-    """Area of a polygon [px²], below zero where it runs counterclockwise as one sees it."""
+    """Signed area of a polygon [px²], negative if counterclockwise in the image."""
     x, y = corners.T
     return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
 
@@ -139,8 +139,8 @@ def _signed_area(corners: Int[np.ndarray, "k 2"]) -> float:
 def _decompressed(text: str) -> Sequence[int]:
     """Counts of COCO's compressed run lengths.
 
-    Each is written in groups of 5 bits, the lowest first, as characters from 48 on; the 6th bit
-    says that more follow. From the fourth on it is the difference to the count two before.
+    Each is written in groups of 5 bits, least significant first, as characters from 48 on; the 6th
+    bit marks continuation. From the fourth on it is the difference from the count two before.
     """
     counts: list[int] = []
     value, shift = 0, 0

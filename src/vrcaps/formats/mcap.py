@@ -1,11 +1,11 @@
-"""MCAP: a file of messages with times for each recording, which Foxglove opens.
+"""MCAP: a file of timestamped messages for each recording, for Foxglove.
 
 Messages are JSON in Foxglove's well-known schemas (see `foxglove_schemas`): `/tf` with the frames
 `world`, `capsule`, `camera_<name>`, `patient` and `magnet`; for each camera `/<camera>/calibration`
-and a topic for each channel of one number a pixel: `rgb` as PNG or JPEG, all others as numbers
-(distances float32 in meters, NaN = no value; classes and numbers as they are). `/scene` has the
+and a topic for each single-valued channel: `rgb` as PNG or JPEG, all others as raw values
+(distances float32 in meters, NaN = no value; classes and IDs unchanged). `/scene` has the
 organ at rest and the capsule. `/capsule` and `/magnet` hold the columns of `frames.parquet`, whose
-names have the units. Times are nanoseconds from the start of the recording. Container:
+names include the units. Times are nanoseconds from the start of the recording. Container:
 https://mcap.dev/spec.
 """
 
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 _METADATA = "vrcaps"
 _BODIES = ("capsule", "patient", "magnet")
-"""Bodies whose poses an episode may have."""
+"""Bodies that may have poses in an episode."""
 _JSON_TYPES = {"O": "string", "U": "string", "b": "boolean"}
 _ORGAN_COLOR, _CAPSULE_COLOR = (0.86, 0.55, 0.5, 0.35), (0.95, 0.95, 0.95, 0.9)
 
@@ -59,8 +59,8 @@ class Mcap:
     """MCAP for Foxglove: images, cameras, frames, organ, states of capsule and magnet.
 
     Attributes:
-        jpeg_quality: Quality of JPEG for `rgb`, 1 to 100; 0 stores it as PNG, without loss.
-        organ: Whether the wall at rest is stored, as triangles.
+        jpeg_quality: JPEG quality of `rgb`, 1 to 100; 0 stores it as lossless PNG.
+        organ: Whether to store the wall at rest, as triangles.
     """
 
     jpeg_quality: Annotated[int, Range(0, 100)] = 0
@@ -85,10 +85,10 @@ class Mcap:
                     write()
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
-        """The sequences of all files that vrcaps wrote; images are read when asked for.
+        """Return the sequences of all files written by vrcaps; images are read on demand.
 
         Raises:
-            InputError: If there is none, or one is damaged or of others.
+            InputError: If there are none, or one is damaged or not written by vrcaps.
         """
         paths = listed(folder, "**/*.mcap") if folder.is_dir() else [folder]
         if not paths:
@@ -96,7 +96,7 @@ class Mcap:
         return tuple(one for path in paths for one in _read_file(path, split_of(path, folder)))
 
     def _write_start(self, topics: _Topics, cameras: Sequence[FrameSequence]) -> None:
-        """What holds from the start: cameras and scene."""
+        """Write the static data: cameras and scene."""
         ns = min(foxglove.time_ns(sequence.times[0]) for sequence in cameras)
         for sequence in cameras:
             camera = sequence.camera
@@ -113,7 +113,7 @@ class Mcap:
     def _events(
         self, topics: _Topics, cameras: Sequence[FrameSequence], advance: Advance
     ) -> list[Callable[[], None]]:
-        """What is to be written, in the order of time; the states come before what is seen."""
+        """Messages to write, in order of time; states precede images."""
         events: list[tuple[float, int, Callable[[], None]]] = []
         episode = cameras[0].episode
         if episode is not None:
@@ -151,13 +151,13 @@ class Mcap:
 
 
 class _Topics:
-    """The topics of a file, registered when they are first used."""
+    """Topics of a file, registered on first use."""
 
     def __init__(self, writer: Any) -> None:
         self._writer, self._channels, self._schemas = writer, {}, {}
 
     def send(self, topic: str, kind: str, ns: int, message: foxglove.Message) -> None:
-        """Write a message of one of Foxglove's kinds."""
+        """Write a message with one of Foxglove's schemas."""
         name = f"foxglove.{kind}"
         self.send_as(topic, name, foxglove.SCHEMAS[name], ns, message)
 
@@ -184,7 +184,7 @@ def _writing(file: Any) -> Iterator[Any]:
 
 
 def _state_writer(topics: _Topics, episode: Episode) -> Callable[[int], None]:
-    """Writes a row of `frames.parquet`, and the poses of all bodies in it."""
+    """Function that writes a row of `frames.parquet` and the poses of all bodies in it."""
     columns = episode.table.columns
     bodies = [name for name in _BODIES if {f"{name}_{c}" for c in POSE_COLUMNS} <= set(columns)]
     poses = {name: episode.table.poses(name) for name in bodies}
@@ -216,7 +216,7 @@ def _row_schema(episode: Episode, names: Iterable[str]) -> foxglove.Message:
 
 
 def _organ(ns: int, episode: Episode) -> foxglove.Message:
-    """The wall at rest."""
+    """Message with the wall at rest."""
     organ = episode.organ
     triangles = {
         "pose": foxglove.pose(np.zeros(3)),
@@ -229,7 +229,7 @@ def _organ(ns: int, episode: Episode) -> foxglove.Message:
 
 
 def _capsule(ns: int, episode: Episode) -> foxglove.Message:
-    """The shell: a cylinder with round ends along z."""
+    """Message with the shell: a cylinder with hemispherical ends along z."""
     length, radius = episode.head["capsule"]["length_m"], episode.head["capsule"]["radius_m"]
     half = max(length / 2.0 - radius, 0.0)
     size, paint = foxglove.vector(np.full(3, 2.0 * radius)), foxglove.color(*_CAPSULE_COLOR)
@@ -253,7 +253,7 @@ def _frame_of(sequence: FrameSequence) -> str:
 
 
 def _stored(sequence: FrameSequence) -> tuple[str, ...]:
-    """Channels that messages hold: color, and those of one number a pixel of at most 16 bits."""
+    """Channels stored in messages: color, and single-valued ones of at most 16 bits."""
     return tuple(
         name
         for name in sequence.channels
@@ -263,7 +263,7 @@ def _stored(sequence: FrameSequence) -> tuple[str, ...]:
 
 
 def _plain(sequence: FrameSequence) -> dict[str, Any]:
-    """What messages do not say of a sequence."""
+    """Metadata of a sequence that messages do not hold."""
     assert sequence.camera is not None
     return {
         "name": sequence.name,

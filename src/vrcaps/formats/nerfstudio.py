@@ -1,10 +1,10 @@
 """nerfstudio: `transforms.json` with images, depths and masks, for radiance fields and splatting.
 
 `transform_matrix` is camera to world [m] with OpenGL's camera axes: x right, y up, z backward.
-Pixel centers are at 0.5. Depths are `.npy` files of float32 in millimeters, since the loader takes
-PNG in whole millimeters; 0 is no value. The loader multiplies depth by the length of its own ray
-directions, which end at z = 1 for pinholes and have length 1 for fisheyes: so the file of a
-pinhole holds z, that of a fisheye the distance along the ray. Source:
+Pixel centers are at 0.5. Depths are `.npy` files of float32 in millimeters, because the loader
+reads PNG in integer millimeters; 0 means no value. The loader multiplies depth by the length of its
+ray directions, which have z = 1 for pinholes and length 1 for fisheyes: the file of a
+pinhole therefore holds z, that of a fisheye the distance along the ray. Source:
 https://docs.nerf.studio/quickstart/data_conventions.html.
 """
 
@@ -55,7 +55,7 @@ class Nerfstudio:
         """Write a folder for each episode, with all its cameras.
 
         Raises:
-            InputError: If its cameras are of different models, which one file cannot hold.
+            InputError: If its cameras have different models, which one file cannot hold.
         """
         for rig, place in each_rig(sequences, folder):
             models = {_model(sequence) for sequence in rig}
@@ -78,9 +78,9 @@ class Nerfstudio:
             write_times(place, rig[0])
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
-        """A sequence for each folder of images, in the order of the file.
+        """Return a sequence for each folder of images, in the order of the file.
 
-        Without `times.txt` a frame's time is its number.
+        Without `times.txt` the time of a frame is its index.
 
         Raises:
             InputError: If it is not in this layout.
@@ -118,7 +118,7 @@ def _lens_values(sequence: FrameSequence) -> dict[str, float]:
 
 
 def _write_frame(place: Path, sequence: FrameSequence, index: int) -> dict[str, Any]:
-    """Write the images of a frame; gives its row."""
+    """Write the images of a frame; return its row."""
     pose = sequence.Ts_world_camera[index] @ _R_CAMERA_GL
     row: dict[str, Any] = {
         "file_path": f"images/{_camera(sequence).name}/frame_{index + 1:06d}.png",
@@ -145,7 +145,7 @@ def _depth_scale(camera: Camera) -> Float[np.ndarray, "h w"] | float:
 
 
 def _write_mask(place: Path, sequence: FrameSequence) -> dict[str, str]:
-    """Write which pixels see anything; gives what a row says of it."""
+    """Write the mask of valid pixels; return its key for the rows."""
     path = f"masks/{_camera(sequence).name}.png"
     (place / path).parent.mkdir(exist_ok=True)
     sees = np.isfinite(_rays(sequence)[..., 0])

@@ -1,4 +1,4 @@
-"""Lenses as COLMAP and nerfstudio have them: OpenCV's models, with pixel centers at 0.5.
+"""Lenses of COLMAP and nerfstudio: OpenCV's models, with pixel centers at 0.5.
 
 There the center of the top-left pixel is (0.5, 0.5); here it is (0, 0). Parameters by model are
 those of https://colmap.github.io/cameras.html; distortion is OpenCV's.
@@ -12,10 +12,10 @@ from vrcaps.camera.lens import AnyLens, LensEquidistant, LensKannalaBrandt, Lens
 from vrcaps.errors import InputError, UnknownNameError
 
 OPENCV_LENSES = (LensPinhole, LensKannalaBrandt, LensEquidistant)
-"""Lenses that these models hold."""
+"""Lenses supported by these models."""
 
 HALF = 0.5
-"""Coordinate of a pixel's center, less its number [px]."""
+"""Offset from a pixel's index to its center's coordinate [px]."""
 
 _ONE, _TWO = ("f", "cx", "cy"), ("fx", "fy", "cx", "cy")
 MODELS: dict[str, tuple[str, ...]] = {
@@ -29,18 +29,18 @@ MODELS: dict[str, tuple[str, ...]] = {
     "RADIAL_FISHEYE": (*_ONE, "k1", "k2"),
     "OPENCV_FISHEYE": (*_TWO, "k1", "k2", "k3", "k4"),
 }
-"""Names of the parameters of each model, in its order."""
+"""Parameter names of each model, in order."""
 
 
 def opencv_model(lens: AnyLens, name: str) -> tuple[str, dict[str, float]]:
-    """The simplest model that a lens is exactly, and its parameters [px, as a multiple].
+    """Simplest model that represents a lens exactly, and its parameters [px, as a multiple].
 
     Args:
         lens: One of `OPENCV_LENSES`.
-        name: Whose lens it is, for messages.
+        name: Name of the lens, for messages.
 
     Raises:
-        InputError: If it is a pinhole with skew, which no model has.
+        InputError: If it is a pinhole with skew, which no model supports.
     """
     center = {"cx": lens.cx + HALF, "cy": lens.cy + HALF}
     if isinstance(lens, LensEquidistant):
@@ -58,14 +58,14 @@ def opencv_model(lens: AnyLens, name: str) -> tuple[str, dict[str, float]]:
 
 
 def require_no_skew(lens: LensPinhole, name: str) -> None:
-    """Check that a pinhole has no skew, which OpenCV's models do not have.
+    """Check that a pinhole has no skew, which OpenCV's models do not support.
 
     Args:
         lens: The lens.
-        name: Whose lens it is, for messages.
+        name: Name of the lens, for messages.
 
     Raises:
-        InputError: If it has one.
+        InputError: If it has skew.
     """
     if lens.skew != 0.0:
         raise InputError(
@@ -75,16 +75,16 @@ def require_no_skew(lens: LensPinhole, name: str) -> None:
 
 
 def lens_of(model: str, parameters: Mapping[str, float], where: str) -> AnyLens:
-    """The lens that a model with its parameters is.
+    """Lens from a model and its parameters.
 
     Args:
         model: One of `MODELS`.
-        parameters: By name; those of distortion may be left out.
-        where: File that they are from, for messages.
+        parameters: Parameters by name; distortion is optional.
+        where: Source file, for messages.
 
     Raises:
-        UnknownNameError: If there is no such model here.
-        InputError: If a parameter is missing, or it is distorted as no lens here is.
+        UnknownNameError: If the model is not supported.
+        InputError: If a parameter is missing, or no lens here has such a distortion.
     """
     if model not in MODELS:
         raise UnknownNameError("camera model", model, MODELS)

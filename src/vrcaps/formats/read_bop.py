@@ -1,4 +1,4 @@
-"""Reader of scenes of BOP, whoever made them."""
+"""Reader of BOP scenes from any source."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SCENE_CAMERA, SCENE_GT = "scene_camera.json", "scene_gt.json"
 
 
 def read_bop(folder: Path) -> tuple[FrameSequence, ...]:
-    """Scenes of a folder, see `Bop.read`.
+    """Return the scenes of a folder, see `Bop.read`.
 
     Raises:
         InputError: If it is not in this layout.
@@ -94,7 +94,7 @@ def _read_depth(paths: list[Path], scales: list[float], index: int) -> NDArray:
 def _read_instance(
     masks: Path, images: list[Path], truths: list[list[dict[str, Any]]], index: int
 ) -> NDArray:
-    """Numbers of objects where they are seen: the lesion's, or the place in the image's list."""
+    """Visible object IDs per pixel: of the lesion, or the index in the image's list."""
     instance = np.zeros(read_rgb(images[index]).shape[:2], np.uint16)
     for place, row in enumerate(truths[index]):
         mask = read_plane(masks / f"{images[index].stem}_{place:06d}.png")

@@ -1,4 +1,4 @@
-"""Reader of COCO instances, whoever made them."""
+"""Reader of COCO instances from any source."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _CHANNELS = ("rgb", "label", "instance")
 
 
 def read_coco(folder: Path) -> tuple[FrameSequence, ...]:
-    """Sequences of a folder with `annotations/instances_*.json`, see `Coco.read`.
+    """Return the sequences of a folder with `annotations/instances_*.json`, see `Coco.read`.
 
     Raises:
         InputError: If there is no such file, or one cannot be read.
@@ -89,7 +89,7 @@ def _load(
     require_pixels(width, height)
     values = np.zeros((height, width), np.uint8 if channel == "label" else np.uint16)
     rows = list(enumerate(annotations.get(image["id"], []), 1))
-    # Single lesions lie over crowds.
+    # Single lesions are drawn over crowds.
     for place, (label, row) in sorted(rows, key=lambda each: -each[1][1].get("iscrowd", 0)):
         where = f"annotation {row.get('id')}"
         mask = mask_of(row["segmentation"], height, width, where)

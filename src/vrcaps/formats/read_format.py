@@ -1,4 +1,4 @@
-"""Read a folder in the layout of others."""
+"""Reader of a folder in an external format."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from vrcaps.recording.frame_sequence import FrameSequence
 
 
 def read_format(kind: str, folder: str | Path, **options: Any) -> tuple[FrameSequence, ...]:
-    """Frame sequences of a folder in a layout of others; images are read when asked for.
+    """Return the frame sequences of a folder in an external format; images are read on demand.
 
-    Frames are as those of an episode: meters, OpenCV camera axes, NaN where there is no value.
+    Frames have the conventions of an episode: meters, OpenCV camera axes, NaN for no value.
 
     Example:
         >>> for sequence in vrcaps.read_format("simcol3d", "SyntheticColon_I"):
         ...     sequence[0]["rgb"], sequence[0]["depth"], sequence[0]["T_world_camera"]
 
     Args:
-        kind: Name of the layout, as of `vrcaps export`.
-        folder: Where it lies.
-        options: Of the layout, named as the options of `vrcaps export`.
+        kind: Name of the format, as in `vrcaps export`.
+        folder: Path of the folder.
+        options: Options of the format, named as in `vrcaps export`.
 
     Raises:
-        UnknownNameError: If there is no such layout or option.
-        InputError: If the folder is not in this layout, a file in it is damaged, a file that it
+        UnknownNameError: If there is no such format or option.
+        InputError: If the folder is not in this format, a file in it is damaged, a file that it
             names lies outside, or a value is impossible (see `FrameSequence`).
     """
     form = format_named(kind)
@@ -51,10 +51,10 @@ def read_format(kind: str, folder: str | Path, **options: Any) -> tuple[FrameSeq
 
 
 def _require_rising(sequence: FrameSequence) -> None:
-    """Check that each frame comes after the one before.
+    """Check that the times of frames increase.
 
     Raises:
-        InputError: If one does not; names it.
+        InputError: If they do not; the message names the frame.
     """
     times = sequence.times
     wrong = np.flatnonzero(np.diff(times) <= 0.0)

@@ -1,19 +1,19 @@
-"""Sequences resampled to a pinhole of a stated field of view, with labels that follow exactly.
+"""Sequences resampled to a pinhole of a given field of view, with exact labels.
 
-The camera keeps its place and does not turn; only its lens changes. So each pixel of the pinhole
-looks along a ray that the old lens maps to a place in the old image, the same in every frame:
+The camera pose is unchanged; only the lens differs. Each pixel of the pinhole therefore looks
+along a ray that the old lens maps to a position in the old image, the same in every frame:
 
 | channels | value of a new pixel |
 |---|---|
-| `rgb`, `radiance` | bilinear mean of the four pixels around that place, in linear light |
+| `rgb`, `radiance` | bilinear mean of the four pixels around that position, in linear light |
 | `depth`, `ray_distance`, … | distance along the new ray, from the inverse distances around |
 | `flow_forward`, `flow_backward` | nearest pixel's; both ends mapped to rays and to the pinhole |
 | `occlusion` | nearest pixel's, or true where `flow_forward` leaves the new image |
 | all others | nearest pixel's |
 
-The inverse of the distance along a ray is linear in the ray where the wall is flat, so that
-interpolation adds no error of perspective. Where four pixels do not see one surface, the nearest
-pixel's distance is taken, so that no value lies between a fold and what is behind it.
+The inverse of the distance along a ray is linear in the ray for a flat wall, so interpolation
+adds no perspective error. If four pixels do not see one surface, the nearest pixel's distance
+is taken, so that no value lies between a fold and the wall behind it.
 """
 
 from __future__ import annotations
@@ -40,48 +40,48 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _STEEPEST = tan(radians(85.0))
-"""Tangent of the largest angle to a wall's normal under which pixels are taken for one surface."""
+"""Tangent of the maximum angle to the wall's normal for pixels to count as one surface."""
 _SNAP_PX = 1e-6
-"""Places this near to a pixel are that pixel, so that a pinhole made a pinhole stays as it is."""
+"""Positions this close to a pixel are snapped, so that a pinhole remains unchanged."""
 _STEP = radians(0.1)
 
 
 def rectified(
     sequence: FrameSequence, field_of_view: float, size: tuple[int, int] | None = None
 ) -> FrameSequence:
-    """The frames as a pinhole at the same place sees them.
+    """Return the frames as seen by a pinhole with the same pose.
 
     Example:
         >>> sequence = vrcaps.read_episode("runs/colon").sequence("front")
         >>> rectified(sequence, math.radians(90)).camera.lens
 
     Args:
-        sequence: Frames of a camera with any lens. Its `episode` stays, with the old lens.
+        sequence: Frames of a camera with any lens. Its `episode` is kept, with the old lens.
         field_of_view: Angle from the left to the right edge of the new image [rad].
-        size: Width and height of the new image [px]. By default the middle keeps its resolution
-            and the image its proportions. A coarser image is sampled, not averaged.
+        size: Width and height of the new image [px]. By default the resolution at the center and
+            the aspect ratio are kept. A coarser image is sampled, not averaged.
 
     Raises:
-        InputError: If the lens is not known, does not see that far, or no image is that large.
+        InputError: If the lens is unknown, the field is too wide for it, or the image is too large.
     """
     return resampled(sequence, pinhole_camera(sequence, field_of_view, size))
 
 
 def resampled(sequence: FrameSequence, camera: Camera) -> FrameSequence:
-    """The frames as another camera at the same place sees them.
+    """Return the frames as seen by another camera with the same pose.
 
     Args:
-        sequence: Frames of a camera whose lens is known.
-        camera: The new camera, which looks the same way and sees less than 180°.
+        sequence: Frames of a camera with a known lens.
+        camera: New camera with the same viewing direction and a field of view below 180°.
 
     Returns:
-        The same frames; without `occlusion` where `flow_forward` is not known.
+        The same frames; without `occlusion` if `flow_forward` is unknown.
 
     Raises:
-        InputError: If the lens of the sequence is not known.
+        InputError: If the lens of the sequence is unknown.
     """
     load = partial(_load, sequence.load, _require_camera(sequence), camera)
-    # What leaves the smaller view is not known without flow, and so not what is seen next.
+    # Without flow it is unknown what leaves the smaller view and is not seen next.
     lost = () if "flow_forward" in sequence.channels else ("occlusion",)
     channels = tuple(name for name in sequence.channels if name not in lost)
     return replace(sequence, channels=channels, load=load, camera=camera)
@@ -90,7 +90,7 @@ def resampled(sequence: FrameSequence, camera: Camera) -> FrameSequence:
 def pinhole_camera(
     sequence: FrameSequence, field_of_view: float, size: tuple[int, int] | None = None
 ) -> Camera:
-    """The camera of `rectified`: square pixels, the optical axis in the middle of the image.
+    """Camera of `rectified`: square pixels, the optical axis in the center of the image.
 
     Raises:
         InputError: As `rectified`.
@@ -120,14 +120,14 @@ def pinhole_camera(
 
 
 def widest_field(camera: Camera) -> float:
-    """Widest field of view [rad] of a pinhole that the camera fills from left to right."""
+    """Maximum field of view [rad] of a pinhole that the camera fills from left to right."""
     angles = np.arange(0.0, pi / 2.0, _STEP)
     blind = ~(_sees(camera, angles) & _sees(camera, -angles))
     return 2.0 * float(angles[max(0, np.argmax(blind) - 1)] if blind.any() else angles[-1])
 
 
 def _sees(camera: Camera, angles: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Whether rays at these angles to the axis, to the right of it, reach the image."""
+    """Whether rays at these angles to the axis, to its right, reach the image."""
     rays = np.stack([np.sin(angles), np.zeros_like(angles), np.cos(angles)], axis=-1)
     return in_image(camera, _snapped(project_points(camera, rays)))
 
@@ -148,16 +148,16 @@ def _snapped(pixels: NDArray) -> NDArray:
 
 @dataclass(frozen=True)
 class _Map:
-    """Where the pixels of a new image lie in the old one.
+    """Map from the pixels of a new image to the old one.
 
     Attributes:
         seen: Whether the old image has a value there.
-        nearest: Nearest pixel, by its number in the old image; 0 where nothing is seen.
-        corners: The four pixels around, by their numbers.
-        weights: Of the corners; 0 outside the old lens's field; they add up to 1.
+        nearest: Index of the nearest pixel in the old image; 0 where nothing is seen.
+        corners: Indices of the four surrounding pixels.
+        weights: Weights of the corners; 0 outside the old lens's field; they add up to 1.
         old_rays: Unit rays of the old pixels.
         new_rays: Unit rays of the new pixels.
-        largest_ratio: Of the distances of neighboring pixels that see one surface.
+        largest_ratio: Maximum ratio of distances of neighboring pixels on one surface.
     """
 
     seen: Bool[np.ndarray, "h w"]
@@ -191,7 +191,7 @@ def _map(old: Camera, new: Camera) -> _Map:
 
 
 def _number(camera: Camera, pixels: Float[np.ndarray, "*batch 2"]) -> Int[np.ndarray, "*batch"]:
-    """Numbers of pixels (column, row) by rows; those beyond an edge are the ones on it."""
+    """Row-major indices of pixels (column, row); those beyond an edge are clamped to it."""
     at = np.clip(pixels, 0, (camera.width - 1, camera.height - 1)).astype(np.int32)
     return at[..., 1] * camera.width + at[..., 0]
 
@@ -221,7 +221,7 @@ def _load(
 def _read(
     load: Callable[[str, int], NDArray], camera: Camera, channel: str, index: int
 ) -> NDArray[Any]:
-    """Pixels [n] or [n c] of an image."""
+    """Read pixels [n] or [n c] of an image."""
     image = load(channel, index)
     if image.shape[:2] != (camera.height, camera.width):
         raise InputError(
@@ -243,7 +243,7 @@ def _light(flat: NDArray, places: _Map) -> NDArray:
 
 
 def _distance(flat: NDArray, places: _Map, *, is_z: bool) -> NDArray:
-    """Distance along the new pixel's ray, or its z, from the inverse distances around it."""
+    """Distance along the new pixel's ray, or its z, from the surrounding inverse distances."""
     distance = flat.astype(float)
     if is_z:
         z = places.old_rays[:, 2]
@@ -264,9 +264,9 @@ def _distance(flat: NDArray, places: _Map, *, is_z: bool) -> NDArray:
 def _ends(
     flow: NDArray, places: _Map, old: Camera, new: Camera
 ) -> tuple[Float[np.ndarray, "h w 2"], Float[np.ndarray, "h w 2"]]:
-    """Where the point that a new pixel's nearest old pixel sees is in the new image: now, then.
+    """Image positions, now and then, of the point seen by the nearest old pixel of a new pixel.
 
-    Both ends go through the old lens to rays and from there to the new image. The point lies
+    Both ends are mapped by the old lens to rays and from there to the new image. The point lies
     within half an old pixel of the new pixel's ray.
     """
     starts = pixel_grid(old.width, old.height).reshape(-1, 2)

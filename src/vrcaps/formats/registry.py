@@ -1,4 +1,4 @@
-"""All formats: one line each. A format is imported when it is used."""
+"""Registry of formats, one line each. A format is imported on use."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ FORMATS = {
     "lerobot": ("lerobot", "LeRobot", "LeRobot v3.0, for learning to steer."),
     "mcap": ("mcap", "Mcap", "MCAP, for Foxglove."),
 }
-"""Module, class and summary of each format, by the name that its `kind` says too."""
+"""Module, class and summary of each format, by name, which equals its `kind`."""
 
 
 def format_named(kind: str) -> type[Format]:
-    """A format by its name.
+    """Return a format by name.
 
     Raises:
         UnknownNameError: If there is none.

@@ -1,7 +1,8 @@
-"""A frame as a sample of its own: its images as files, all else that is known as plain values.
+"""Frame as a standalone sample: images as files, all other data as plain values.
 
 Images are files in the encodings of episodes: value = stored · scale + offset, and `invalid` where
-there is no value; a sample says so itself. Layouts that put samples into large files share this.
+there is no value; a sample describes them itself. Layouts that pack samples into large files share
+this module.
 """
 
 from __future__ import annotations
@@ -27,22 +28,22 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _OTHER = ("sequence", "index", "patient", "split", "camera", "label_names", "channels")
-"""Keys of a sample that are no values of its frame."""
+"""Keys of a sample that are not values of its frame."""
 
 Place = Any
-"""Where a layout stores an image."""
+"""Storage location of an image in a layout."""
 
 
 @dataclass(frozen=True)
 class Sample:
-    """A frame that was read: its plain values, and where each of its images is."""
+    """Frame that was read: its plain values and the locations of its images."""
 
     plain: Mapping[str, Any]
     images: Mapping[str, Place]
 
 
 def sample_key(sequence: FrameSequence, index: int) -> str:
-    """Name of a sample, without dots: readers take what follows a dot for the kind of file."""
+    """Name of a sample, without dots: readers take the part after a dot as the file type."""
     return f"{folder_name(sequence).replace('.', '-')}_{index:06d}"
 
 
@@ -64,7 +65,7 @@ def require_own_names(sequences: Sequence[FrameSequence]) -> None:
 
 
 def by_split(sequences: Iterable[FrameSequence]) -> dict[str | None, list[FrameSequence]]:
-    """Sequences of each split, in their order."""
+    """Sequences of each split, in order."""
     found: dict[str | None, list[FrameSequence]] = {}
     for sequence in sequences:
         found.setdefault(sequence.split, []).append(sequence)
@@ -72,7 +73,7 @@ def by_split(sequences: Iterable[FrameSequence]) -> dict[str | None, list[FrameS
 
 
 def sample_images(sequence: FrameSequence, index: int) -> dict[str, bytes]:
-    """Files of a frame's images by channel; the same values give the same bytes."""
+    """Image files of a frame by channel; the same values give the same bytes."""
     stored = {
         channel: CHANNELS[channel].encoding.encode(sequence.image(channel, index))
         for channel in sequence.channels
@@ -83,10 +84,10 @@ def sample_images(sequence: FrameSequence, index: int) -> dict[str, bytes]:
 
 
 def sample_image(channel: str, data: bytes) -> NDArray:
-    """Values of an image [h w] or [h w c] in SI units, given as the bytes of its file.
+    """Values of an image [h w] or [h w c] in SI units, given the bytes of its file.
 
     Raises:
-        ValueError: If they are no such file.
+        ValueError: If they are not such a file.
     """
     return CHANNELS[channel].encoding.decode(decode_image(data, suffix(channel)))
 
@@ -97,7 +98,7 @@ def suffix(channel: str) -> str:
 
 
 def sample_values(sequence: FrameSequence, index: int) -> dict[str, Any]:
-    """All else that is known of a frame, as JSON can hold it: SI units, lens in pixels."""
+    """All other data of a frame in JSON form: SI units, lens in pixels."""
     camera = None if sequence.camera is None else camera_to_plain(sequence.camera)
     return {
         "sequence": sequence.name,
@@ -112,22 +113,22 @@ def sample_values(sequence: FrameSequence, index: int) -> dict[str, Any]:
 
 
 def channel_meaning(channel: str) -> dict[str, Any]:
-    """How the numbers in the files of a channel are meant."""
+    """Meaning of the values in a channel's files."""
     return {name: value for name, value in channel_to_plain(channel).items() if name != "path"}
 
 
 def sequences_from(
     samples: Iterable[Sample], read: Callable[[Place], bytes], where: str
 ) -> tuple[FrameSequence, ...]:
-    """Sequences of samples in any order; images are read when asked for.
+    """Frame sequences from samples in any order; images are read on demand.
 
     Args:
         samples: All samples of a folder.
-        read: Bytes of the image at a place.
+        read: Returns the bytes of an image at a location.
         where: The folder, for messages.
 
     Raises:
-        InputError: If a sample lacks what one has.
+        InputError: If a sample lacks a required key.
     """
     found: dict[str, list[Sample]] = {}
     for sample in samples:
@@ -144,7 +145,7 @@ def sequences_from(
 
 
 def frames_of(sequences: Iterable[FrameSequence]) -> Iterator[tuple[FrameSequence, int]]:
-    """All frames of some sequences, in their order."""
+    """All frames of some sequences, in order."""
     return ((sequence, index) for sequence in sequences for index in range(len(sequence)))
 
 

@@ -1,4 +1,4 @@
-"""Points of the wall that images see, with their places in every image: a sparse reconstruction."""
+"""Sparse reconstruction: wall points visible in images, with their pixels in every image."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ if TYPE_CHECKING:
     from vrcaps.camera.camera import Camera
 
 _SLACK, _STEP = 1e-3, 2e-5
-"""By how much a seen point may lie outside the depths of the pixels around it: a share, and [m]."""
+"""Tolerance of a visible point's depth from the surrounding pixels: a fraction, and [m]."""
 
 
 @dataclass(frozen=True)
 class SeenPoints:
-    """Points of the wall and where images show them.
+    """Points of the wall with their observations.
 
     Attributes:
         positions: In the world frame [m].
-        colors: sRGB of the pixel that each was found at.
-        seen: For each camera and frame the numbers [m] of the points and their pixels [m 2].
+        colors: sRGB of the pixel that each was sampled at.
+        seen: Indices [m] of the points and their pixels [m 2], for each camera and frame.
     """
 
     positions: Float[np.ndarray, "n 3"]
@@ -38,13 +38,13 @@ class SeenPoints:
 
 
 def seen_points(sequences: Sequence[FrameSequence], count: int) -> SeenPoints:
-    """Points of pixels drawn from all images that two or more images see.
+    """Sample points at pixels of all images and keep those visible in two or more images.
 
-    A point is seen where its z lies within the depths of the four pixels around it.
+    A point is visible if its z lies within the depths of the four surrounding pixels.
 
     Args:
         sequences: Cameras of one capsule, with rgb and depth unless `count` is 0.
-        count: How many are drawn; most are seen twice where the capsule moves slowly.
+        count: Number of sampled points; most are seen twice if the capsule moves slowly.
     """
     images = sum(map(len, sequences))
     found = [
@@ -66,7 +66,7 @@ def seen_points(sequences: Sequence[FrameSequence], count: int) -> SeenPoints:
 
 
 def _drawn(sequence: FrameSequence, index: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points [m] and colors of pixels drawn from an image."""
+    """Points [m] and colors of pixels sampled from an image."""
     camera = _camera(sequence)
     depth, rgb = sequence.image("depth", index), sequence.image("rgb", index)
     rows, columns = np.nonzero(depth > 0.0)
@@ -93,7 +93,7 @@ def _seen(
 def _is_at_depth(
     depth: Float[np.ndarray, "h w"], pixels: Float[np.ndarray, "n 2"], z: Float[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
-    """Whether z lies within the depths of the four pixels around each place."""
+    """Whether z lies within the depths of the four pixels around each position."""
     height, width = depth.shape
     corners = []
     for step in (np.floor, np.ceil):

@@ -1,10 +1,10 @@
-"""The training tree of SC-SfMLearner, EndoSfMLearner and SfMLearner.
+"""Training tree of SC-SfMLearner, EndoSfMLearner and SfMLearner.
 
 ``train.txt`` and ``val.txt`` name folders; each has ``cam.txt`` (K, three rows) and JPEG images,
-which the loaders sort as text, so numbers have seven digits. They look for no PNG, and cut the last
-letter off each line of the lists, so the last one ends in a newline too. Depth for validation is a
-``.npy`` of floats beside each image (their ``--dataset kitti``) or ``depth/*.png`` of 16 bits,
-5,000 a unit (``nyu``). Their figures count only depths above 0.1 units, and up to 80 or 10, so the
+which the loaders sort as text, so indices have seven digits. They ignore PNG, and cut off the last
+character of each line of the lists, so the last one also ends in a newline. Depth for validation is
+a ``.npy`` of floats next to each image (their ``--dataset kitti``) or ``depth/*.png`` of 16 bits,
+5,000 a unit (``nyu``). Their metrics only include depths above 0.1 units, up to 80 or 10, so the
 unit is a centimeter here. ``poses.txt`` has rows of 3×4, camera to world [m], as SfMLearner's
 preparation of KITTI writes them. Source: https://github.com/JiawangBian/SC-SfMLearner-Release and
 https://github.com/CapsuleEndoscope/EndoSLAM.
@@ -58,9 +58,9 @@ class SfmLearner:
     """SC-SfMLearner's training tree: `train.txt`, `SCENE/cam.txt`, `SCENE/0000000.jpg`.
 
     Attributes:
-        depth: Files of depth: `npy` beside the images, `png` in a folder, or `none`.
-        depth_unit: Length unit of depth; the loaders' figures leave out what is below 0.1.
-        quality: Of the JPEG images, 100 is best.
+        depth: Files of depth: `npy` next to the images, `png` in a folder, or `none`.
+        depth_unit: Length unit of depth; the loaders' metrics exclude values below 0.1.
+        quality: JPEG quality, 100 is best.
         fps: Frames per second of data without `times.txt`, which only vrcaps writes.
     """
 
@@ -101,7 +101,7 @@ class SfmLearner:
             write_bytes(folder / f"{part}.txt", names.encode())
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
-        """The sequences of a folder; those without poses or depth lack that.
+        """Return the sequences of a folder; poses and depth are optional.
 
         Raises:
             InputError: If it is not in this layout.

@@ -1,9 +1,9 @@
 """SimCol3D: synthetic colonoscopy with depth and poses, of the MICCAI 2022 challenge.
 
 ``SyntheticColon_I/Frames_S1/`` holds ``FrameBuffer_0000.png`` (color) and ``Depth_0000.png``, z as
-``v / 255 / 256 · 20 cm`` in 16 bits: 3.06 µm a step, up to 20.08 cm. Beside the folders of frames
-lie ``SavedPosition_S1.txt`` (cm), ``SavedRotationQuaternion_S1.txt`` (xyzw), camera to world in
-Unity's left-handed frame, and ``cam.txt``, K of all of them. Loaders multiply whole pixel numbers
+``v / 255 / 256 · 20 cm`` in 16 bits: 3.06 µm a step, up to 20.08 cm. Next to the folders of frames
+are ``SavedPosition_S1.txt`` (cm), ``SavedRotationQuaternion_S1.txt`` (xyzw), camera to world in
+Unity's left-handed frame, and ``cam.txt``, K of all of them. Loaders multiply integer pixel indices
 by the inverse of K, so (0, 0) is the center of a pixel, although the 237.5 of the real files is
 half of 475 px, measured from the corner. Source: https://github.com/anitarau/simcol and
 https://rdr.ucl.ac.uk/articles/dataset/24077763.
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 _DEPTH = fixed_point("m", 20.0 * CM / (255 * 256))
 _NUMERALS = ("I", "II", "III", "IV", "V", "VI", "VII", "VIII", "IX")
 _LETTERS = {"II": "B", "III": "O"}
-"""First letters of the frames' folders; those of all other colons are S."""
+"""First letters of the frames' folders; S for all other colons."""
 _LISTS = {"train": "train_file.txt", "val": "val_file.txt", "test": "test_file.txt"}
 
 
@@ -71,7 +71,7 @@ class SimCol3D:
         check_fields(self)
 
     def write(self, sequences: Sequence[FrameSequence], folder: Path, advance: Advance) -> None:
-        """Write a `SyntheticColon_` folder for each patient and lens; `sequences.json` has names.
+        """Write a `SyntheticColon_` folder per patient and lens; `sequences.json` holds the names.
 
         Raises:
             InputError: If a lens has distortion.
@@ -93,7 +93,7 @@ class SimCol3D:
         write_names(folder, names)
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
-        """The sequences of a folder; those without a file of poses or `cam.txt` lack that.
+        """Return the sequences of a folder; poses and `cam.txt` are optional.
 
         Raises:
             InputError: If it is not in this layout.
@@ -104,7 +104,7 @@ class SimCol3D:
         )
 
     def _colons(self, sequences: Sequence[FrameSequence]) -> dict[str, list[FrameSequence]]:
-        """Sequences that share an organ and K, by numerals."""
+        """Sequences that share an organ and K, by Roman numeral."""
         groups: dict[tuple, list[FrameSequence]] = {}
         for sequence in sequences:
             key = (sequence.patient, sequence.split, matrix_text(plain_pinhole(self, sequence)))

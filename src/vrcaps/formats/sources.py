@@ -1,4 +1,4 @@
-"""Where frames are taken from: episodes, data sets, and folders in any known layout."""
+"""Sources of frames: episodes, data sets, and folders in any known format."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from vrcaps.recording.layout import EPISODE_JSON
 
 
 def read_source(text: str) -> tuple[FrameSequence, ...]:
-    """Sequences of a source.
+    """Return the sequences of a source.
 
     Args:
         text: Folder or URL of an episode or a data set; a folder of images; or ``KIND:FOLDER`` for
-            a folder in the layout KIND of `vrcaps export`, such as ``c3vd:/data/c3vd``.
+            a folder in the format KIND of `vrcaps export`, such as ``c3vd:/data/c3vd``.
 
     Raises:
         InputError: If it cannot be read.
@@ -34,7 +34,7 @@ def read_source(text: str) -> tuple[FrameSequence, ...]:
 
 
 def _holds_images(folder: Path) -> bool:
-    """Whether a folder is neither an episode nor a data set, and has images or folders of them."""
+    """Whether a folder has images or folders of them, and is not an episode or a data set."""
     if not folder.is_dir() or any((folder / name).exists() for name in (EPISODE_JSON, PLAN)):
         return False
     paths = (path for depth in ("*", "*/*") for path in listed(folder, depth))
@@ -42,10 +42,10 @@ def _holds_images(folder: Path) -> bool:
 
 
 def read_sources(texts: Sequence[str]) -> tuple[FrameSequence, ...]:
-    """Sequences of all sources, see `read_source`.
+    """Return the sequences of all sources, see `read_source`.
 
     Raises:
-        InputError: If there is none, or one cannot be read.
+        InputError: If there are none, or one cannot be read.
     """
     if not texts:
         raise InputError("There is no data. Give --data FOLDER, once or more.")

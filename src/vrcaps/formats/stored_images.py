@@ -1,7 +1,7 @@
-"""Image files of others: read as the numbers that they hold, and written as they expect them.
+"""External image files: read as stored values, written in the expected encoding.
 
-All of them pass through one decoder, whoever reads them: the size is checked before pixels are
-decoded, the orientation that EXIF states is applied, and inks (CMYK) and palettes become colors.
+All of them pass through one decoder: it checks the size before pixels are decoded, applies the EXIF
+orientation, and converts inks (CMYK) and palettes to colors.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from numpy.typing import DTypeLike, NDArray
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
-"""Suffixes of color images that are read."""
+"""Suffixes of readable color images."""
 _TIFF = (".tif", ".tiff")
 _FORMATS = ("BMP", "JPEG", "PNG", "TIFF", "WEBP")
-"""Contents that are decoded, whatever the suffix: Pillow runs Ghostscript for PostScript."""
+"""Decoded formats, independent of the suffix: Pillow runs Ghostscript for PostScript."""
 _ORIENTATION = 274
-"""Tag of EXIF and TIFF: how stored rows and columns lie in the picture, 1 to 8."""
+"""Tag of EXIF and TIFF for the image orientation, 1 to 8."""
 _TURNS: dict[int, Callable[[NDArray], NDArray]] = {
     2: lambda stored: stored[:, ::-1],
     3: lambda stored: stored[::-1, ::-1],
@@ -38,13 +38,13 @@ _TURNS: dict[int, Callable[[NDArray], NDArray]] = {
     8: np.rot90,
 }
 _PLAIN_TIFF = (1, 2)
-"""Kinds of pixels of TIFF that need no conversion: gray with 0 for black, and RGB."""
+"""TIFF pixel types that need no conversion: gray with 0 for black, and RGB."""
 _PLAIN_MODES = ("L", "I", "F", "I;16", "I;16B", "RGB", "RGBA")
-"""Modes of Pillow whose numbers are gray or red, green, blue."""
+"""Pillow modes with gray or red, green, blue values."""
 
 
 def read_rgb(path: Path) -> NDArray:
-    """Color image [h w 3] of 8 bits: of more bits the highest, gray as three equal planes.
+    """Color image [h w 3] of 8 bits: the highest bits of deeper ones, gray as three equal planes.
 
     Raises:
         InputError: If the file cannot be read, or is larger than `MOST_PIXELS`.
@@ -54,10 +54,10 @@ def read_rgb(path: Path) -> NDArray:
 
 
 def decoded_rgb(data: bytes) -> NDArray:
-    """Color image [h w 3] of 8 bits, given as the bytes of a PNG or JPEG.
+    """Color image [h w 3] of 8 bits, given the bytes of a PNG or JPEG.
 
     Raises:
-        InputError: If they are no such file.
+        InputError: If they are not such a file.
     """
     with reading("an image"):
         return _as_rgb(_decoded(data, as_color=True))
@@ -74,7 +74,7 @@ def _as_rgb(stored: NDArray) -> NDArray:
 
 
 def read_numbers(path: Path) -> NDArray:
-    """Stored numbers [h w] or [h w c], planes in the order red, green, blue.
+    """Stored values [h w] or [h w c], planes in the order red, green, blue.
 
     Raises:
         InputError: If the file cannot be read.
@@ -84,7 +84,7 @@ def read_numbers(path: Path) -> NDArray:
 
 
 def read_plane(path: Path) -> NDArray:
-    """Stored numbers [h w] of an image whose color planes all hold the same.
+    """Stored values [h w] of an image with equal color planes.
 
     Raises:
         InputError: If the file cannot be read, or its planes differ.
@@ -99,14 +99,14 @@ def read_plane(path: Path) -> NDArray:
 
 
 def stored_steps(steps: NDArray, dtype: DTypeLike = np.uint16) -> NDArray:
-    """Whole steps of an unsigned type; 0, no value, where they are NaN or out of its range."""
+    """Rounded steps of an unsigned type; 0, no value, for NaN or values out of range."""
     whole = np.rint(steps)
     is_valid = (whole >= 0) & (whole <= np.iinfo(dtype).max)
     return np.where(is_valid, whole, 0).astype(dtype)
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """Height and width of an image as it is shown; of PNG, JPEG and BMP only the header is read.
+    """Displayed height and width of an image; for PNG, JPEG and BMP only the header is read.
 
     Raises:
         InputError: If the file cannot be read.
@@ -122,12 +122,12 @@ def image_size(path: Path) -> tuple[int, int]:
 
 
 def write_jpeg(path: Path, rgb: NDArray, quality: int) -> None:
-    """Write a color image as JPEG with all its colors (no chroma subsampling)."""
+    """Write a color image as JPEG without chroma subsampling."""
     write_bytes(path, jpeg_bytes(rgb, quality))
 
 
 def jpeg_bytes(rgb: NDArray, quality: int) -> bytes:
-    """A color image as JPEG with all its colors (no chroma subsampling)."""
+    """Encode a color image as JPEG without chroma subsampling."""
     from PIL import Image
 
     data = io.BytesIO()
@@ -145,7 +145,7 @@ def write_rgba(path: Path, rgba: NDArray) -> None:
 
 
 def write_tiff(path: Path, array: NDArray) -> None:
-    """Write numbers [h w] or [h w 3] of 8 or 16 bits as TIFF, compressed without loss (Deflate)."""
+    """Write values [h w] or [h w 3] of 8 or 16 bits as TIFF, losslessly compressed (Deflate)."""
     import tifffile
 
     data = io.BytesIO()
@@ -163,7 +163,7 @@ def _stored(path: Path, *, as_color: bool) -> NDArray:
 
 
 def _decoded(data: bytes, *, as_color: bool) -> NDArray:
-    """Numbers of an image: by the core where it is a plain PNG, which may have 16 bits."""
+    """Pixel values of an image; plain PNG, which may have 16 bits, is decoded by the core."""
     from PIL import Image
 
     with Image.open(io.BytesIO(data), formats=_FORMATS) as image:
@@ -185,11 +185,11 @@ def _by_pillow(image: Any, as_color: bool) -> NDArray:
 
 
 def _orientation(image: Any) -> int:
-    """Orientation that the EXIF data of an image state; 1 without such data."""
+    """Orientation in the EXIF data of an image; 1 without such data."""
     from PIL import Image
 
     exif = Image.Exif()
-    with suppress(Exception):  # damaged EXIF data do not harm the image
+    with suppress(Exception):  # ignore damaged EXIF data
         exif.load(image.info.get("exif"))
     return exif.get(_ORIENTATION, 1)
 
@@ -218,7 +218,7 @@ def _read_tiff(path: Path, as_color: bool) -> NDArray:
 
 
 def _read_tiff_by_opencv(path: Path) -> NDArray:
-    """A TIFF of a compression that needs a codec; OpenCV applies the orientation itself."""
+    """Read a TIFF with a compression that needs a codec; OpenCV applies the orientation itself."""
     try:
         import cv2
     except ImportError as error:

@@ -1,4 +1,4 @@
-"""Tables whose rows begin with a time in nanoseconds, and rows of one that fit times of another."""
+"""Tables with times in nanoseconds, and association of rows by time."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 NANOSECOND = 1e-9
 NEAR = 0.02
-"""Rows further apart in time than this do not belong together [s], as in TUM RGB-D's tools."""
+"""Maximum time difference of associated rows [s], as in TUM RGB-D's tools."""
 
 
 def nanoseconds(sequence: FrameSequence) -> list[int]:
@@ -41,7 +41,7 @@ def frames_per_second(sequence: FrameSequence) -> float:
 def pose_rows(
     sequence: FrameSequence, order: tuple[int, ...]
 ) -> list[tuple[int, Float[np.ndarray, " 7"]]]:
-    """Time [ns], position [m] and quaternion of each frame; `order` is that of the wxyz."""
+    """Time [ns], position [m] and quaternion of each frame; `order` permutes wxyz."""
     poses = sequence.Ts_world_camera
     wxyz = quaternion_from_matrix(poses[:, :3, :3])
     rows = np.column_stack([poses[:, :3, 3], wxyz[:, order]])
@@ -53,12 +53,12 @@ def read_table(path: Path, order: str = "") -> list[list[str]]:
 
     Args:
         path: The file.
-        order: Order of the components of quaternions, such as ``wxyz``; a header must not name
-            another. Empty takes any.
+        order: Order of the components of quaternions, such as ``wxyz``; the header must not give
+            another. Empty accepts any.
 
     Raises:
-        InputError: If the file cannot be read, a row does not begin with a whole number, or the
-            header names quaternions in another order.
+        InputError: If the file cannot be read, a row does not start with an integer, or the
+            header gives quaternions in another order.
     """
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
@@ -79,14 +79,14 @@ def read_table(path: Path, order: str = "") -> list[list[str]]:
 def read_poses(
     path: Path, order: tuple[int, ...]
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 4 4"]]:
-    """Times [s] and poses of a table of time, position [m] and quaternion, then anything.
+    """Times [s] and poses of a table of time, position [m] and quaternion, then any columns.
 
     Args:
         path: The file.
-        order: Columns of w, x, y, z among the four of the quaternion.
+        order: Column indices of w, x, y, z among the four of the quaternion.
 
     Raises:
-        InputError: If the file cannot be read or a row has less.
+        InputError: If the file cannot be read or a row has too few columns.
     """
     named = "".join(sorted("wxyz", key=lambda axis: order["wxyz".index(axis)]))
     rows = [row[:8] for row in read_table(path, named)]
@@ -101,7 +101,7 @@ def read_poses(
 def nearest_rows(
     times: Float[np.ndarray, " n"], others: Float[np.ndarray, " m"]
 ) -> Int[np.ndarray, " n"]:
-    """Row of `others` nearest in time to each of `times`; −1 where none is within `NEAR`."""
+    """Row of `others` nearest in time to each of `times`; −1 if none is within `NEAR`."""
     if len(others) == 0:
         return np.full(len(times), -1)
     order = np.argsort(others, kind="stable")

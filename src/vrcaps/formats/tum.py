@@ -1,7 +1,7 @@
-"""TUM RGB-D: the layout that most visual SLAM systems and evo read.
+"""TUM RGB-D: layout supported by most visual SLAM systems and by evo.
 
 Rows of ``groundtruth.txt`` are ``timestamp tx ty tz qx qy qz qw``: seconds, meters, camera to
-world, one blank between. Depth is a 16-bit PNG of z; 5,000 is one meter by convention, which is
+world, separated by one space. Depth is a 16-bit PNG of z; 5,000 is one meter by convention, i.e.
 0.2 mm a step. Source: https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats.
 """
 
@@ -50,7 +50,7 @@ class Tum:
 
     Attributes:
         depth_scale: Stored depth of one meter; readers expect 5000. 100000 stores steps of 10 µm,
-            for readers that take a scale.
+            for readers with a scale option.
     """
 
     depth_scale: Annotated[float, Range(1.0)] = 5000.0
@@ -82,9 +82,9 @@ class Tum:
             write_bytes(place / _CALIBRATION, _calibration_text(sequence).encode())
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
-        """The sequences of a folder; a color image takes depth and pose nearest to it in time.
+        """Return the sequences of a folder; color images take the nearest depth and pose.
 
-        Those without one within 20 ms are left out, as by the tools of TUM RGB-D.
+        Images without one within 20 ms are left out, as in the tools of TUM RGB-D.
 
         Raises:
             InputError: If it is not in this layout.
@@ -148,7 +148,7 @@ def _calibration_text(sequence: FrameSequence) -> str:
 
 
 def _read_camera(path: Path, image: Path) -> Camera | None:
-    """The camera of a sequence; None without a file of its calibration."""
+    """Camera of a sequence; None without a calibration file."""
     if not path.exists():
         return None
     height, width = image_size(image)
@@ -158,7 +158,7 @@ def _read_camera(path: Path, image: Path) -> Camera | None:
 
 
 def _read_list(path: Path) -> list[tuple[float, str]]:
-    """Times [s] and paths of images; none where there is no list."""
+    """Times [s] and paths of images; empty if there is no list."""
     if not path.exists():
         return []
     lines = [line for line in path.read_text("utf-8-sig").splitlines() if line and line[0] != "#"]

@@ -1,9 +1,9 @@
-"""Poses of Unity's cameras: left-handed, y up, quaternions xyzw.
+"""Poses of Unity cameras: left-handed, y up, quaternions xyzw.
 
-The world becomes z up by swapping y and z, and the camera's y is turned down:
+The world becomes z up by swapping y and z, and the camera's y is flipped down:
 ``R_world_camera = S R_unity D``, ``p_world = S p_unity`` with D = diag(1, −1, 1). The rule
-``T M T``, T = diag(1, −1, 1, 1), of the loaders of these layouts gives the same camera in a world
-that is turned by 90° about x, with y down.
+``T M T``, T = diag(1, −1, 1, 1), of these layouts' loaders gives the same camera in a world
+rotated by 90° about x, with y down.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ if TYPE_CHECKING:
 _WORLD, _CAMERA = WORLD_FROM_Y_UP["left"], Y_UP_CAMERA_FROM_CAMERA["left"]
 _HEADER = ("tX", "tY", "tZ", "rX", "rY", "rZ", "rW", "time(s)")
 _UNIT = 0.01
-"""Largest deviation of a quaternion's length from 1 in a row that is not damaged."""
+"""Maximum deviation of a quaternion's length from 1 in a valid row."""
 
 
 def poses_from_unity(
     positions: Float[np.ndarray, "n 3"], xyzw: Float[np.ndarray, "n 4"]
 ) -> Float[np.ndarray, "n 4 4"]:
-    """``T_world_camera`` of positions [m] and quaternions of Unity."""
+    """``T_world_camera`` of Unity positions [m] and quaternions."""
     rotations = (
         _WORLD @ matrix_from_unit_quaternion(np.roll(xyzw, 1, axis=1), "a file of Unity") @ _CAMERA
     )
@@ -43,7 +43,7 @@ def poses_from_unity(
 def unity_from_poses(
     Ts_world_camera: Float[np.ndarray, "n 4 4"],
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 4"]]:
-    """Positions [m] and quaternions xyzw of Unity; both maps are their own inverses."""
+    """Unity positions [m] and quaternions xyzw; both maps are their own inverses."""
     wxyz = quaternion_from_matrix(_WORLD @ Ts_world_camera[:, :3, :3] @ _CAMERA)
     return Ts_world_camera[:, :3, 3] @ _WORLD.T, np.roll(wxyz, -1, axis=1)
 
@@ -52,7 +52,7 @@ def recorder_text(sequence: FrameSequence, unit: float, separator: str) -> str:
     """Rows ``tX tY tZ rX rY rZ rW time(s)`` of Unity's recorder below its header.
 
     Args:
-        sequence: Whose poses.
+        sequence: Sequence with poses.
         unit: Length unit [m].
         separator: Between cells.
     """
@@ -63,10 +63,10 @@ def recorder_text(sequence: FrameSequence, unit: float, separator: str) -> str:
 
 
 def read_recorder(path: Path, unit: float) -> tuple[Float[np.ndarray, " n"], np.ndarray]:
-    """Times [s] and ``T_world_camera`` [n 4 4] of a file of Unity's recorder, by number of frame.
+    """Times [s] and ``T_world_camera`` [n 4 4] of a file of Unity's recorder, by frame index.
 
-    A last row that is cut off is left out. Rows that cannot be read are NaN, so that the numbers
-    of the others stay those of the frames.
+    A truncated last row is left out. Unreadable rows are NaN, so that the others keep their frame
+    indices.
 
     Args:
         path: The file; cells are separated by ``;`` or ``,``.
@@ -94,7 +94,7 @@ def read_recorder(path: Path, unit: float) -> tuple[Float[np.ndarray, " n"], np.
 
 
 def _numbers(cells: list[str]) -> list[float]:
-    """Eight numbers of a row; NaN for all if it is malformed."""
+    """Eight numbers of a row; all NaN if it is malformed."""
     try:
         values = [float(cell) for cell in cells]
     except ValueError:
@@ -105,14 +105,14 @@ def _numbers(cells: list[str]) -> list[float]:
 def frames_with_poses(
     path: Path, unit: float, frames: dict[int, Path]
 ) -> tuple[dict[int, Path], dict[str, np.ndarray]]:
-    """Frames that a recorder's file has a row for, by their numbers, with times and poses.
+    """Frames with a row in a recorder's file, by index, with times and poses.
 
-    Frames are left out whose row is cut off, damaged or not there.
+    Frames whose row is truncated, damaged or missing are left out.
 
     Args:
         path: The file of the recorder.
         unit: Its length unit [m].
-        frames: Images by their numbers.
+        frames: Images by index.
 
     Raises:
         InputError: If the file cannot be read, or no frame has a row.

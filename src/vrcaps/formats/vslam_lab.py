@@ -1,9 +1,9 @@
-"""VSLAM-LAB: the layout from which it runs dozens of visual SLAM systems.
+"""VSLAM-LAB: layout of a framework that runs dozens of visual SLAM systems.
 
 ``rgb_0/``, ``depth_0/`` (16-bit PNG of z; ``depth_factor`` of the calibration is one meter),
 ``rgb.csv`` with times [ns] and paths, ``groundtruth.csv`` with rows of time [ns], position [m] and
 quaternion xyzw of the *body*, ``calibration.yaml`` with `radtan5` for pinholes, `equid4` for
-fisheyes, and ``T_BS``, camera to body. A written body is the camera. Source:
+fisheyes, and ``T_BS``, camera to body. On writing, the body is the camera. Source:
 https://github.com/VSLAM-LAB/VSLAM-LAB.
 """
 
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 _FRAMES, _TRUTH, _CALIBRATION = "rgb.csv", "groundtruth.csv", "calibration.yaml"
 _XYZW, _WXYZ = (1, 2, 3, 0), (3, 0, 1, 2)
 _MODELS = {"radtan4": (4, False), "radtan5": (5, False), "equid4": (4, True)}
-"""Numbers of distortion, and whether they are those of a fisheye."""
+"""Number of distortion coefficients and fisheye flag of each model."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +58,8 @@ class VslamLab:
     """VSLAM-LAB: `rgb_0/`, `depth_0/`, `rgb.csv`, `groundtruth.csv`, `calibration.yaml`.
 
     Attributes:
-        depth_factor: Stored depth of one meter, for data that are written; 100000 are steps of
-            10 µm, up to 655 mm. Data that are read have their own.
+        depth_factor: Stored depth of one meter on writing; 100000 gives steps of 10 µm, up to
+            655 mm. On reading it is taken from the calibration.
     """
 
     depth_factor: Annotated[float, Range(1.0)] = 100000.0
@@ -101,9 +101,9 @@ class VslamLab:
             write_bytes(place / _TRUTH, f"{header}{poses}".encode())
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
-        """The sequences of a folder, of their first camera.
+        """Return the sequences of a folder, of their first camera.
 
-        An image takes the pose nearest in time; without one within 20 ms it is left out.
+        The pose of an image is the nearest in time; images without one within 20 ms are left out.
 
         Raises:
             InputError: If it is not in this layout.

@@ -1,6 +1,6 @@
-"""WebDataset: samples in tar files of a chosen size, read from the first byte to the last.
+"""WebDataset: samples in tar files of a given size, read sequentially.
 
-A sample is the files of one key, one after the other: ``KEY.rgb.png``, ``KEY.depth.png``, …,
+A sample consists of consecutive files with the same key: ``KEY.rgb.png``, ``KEY.depth.png``, …,
 ``KEY.json``. The key ends at the first dot of a file's name, so it has none. Files have no owner
 and no time: the same frames give the same bytes. Source: https://github.com/webdataset/webdataset.
 """
@@ -49,8 +49,8 @@ class WebDataset:
     """WebDataset shards: `train/000000.tar` with `KEY.rgb.png`, `KEY.depth.png`, `KEY.json`.
 
     Attributes:
-        shard_mb: Size beyond which a shard ends.
-        seed: Shuffles the frames of each split before they are written; by default they are in the
+        shard_mb: Size at which a shard ends.
+        seed: Random seed to shuffle the frames of each split before writing; by default they are in
             order of time.
     """
 
@@ -81,10 +81,10 @@ class WebDataset:
                     advance()
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
-        """The sequences of all shards; their index is read at once, images when asked for.
+        """Return the sequences of all shards; the index is read immediately, images on demand.
 
         Raises:
-            InputError: If there are no shards, or one is damaged or of others.
+            InputError: If there are no shards, or one is damaged or not written by vrcaps.
         """
         paths = listed(folder, "**/*.tar")
         if not paths:
@@ -94,7 +94,7 @@ class WebDataset:
 
 
 class _Shards:
-    """Tar files of a folder, a new one where the last has reached its size."""
+    """Tar files of a folder; a new one starts when the last has reached its size."""
 
     def __init__(self, folder: Path, most_bytes: float) -> None:
         folder.mkdir(exist_ok=True)
@@ -109,7 +109,7 @@ class _Shards:
         self._open.__exit__(*error)  # type: ignore[arg-type]
 
     def add(self, files: dict[str, bytes]) -> None:
-        """Write the files of one sample, into one shard."""
+        """Write the files of one sample into one shard."""
         if self._tar is None or self._tar.offset >= self._most_bytes:
             self._open.close()
             path = self._folder / f"{self._count:06d}.tar"
@@ -123,7 +123,7 @@ class _Shards:
 
 
 def _samples(path: Path) -> Iterator[Sample]:
-    """Samples of a shard; the files of one lie side by side."""
+    """Samples of a shard; the files of a sample are consecutive."""
     places: dict[str, dict[str, tuple[Path, int, int]]] = {}
     whole = path.stat().st_size
     with reading(path), tarfile.open(path, "r:") as tar:

@@ -1,4 +1,4 @@
-"""Calibrations in YAML."""
+"""YAML calibration files."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from vrcaps.errors import InputError, import_extra
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """The table that a YAML file holds.
+    """Read the table in a YAML file.
 
     Raises:
-        InputError: If the file cannot be read or holds no table.
+        InputError: If the file cannot be read or does not hold a table.
         MissingExtraError: If PyYAML is not installed.
     """
     yaml = import_extra("yaml", "formats", package="PyYAML")
@@ -31,13 +31,13 @@ def numbers_of(plain: Any, key: str, count: int, path: Path) -> list[float]:
     """Numbers of a key.
 
     Args:
-        plain: The table that has the key.
-        key: A list of numbers.
-        count: How many.
-        path: Of the file, for messages.
+        plain: Table with the key.
+        key: Key of a list of numbers.
+        count: Required number of values.
+        path: Path of the file, for messages.
 
     Raises:
-        InputError: If they are not there.
+        InputError: If they are missing.
     """
     found = plain.get(key) if isinstance(plain, dict) else None
     try:
@@ -51,7 +51,7 @@ def numbers_of(plain: Any, key: str, count: int, path: Path) -> list[float]:
 
 
 def yaml_list(values: Iterable[float]) -> str:
-    """Numbers as a list; YAML takes ``1e-05`` for a text, ``1.0e-05`` for a number."""
+    """Format numbers as a list; YAML reads ``1e-05`` as text, ``1.0e-05`` as a number."""
     texts = (repr(float(value)) for value in values)
     fixed = (t.replace("e", ".0e") if "e" in t and "." not in t else t for t in texts)
     return f"[{', '.join(fixed)}]"

@@ -1,4 +1,4 @@
-"""What of a photograph is mucosa: not the black border, overlays, highlights or the dark."""
+"""Usable mucosa of a photograph: excludes black border, overlays, highlights and darkness."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, UInt8
 
 _DARK = 45  # brightest channel of the dark lumen, where noise hides the wall
-_HIGHLIGHT = 245.0 / 255.0  # of the brightest 5 %: sure highlights (Arnold 2010: T1)
-_SUSPECT = 210.0 / 255.0  # highlights left out of the local color
-_GROWTH = 2.2  # of green and blue light in a highlight over its surroundings
-_PALING = 1.35  # of the ratio of the least to the greatest channel
-_WINDOW = 0.1  # of the field: side of the median's window
-_GROW = 1 / 140  # of the field: the glow around highlights
+_HIGHLIGHT = 245.0 / 255.0  # minimum of the brightest 5 %: certain highlights (Arnold 2010: T1)
+_SUSPECT = 210.0 / 255.0  # minimum value of pixels left out of the local color
+_GROWTH = 2.2  # minimum ratio of green and blue light in a highlight to its surroundings
+_PALING = 1.35  # minimum increase of the ratio of the least to the greatest channel
+_WINDOW = 0.1  # side of the median's window, relative to the field
+_GROW = 1 / 140  # dilation by the glow around highlights, relative to the field
 
 
 @dataclass(frozen=True)
 class FieldOfView:
-    """The parts of a photograph.
+    """Regions of a photograph.
 
     Attributes:
         field: Inside the endoscope's field, without overlaid boxes.
         highlight: Highlights and overlaid text, with their glow.
         dark: Too dark to see the wall.
-        width: Of the field [px].
+        width: Width of the field [px].
     """
 
     field: Bool[np.ndarray, "h w"]
@@ -41,16 +41,16 @@ class FieldOfView:
 
     @property
     def usable(self) -> Bool[np.ndarray, "h w"]:
-        """Where the wall is seen."""
+        """Pixels where the wall is visible."""
         return self.field & ~self.highlight & ~self.dark
 
 
 def field_of_view(rgb: UInt8[np.ndarray, "h w 3"]) -> FieldOfView:
-    """Find border, overlays, highlights and darkness.
+    """Segment border, overlays, highlights and darkness.
 
-    The border is black and joined to the picture's edge; the field is the largest bright part,
-    less a rim of 2 % of its width, where lenses blur. Boxes laid over the picture by the device
-    are found by colors that tissue does not have: more green or blue than red.
+    The border is black and connected to the image border; the field is the largest bright region,
+    less a rim of 2 % of its width, where lenses blur. Boxes overlaid by the device are detected by
+    colors that tissue does not have: more green or blue than red.
     """
     from skimage.measure import label
 
@@ -65,7 +65,7 @@ def field_of_view(rgb: UInt8[np.ndarray, "h w 3"]) -> FieldOfView:
     columns = np.flatnonzero(filled.any(axis=0))
     width = int(columns[-1] - columns[0] + 1)
     foreign = inserts(rgb, filled)
-    framed = filled.all()  # a picture without a border has no rim
+    framed = filled.all()  # an image without a border has no rim
     rim = 0 if framed else max(2, round(0.02 * width))
     field = filled & np.logical_not(foreign)
     depth = np.asarray(scipy.ndimage.distance_transform_edt(np.pad(field, 1)))[1:-1, 1:-1]
@@ -80,20 +80,20 @@ def field_of_view(rgb: UInt8[np.ndarray, "h w 3"]) -> FieldOfView:
 def highlights(
     rgb: UInt8[np.ndarray, "h w 3"], field: Bool[np.ndarray, "h w"], width: int
 ) -> Bool[np.ndarray, "h w"]:
-    """Specular highlights, by the two steps of Arnold et al. (2010), section 2.
+    """Detect specular highlights by the two steps of Arnold et al. (2010), section 2.
 
     First by brightness: luma, or green and blue scaled to luma by the ratio of their 95th
-    percentiles (tissue is poor in both, a reflection of the lamp is not). Then by contrast with
-    the median around, of what is no suspect: a highlight adds white light, so green and blue
-    light both double and the color pales. Grown by the glow around them.
+    percentiles (tissue is poor in both, a reflection of the lamp is not). Then by contrast with the
+    local median of pixels that are not suspect: a highlight adds white light, so green and blue
+    both double and the color pales. Highlights are dilated by the glow around them.
 
     Arnold M., Ghosh A., Ameling S., Lacey G. Automatic segmentation and inpainting of specular
     highlights for endoscopic imaging. EURASIP J. Image Video Process. 2010, 814319.
 
     Args:
         rgb: The photograph.
-        field: Where to look.
-        width: Of the field [px]; sizes follow it.
+        field: Region to search.
+        width: Width of the field [px]; sizes scale with it.
     """
     if not field.any():
         return np.zeros_like(field)
@@ -110,7 +110,7 @@ def highlights(
 
 
 def _bright(image, luma, field, limit: float) -> Bool[np.ndarray, "h w"]:
-    """Luma, scaled green or scaled blue above a limit."""
+    """Pixels whose luma, scaled green or scaled blue is above a limit."""
     high = float(np.percentile(luma[field], 95.0))
     bright = luma > limit
     for channel in (1, 2):
@@ -120,7 +120,7 @@ def _bright(image, luma, field, limit: float) -> Bool[np.ndarray, "h w"]:
 
 
 def _local_color(image, known, window: int) -> Float[np.ndarray, "h w 3"]:
-    """Median color of the known pixels around; at a quarter of the resolution where large."""
+    """Local median color of the known pixels; large windows use a quarter of the resolution."""
     step = max(1, window // 12)
     filled = fill(image, known)[::step, ::step]
     size = max(3, window // step)
@@ -144,14 +144,15 @@ def _local_color(image, known, window: int) -> Float[np.ndarray, "h w 3"]:
 def fill(
     image: Float[np.ndarray, "h w c"], known: Bool[np.ndarray, "h w"]
 ) -> Float[np.ndarray, "h w c"]:
-    """The image with unknown pixels filled in smoothly from around them: pull and push.
+    """Fill unknown pixels smoothly from their surroundings by pull-push.
 
-    Known pixels are averaged to half the size until none is unknown, and the averages pulled
-    back up into the gaps (Gortler et al. 1996, The Lumigraph, section 3.4). Known pixels stay.
+    Known pixels are averaged to half the size until none is unknown, and the averages are pulled
+    back up into the gaps (Gortler et al. 1996, The Lumigraph, section 3.4). Known pixels do not
+    change.
 
     Args:
         image: Any values.
-        known: Which of them to trust; at least one.
+        known: Valid pixels; at least one.
     """
     if known.all():
         return image

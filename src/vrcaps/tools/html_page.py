@@ -1,4 +1,4 @@
-"""Pieces of pages that are one file: their style, tables, and files inside them."""
+"""Components of self-contained HTML pages: style, tables, embedded files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ p.note { color: #555; font-size: 13px; }
 
 
 def html_table(rows: Sequence[Mapping[str, str]]) -> str:
-    """A table with a row for each mapping, under the names of the first one."""
+    """Table with a row for each mapping; the keys of the first are the header."""
     head = "".join(f"<th>{html.escape(name)}</th>" for name in rows[0])
     body = "".join(
         f"<tr>{''.join(f'<td>{html.escape(value)}</td>' for value in row.values())}</tr>"
@@ -29,10 +29,10 @@ def html_table(rows: Sequence[Mapping[str, str]]) -> str:
 
 
 def data_url(data: bytes, kind: str) -> str:
-    """A file as an address that holds it.
+    """Encode a file as a data URL.
 
     Args:
-        data: Its bytes.
-        kind: Its media type, such as ``image/png``.
+        data: Content of the file.
+        kind: Media type, such as ``image/png``.
     """
     return f"data:{kind};base64,{base64.b64encode(data).decode()}"

@@ -1,1 +1,1 @@
-"""A camera from photographs of a chessboard: corners, fit, report."""
+"""Camera calibration from photographs of a chessboard: corners, fit, report."""

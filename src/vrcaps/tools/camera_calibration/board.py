@@ -1,4 +1,4 @@
-"""The flat chessboard that a camera is calibrated with."""
+"""Flat chessboard used as calibration target."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ if TYPE_CHECKING:
     from vrcaps.camera.camera import Camera
 
 MIN_SQUARES, MAX_SQUARES = 4, 100
-"""Squares along a side: fewer have too few inner corners to be told from other patterns."""
+"""Squares along a side: fewer have too few inner corners to distinguish from other patterns."""
 
 _SIZE = re.compile(r"\s*(\d+)\s*[x×]\s*(\d+)\s*")
 
 
 @dataclass(frozen=True)
 class Board:
-    """A chessboard. Its frame: x along columns, y along rows, z into the board.
+    """Chessboard. Its frame: x along columns, y along rows, z into the board.
 
-    The origin is the first inner corner. A chessboard's grid is its own mirror image, so a fit is
-    the same for a camera that mirrors.
+    The origin is the first inner corner. The grid of a chessboard is its own mirror image, so a
+    mirroring camera gives the same fit.
 
     Attributes:
         columns: Squares along x.
@@ -53,25 +53,25 @@ class Board:
 
     @property
     def grid(self) -> tuple[int, int]:
-        """Inner corners along columns and rows."""
+        """Number of inner corners along columns and rows."""
         return self.columns - 1, self.rows - 1
 
     @property
     def points(self) -> Float[np.ndarray, "n 3"]:
-        """Inner corners in the board's frame [m], along the first row, then the next."""
+        """Inner corners in the board's frame [m], row by row."""
         i, j = np.meshgrid(*(np.arange(count) for count in self.grid))
         return self.square * np.stack([i, j, np.zeros_like(i)], axis=-1).reshape(-1, 3)
 
 
 def parse_board(text: str, square: float) -> Board:
-    """A board from its squares along both sides, such as ``7x8``.
+    """Parse a board from its number of squares along both sides, such as ``7x8``.
 
     Args:
         text: Number of squares, not of inner corners.
         square: Side of a square [m].
 
     Raises:
-        InputError: If the text has another form or there can be no such board.
+        InputError: If the text has another form or no such board is possible.
     """
     match = _SIZE.fullmatch(text)
     if match is None:
@@ -84,12 +84,12 @@ def parse_board(text: str, square: float) -> Board:
 def board_image(
     camera: Camera, T_camera_board: Float[np.ndarray, "4 4"], board: Board, supersampling: int = 8
 ) -> Float[np.ndarray, "h w"]:
-    """What a camera sees of an evenly lit board: 0 is black, 1 white paper, by exact rays.
+    """Render an evenly lit board with exact rays: 0 is black, 1 is white paper.
 
     Args:
-        camera: Its lens, size and image circle are used.
+        camera: Provides the lens, size and image circle.
         T_camera_board: Pose of the board.
-        board: With white paper around it that has no end.
+        board: Drawn on white paper of infinite extent.
         supersampling: Rays along each side of a pixel.
     """
     from vrcaps.camera.camera import camera_rays

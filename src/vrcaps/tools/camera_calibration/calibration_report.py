@@ -1,4 +1,4 @@
-"""A picture of how well a lens fits."""
+"""Figure of the quality of a lens fit."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ if TYPE_CHECKING:
     from vrcaps.tools.photos import Photo
 
 _ACROSS = 5
-"""Photographs in a row."""
+"""Photographs per row."""
 
 
 def write_report(
     path: Path, fit: Calibration, photos: Sequence[Photo], circle: ImageCircle | None
 ) -> None:
-    """Draw each photograph with its corners, the residuals, and the lens's curve.
+    """Draw each photograph with its corners, the residuals, and the lens curve.
 
     Args:
         path: Image file to write; its suffix is the format.
         fit: The lens.
-        photos: Those that it was fitted to, among others.
-        circle: Of the photographs.
+        photos: Include those that the lens was fitted to.
+        circle: Image circle of the photographs.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -1,4 +1,4 @@
-"""The image circle: the bright disc that a lens throws on its sensor."""
+"""Image circle: the bright disc that a lens projects onto its sensor."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ if TYPE_CHECKING:
 
 _NUM_DIRECTIONS = 360
 _DARK_QUANTILE, _DARK_MOST = 0.01, 0.3
-"""The sensor behind the circle is as dark as this quantile, and no brighter than this share of the
+"""Level of the dark sensor outside the circle: this quantile, but at most this fraction of the
 median code value, some 7 % of the light."""
 _DARK_FRACTION = 0.08
-"""Of the way from there to the median: what is brighter is lit."""
+"""Fraction of the way from the dark level to the median above which a pixel is lit."""
 _NOISE = 10.0
-"""Brightest channel that a dark sensor may show [of 255]: noise and coding."""
+"""Maximum value of the brightest channel of a dark sensor [of 255]: noise and coding."""
 _STEP, _RIM = 0.25, 4.0
-"""Between samples along a direction, and from the dark to what counts as lit beside it [px]."""
+"""Sampling step along a direction, and width of the transition from dark to lit [px]."""
 _MIN_FRACTION = 0.1
-"""Of the directions that must show the edge for a circle to be fitted."""
+"""Minimum fraction of the directions that must show the edge for a circle to be fitted."""
 _MAX_SCATTER = 0.03
-"""Median distance of the edge from the circle, of its radius: above it is no circle."""
+"""Maximum median distance of the edge from the circle, as a fraction of its radius."""
 
 
 @dataclass(frozen=True)
 class ImageCircle:
-    """The edge of the lit part of a picture.
+    """Edge of the lit part of an image.
 
     Attributes:
         cx: Column of its center [px].
         cy: Row of its center [px].
         radius: [px].
-        edge: Where the edge was seen (column, row) [px].
+        edge: Detected edge points (column, row) [px].
     """
 
     cx: float
@@ -50,13 +50,13 @@ class ImageCircle:
 
 
 def image_circle(images: Sequence[UInt8[np.ndarray, "h w 3"]]) -> ImageCircle | None:
-    """The image circle of pictures of one camera; None where no dark rim of that shape is seen.
+    """Detect the image circle of images of one camera; None without a dark rim of that shape.
 
-    Each pixel's brightest channel is taken where it is high in a tenth of the pictures, so that
-    what is dark in some does not count. Along each direction from the middle the last place
-    brighter than the dark sensor is found; the edge is where half of what is 4 px inside of it
-    is left. Directions that leave the picture bright tell nothing.
-    The circle minimizes Huber's function of the distances.
+    Each pixel takes a high quantile, over the images, of its brightest channel (exceeded in a tenth
+    of them), so that objects that are dark in some do not count. Along each direction from the
+    middle, the last position brighter than the dark sensor is found; the edge is where half of the
+    value 4 px further inside is left. Directions that are bright up to the border are ignored. The
+    circle minimizes Huber's function of the distances.
     """
     height, width = images[0].shape[:2]
     bright = np.quantile([image.max(axis=2) for image in images], 0.9, axis=0)
@@ -75,7 +75,7 @@ def image_circle(images: Sequence[UInt8[np.ndarray, "h w 3"]]) -> ImageCircle | 
     if dark > _DARK_MOST * median:
         return None
     limit = max(_NOISE, dark + _DARK_FRACTION * (median - dark))
-    lit = profile > limit  # NaN beyond the picture is not
+    lit = profile > limit  # NaN beyond the image counts as not lit
     inside = np.maximum(_last(lit) - round(_RIM / _STEP), 0)
     rim = profile[inside, np.arange(_NUM_DIRECTIONS)]
     last = _last(profile > np.maximum(limit, 0.5 * rim))

@@ -19,19 +19,19 @@ if TYPE_CHECKING:
     from vrcaps.tools.photos import Photo
 
 MIN_VIEWS = 3
-"""Fewest photographs of a board that fix a lens (Zhang, IEEE PAMI 22(11), 2000, section 3.1)."""
+"""Minimum number of board views that determine a lens (Zhang, IEEE PAMI 22(11), 2000, sec. 3.1)."""
 _NUM_CHECKED = 5
-"""Photographs in which a larger board is sought."""
+"""Photographs in which to search for a larger board."""
 
 
 @dataclass(frozen=True)
 class BoardView:
-    """A board in a photograph.
+    """Chessboard detected in a photograph.
 
     Attributes:
-        name: Of the photograph.
+        name: Name of the photograph.
         pixels: Its inner corners (column, row) [px], in the order of `Board.points`.
-        method: How it was found: ``plain``, or what had to be done to the photograph first.
+        method: Detection method: ``plain``, or the preprocessing that the photograph needed.
     """
 
     name: str
@@ -42,16 +42,16 @@ class BoardView:
 def find_views(
     photos: Sequence[Photo], board: Board, progress: Callable[[int, int], None] | None = None
 ) -> tuple[list[BoardView], list[str]]:
-    """The board in each photograph, and the names of photographs in which it is not found.
+    """Detect the board in each photograph; return the views and the names of photographs without.
 
     Args:
         photos: Of one camera.
-        board: What to look for.
+        board: Board to search for.
         progress: Called with the number done and the total.
 
     Raises:
-        InputError: If photographs differ in size, fewer than `MIN_VIEWS` show the board, or what
-            was found is part of a larger board.
+        InputError: If photographs differ in size, fewer than `MIN_VIEWS` show the board, or the
+            detected board is part of a larger one.
         MissingExtraError: If OpenCV is not installed.
     """
     _check_sizes(photos)
@@ -78,11 +78,11 @@ def find_views(
 def find_corners(
     rgb: UInt8[np.ndarray, "h w 3"], board: Board
 ) -> tuple[Float[np.ndarray, "n 2"], str] | None:
-    """Inner corners of a board [px] in the order of `Board.points`, and how they were found.
+    """Detect the inner corners of a board [px] in the order of `Board.points`, and name the method.
 
     The sector-based detector (Duda and Frese, BMVC 2018; OpenCV's `findChessboardCornersSB`) is
     tried on the photograph, mirrored, with even contrast and enlarged; then the classic detector.
-    The first that finds every corner is taken, and its corners refined in the photograph.
+    The first method that finds every corner is used; its corners are refined in the photograph.
 
     Raises:
         MissingExtraError: If OpenCV is not installed.
@@ -98,7 +98,7 @@ def find_corners(
 
 
 def _methods(cv2: Any, gray: np.ndarray) -> Iterator[tuple[str, np.ndarray, Callable, Callable]]:
-    """Name, image, detector, and how the image's pixels become those of the photograph."""
+    """Name, image, detector, and map from the image's pixels to the photograph's, per method."""
     flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
     sectors = partial(cv2.findChessboardCornersSB, flags=flags)
     even = partial(sectors, flags=flags | cv2.CALIB_CB_NORMALIZE_IMAGE)
@@ -112,7 +112,7 @@ def _methods(cv2: Any, gray: np.ndarray) -> Iterator[tuple[str, np.ndarray, Call
 
 
 def _ordered(grid: np.ndarray) -> np.ndarray:
-    """Corners such that x, y of the board turn the same way as columns, rows of the photograph."""
+    """Order corners so that x, y of the board turn like columns, rows of the photograph."""
     along, down = np.diff(grid, axis=1)[:-1], np.diff(grid, axis=0)[:, :-1]
     turn = along[..., 0] * down[..., 1] - along[..., 1] * down[..., 0]
     return grid if turn.sum() > 0.0 else grid[:, ::-1]
@@ -130,9 +130,9 @@ def _check_sizes(photos: Sequence[Photo]) -> None:
 
 
 def _check_whole(photos: Sequence[Photo], board: Board) -> None:
-    """Check that boards found are none within a larger one: too few squares given.
+    """Check that the detected boards are not parts of a larger one: too few squares given.
 
-    A detector may see one square too many now and then, so half of the photographs must show it.
+    A detector may occasionally see one square too many, so half of the photographs must show it.
     """
     cv2 = _opencv()
     for more_columns, more_rows in ((1, 1), (1, 0), (0, 1)):

@@ -1,4 +1,4 @@
-"""A calibrated lens in a device, ready to be written to a file."""
+"""Calibrated lens in a device that is ready to be written to a file."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from vrcaps.tools.camera_calibration.fit import Calibration
 
 
 def find_camera(device: Device, name: str | None) -> Camera:
-    """A camera of a device by its name; its first where the name is None.
+    """Return a camera of a device by name; the first if the name is None.
 
     Raises:
-        UnknownNameError: If it has no such camera.
+        UnknownNameError: If the device has no such camera.
     """
     cameras = {camera.name: camera for camera in device.cameras}
     if name is not None and name not in cameras:
@@ -23,7 +23,7 @@ def find_camera(device: Device, name: str | None) -> Camera:
 
 
 def with_camera(device: Device, old: Camera, new: Camera) -> Device:
-    """A device with one camera changed."""
+    """Copy of a device with one camera replaced."""
     cameras = tuple(new if camera is old else camera for camera in device.cameras)
     return replace(device, cameras=cameras)
 
@@ -31,12 +31,12 @@ def with_camera(device: Device, old: Camera, new: Camera) -> Device:
 def calibrated_device(
     pattern: Device, fit: Calibration, *, camera: str | None = None, circle_px: float | None = None
 ) -> Device:
-    """A device like another whose camera has the fitted lens and the photographs' size.
+    """Copy of a device whose camera has the fitted lens and the photographs' size.
 
     Args:
-        pattern: Gives body, magnets, LEDs, places and exposure.
+        pattern: Provides body, magnets, LEDs, positions and exposure.
         fit: The lens.
-        camera: Name of the camera to change; its first by default.
+        camera: Name of the camera to change; by default the first.
         circle_px: Radius about the lens's center beyond which the sensor is dark.
 
     Raises:

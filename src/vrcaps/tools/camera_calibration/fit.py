@@ -1,4 +1,4 @@
-"""A lens model fitted to photographs of a chessboard."""
+"""Fit of a lens model to photographs of a chessboard."""
 
 from __future__ import annotations
 
@@ -29,33 +29,33 @@ if TYPE_CHECKING:
     from vrcaps.camera.lens import Lens
 
 HUBER = 1.345
-"""Residuals beyond so many deviations count linearly: 95 % as efficient as least squares on normal
-errors (Huber, Robust Statistics, 1981)."""
+"""Number of deviations beyond which residuals count linearly: 95 % as efficient as least squares on
+normal errors (Huber, Robust Statistics, 1981)."""
 MAX_RMS_PX, MAX_RMS = 1.5, 0.005
-"""Largest root mean square error of a fit: in pixels, or as a share of the image's shorter side."""
+"""Maximum RMS error of a fit: in pixels, or as a fraction of the image's shorter side."""
 _STEP = 1e-6
 _RIM_WEIGHT = 10.0
 _RIM_MARGIN = 1.005
 _ANGLES = np.linspace(0.0, 2.0, 401)
 _FAN = np.stack([np.sin(_ANGLES), np.zeros_like(_ANGLES), np.cos(_ANGLES)], axis=-1)
-"""Rays up to 115° from the axis: the largest radius is flat in the angle, so steps do no harm."""
+"""Rays up to 115° from the axis: the maximum radius is flat in the angle, so steps do no harm."""
 _SINGULAR = 1e-9
-"""Reciprocal condition number of the scaled equations below which they fix no lens."""
+"""Reciprocal condition number below which the scaled equations do not determine a lens."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """A fitted lens and how well it fits.
+    """Fitted lens and the quality of the fit.
 
     Attributes:
         lens: The lens.
-        names: Fields of it that were fitted.
-        covariance: Of their errors, from the scatter of the corners.
+        names: Fitted fields of the lens.
+        covariance: Covariance of their errors, from the scatter of the corners.
         views: The photographs used.
-        board: What they show.
+        board: Board that they show.
         size: Width and height of the photographs [px].
         Ts_camera_board: Pose of the board in each photograph.
-        residuals: Corner found less corner projected [px], for each photograph.
+        residuals: Detected minus projected corner [px], for each photograph.
     """
 
     lens: Lens
@@ -97,23 +97,23 @@ def calibrate(
     num_terms: int | None = None,
     circle_px: float | None = None,
 ) -> Calibration:
-    """Fit a lens model and the boards' poses to the corners found.
+    """Fit a lens model and the board poses to detected corners.
 
-    Minimizes Huber's function of the residuals, their scale 1.4826 times their median, so that a
-    badly found board does little harm.
+    Minimizes Huber's function of the residuals with a scale of 1.4826 times their median, so that a
+    badly detected board has little influence.
 
     Args:
         views: Boards found in photographs of one camera.
-        board: What the photographs show.
+        board: Board that the photographs show.
         size: Width and height of the photographs [px].
-        kind: Of lens model: ``kannala-brandt``, ``pinhole`` or ``scaramuzza``.
-        num_terms: Distortion coefficients to fit, from the lowest order; all by default.
-        circle_px: Radius beyond which the image is dark. A polynomial may turn back where no
-            corner was: the fit is held to lenses with a ray for every pixel up to here, if given.
+        kind: Lens model: ``kannala-brandt``, ``pinhole`` or ``scaramuzza``.
+        num_terms: Distortion coefficients to fit, from the lowest order; by default all.
+        circle_px: Radius beyond which the image is dark. A polynomial may turn back where there are
+            no corners: if given, the fit is restricted to lenses with a ray for every pixel inside.
 
     Raises:
         UnknownNameError: If there is no such lens model.
-        InputError: If views are too few or fix no lens, or the model cannot fit them.
+        InputError: If views are too few or do not determine a lens, or the model cannot fit them.
     """
     family = find_parameterization(kind)
     most = len(family.terms)
@@ -137,11 +137,11 @@ def calibrate(
 def check_fit(fit: Calibration) -> None:
     """Check that a lens fits its corners at all.
 
-    Corners of real photographs fit to 0.3 to 0.9 px; boards stated with wrong squares, where only
-    part of the pattern is found, to 2 px and worse.
+    Corners of real photographs fit to 0.3 to 0.9 px; boards with wrong square counts, of which only
+    part is detected, to 2 px and worse.
 
     Raises:
-        InputError: If their root mean square error is above `MAX_RMS_PX`, or in large photographs
+        InputError: If the RMS error is above `MAX_RMS_PX`, or in large photographs
             above `MAX_RMS` of the shorter side.
     """
     most = max(MAX_RMS_PX, MAX_RMS * min(fit.size))
@@ -155,7 +155,7 @@ def check_fit(fit: Calibration) -> None:
 
 
 def sees_image(lens: Lens, size: Size, circle_px: float | None = None) -> bool:
-    """Whether a lens has a ray for every pixel inside the image and its circle.
+    """Check whether a lens has a ray for every pixel inside the image and its circle.
 
     Args:
         lens: The lens.
@@ -169,7 +169,7 @@ def sees_image(lens: Lens, size: Size, circle_px: float | None = None) -> bool:
 
 
 def _rim(lens: Lens, size: Size) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
-    """Pixels along the image's border, from the lens's center, and their distances [px]."""
+    """Pixels along the image border relative to the lens's center, and their distances [px]."""
     width, height = size
     columns, rows = np.meshgrid(np.arange(width), np.arange(height))
     border = (columns % (width - 1) == 0) | (rows % (height - 1) == 0)
@@ -185,7 +185,7 @@ def _farthest(lens: Lens, size: Size, circle_px: float) -> float:
 def _robust(
     problem: _Problem, lens: Lens, poses: np.ndarray, terms: int
 ) -> tuple[Lens, np.ndarray]:
-    """A robust fit from a plain one, the residuals' scale found anew each time."""
+    """Robust fit from a plain one; the scale of the residuals is updated in each iteration."""
     for _ in range(3):
         scale = 1.4826 * float(np.median(np.abs(problem.residuals(lens, poses))))
         lens, poses = problem.solve(lens, poses, terms, robust=HUBER * max(scale, 1e-9))
@@ -194,10 +194,10 @@ def _robust(
 
 @dataclass(frozen=True)
 class _Problem:
-    """Corners to fit, and the equations.
+    """Least-squares problem of the corners.
 
-    The unknowns are some fields of the lens, then for each view a rotation vector and the board's
-    place, all divided by their scales. After the corners' residuals comes that of the rim.
+    The unknowns are the fitted fields of the lens, then for each view a rotation vector and the
+    board's position, all divided by their scales. The rim's residual follows those of the corners.
     """
 
     family: LensParameterization
@@ -208,7 +208,7 @@ class _Problem:
 
     @property
     def unseen(self) -> float:
-        """Residual of a corner that the lens does not see [px]: too much for a step to be taken."""
+        """Residual of a corner outside the lens's field [px]: too large for a step to pass."""
         return 10.0 * sum(self.size)
 
     def residuals(self, lens: Lens, poses: np.ndarray) -> Float[np.ndarray, "v n 2"]:
@@ -216,9 +216,9 @@ class _Problem:
         return np.where(np.isnan(projected), self.unseen, self.pixels - projected)
 
     def shortfall(self, lens: Lens) -> float:
-        """How far the lens's largest image radius is from `rim_px` [px], weighted.
+        """Weighted difference between `rim_px` and the maximum image radius of the lens [px].
 
-        Where a free fit stays below, a fit held to reach the rim reaches just that far.
+        Where a free fit stays below, a constrained fit reaches exactly the rim.
         """
         if self.rim_px == 0.0:
             return 0.0
@@ -228,7 +228,7 @@ class _Problem:
     def solve(
         self, lens: Lens, poses: np.ndarray, num_terms: int, *, robust: float | None = None
     ) -> tuple[Lens, np.ndarray]:
-        """Lens and poses of least squares, or of Huber's function with its knee at `robust`."""
+        """Lens and poses by least squares, or by Huber's function with its knee at `robust`."""
         names = self.family.names(num_terms)
         found = scipy.optimize.least_squares(
             lambda x: self._all(x, lens, names),
@@ -244,10 +244,10 @@ class _Problem:
     def covariance(
         self, lens: Lens, poses: np.ndarray, num_terms: int
     ) -> tuple[tuple[str, ...], np.ndarray]:
-        """Fields fitted and the covariance of their errors (M-estimate; Huber 1981, eq. 7.6.5).
+        """Fitted fields and the covariance of their errors (M-estimate; Huber 1981, eq. 7.6.5).
 
         Raises:
-            InputError: If the views fix no lens, or the lens does not see all corners.
+            InputError: If the views do not determine a lens, or the lens does not see all corners.
         """
         residuals = self.residuals(lens, poses).ravel()
         if np.abs(residuals).max() >= self.unseen:

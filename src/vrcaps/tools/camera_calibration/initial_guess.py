@@ -1,4 +1,4 @@
-"""Where a fit starts: a focal length by trial, poses by linear algebra."""
+"""Initial guess of a fit: focal length by grid search, poses by linear algebra."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from vrcaps.camera.lens import Lens
 
 FOCALS = np.geomspace(0.12, 3.0, 25)
-"""Focal lengths tried, in widths of the image: fields of 19° to 180° and more across."""
+"""Candidate focal lengths, in image widths: fields of 19° to 180° and more across."""
 
 _NUM_TRIED = 4
-"""Photographs that focal lengths are tried on, at most."""
+"""Maximum number of photographs on which focal lengths are tried."""
 
 
 def initial_lens(
@@ -27,13 +27,13 @@ def initial_lens(
     points: Float[np.ndarray, "n 3"],
     pixels: Float[np.ndarray, "v n 2"],
 ) -> tuple[Lens, Float[np.ndarray, "v 4 4"]]:
-    """The undistorted lens, of all focal lengths tried, that fits best; and the boards' poses.
+    """Best-fitting undistorted lens over all candidate focal lengths, and the board poses.
 
     Args:
-        family: Of lens models.
+        family: Parameterization of the lens model.
         size: Width and height of the image [px].
         points: Corners in the board's frame.
-        pixels: Where each photograph shows them.
+        pixels: Corner positions in each photograph.
 
     Returns:
         The lens with its axis in the middle of the image, and ``Ts_camera_board``.
@@ -59,7 +59,7 @@ def errors(
     points: Float[np.ndarray, "n 3"],
     pixels: Float[np.ndarray, "v n 2"],
 ) -> Float[np.ndarray, "v n"]:
-    """Distances of projected corners from where photographs show them [px]; NaN out of view."""
+    """Distances of projected from detected corners [px]; NaN outside the field of view."""
     seen = points @ np.swapaxes(poses[:, :3, :3], 1, 2) + poses[:, None, :3, 3]
     return np.linalg.norm(lens.project(seen) - pixels, axis=-1)
 
@@ -67,16 +67,16 @@ def errors(
 def plane_pose(
     lens: Lens, points: Float[np.ndarray, "n 3"], pixels: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "4 4"]:
-    """``T_camera_board`` from the rays through a board's corners, by a linear fit.
+    """Fit ``T_camera_board`` linearly to the rays through the corners of a board.
 
     A ray ρ passes through ``H (x, y, 1)`` with ``H = [r1 r2 t]`` up to a factor:
     ``ρ × H (x, y, 1) = 0`` (Zhang 2000, appendix A, with rays for image points, so that any field
-    of view will do). The nearest rotation follows by singular values.
+    of view works). The nearest rotation follows by singular value decomposition.
 
     Args:
         lens: The lens.
         points: Corners in the board's frame; z = 0.
-        pixels: Where the photograph shows them; those out of the lens's field are left out.
+        pixels: Corner positions in the photograph; those outside the lens's field are ignored.
     """
     rays = lens.unproject(pixels)
     valid = np.isfinite(rays).all(axis=-1)

@@ -1,4 +1,4 @@
-"""Which parameters of each lens model photographs can tell, and where a search starts."""
+"""Observable parameters of each lens model, and starting points of the search."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ Size = tuple[int, int]
 
 @dataclass(frozen=True)
 class LensParameterization:
-    """A lens model as a vector of numbers of about 1.
+    """Lens model as a vector of parameters of order 1.
 
     Attributes:
-        focal: Fields that are focal lengths or play their part.
+        focal: Focal lengths, or fields of the same role.
         terms: Distortion coefficients, from low order to high.
-        start: Lens of a focal length [px], a shape and a center (column, row).
+        start: Creates a lens from a focal length [px], a shape and a center (column, row).
         shapes: Shapes that a search tries: the first coefficient, times a power of the focal
-            length where it has a unit.
+            length if it has a unit.
     """
 
     focal: tuple[str, ...]
@@ -31,11 +31,11 @@ class LensParameterization:
     shapes: tuple[float, ...]
 
     def names(self, num_terms: int) -> tuple[str, ...]:
-        """Fields that are fitted, with the first so many distortion coefficients."""
+        """Names of the fitted fields, with the given number of distortion coefficients."""
         return (*self.focal, "cx", "cy", *self.terms[:num_terms])
 
     def scales(self, names: tuple[str, ...], size: Size) -> np.ndarray:
-        """Size of a step in each field that moves pixels by about half the image's width."""
+        """Step in each field that moves pixels by about half the image's width."""
         half, lens = 0.5 * size[0], self.start(1.0, 0.0, 0.0, 0.0)
         powers = {
             f.name: f.metadata.get("px_power", 0)
@@ -64,14 +64,14 @@ PARAMETERIZATIONS = {
         (-0.5, -1.0 / 3.0, -0.1, 0.0),  # -1/3 is equidistant to second order, 0 a pinhole
     ),
 }
-"""By the `kind` of the lens model."""
+"""Parameterizations by the `kind` of the lens model."""
 
 
 def find_parameterization(kind: str) -> LensParameterization:
-    """The family of a lens model.
+    """Return the parameterization of a lens model.
 
     Raises:
-        UnknownNameError: If there is none, or photographs of a board cannot fit it.
+        UnknownNameError: If there is none, or photographs of a board cannot determine it.
     """
     if kind not in PARAMETERIZATIONS:
         raise UnknownNameError("lens model to calibrate", kind, PARAMETERIZATIONS)
@@ -79,11 +79,11 @@ def find_parameterization(kind: str) -> LensParameterization:
 
 
 def with_values(lens: Lens, names: tuple[str, ...], values: np.ndarray) -> Lens:
-    """A lens with some of its fields changed."""
+    """Copy of a lens with some of its fields changed."""
     changes = dict(zip(names, map(float, values), strict=True))
     return replace(lens, **changes)  # type: ignore[type-var]
 
 
 def values_of(lens: Lens, names: tuple[str, ...]) -> np.ndarray:
-    """Some fields of a lens."""
+    """Values of some fields of a lens."""
     return np.array([getattr(lens, name) for name in names], float)

@@ -1,4 +1,4 @@
-"""Corners to a few hundredths of a pixel: the saddle of the brightness around each."""
+"""Subpixel corner refinement: saddle point of the brightness around each corner."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _REACH = 0.35
-"""Radius of the window around a corner, of the distance to its nearest neighbor."""
+"""Radius of the window around a corner, as a fraction of the distance to the nearest neighbor."""
 _LEAST, _MOST = 2.0, 15.0
-"""Radius of the window [px]: a small one sees pixels, a large one the lens's curves."""
+"""Min and max radius of the window [px]: small ones see pixels, large ones the lens's curves."""
 _SAMPLES = 13
 """Samples across a window."""
 _BLUR = 0.7
-"""Deviation of the blur before [px]: a square pixel's own is 0.29."""
+"""Standard deviation of the blur beforehand [px]; that of a square pixel is 0.29."""
 _ROUNDS = 6
 _FLAT = 1.0
-"""Least curvature of a saddle, of a gray level over the window's radius, squared."""
+"""Minimum curvature of a saddle: a gray level over the window's radius, squared."""
 
 
 def refine_corners(
@@ -30,12 +30,12 @@ def refine_corners(
 
     Where four squares meet, ``z = a x² + b xy + c y² + d x + e y + f`` fits the blurred
     brightness, and the corner is where its gradient is zero (Lucchese and Mitra, APCCAS 2002).
-    Samples weigh less towards the window's rim. A corner stays where it was found if there is no
-    saddle, or one farther than the window's radius.
+    Samples weigh less towards the window's rim. A corner is not moved if there is no saddle, or if
+    it is farther away than the window's radius.
 
     Args:
         gray: Brightness of the photograph.
-        grid: Corners (column, row) [px] as neighbors on the board.
+        grid: Corners (column, row) [px], arranged as on the board.
     """
     smooth = scipy.ndimage.gaussian_filter(gray.astype(float), _BLUR)
     radius = np.clip(_REACH * nearest_neighbors(grid), _LEAST, _MOST).reshape(-1)

@@ -1,4 +1,4 @@
-"""Picture of an episode's coverage: the organ seen and unseen, over time, and by segment."""
+"""Figure of an episode's coverage: organ seen and unseen, over time, and by segment."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 LEVEL_COLORS = np.array(
     [[0.80, 0.20, 0.20], [0.95, 0.70, 0.30], [0.55, 0.80, 0.45], [0.1, 0.6, 0.3]]
 )
-"""sRGB of what was not seen, and of the levels `visible`, `resolved` and `readable`."""
+"""sRGB colors of the unseen wall and of the levels `visible`, `resolved` and `readable`."""
 
 _CURVES = {"frustum": "#999999", "visible": "#e0982f", "resolved": "#7cb860", "readable": "#1a8a4a"}
 _NAMES = ("not seen", *COVERAGE_LEVELS[1:])
@@ -35,9 +35,9 @@ def write_coverage_figure(path: Path, found: EpisodeCoverage, *, title: str = ""
     """Draw the organ from two sides, its unrolled wall, coverage over time and by segment.
 
     Args:
-        path: Picture to write; its suffix chooses the format.
+        path: Image to write; its suffix determines the format.
         found: Coverage of an episode.
-        title: Above it.
+        title: Title above the figure.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -71,7 +71,7 @@ def _legend() -> list[Any]:
 
 
 def _draw_unrolled(view: Axes, organ: Any, wall: Any) -> None:
-    """The wall unrolled about the centerline, colored by level."""
+    """Draw the wall unrolled about the centerline, colored by level."""
     rows, columns = _UNROLLED_PX
     s = (np.arange(columns) + 0.5) / columns * organ.centerline.length
     theta = np.linspace(-np.pi, np.pi, rows)
@@ -95,7 +95,7 @@ def _draw_over_time(view: Axes, found: EpisodeCoverage) -> None:
 
 
 def _draw_segments(view: Axes, found: EpisodeCoverage) -> None:
-    """Bars of each segment's coverage at the nested levels."""
+    """Draw bars of each segment's coverage at the nested levels."""
     fractions = {level: found.by_segment(level) for level in COVERAGE_LEVELS[1:]}
     names = list(fractions["visible"])
     for number, by_name in enumerate(fractions.values(), start=1):

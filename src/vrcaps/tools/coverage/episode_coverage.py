@@ -1,4 +1,4 @@
-"""Coverage of an episode, from its images."""
+"""Coverage of an episode, measured from its images."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ if TYPE_CHECKING:
     from vrcaps.render.channels import Frame
 
 COVERAGE_CHANNELS = ("rgb", "ray_distance", "normal", "face")
-"""Channels from which coverage is measured."""
+"""Channels required to measure coverage."""
 
 _FURTHER_CHANNELS = ("foreground_label", "flow_forward")
-"""Channels that count, too, where they were recorded."""
+"""Optional channels that are used if they were recorded."""
 
 
 @dataclass(frozen=True)
 class EpisodeCoverage:
-    """What an episode shows of its organ.
+    """Coverage of the organ in an episode.
 
     Attributes:
         organ: The organ at rest.
         times: Time of each frame [s].
-        coverage: What was seen, and in which frame first.
-        criteria: When it counted.
+        coverage: Triangles seen, and the first frame of each.
+        criteria: Conditions of each level.
     """
 
     organ: OrganSurface
@@ -54,7 +54,7 @@ class EpisodeCoverage:
     criteria: CoverageCriteria
 
     def over_time(self, level: CoverageLevel) -> Float[np.ndarray, " n"]:
-        """Fraction seen until each frame."""
+        """Fraction seen up to each frame."""
         return self.coverage.over_views(level, len(self.times))
 
     def by_segment(self, level: CoverageLevel) -> dict[str, float]:
@@ -74,15 +74,15 @@ def episode_coverage(
     criteria: CoverageCriteria | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> EpisodeCoverage:
-    """Coverage of an episode over its frames, of all its cameras together.
+    """Measure the coverage of an episode over its frames, of all its cameras together.
 
-    A wall that moved counts where it was in each frame, but at `frustum` where the episode does
-    not hold its walls: there it is at rest.
+    A moving wall is evaluated at its position in each frame, except for `frustum` in episodes
+    without recorded walls, which uses the wall at rest.
 
     Args:
-        episode: With the channels of `COVERAGE_CHANNELS`.
-        criteria: When the wall counts as seen.
-        progress: Called with the number of frames done and of all.
+        episode: Must have the channels of `COVERAGE_CHANNELS`.
+        criteria: Conditions under which the wall counts as seen.
+        progress: Called with the number of frames done and the total.
 
     Raises:
         InputError: If a channel was not recorded, or images show another wall.
@@ -116,7 +116,7 @@ def episode_coverage(
 def _seen(
     episode: Episode, camera: Camera, frame: Frame, criteria: CoverageCriteria, num_faces: int
 ) -> dict[CoverageLevel, Bool[np.ndarray, " m"]]:
-    """Triangles that an image shows, by level."""
+    """Triangles visible in an image, by level."""
     assert frame.face is not None and frame.ray_distance is not None
     assert frame.normal is not None and frame.rgb is not None
     resolved = resolved_pixels(camera, frame.ray_distance, frame.normal, criteria)
@@ -134,10 +134,10 @@ def _seen(
 
 
 def blur_px(episode: Episode, camera: Camera, frame: Frame) -> Float[np.ndarray, "h w"] | None:
-    """Width of the blur by defocus and motion at each pixel [px]; None where neither is simulated.
+    """Width of the blur by defocus and motion at each pixel [px]; None if neither is simulated.
 
-    The disk of defocus and the way of the image during the exposure add as squares. Motion counts
-    where `flow_forward` was recorded.
+    The disk of defocus and the image motion during the exposure add in quadrature. Motion counts
+    if `flow_forward` was recorded.
     """
     effects = episode.scenario.effects
     focus, motion = effects.resolve("depth_of_field"), effects.resolve("motion_blur")

@@ -1,4 +1,4 @@
-"""Coverage on disk: a table over time, and the organ with its coverage at each vertex."""
+"""Coverage files: a table over time, and the organ with the coverage of each vertex."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from jaxtyping import Int
 
 SEEN_COLOR, UNSEEN_COLOR = (64, 176, 80), (200, 48, 48)
-"""sRGB of what was seen and what was not, as VR-Caps draws them."""
+"""sRGB colors of seen and unseen wall, as in VR-Caps."""
 
 
 def write_coverage_table(path: Path, found: EpisodeCoverage) -> None:
-    """Write fraction seen until each frame, a column for each level (Parquet).
+    """Write the fraction seen up to each frame, one column per level (Parquet).
 
     Args:
         path: File to write or replace.
@@ -37,8 +37,8 @@ def write_coverage_table(path: Path, found: EpisodeCoverage) -> None:
 def write_coverage_mesh(path: Path, found: EpisodeCoverage) -> None:
     """Write the organ with vertex colors and the vertex attributes `_COVERAGE` and `_FIRST_SEEN_S`.
 
-    `_COVERAGE` is 0 where a vertex was not seen, 1 visible, 2 resolved, 3 readable: the best of its
-    triangles. `_FIRST_SEEN_S` is when it was first visible [s]; −1: never.
+    `_COVERAGE` is 0 for an unseen vertex, 1 visible, 2 resolved, 3 readable: the best level of its
+    triangles. `_FIRST_SEEN_S` is the time at which it was first visible [s]; −1: never.
 
     Args:
         path: GLB file to write or replace.

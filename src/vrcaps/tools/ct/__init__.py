@@ -1,6 +1,6 @@
-"""Organs from CT: DICOM series, volumes and label maps to a wall.
+"""Organs from CT: from DICOM series, volumes and label maps to a wall.
 
-`read_volume` and `read_dicom` read scans, `lumen` finds the gas, `cleansing` and
-`air_fluid_interface` tagged fluid, `collapse_bridging` collapsed stretches. `fraction` measures
-partial volume, `surface` extracts the wall, `from_ct` makes the organ.
+`read_volume` and `read_dicom` read scans. `lumen` segments the gas, `cleansing` and
+`air_fluid_interface` handle tagged fluid, `collapse_bridging` collapsed stretches. `fraction`
+measures partial volume, `surface` extracts the wall, `from_ct` builds the organ.
 """

@@ -13,11 +13,11 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 _HALF_LAYER = 2 * MM  # above and below an interface, where the scan's blur mixes gas and fluid
-_BESIDE = 3  # columns beside the interface, where the wall's partial volume mixes with both
-_MANY = 30  # columns from which the interface's tilt against the grid is measured
-_BIN = 0.5  # voxels, of the measured profile through an interface
-_KNOWN = 0.35  # contrast of content to wall below which neighbors decide, of fluid to wall
-_NEAR = 0.7  # voxels, reach of these neighbors (standard deviation)
+_BESIDE = 3  # columns next to the interface, where the wall's partial volume mixes with both
+_MANY = 30  # minimum number of columns to measure the tilt of the interface against the grid
+_BIN = 0.5  # bin width of the measured profile through an interface [voxels]
+_KNOWN = 0.35  # content-wall over fluid-wall contrast below which neighbors decide
+_NEAR = 0.7  # standard deviation of the weight of these neighbors [voxels]
 
 
 def resolve_interface(
@@ -32,17 +32,17 @@ def resolve_interface(
     """Set the lumen fraction, in place, along an air-fluid interface.
 
     From gas to fluid the content C passes through the wall's Hounsfield units T without being
-    wall. An interface is flat, so C is a function of the distance from it, measured where
-    no wall is near. A voxel with a fraction s of lumen has H = T + s (C − T). Where C is near T,
-    least squares over its neighbors decide: s = Σ (C − T)(H − T) / Σ (C − T)².
+    wall. An interface is flat, so C is a function of the distance from it, measured away from the
+    wall. A voxel with a fraction s of lumen has H = T + s (C − T). Where C is close to T, least
+    squares over the neighbors is used: s = Σ (C − T)(H − T) / Σ (C − T)².
 
     Args:
         fraction: Lumen fraction.
         values: Hounsfield units of the same voxels.
         points: Array indices of the interface, one for each column (`AirFluidInterface`).
         axis: Array axis of gravity.
-        spacing: Of the voxels along it [m].
-        hounsfield: Of the wall and of the fluid.
+        spacing: Voxel spacing along this axis [m].
+        hounsfield: Hounsfield units of the wall and of the fluid.
     """
     fraction, values = np.moveaxis(fraction, axis, 0), np.moveaxis(values, axis, 0)
     height, column = points[:, axis], np.delete(points, axis, axis=1).astype(int)
@@ -70,7 +70,7 @@ def resolve_interface(
 def _plane(
     column: Int[np.ndarray, "n 2"], height: Float[np.ndarray, " n"], shape: tuple[int, ...]
 ) -> Float[np.ndarray, "a b"]:
-    """Height of an interface in each column: a plane through it, horizontal where it is small."""
+    """Height of an interface in each column: a fitted plane, horizontal for a small interface."""
     rows, columns = np.indices(shape)
     if len(column) < _MANY:
         return np.full(shape, np.median(height))
@@ -90,13 +90,13 @@ def _fraction(
     own: Bool[np.ndarray, "a b"],
     hounsfield: tuple[float, float],
 ) -> Float[np.ndarray, "d a b"]:
-    """Lumen fraction of the voxels about an interface.
+    """Lumen fraction of the voxels around an interface.
 
     Args:
         values: Hounsfield units.
         offset: Distance along gravity from the interface [voxels].
-        own: Columns that hold the interface.
-        hounsfield: Of the wall and of the fluid.
+        own: Columns that contain the interface.
+        hounsfield: Hounsfield units of the wall and of the fluid.
     """
     tissue, fluid = hounsfield
     contrast = _profile(values, offset, own) - tissue

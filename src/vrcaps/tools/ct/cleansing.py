@@ -18,21 +18,21 @@ if TYPE_CHECKING:
     from vrcaps.tools.ct.volume import Volume
 
 DOWN = {"supine": (1, 1), "prone": (1, -1), "left-lateral": (2, 1), "right-lateral": (2, -1)}
-"""Array axis of a scan, and the sense along it, that gravity had when the patient lay so."""
+"""Array axis and direction of gravity in a scan, by posture of the patient."""
 
 _TAGGED = 200  # Hounsfield units above which a voxel is tagged fluid, bone or metal
-_CONTACT = 4 * MM  # from fluid straight up to gas; bone keeps a wall and fat between
-_MIN_AREA = 25 * MM * MM  # of an air-fluid interface; smaller ones are ignored
+_CONTACT = 4 * MM  # max distance from fluid up to gas; bone has a wall and fat in between
+_MIN_AREA = 25 * MM * MM  # minimum area of an air-fluid interface; smaller ones are ignored
 _SKIRT = 2  # voxels around fluid in which its partial volume with the wall is resolved
 
 
 @dataclass(frozen=True)
 class AirFluidInterface:
-    """Where a pool of fluid meets the gas above it.
+    """Interface between a pool of fluid and the gas above it.
 
     Attributes:
-        piece: Number of the gas.
-        pool: Number of the fluid.
+        piece: ID of the piece of gas.
+        pool: ID of the pool of fluid.
         points: Array indices (k, j, i) half-way between the lowest voxel of gas and the
             highest of fluid, one for each column.
     """
@@ -44,11 +44,11 @@ class AirFluidInterface:
 
 @dataclass(frozen=True)
 class Fluid:
-    """Tagged fluid that lies under gas.
+    """Tagged fluid below gas.
 
     Attributes:
-        label: Number of the pool that each voxel belongs to, 0 where there is none.
-        interfaces: Where pools meet gas.
+        label: ID of the pool of each voxel, 0 for none.
+        interfaces: Interfaces between pools and gas.
         hounsfield: Median of the fluid's inner voxels.
         axis: Array axis of gravity.
     """
@@ -59,7 +59,7 @@ class Fluid:
     axis: int
 
     def reached(self, start: int) -> tuple[set[int], set[int]]:
-        """Pieces of gas and pools that hang together with a piece of gas."""
+        """IDs of the pieces of gas and of the pools that are connected to a piece of gas."""
         pieces, pools = {start}, set()
         while True:
             more_pools = {
@@ -74,17 +74,17 @@ class Fluid:
 
 
 def find_fluid(scan: Volume, gas: Gas, *, posture: str) -> Fluid:
-    """Tagged fluid: bright, with an air-fluid interface to gas that may be gut.
+    """Segment tagged fluid: bright voxels with an air-fluid interface to gas that may be gut.
 
     Bone is as bright, but gas never lies within 4 mm straight above 25 mm² of it.
 
     Args:
         scan: Hounsfield units.
         gas: All gas in it.
-        posture: How the patient lay, a name of `DOWN`.
+        posture: Posture of the patient, a name of `DOWN`.
 
     Raises:
-        UnknownNameError: If the posture is none of them.
+        UnknownNameError: If the posture is unknown.
     """
     if posture not in DOWN:
         raise UnknownNameError("posture", posture, DOWN)
@@ -111,13 +111,13 @@ def find_fluid(scan: Volume, gas: Gas, *, posture: str) -> Fluid:
 def _find_interfaces(
     gas: Gas, pools: Int[np.ndarray, "k j i"], down: tuple[int, int], reach: int
 ) -> list[AirFluidInterface]:
-    """Where gas that may be gut ends downwards and something bright begins within reach.
+    """Find where gas that may be gut ends downwards and something bright starts within reach.
 
     Args:
         gas: All gas.
-        pools: Number of the bright part that each voxel belongs to.
-        down: Array axis of gravity and the sense along it.
-        reach: Voxels.
+        pools: ID of the bright part of each voxel.
+        down: Array axis of gravity and the direction along it.
+        reach: Maximum distance [voxels].
     """
     axis, sense = down
     is_gut = np.zeros(int(gas.label.max()) + 1, bool)
@@ -155,7 +155,7 @@ def add_fluid(
         fraction: Lumen fraction of the gas.
         values: Hounsfield units of the same voxels.
         pools: Voxels of the fluid.
-        hounsfield: Of the wall and of the fluid.
+        hounsfield: Hounsfield units of the wall and of the fluid.
     """
     tissue, fluid = hounsfield
     near = grown(pools, _SKIRT)

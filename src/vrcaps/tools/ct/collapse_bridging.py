@@ -1,4 +1,4 @@
-"""Collapse bridging: gaps between the parts of one lumen are found and opened to a channel."""
+"""Collapse bridging: find gaps between the parts of one lumen and open them to a channel."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ if TYPE_CHECKING:
     from vrcaps.tools.ct.volume import Volume
 
 CHANNEL_RADIUS = 6 * MM
-"""Radius of an opened stretch: a capsule 11 mm wide just passes."""
+"""Radius of an opened stretch: just wide enough for a capsule of 11 mm."""
 
-_COARSE = 2.5 * MM  # grid on which the ends of a part are sought
-_END_ZONE = 25 * MM  # of the path along a part that counts as its end
-_DEEP = 12 * MM  # from the gap, within which a channel's end seeks the middle of the lumen
+_COARSE = 2.5 * MM  # grid on which the ends of a part are searched
+_END_ZONE = 25 * MM  # length along a part that counts as its end
+_DEEP = 12 * MM  # from the gap: reach of the search for the middle of the lumen
 
 
 @dataclass(frozen=True)
 class Gap:
-    """A collapsed stretch between the ends of two parts of a lumen.
+    """Collapsed stretch between the ends of two parts of a lumen.
 
     Attributes:
-        parts: Numbers of the two parts.
+        parts: IDs of the two parts.
         ends: The two wall points that face each other [m].
-        channel: Points down the channel that would open it [m], from inside one part to
+        channel: Points along the channel that would open it [m], from inside one part to
             inside the other.
     """
 
@@ -49,19 +49,19 @@ class Gap:
         return float(np.linalg.norm(self.ends[1] - self.ends[0]))
 
     def line(self) -> str:
-        """The gap in words."""
+        """Description of the gap."""
         return f"{self.width / MM:.1f} mm at {mm_text(self.ends.mean(axis=0))}"
 
 
 def find_gaps(parts: Volume, max_width: float) -> list[Gap]:
-    """The gaps that, opened, join parts of a lumen; each end of a part is used once at most.
+    """Find the gaps that join parts of a lumen when opened; each end is used at most once.
 
-    A part's ends are the two of its places farthest apart when walking inside it, so that
-    loops that lie side by side are not joined through their walls. Nearer ends join first.
+    The ends of a part are its two points with the greatest geodesic distance inside it, so that
+    loops that lie side by side are not joined through their walls. Nearer ends are joined first.
 
     Args:
-        parts: Number of the part that each voxel belongs to, 0 for none.
-        max_width: Widest gap [m].
+        parts: ID of the part of each voxel, 0 for none.
+        max_width: Maximum gap width [m].
     """
     boxes = ndimage.find_objects(parts.values)
     ends = [
@@ -95,7 +95,7 @@ def find_gaps(parts: Volume, max_width: float) -> list[Gap]:
 
 
 def connected_by_gaps(gaps: list[Gap], start: int) -> set[int]:
-    """Numbers of the parts that gaps join to a part, itself included."""
+    """IDs of the parts that gaps join to a part, including itself."""
     found = {start}
     while True:
         more = {part for gap in gaps if found & set(gap.parts) for part in gap.parts} - found
@@ -105,12 +105,12 @@ def connected_by_gaps(gaps: list[Gap], start: int) -> set[int]:
 
 
 def bridge_gaps(lumen: LumenFraction, gaps: list[Gap], radius: float) -> LumenFraction:
-    """The lumen with a round channel through each gap.
+    """Open a round channel through each gap of the lumen.
 
     Args:
         lumen: The lumen fraction.
-        gaps: Where.
-        radius: Of the channels [m].
+        gaps: Gaps to open.
+        radius: Radius of the channels [m].
     """
     fraction = lumen.fraction.copy()
     soft = float(lumen.spacing.mean())
@@ -136,7 +136,7 @@ class _End:
 
 
 def _ends(part: Volume, number: int) -> list[_End]:
-    """The two ends of a part; those of a short part may overlap."""
+    """Find the two ends of a part; those of a short part may overlap."""
     from skimage.graph import MCP_Geometric
 
     own = part.values == number
@@ -155,14 +155,14 @@ def _ends(part: Volume, number: int) -> list[_End]:
     at = np.minimum(np.rint(wall / stride).astype(int), np.array(coarse.shape) - 1)
     ends = []
     for away in sweeps[1:]:
-        # Walked from the far end: what is nearly as far as can be is the near end.
+        # Measured from the far end: voxels nearly at the maximum distance are the near end.
         is_end = away[tuple(at.T)] >= away.max() - min(_END_ZONE, 0.5 * float(away.max()))
         ends.append(_End(number, part.points(wall[is_end])))
     return ends
 
 
 def _middle(parts: Volume, number: int, point: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
-    """The place in a part farthest from its wall, within 12 mm of a point."""
+    """Point of a part farthest from its wall, within 12 mm of a point."""
     reach = np.ceil(_DEEP / parts.spacing)
     index = parts.index(point[None])[0]
     low = np.maximum(np.floor(index - reach), 0).astype(int)

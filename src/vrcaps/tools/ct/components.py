@@ -1,4 +1,4 @@
-"""Connected parts of a mask, and masks made larger or smaller."""
+"""Connected components of a mask, dilation and erosion."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ if TYPE_CHECKING:
 
 
 def connected_parts(mask: Bool[np.ndarray, "k j i"]) -> tuple[Int[np.ndarray, "k j i"], int]:
-    """Number of the part that each voxel belongs to (0 for none), and how many there are.
+    """Label the connected parts: ID of each voxel (0 for none), and the number of parts.
 
-    Voxels hang together across faces only, so that thin walls part them.
+    Voxels are connected across faces only, so that thin walls separate parts.
     """
     label = np.empty(mask.shape, np.int32)
     num = ndimage.label(mask, output=label)
@@ -23,7 +23,7 @@ def connected_parts(mask: Bool[np.ndarray, "k j i"]) -> tuple[Int[np.ndarray, "k
 
 
 def part_sizes(label: Int[np.ndarray, "k j i"], num: int) -> Int[np.ndarray, " n"]:
-    """Number of voxels of each part; of none at 0."""
+    """Number of voxels of each part; index 0 is the background."""
     sizes = np.zeros(num + 1, np.int64)
     for plane in label:
         sizes += np.bincount(plane.ravel(), minlength=num + 1)
@@ -33,18 +33,18 @@ def part_sizes(label: Int[np.ndarray, "k j i"], num: int) -> Int[np.ndarray, " n
 def renumbered(
     label: Int[np.ndarray, "k j i"], number: Int[np.ndarray, " n"]
 ) -> UInt16[np.ndarray, "k j i"]:
-    """New number of each voxel's part.
+    """Replace the ID of each voxel's part.
 
     Args:
-        label: Number of the part that each voxel belongs to.
-        number: New number of each part, below 65,536.
+        label: ID of the part of each voxel.
+        number: New ID of each part, below 65,536.
     """
     assert number.max(initial=0) < 2**16
     return number.astype(np.uint16)[label]
 
 
 def grown(mask: Bool[np.ndarray, "k j i"], num_voxels: int = 1) -> Bool[np.ndarray, "k j i"]:
-    """A mask and the voxels around it, each step across one face."""
+    """Dilate a mask, each step across one face."""
     for _ in range(num_voxels):
         wider = mask.copy()
         for axis in range(3):
@@ -56,5 +56,5 @@ def grown(mask: Bool[np.ndarray, "k j i"], num_voxels: int = 1) -> Bool[np.ndarr
 
 
 def shrunk(mask: Bool[np.ndarray, "k j i"], num_voxels: int = 1) -> Bool[np.ndarray, "k j i"]:
-    """A mask without its outermost voxels; at the array's own border it stays."""
+    """Erode a mask; it is not eroded at the border of the array."""
     return ~grown(~mask, num_voxels)

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     import SimpleITK
     from jaxtyping import Float
 
-_SAME_COSINE = 2e-3  # by which direction cosines of slices of one series may differ
-_SAME_SPACING = 1e-3  # of the pixel spacing, likewise
-_ODD = 0.1  # of the slices of the largest group of a series, below which a group is odd files
+_SAME_COSINE = 2e-3  # maximum difference of direction cosines within a series
+_SAME_SPACING = 1e-3  # maximum difference of pixel spacing within a series
+_ODD = 0.1  # size relative to the largest group of a series below which a group is dropped
 _MAGIC = slice(128, 132), b"DICM"
 
 _UID, _DESCRIPTION, _MODALITY = "0020|000e", "0008|103e", "0008|0060"
@@ -47,18 +47,18 @@ class Slice:
 
 @dataclass(frozen=True)
 class Series:
-    """Slices of one folder that share series, orientation, size and pixel spacing.
+    """Slices of one folder that share series UID, orientation, size and pixel spacing.
 
     Attributes:
         uid: Series instance UID.
-        description: Name by the scanner.
+        description: Series description by the scanner.
         modality: CT, MR, …
         columns: Pixels along a row.
         rows: Pixels along a column.
         frames: Images in each file.
         axes: Steps from pixel to pixel along a column and along a row [m], as columns.
-        thickness: Slice thickness [m]; NaN if it is not stated.
-        slices: In the order they were found.
+        thickness: Slice thickness [m]; NaN if unknown.
+        slices: Slices in the order they were read.
     """
 
     uid: str
@@ -73,12 +73,12 @@ class Series:
 
     @property
     def text(self) -> str:
-        """One series in a list of them."""
+        """One line for a list of series."""
         count = len(self.slices) if self.frames == 1 else self.frames
         return f"{self.description!r} {self.modality} {self.columns}×{self.rows}×{count}"
 
     def joins(self, other: Series) -> bool:
-        """Whether slices of two descriptions belong to one stack."""
+        """Check whether slices of two descriptions belong to one stack."""
         sizes = [(one.uid, one.columns, one.rows, one.frames) for one in (self, other)]
         if sizes[0] != sizes[1]:
             return False
@@ -89,7 +89,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Listing:
-    """Series of a folder, and files that are no part of them.
+    """Series of a folder, and files that belong to none.
 
     Attributes:
         series: The one with most slices first.
@@ -100,7 +100,7 @@ class Listing:
     skipped: tuple[tuple[str, str], ...] = ()
 
     def notes(self) -> tuple[str, ...]:
-        """A line about the files that were skipped, if there are any."""
+        """One line about skipped files, if there are any."""
         if not self.skipped:
             return ()
         named = ", ".join(f"{name} ({reason})" for name, reason in self.skipped[:3])
@@ -110,15 +110,15 @@ class Listing:
 
 
 class _OddFileError(Exception):
-    """A DICOM file that is no slice; its text is the reason."""
+    """DICOM file that is not a slice; its text is the reason."""
 
 
 def list_series(folder: Path) -> Listing:
-    """Series in a folder and those below it.
+    """List the series in a folder and its subfolders.
 
-    Files that are not DICOM are passed over. DICOM files without an image or a usable position,
-    copies of a slice, and slices of another size or orientation than the rest of their series are
-    skipped and listed.
+    Files that are not DICOM are ignored. DICOM files without an image or a usable position,
+    duplicates of a slice, and slices of another size or orientation than the rest of their series
+    are skipped and listed.
 
     Raises:
         InputError: If there is no DICOM slice.
@@ -155,7 +155,7 @@ def list_series(folder: Path) -> Listing:
 
 
 def _without_odd(series: list[Series]) -> tuple[list[Series], list[tuple[str, str]]]:
-    """Series without groups of few slices beside a large group of the same UID."""
+    """Drop groups of few slices next to a large group of the same UID."""
     kept, odd = [], []
     for one in series:
         most = next(other for other in series if other.uid == one.uid)
@@ -168,10 +168,10 @@ def _without_odd(series: list[Series]) -> tuple[list[Series], list[tuple[str, st
 
 
 def _read_header(path: Path) -> tuple[Series, Slice] | None:
-    """Series and slice of a DICOM file; None for any other file.
+    """Read series and slice of a DICOM file; None for any other file.
 
     Raises:
-        _OddFileError: If it is DICOM, but no slice.
+        _OddFileError: If it is DICOM, but not a slice.
     """
     sitk = import_sitk()
     reader = sitk.ImageFileReader()
@@ -211,7 +211,7 @@ def _place(
 
 
 def _directions(axes: Float[np.ndarray, "3 2"]) -> tuple[np.ndarray, np.ndarray]:
-    """Unit vectors and lengths of two axes; those of several frames, NaN, as zeros and ones."""
+    """Unit vectors and lengths of two axes; NaN, as in files of several frames, become 0 and 1."""
     steps = np.nan_to_num(np.linalg.norm(axes, axis=0), nan=1.0)
     return np.nan_to_num(axes) / steps, steps
 
@@ -251,10 +251,10 @@ def _numbers(
 
 
 def inverted_sum(path: Path) -> float | None:
-    """Sum of a value as GDCM reads it and the true one, if GDCM inverts them; else None.
+    """Sum of a value as read by GDCM and the true one if GDCM inverts them; otherwise None.
 
-    MONOCHROME1 states how values are shown, not what they mean. GDCM complements the stored
-    numbers v of such a file to m - v. Here m is the largest of their bits, or -1 for signed ones.
+    MONOCHROME1 describes the display of values, not their meaning. GDCM complements the stored
+    values v of such a file to m - v, where m is the largest of their bits, or -1 for signed ones.
     """
     sitk = import_sitk()
     reader = sitk.ImageFileReader()

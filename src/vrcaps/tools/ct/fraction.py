@@ -1,4 +1,4 @@
-"""How much of each voxel is lumen: from Hounsfield units, or from a mask."""
+"""Lumen fraction of each voxel, from Hounsfield units or from a mask."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ if TYPE_CHECKING:
     from vrcaps.tools.ct.volume import Volume
 
 _MARGIN = 8 * MM
-_NEIGHBOR = 3  # voxels around another piece's core that it keeps for itself
+_NEIGHBOR = 3  # voxels around the core of another piece that belong to that piece
 _WALL = 3  # voxels around the lumen in which the tissue's Hounsfield units are measured
-_TISSUE_RANGE = (-150, 150)  # Hounsfield units of what may be gut wall or fat
-_TISSUE = 30.0  # Hounsfield units of a gut wall where none can be measured
+_TISSUE_RANGE = (-150, 150)  # range of Hounsfield units of gut wall or fat
+_TISSUE = 30.0  # default Hounsfield units of a gut wall that cannot be measured
 
 
 @dataclass(frozen=True)
 class LumenFraction(PatientGrid):
-    """The fraction of each voxel that is lumen, 0 to 1; the wall is where it is one half.
+    """Fraction of each voxel that is lumen, 0 to 1; the wall is its isosurface at one half.
 
     Attributes:
-        fraction: Over a box that reaches a little beyond the lumen, but for the scan's own ends.
+        fraction: Over a box with a small margin around the lumen, except at the scan's own ends.
         T_patient_index: Maps the array index of a voxel to its center, patient frame [m].
     """
 
@@ -41,7 +41,7 @@ class LumenFraction(PatientGrid):
     T_patient_index: Float[np.ndarray, "4 4"]
 
     def crop(self, box: tuple[slice, ...]) -> LumenFraction:
-        """The part in a box of array indices."""
+        """Crop to a box of array indices."""
         return LumenFraction(self.fraction[box], shifted(self.T_patient_index, box))
 
 
@@ -56,14 +56,14 @@ def gas_fraction(
     """Lumen fraction of pieces of gas: linear from the wall's Hounsfield units to the gas's.
 
     Both values are measured: the median of the pieces' inner voxels, and of soft tissue within
-    three voxels of them. What belongs to other pieces of gas is no lumen.
+    three voxels of them. Voxels of other pieces of gas are not lumen.
 
     Args:
         scan: Hounsfield units.
         gas: All gas in it.
-        numbers: Of the pieces.
-        fluid: Tagged fluid, where it belongs to the lumen (`add_fluid`, `resolve_interface`).
-        pools: Numbers of the pools of fluid that do.
+        numbers: IDs of the pieces.
+        fluid: Tagged fluid, if it belongs to the lumen (`add_fluid`, `resolve_interface`).
+        pools: IDs of the pools of fluid that belong to the lumen.
     """
     box = margin_box(_lumen_box(gas, numbers, fluid, pools), scan)
     label, part = gas.label[box], scan.crop(box)
@@ -101,7 +101,7 @@ def gas_fraction(
 def _lumen_box(
     gas: Gas, numbers: tuple[int, ...], fluid: Fluid | None, pools: tuple[int, ...]
 ) -> tuple[slice, slice, slice]:
-    """The smallest box around pieces of gas and pools of fluid."""
+    """Bounding box of pieces of gas and pools of fluid."""
     is_lumen = np.isin(gas.label, numbers)
     if fluid is not None and pools:
         is_lumen |= np.isin(fluid.label, pools)
@@ -109,7 +109,7 @@ def _lumen_box(
 
 
 def mask_fraction(labels: Volume, numbers: tuple[int, ...]) -> LumenFraction | None:
-    """Lumen fraction of some labels of a label map, 0 or 1; None where there is no such voxel."""
+    """Lumen fraction of some labels of a label map, 0 or 1; None if there is no such voxel."""
     box = bounding_box(np.isin(labels.values, numbers))
     if any(part.stop <= part.start for part in box):
         return None
@@ -120,11 +120,11 @@ def mask_fraction(labels: Volume, numbers: tuple[int, ...]) -> LumenFraction | N
 def number_parts(
     lumen: LumenFraction, min_volume: float
 ) -> tuple[UInt16[np.ndarray, "k j i"], list[float]]:
-    """Connected parts (by faces) of a lumen, but for those smaller than a volume [m³].
+    """Label the parts (connected by faces) of a lumen of at least a given volume [m³].
 
     Returns:
-        The number of the part of each voxel (1 for the largest, 0 for none), and the parts'
-        volumes [m³], largest first.
+        The ID of the part of each voxel (1 for the largest, 0 for none), and the parts'
+        volumes [m³] in descending order.
     """
     label, num = connected_parts(lumen.fraction > 0.5)
     volumes = part_sizes(label, num) * lumen.voxel_volume
@@ -137,7 +137,7 @@ def number_parts(
 
 
 def bounding_box(mask: Bool[np.ndarray, "k j i"]) -> tuple[slice, slice, slice]:
-    """The smallest box around what is true."""
+    """Bounding box of a mask."""
     ranges = []
     for axis in range(3):
         used = mask.any(axis=tuple(other for other in range(3) if other != axis))
@@ -147,7 +147,7 @@ def bounding_box(mask: Bool[np.ndarray, "k j i"]) -> tuple[slice, slice, slice]:
 
 
 def margin_box(box: tuple[slice, slice, slice], scan: Volume) -> tuple[slice, slice, slice]:
-    """A box with room for the wall around it, as far as the scan goes."""
+    """Box with a margin for the wall, clipped to the scan."""
     pads = np.ceil(_MARGIN / scan.spacing).astype(int).tolist()
     wider = [
         slice(max(0, part.start - pad), min(size, part.stop + pad))

@@ -1,4 +1,4 @@
-"""Organs from a scan: by the gas in it, or by a label map."""
+"""Organs from a scan: from its gas, or from a label map."""
 
 from __future__ import annotations
 
@@ -28,24 +28,24 @@ if TYPE_CHECKING:
     from vrcaps.tools.ct.lumen import Gas
 
 _SPECK = 0.2 * CM**3  # parts of a lumen smaller than this are dropped
-_MANY_PARTS = 40  # beyond which the gaps between the parts of a lumen are not sought
+_MANY_PARTS = 40  # maximum number of parts of a lumen for which gaps are searched
 
 
 @dataclass(frozen=True)
 class WallOptions:
-    """How a wall is drawn from the lumen.
+    """Settings of the wall extraction.
 
     Attributes:
         edge: Mean edge length of the triangles [m].
-        blur: Standard deviation of a Gaussian over the scan beforehand [voxels]; None takes 0.5
+        blur: Standard deviation of a Gaussian over the scan beforehand [voxels]; None means 0.5
             for gas, 0.7 for a mask.
         pass_band: Fraction of the surface's spatial frequencies that smoothing keeps, up to 2;
-            0.1 removes the voxels' steps and keeps a polyp.
-        bridge: Widest collapsed stretch that is opened to a channel [m]; 0 opens none.
-        open_ends: Whether the lumen is closed or left open where the scan cuts it.
+            0.1 removes voxel steps and keeps a polyp.
+        bridge: Maximum width of collapsed stretches to open to a channel [m]; 0 opens none.
+        open_ends: Whether the lumen is left open where the scan cuts it; otherwise it is closed.
         reverse: Whether the narrower end of the lumen is the oral one.
-        anatomy: What the lumen is: a whole `colon` gets its segments, and its lower end is
-            the anal one.
+        anatomy: Anatomy of the lumen: a whole `colon` is divided into segments, and its lower end
+            is the anal one.
     """
 
     edge: float = 1.6 * MM
@@ -57,7 +57,7 @@ class WallOptions:
     anatomy: Literal["any", "colon"] = "any"
 
     def __post_init__(self) -> None:
-        """Refuse what makes no wall."""
+        """Check the settings."""
         if not 0.1 * MM <= self.edge <= 20 * MM:
             raise InputError(f"Edge length {self.edge / MM:g} mm. Allowed: 0.1 to 20 mm.")
         if not (self.blur is None or 0.0 <= self.blur <= 5.0):
@@ -78,19 +78,19 @@ def organ_from_gas(
     tagged_fluid: str | None = None,
     report: Callable[[str], None] = lambda step: None,
 ) -> OrganSurface:
-    """Organ around a piece of gas, and what belongs to the same lumen.
+    """Organ around a piece of gas and all that belongs to the same lumen.
 
     Args:
         scan: Hounsfield units.
         gas: All gas in it (`find_gas`).
-        piece: Where to start, one of `gas.gut`.
-        wall: How the wall is drawn.
+        piece: Piece to start from, one of `gas.gut`.
+        wall: Settings of the wall extraction.
         name: Name of the organ.
-        tagged_fluid: How the patient lay (`cleansing.DOWN`), if tagged fluid counts as lumen.
-        report: Told each step before it begins.
+        tagged_fluid: Posture of the patient (`cleansing.DOWN`), if tagged fluid counts as lumen.
+        report: Called with a line at the start of each step.
 
     Raises:
-        InputError: If no wall can be made of it.
+        InputError: If no wall can be extracted.
     """
     from vrcaps.tools.ct.cleansing import find_fluid
 
@@ -130,14 +130,14 @@ def organ_from_label(
 
     Args:
         labels: The label map.
-        number: Of the label.
-        wall: How the wall is drawn.
+        number: ID of the label.
+        wall: Settings of the wall extraction.
         name: Name of the organ.
         label_name: Name of the wall's label.
-        report: Told each step before it begins.
+        report: Called with a line at the start of each step.
 
     Raises:
-        InputError: If the label does not occur, or no wall can be made of it.
+        InputError: If the label does not occur, or no wall can be extracted.
     """
     lumen = mask_fraction(labels, (number,))
     if lumen is None:
@@ -158,7 +158,7 @@ def organ_from_label(
 
 
 def find_lumens(scan: Volume, *, threshold: int = GAS_THRESHOLD) -> Gas:
-    """All gas of a scan, see `find_gas`.
+    """Find all gas of a scan, see `find_gas`.
 
     Raises:
         InputError: If the threshold lies outside −1000 to −300 HU.
@@ -168,7 +168,7 @@ def find_lumens(scan: Volume, *, threshold: int = GAS_THRESHOLD) -> Gas:
 
 
 def require_threshold(threshold: int) -> None:
-    """Check the threshold of gas.
+    """Check the gas threshold.
 
     Raises:
         InputError: If it lies outside −1000 to −300 HU.
@@ -180,7 +180,7 @@ def require_threshold(threshold: int) -> None:
 def _gaps_of_gas(
     gas: Gas, scan: Volume, pieces: set[int], start: int, bridge: float
 ) -> tuple[list[Gap], list[str]]:
-    """Gaps to open between the gut's pieces of gas, and lines about those left."""
+    """Gaps to open between pieces of gut gas, and messages about those left closed."""
     number = np.zeros(SPECKS + 1 + len(gas.pieces), np.int32)
     gut = [piece for piece in gas.gut if piece.number == start or piece.number not in pieces]
     number[[piece.number for piece in gut]] = np.arange(1, len(gut) + 1)
@@ -194,7 +194,7 @@ def _gaps_of_gas(
 def _choose_gaps(
     parts: Volume, start: int, bridge: float, volumes: list[float]
 ) -> tuple[list[Gap], list[str]]:
-    """Gaps to open so that all within reach joins a part, and lines about them and the rest."""
+    """Choose the gaps that join all reachable parts to a part, and describe them and the rest."""
     if len(volumes) < 2:
         return [], []
     if len(volumes) > _MANY_PARTS:
@@ -219,10 +219,10 @@ def _choose_gaps(
 
 
 def _largest_part(lumen: LumenFraction) -> LumenFraction:
-    """A lumen without its smaller parts.
+    """Largest part of a lumen.
 
     Raises:
-        InputError: If all are too small.
+        InputError: If all parts are too small.
     """
     part, volumes = number_parts(lumen, _SPECK)
     if not volumes:
@@ -240,7 +240,7 @@ def _organ(
     source: dict,
     report: Callable[[str], None],
 ) -> OrganSurface:
-    """Organ around the largest part of a lumen once its gaps are opened."""
+    """Organ around the largest part of a lumen after opening its gaps."""
     from vrcaps.mesh.repair import repair
     from vrcaps.organ.centerline import compute_centerline, reversed_centerline
     from vrcaps.organ.read_organ import organ_from_mesh

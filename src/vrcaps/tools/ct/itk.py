@@ -1,4 +1,4 @@
-"""SimpleITK, where it is installed, and its messages and grids in our terms."""
+"""SimpleITK, if installed, and conversion of its messages and grids."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def import_sitk() -> ModuleType:
-    """SimpleITK with its warnings off: what they warn of is checked here.
+    """Import SimpleITK with its warnings off; their conditions are checked here.
 
     Raises:
         MissingExtraError: If it is not installed.
@@ -37,6 +37,6 @@ def grid_transform(image: SimpleITK.Image) -> Float[np.ndarray, "4 4"]:
 
 
 def itk_reason(error: RuntimeError) -> str:
-    """The one line of an ITK exception that says what went wrong."""
+    """Line of an ITK exception that states the cause."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return (lines[-1] if lines else type(error).__name__)[:160].rstrip(".")

@@ -1,4 +1,4 @@
-"""Organs of a label map: by number, or by TotalSegmentator's names."""
+"""Organs of a label map: by ID, or by TotalSegmentator's names."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ TOTALSEGMENTATOR = {"esophagus": 15, "stomach": 6, "duodenum": 19, "small_bowel"
 """Gut labels of TotalSegmentator version 2, task `total` (Wasserthal et al. 2023)."""
 
 _AIR = -900  # Hounsfield units of the air around a patient
-_MISPLACED = 0.05  # of a label's voxels in the air outside the body, beyond which it is suspect
+_MISPLACED = 0.05  # fraction of a label's voxels in air outside the body above which it is suspect
 
 
 def label_number(label: str) -> int:
-    """Number of a label given by number or name.
+    """ID of a label given by ID or name.
 
     Raises:
         UnknownNameError: If it is neither.
-        InputError: If the number is no label.
+        InputError: If the ID is not a label.
     """
     if label.lstrip("-").isdigit():
         if int(label) < 1:
@@ -36,10 +36,10 @@ def label_number(label: str) -> int:
 
 
 def check_label(labels: Volume, label: str) -> int:
-    """Number of a label that occurs in a map.
+    """Return the ID of a label after checking that the map contains it.
 
     Raises:
-        InputError: If it does not, or the file holds Hounsfield units.
+        InputError: If it does not, or the file contains Hounsfield units.
         UnknownNameError: If the label's name is unknown.
     """
     number = label_number(label)
@@ -58,12 +58,12 @@ def check_label(labels: Volume, label: str) -> int:
 
 
 def misplaced(scan: Volume, labels: Volume, number: int) -> str | None:
-    """A line about a label that lies partly in the air outside of the body, None if all is well.
+    """Message if part of a label lies in the air outside the body; otherwise None.
 
     Args:
         scan: Hounsfield units, on the label map's grid.
         labels: The label map.
-        number: The label.
+        number: ID of the label.
     """
     from vrcaps.tools.ct.lumen import body_mask
 

@@ -1,4 +1,4 @@
-"""The gas in a scan: its connected pieces, which of them are gut, and the choice among them."""
+"""Gas in a scan: connected pieces, classification as gut, and selection."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
     from vrcaps.tools.ct.volume import Volume
 
 GAS_THRESHOLD = -800
-"""Hounsfield units below which a voxel is all gas: half-way surfaces of two loops that fraction
-a thin wall would join at the middle value, their cores do not."""
+"""Hounsfield units below which a voxel is entirely gas. Isosurfaces at the middle value join two
+loops with a thin wall in between; their cores stay separate."""
 
-OUTSIDE, SPECKS = 1, 2  # numbers of gas that is no piece
+OUTSIDE, SPECKS = 1, 2  # IDs of gas that is not a piece
 
-_SPECK = 1 * CM**3  # gas smaller than this is no piece of gut
+_SPECK = 1 * CM**3  # minimum volume of a piece of gut
 _COARSE = 4 * MM  # grid of the body mask
-_TISSUE = -300  # Hounsfield units that part the body from air, on the coarse grid
-_IN_BODY = 0.9  # of a piece's voxels that must lie in the body
+_TISSUE = -300  # Hounsfield units that separate body from air, on the coarse grid
+_IN_BODY = 0.9  # minimum fraction of a piece's voxels that lie in the body
 _LUNG_EXCESS = 80  # Hounsfield units by which lung is denser than gas
 _LUNG_VOLUME = 100 * CM**3
 _LEAK_VOLUME = 20 * CM**3
@@ -36,15 +36,15 @@ Kind = Literal["gut", "lung", "outside"]
 
 @dataclass(frozen=True)
 class GasPiece:
-    """A connected piece of gas.
+    """Connected piece of gas.
 
     Attributes:
-        number: Of its voxels in `Gas.label`.
+        number: ID of its voxels in `Gas.label`.
         kind: Gut, lung (denser than gas; large, or reaching the top slice), or outside the body.
-        volume: Of its voxels [m³].
-        center: A voxel of it near their mean, patient frame [m].
+        volume: Volume of its voxels [m³].
+        center: Position of one of its voxels near their mean, patient frame [m].
         hounsfield: Median of its voxels.
-        box: Where it lies in the scan.
+        box: Bounding box in the scan.
     """
 
     number: int
@@ -60,10 +60,10 @@ class Gas:
     """All gas of a scan.
 
     Attributes:
-        label: Number of the piece that each voxel belongs to, 0 where there is no gas, `OUTSIDE`
-            where it reaches the sides of the scan, `SPECKS` where there is less than 1 ml.
-        pieces: Those of at least 1 ml, but for the outside air; the largest first.
-        hounsfield: Of the outside air, −1000 but for the scanner's calibration.
+        label: ID of the piece of each voxel, 0 where there is no gas, `OUTSIDE` where the gas
+            reaches the sides of the scan, `SPECKS` in components of less than 1 ml.
+        pieces: Those of at least 1 ml except for the outside air; the largest first.
+        hounsfield: Value of the outside air, −1000 except for errors of the scanner's calibration.
         leak: Volume [m³] and middle [m] of the largest part of the outside air that lies
             within the body.
     """
@@ -75,15 +75,15 @@ class Gas:
 
     @property
     def gut(self) -> tuple[GasPiece, ...]:
-        """The pieces that may be gut."""
+        """Pieces that may be gut."""
         return tuple(piece for piece in self.pieces if piece.kind == "gut")
 
 
 def find_gas(scan: Volume, *, threshold: int = GAS_THRESHOLD) -> Gas:
-    """Connected pieces of gas (by faces), each judged to be gut, lung or outside.
+    """Find connected pieces of gas (by faces) and classify each as gut, lung or outside.
 
-    Outside is what reaches the left, right, front or back side of the scan, or does not lie
-    in the body. Pieces that reach the first or last slice are cut off there, not outside.
+    Gas that reaches the left, right, front or back side of the scan, or lies outside the body, is
+    outside. Pieces that reach the first or last slice are cut off there, not outside.
 
     Args:
         scan: Hounsfield units, axes superior, posterior, left.
@@ -104,7 +104,7 @@ def find_gas(scan: Volume, *, threshold: int = GAS_THRESHOLD) -> Gas:
 
 
 def _numbered_gas(scan: Volume, threshold: int) -> UInt16[np.ndarray, "k j i"]:
-    """`Gas.label`; pieces from 3 on, the largest first."""
+    """Compute `Gas.label`; pieces from 3 on, the largest first."""
     label, num = connected_parts(scan.values < threshold)
     sizes = part_sizes(label, num)
     sides = (label[:, 0], label[:, -1], label[:, :, 0], label[:, :, -1])
@@ -117,10 +117,10 @@ def _numbered_gas(scan: Volume, threshold: int) -> UInt16[np.ndarray, "k j i"]:
 
 
 def body_mask(scan: Volume) -> tuple[Bool[np.ndarray, "k j i"], tuple[int, int, int]]:
-    """The patient's trunk with everything in it, on a grid coarser by a stride along each axis.
+    """Mask of the patient's trunk and its contents, on a grid coarser by a stride along each axis.
 
-    What is thinner than three coarse voxels, such as the table's top, and what hangs together
-    with the trunk by less, such as an arm, is not in it.
+    Objects thinner than three coarse voxels, such as the table top, and objects connected to the
+    trunk by less, such as an arm, are excluded.
     """
     k, j, i = (max(1, round(_COARSE / d)) for d in scan.spacing.tolist())
     tissue = scan.values[::k, ::j, ::i] > _TISSUE
@@ -143,7 +143,7 @@ def _judge(
     air_hu: float,
     body: tuple[Bool[np.ndarray, "k j i"], tuple[int, int, int]],
 ) -> GasPiece:
-    """What one piece of gas is."""
+    """Classify a piece of gas."""
     part = label[box]
     own = np.flatnonzero(part == number)
     some = np.unravel_index(own[:: max(1, len(own) // 20_000)], part.shape)
@@ -180,10 +180,10 @@ def _leak(
 def choose_gas(
     gas: Gas, scan: Volume, *, seed: Float[np.ndarray, " 3"] | None = None
 ) -> tuple[GasPiece, ...]:
-    """The pieces to make organs of: that at the seed, or all that may be gut, largest first.
+    """Choose the pieces to build organs from: the one at the seed, or all gut, largest first.
 
     Args:
-        gas: Of the scan.
+        gas: Gas of the scan.
         scan: Hounsfield units.
         seed: A point in the lumen, patient frame [m].
 
@@ -214,7 +214,7 @@ def choose_gas(
 
 
 def _at_seed(gas: Gas, scan: Volume, seed: Float[np.ndarray, " 3"]) -> GasPiece:
-    """The piece of gas at a point."""
+    """Return the piece of gas at a point."""
     index = np.rint(scan.index(np.asarray(seed, float)[None])[0]).astype(int)
     if not np.isfinite(seed).all() or (index < 0).any() or (index >= scan.values.shape).any():
         corners = scan.points(np.array([[0, 0, 0], scan.values.shape]) - 0.5)
@@ -241,5 +241,5 @@ def _at_seed(gas: Gas, scan: Volume, seed: Float[np.ndarray, " 3"]) -> GasPiece:
 
 
 def mm_text(point: Float[np.ndarray, " 3"]) -> str:
-    """A position [m] as it is typed after --seed-mm."""
+    """Format a position [m] as an argument of --seed-mm."""
     return "({:.1f}, {:.1f}, {:.1f}) mm".format(*(np.asarray(point, float) / MM))

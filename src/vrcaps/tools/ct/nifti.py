@@ -1,4 +1,4 @@
-"""Check of NIfTI voxels that ITK changes without a word: its library makes NaN and infinity 0."""
+"""Check for non-finite NIfTI voxels, which ITK silently replaces by 0."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _FLOATS = {16: "f4", 64: "f8"}
-_CHUNK = 1 << 24  # bytes looked at at a time
-# By the size of the header that a file states first: NIfTI-1, NIfTI-2.
+_CHUNK = 1 << 24  # bytes read at a time
+# By the header size at the start of the file: NIfTI-1, NIfTI-2.
 _HEADERS = {
     348: np.dtype({"names": ["type", "start"], "formats": ["i2", "f4"], "offsets": [70, 108]}),
     540: np.dtype({"names": ["type", "start"], "formats": ["i2", "i8"], "offsets": [12, 168]}),
@@ -27,7 +27,7 @@ def require_finite_nifti(path: Path) -> None:
     """Check that all voxels of a NIfTI file are finite.
 
     Raises:
-        InputError: If some are not, or the file is cut short.
+        InputError: If some are not, or the file is truncated.
     """
     opened = gzip.open if path.name.lower().endswith(".gz") else open
     try:
@@ -39,7 +39,7 @@ def require_finite_nifti(path: Path) -> None:
 
 
 def _num_bad(file: IO[bytes] | gzip.GzipFile) -> int:
-    """Number of voxels that are not finite; 0 where they are integers."""
+    """Number of voxels that are not finite; 0 for integer types."""
     head = file.read(max(_HEADERS))
     orders: tuple[Literal["<", ">"], ...] = ("<", ">")
     for order in orders:
@@ -52,7 +52,7 @@ def _num_bad(file: IO[bytes] | gzip.GzipFile) -> int:
 
 
 def _count(file: IO[bytes] | gzip.GzipFile, start: int, dtype: str) -> int:
-    """Number of values that are not finite from a byte to the end of a file."""
+    """Number of values that are not finite, from an offset to the end of a file."""
     file.seek(start)
     count = 0
     while chunk := file.read(_CHUNK):

@@ -1,4 +1,4 @@
-"""A folder of DICOM slices as a volume: order, spacing, gantry tilt, rescale."""
+"""Reader of a folder of DICOM slices: order, spacing, gantry tilt, rescale."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ if TYPE_CHECKING:
 
     from jaxtyping import Float
 
-_UNEVEN = 0.5  # of the slice spacing, by which a slice may be out of place
-_THIN = 1.5  # slice spacing over slice thickness, beyond which slices may be missing
-_MOST_PIXELS = 4096  # on a side of a slice; scanners make up to 2048
+_UNEVEN = 0.5  # maximum displacement of a slice, relative to the slice spacing
+_THIN = 1.5  # ratio of slice spacing to slice thickness above which slices may be missing
+_MOST_PIXELS = 4096  # maximum side of a slice; scanners produce up to 2048
 
 
 def read_dicom(
     folder: Path, *, series: str | None = None, progress: Callable[[int, int], None] | None = None
 ) -> Volume:
-    """The scan in a folder and those below it, one slice at a time, in Hounsfield units.
+    """Read the scan in a folder and its subfolders, slice by slice, in Hounsfield units.
 
-    All transfer syntaxes of GDCM are read (JPEG, JPEG-LS, JPEG 2000, RLE). Slices are ordered
-    by position, not by number. A tilted gantry stays a shear of `T_patient_index`: nothing
-    is resampled. Values above 32,767 HU (metal) become 32,767 HU. `Volume.notes` lists files that
-    were skipped.
+    All transfer syntaxes of GDCM are supported (JPEG, JPEG-LS, JPEG 2000, RLE). Slices are ordered
+    by position, not by file number. A tilted gantry is kept as a shear of `T_patient_index` without
+    resampling. Values above 32,767 HU (metal) become 32,767 HU. `Volume.notes` lists skipped
+    files.
 
     Raises:
-        InputError: If there is no such series or several, slices are missing, double or
+        InputError: If there is no such series or several, slices are missing, duplicate or
             uneven, the modality is not CT, a file holds several images, or its pixels are damaged.
     """
     listing = list_series(folder)
@@ -59,10 +59,10 @@ def read_dicom(
 
 
 def choose_series(found: list[Series], folder: Path, wanted: str | None) -> Series:
-    """The only series, or the one wanted: its number in the list, or its UID.
+    """Return the only series, or the one with the given list index or UID.
 
     Raises:
-        InputError: If there are several and none, or one that is not there, is wanted.
+        InputError: If there are several and none is given, or the given one does not exist.
     """
     listing = "; ".join(f"{number}: {one.text}" for number, one in enumerate(found, start=1))
     if wanted is None:
@@ -80,10 +80,10 @@ def choose_series(found: list[Series], folder: Path, wanted: str | None) -> Seri
 
 
 def ordered(series: Series, folder: Path) -> tuple[list[Slice], Float[np.ndarray, " 3"]]:
-    """Slices by position, and the step from one to the next [m].
+    """Order slices by position; return them and the step from one to the next [m].
 
     Raises:
-        InputError: If slices are too few, missing, double or out of line.
+        InputError: If slices are too few, missing, duplicate or out of line.
     """
     if len(series.slices) < 2:
         raise InputError(f"Series {series.text} in {folder} is a single slice. Give all of them.")
@@ -122,7 +122,7 @@ def ordered(series: Series, folder: Path) -> tuple[list[Slice], Float[np.ndarray
 def _ordered_with_notes(
     series: Series, folder: Path, listing: Listing
 ) -> tuple[list[Slice], Float[np.ndarray, " 3"], tuple[str, ...]]:
-    """Slices in order and the step between them, see `ordered`, and what a user should know.
+    """Order slices as `ordered` does; also return notes for the user.
 
     Raises:
         InputError: As `ordered`; names the files that were skipped.
@@ -142,10 +142,10 @@ def _ordered_with_notes(
 
 
 def _require_slices(series: Series, folder: Path) -> None:
-    """Refuse files that are no single slice, or a larger one than scanners make, unread.
+    """Reject files with several images or oversized ones before reading their pixels.
 
     Raises:
-        InputError: If they hold several images, or a side is too long.
+        InputError: If they contain several images, or a side is too long.
     """
     if series.frames != 1:
         name = series.slices[0].path.name
@@ -162,7 +162,7 @@ def _require_slices(series: Series, folder: Path) -> None:
 
 
 def _read_pixels(path: Path) -> np.ndarray:
-    """Hounsfield units of one slice: GDCM applies its rescale slope and intercept."""
+    """Read the Hounsfield units of one slice: GDCM applies its rescale slope and intercept."""
     sitk = import_sitk()
     try:
         image = sitk.ReadImage(str(path), imageIO="GDCMImageIO")

@@ -1,4 +1,4 @@
-"""Scans and label maps from files: a DICOM folder, NIfTI, NRRD or MetaImage."""
+"""Reader of scans and label maps: a DICOM folder, NIfTI, NRRD or MetaImage."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ def read_volume(
 ) -> Volume:
     """Read a scan or label map, 16-bit, in the patient frame (LPS, meters).
 
-    Hounsfield units are rounded, and those beyond 16 bits cut off (see `hounsfield`); label numbers
-    must be whole and fit.
+    Hounsfield units are rounded and clipped to 16 bits (see `hounsfield`); label IDs must be
+    integers in this range.
 
     Args:
         path: A folder of DICOM slices, or a file of `FILE_TYPES`.
         series: Which series of a folder that holds several, see `choose_series`.
-        is_label_map: Whether the values of a file are label numbers.
-        progress: Told the number of slices read and their total.
+        is_label_map: Whether the values of a file are label IDs.
+        progress: Called with the number of slices read and the total.
 
     Raises:
         InputError: If there is no scan, it has fewer or more than three dimensions, or (DICOM)
-            several series, missing or duplicate slices; if a value is not finite, or a label
-            number not whole or not below 32,768.
+            several series, missing or duplicate slices; if a value is not finite, or a label ID is
+            not an integer or not below 32,768.
         MissingExtraError: If SimpleITK is not installed.
     """
     if path.is_dir():
@@ -58,7 +58,7 @@ def read_volume(
 
 
 def _require_bytes(path: Path, voxels: int) -> None:
-    """Check that a file can hold its voxels, at the most that gzip packs into a byte (1032).
+    """Check that a file can hold its voxels at gzip's maximum compression ratio (1032).
 
     Raises:
         InputError: If it is too short.
@@ -93,6 +93,6 @@ def _read_file(path: Path, *, is_label_map: bool) -> Volume:
         require_finite_nifti(path)
     stored = sitk.GetArrayViewFromImage(image)
     values, name = np.empty(stored.shape, np.int16), f"label numbers of {path}"
-    for k, own in enumerate(stored):  # one by one, to hold no copy of the scan
+    for k, own in enumerate(stored):  # one by one, to avoid a copy of the scan
         values[k] = narrow(own, np.int16, name) if is_label_map else hounsfield(own, path)
     return Volume(values, grid_transform(image), str(path))

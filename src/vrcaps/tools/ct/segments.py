@@ -13,22 +13,22 @@ if TYPE_CHECKING:
 
     from vrcaps.organ.surface import Centerline
 
-_HEPATIC_RANGE = (0.03, 0.45)  # of the colon's length from the caecum, where a flexure is sought
+_HEPATIC_RANGE = (0.03, 0.45)  # fractions of the colon's length from the caecum
 _SPLENIC_RANGE = (0.40, 0.80)
 
 
 def runs_upwards(centerline: Centerline) -> bool:
-    """Whether a colon's centerline ends higher than it starts: the rectum is its lowest end."""
+    """Check whether a colon's centerline ends higher than it starts: the rectum lies lowest."""
     return bool(centerline.points[-1, 2] > centerline.points[0, 2])
 
 
 def colon_borders(centerline: Centerline) -> Float[np.ndarray, " 7"]:
     """Arc lengths [m] at which the segments of a whole colon meet, from the caecum on.
 
-    The hepatic flexure is the place farthest up and to the right in the first half of the
-    course, the splenic one that farthest up and to the left around its middle: loops of the
-    transverse colon may rise as high, but between the two. Each takes its published fraction of the
-    length. What lies before, between and behind is divided in the published proportions
+    The hepatic flexure is the point farthest up and to the right in the first half of the course,
+    the splenic one the point farthest up and to the left around its middle: loops of the transverse
+    colon may rise as high, but between the two. Each flexure has its published fraction of the
+    length. The stretches before, between and behind are divided in the published proportions
     (`ColonParameters`).
 
     Args:
@@ -61,7 +61,7 @@ def colon_borders(centerline: Centerline) -> Float[np.ndarray, " 7"]:
 def colon_labels(
     centerline: Centerline, arc_length: Float[np.ndarray, " n"]
 ) -> tuple[UInt8[np.ndarray, " n"], tuple[str, ...]]:
-    """Segment of each vertex of a colon by its arc length, and the segments' names."""
+    """Segment of each vertex of a colon by its arc length, and the names of the segments."""
     label = 1 + np.searchsorted(colon_borders(centerline), arc_length)
     return label.astype(np.uint8), ("background", *SEGMENTS)
 
@@ -69,6 +69,6 @@ def colon_labels(
 def _farthest(
     s: Float[np.ndarray, " n"], reach: Float[np.ndarray, " n"], between: tuple[float, float]
 ) -> float:
-    """Where in a range of the course it reaches farthest."""
+    """Position within a range of the course that is farthest in a direction."""
     inside = (s >= between[0]) & (s <= between[1])
     return float(s[inside][np.argmax(reach[inside])])

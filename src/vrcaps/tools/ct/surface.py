@@ -1,4 +1,4 @@
-"""From the lumen fraction to a wall: sub-voxel surface, smoothing that keeps size, decimation."""
+"""Wall from the lumen fraction: sub-voxel isosurface, smoothing without shrinkage, decimation."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ from vrcaps.units import MM
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-_FINEST = 1.5 * MM  # voxels longer than this are divided before the surface is drawn
+_FINEST = 1.5 * MM  # voxels longer than this are subdivided before the surface is extracted
 _SLAB = 64  # slices that one thread blurs at a time
-_TRUNCATE = 3.0  # standard deviations at which a Gaussian is cut off
-_DEGREE = 16  # of the smoothing filter's polynomial, before it is leveled
+_TRUNCATE = 3.0  # standard deviations at which a Gaussian is truncated
+_DEGREE = 16  # degree of the smoothing filter's polynomial, before it is flattened
 
 
 def extract_wall(lumen: LumenFraction, *, blur: float, pass_band: float, edge: float) -> Mesh:
-    """The surface at which the lumen fraction is one half, smoothed and decimated.
+    """Extract the isosurface of the lumen fraction at one half, smoothed and decimated.
 
-    Voxels longer than 1.5 mm are divided by cubic interpolation first. Where the lumen meets
-    the first or last slice of the scan the surface is open.
+    Voxels longer than 1.5 mm are first subdivided by cubic interpolation. Where the lumen meets
+    the first or last slice of the scan, the surface is open.
 
     Args:
         lumen: The lumen fraction.
         blur: Standard deviation of a blur over the fraction beforehand [voxels]; it turns a
-            mask into a field with a sub-voxel surface, and quietens noise.
+            mask into a field with a sub-voxel surface and reduces noise.
         pass_band: Fraction of the mesh's spatial frequencies that smoothing keeps, see `smooth`.
         edge: Mean edge length of the triangles [m].
 
     Raises:
-        InputError: If the fraction nowhere passes one half.
+        InputError: If the fraction does not cross one half.
         MissingExtraError: If fast-simplification is not installed.
     """
     from skimage.measure import marching_cubes
@@ -54,10 +54,10 @@ def extract_wall(lumen: LumenFraction, *, blur: float, pass_band: float, edge: f
 
 
 def _blurred(fraction: Float[np.ndarray, "k j i"], sigma: float) -> Float[np.ndarray, "k j i"]:
-    """Fraction under the kernel 2 G − G² of a Gaussian G.
+    """Convolve the fraction with the kernel 2 G − G² of a Gaussian G.
 
-    Its second moment is zero, so that curved walls stay where they are: G alone would move a
-    sphere of radius r inwards by σ² / r.
+    Its second moment is zero, so curved walls keep their position: G alone would move a sphere of
+    radius r inwards by σ² / r.
     """
     reach = 2 * int(_TRUNCATE * sigma + 0.5)
     blurred = np.empty_like(fraction)
@@ -80,7 +80,7 @@ def _blurred(fraction: Float[np.ndarray, "k j i"], sigma: float) -> Float[np.nda
 def _refined(
     fraction: Float[np.ndarray, "k j i"], lumen: LumenFraction
 ) -> tuple[Float[np.ndarray, "k j i"], Float[np.ndarray, "4 4"]]:
-    """The fraction and its `T_patient_index` on a grid no coarser than 1.5 mm."""
+    """Resample the fraction and its `T_patient_index` to a grid no coarser than 1.5 mm."""
     factor = np.ceil(lumen.spacing / _FINEST - 1e-6).astype(int)
     if (factor <= 1).all():
         return fraction, lumen.T_patient_index
@@ -95,16 +95,16 @@ def _refined(
 def smooth(
     vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"], pass_band: float
 ) -> Float[np.ndarray, "n 3"]:
-    """Vertices low-pass filtered along the surface, without shrinking it.
+    """Low-pass filter vertices along the surface without shrinking it.
 
     Positions are filtered by a windowed-sinc polynomial of the umbrella Laplacian K (Taubin,
-    Zhang and Golub 1996, Optimal surface smoothing as filter design): it is 1 and level at
-    frequency 0, so that the shape stays, and falls to 0 beyond the pass band. Borders stay
-    where they are.
+    Zhang and Golub 1996, Optimal surface smoothing as filter design): it is 1 with zero slope at
+    frequency 0, so that the shape is kept, and falls to 0 beyond the pass band. Borders do not
+    move.
 
     Args:
         vertices: Positions, any unit.
-        faces: Vertex numbers of each triangle.
+        faces: Vertex indices of each triangle.
         pass_band: Frequency k of K (0 to 2) up to which the shape is kept; 2 keeps all.
     """
     if pass_band >= 2.0:
@@ -125,7 +125,7 @@ def smooth(
 
 
 def _average_matrix(faces: Int[np.ndarray, "m 3"], num: int) -> tuple[csr_array, np.ndarray]:
-    """Matrix 1 − K that takes the mean of each vertex's neighbors, and the border vertices."""
+    """Matrix 1 − K that averages the neighbors of each vertex, and the border vertices."""
     halves = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     ones = np.ones(len(halves))
     links = coo_array((ones, (halves[:, 0], halves[:, 1])), shape=(num, num)).tocsr()
@@ -137,10 +137,10 @@ def _average_matrix(faces: Int[np.ndarray, "m 3"], num: int) -> tuple[csr_array,
 
 
 def _filter_weights(pass_band: float) -> Float[np.ndarray, " n"]:
-    """Chebyshev coefficients of the low-pass filter: 1 and level at frequency 0.
+    """Chebyshev coefficients of the low-pass filter: 1 with zero slope at frequency 0.
 
-    The windowed sinc f is 1 there but not level, which shrinks what is strongly curved;
-    2 f − f² is both.
+    The windowed sinc f is 1 there but has a slope, which shrinks strongly curved regions;
+    2 f − f² has neither defect.
     """
     n = np.arange(_DEGREE + 1)
     window = 0.54 + 0.46 * np.cos(n * np.pi / (_DEGREE + 1))
@@ -152,9 +152,9 @@ def _filter_weights(pass_band: float) -> Float[np.ndarray, " n"]:
 
 
 def decimate(mesh: Mesh, edge: float) -> Mesh:
-    """Fewer triangles by quadric error (Garland and Heckbert 1997), to a mean edge length [m].
+    """Reduce triangles by quadric error (Garland and Heckbert 1997) to a mean edge length [m].
 
-    A mesh that is already coarser stays as it is.
+    A mesh that is already coarser is unchanged.
 
     Raises:
         MissingExtraError: If fast-simplification is not installed.

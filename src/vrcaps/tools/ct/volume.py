@@ -1,4 +1,4 @@
-"""A scan as a grid of numbers with its place in the patient."""
+"""Scan as a voxel grid in the patient frame."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from vrcaps.units import MM
 if TYPE_CHECKING:
     from jaxtyping import Float, Int, Int16
 
-_SAME_GRID = 0.02  # of a voxel, by which the nodes of two aligned grids may differ
+_SAME_GRID = 0.02  # maximum distance, in voxels, between the nodes of two aligned grids
 
 
 _MOST_VOXELS = 1 << 30
 
 
 def require_voxels(count: int, source: object) -> None:
-    """Check that a scan is of a size that can be read, before memory is taken for it.
+    """Check the size of a scan before memory is allocated for it.
 
     Raises:
         InputError: If it has more than 2³⁰ voxels (2 GiB), such as 512 × 512 × 4096.
@@ -36,7 +36,7 @@ def require_finite(num_bad: int, source: object) -> None:
     """Check that no voxel is NaN or infinite.
 
     Raises:
-        InputError: If there are some.
+        InputError: If some are.
     """
     if num_bad:
         raise InputError(
@@ -46,16 +46,16 @@ def require_finite(num_bad: int, source: object) -> None:
 
 
 def hounsfield(values: np.ndarray, source: object) -> Int16[np.ndarray, "*shape"]:
-    """Hounsfield units as 16-bit integers: rounded, and cut off at the ends of the range.
+    """Convert Hounsfield units to 16-bit integers: rounded, and clipped to the range.
 
     Only metal on the extended scale exceeds 32,767 HU, and only padding lies below -32,768 HU.
 
     Args:
-        values: Numbers of any type.
-        source: File, for the message.
+        values: Values of any type.
+        source: File name for the message.
 
     Raises:
-        InputError: If a value is not finite, or they are no numbers of one component.
+        InputError: If a value is not finite, or the values are not scalar numbers.
     """
     limits = np.iinfo(np.int16)
     if values.dtype.kind not in "iuf":
@@ -67,7 +67,7 @@ def hounsfield(values: np.ndarray, source: object) -> Int16[np.ndarray, "*shape"
 
 
 class PatientGrid:
-    """What any array of voxels in the patient frame has.
+    """Base of all voxel arrays in the patient frame.
 
     Attributes:
         T_patient_index: Maps the array index (k, j, i) of a voxel to its center [m].
@@ -86,23 +86,23 @@ class PatientGrid:
         return float(abs(np.linalg.det(self.T_patient_index[:3, :3])))
 
     def points(self, index: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """Positions [m] of array indices (k, j, i), whole or not."""
+        """Positions [m] of array indices (k, j, i), integer or fractional."""
         return index_to_patient(self.T_patient_index, index)
 
 
 @dataclass(frozen=True)
 class Volume(PatientGrid):
-    """A scan on a parallelepiped grid; it may be oblique, and sheared by a tilted gantry.
+    """Scan on a parallelepiped grid; it may be oblique, and sheared by a tilted gantry.
 
-    The array's axes run nearest to the patient's superior, posterior and left, in this order
-    (`upright` sees to that), so ``values[k]`` is an axial slice, or nearly one.
+    The array axes are those nearest to the patient's superior, posterior and left, in this order
+    (ensured by `upright`), so ``values[k]`` is an axial slice, or nearly one.
 
     Attributes:
-        values: Hounsfield units, or label numbers.
+        values: Hounsfield units, or label IDs.
         T_patient_index: Maps the array index (k, j, i) of a voxel to its center in the patient
             frame (DICOM LPS) [m].
         source: File or folder it was read from.
-        notes: What a user should know of how it was read, one line each.
+        notes: Messages to the user about how it was read, one line each.
     """
 
     values: Int[np.ndarray, "k j i"]
@@ -115,7 +115,7 @@ class Volume(PatientGrid):
         return index_to_patient(np.linalg.inv(self.T_patient_index), points)
 
     def crop(self, box: tuple[slice, ...]) -> Volume:
-        """The part in a box of array indices; its values are a view."""
+        """Crop to a box of array indices; the values are a view."""
         return replace(
             self, values=self.values[box], T_patient_index=shifted(self.T_patient_index, box)
         )
@@ -124,7 +124,7 @@ class Volume(PatientGrid):
 def index_to_patient(
     transform: Float[np.ndarray, "4 4"], points: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Points under an affine map, such as a volume's `T_patient_index`."""
+    """Transform points by an affine map, such as a volume's `T_patient_index`."""
     return points @ transform[:3, :3].T + transform[:3, 3]
 
 
@@ -136,7 +136,7 @@ def shifted(transform: Float[np.ndarray, "4 4"], box: tuple[slice, ...]) -> np.n
 
 
 def upright(volume: Volume) -> Volume:
-    """The same scan with its array axes swapped and turned to run superior, posterior, left."""
+    """Reorder and flip the array axes of a scan to superior, posterior, left."""
     matrix = volume.T_patient_index[:3, :3] / volume.spacing
     # Rows x, y, z of the patient; the axes of the array that follow z, y and x best.
     order, free = [], [0, 1, 2]
@@ -155,10 +155,10 @@ def upright(volume: Volume) -> Volume:
 
 
 def common_part(scan: Volume, labels: Volume) -> tuple[Volume, Volume]:
-    """The parts of a scan and of a label map that cover each other, voxel for voxel.
+    """Crop a scan and a label map to their overlap, voxel for voxel.
 
     Raises:
-        InputError: If the two are not on one grid, or nowhere overlap.
+        InputError: If the two are not on one grid, or do not overlap.
     """
     step = np.linalg.solve(scan.T_patient_index, labels.T_patient_index)
     offset = np.rint(step[:3, 3]).astype(int)

@@ -1,1 +1,1 @@
-"""The page that shows what a data set holds: counts, histograms, a mosaic of frames."""
+"""HTML page of a dataset's contents: counts, histograms, sample frames."""

@@ -1,4 +1,4 @@
-"""Histograms of a data set by split: depth, brightness, speed of the capsule."""
+"""Histograms of a dataset by split: depth, brightness, speed of the capsule."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ SPLIT_COLORS = {"train": "#3b6fb6", "val": "#e0982f", "test": "#1a8a4a"}
 _SIZE_INCH, _DPI = (12.8, 3.4), 110
 _BINS = 48
 _HIGHEST = 99.5
-"""Percentile at which an open axis ends; the rest counts in the last bin."""
+"""Percentile at which an open axis ends; larger values count in the last bin."""
 
 
 def histogram_picture(sample: Sample) -> bytes:
-    """The three histograms side by side, as a PNG."""
+    """Draw the three histograms side by side, as a PNG."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -43,7 +43,7 @@ def histogram_picture(sample: Sample) -> bytes:
 
 
 def _pixels(sample: Sample, name: str, unit: float) -> dict[str, NDArray]:
-    """Values of sampled pixels of each split, in a unit."""
+    """Values of sampled pixels of each split, in the given unit."""
     found = {split: [np.zeros(0)] for split in SPLITS}
     for shot in sample.shots:
         found[shot.member.split].append(getattr(shot, name) / unit)

@@ -1,4 +1,4 @@
-"""Page of a data set: one file that opens in any browser."""
+"""HTML page of a dataset: one self-contained file."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 _TILES, _TILE = 48, 190
 _EXAMPLES = 4
-"""Organs of which a frame is shown with all its channels."""
+"""Number of organs of which a frame is shown with all its channels."""
 _PROPERTIES = ("organ", "capsule", "posture", "motion")
 
 _OWN_STYLE = """
@@ -59,14 +59,14 @@ figcaption { color: #555; font-size: 11px; line-height: 1.3; overflow-wrap: anyw
 def write_page(
     path: Path, settings: DatasetSettings, rows: Sequence[Row], sample: Sample, planned: int
 ) -> None:
-    """Write the page, whole or not at all; the same data set gives the same bytes.
+    """Write the page atomically; the same dataset gives the same bytes.
 
     Args:
-        path: The file to write or replace.
-        settings: Of the data set.
+        path: File to write or replace.
+        settings: Settings of the dataset.
         rows: Its recordings.
-        sample: Frames of it.
-        planned: Number of recordings that its plan has.
+        sample: Sample of its frames.
+        planned: Number of recordings in its plan.
     """
     parts = [
         f"<!doctype html><html lang='en'><meta charset='utf-8'>"
@@ -140,7 +140,7 @@ def _splits(rows: Sequence[Row]) -> str:
 
 
 def _bars(rows: Sequence[Row]) -> list[str]:
-    """A table for each property of recordings."""
+    """One table per property of recordings."""
     parts = []
     for key in _PROPERTIES:
         groups = count_by(rows, lambda row, key=key: row.about[key])
@@ -158,7 +158,7 @@ def _bar_table(
     numbers: tuple[str, ...],
     lines: Sequence[tuple[Any, tuple[int, ...], Mapping[str, int]]],
 ) -> str:
-    """A table of counts with a bar for each line, in parts for the splits."""
+    """Table of counts with a stacked bar per line, one part per split."""
     longest = max((sum(frames.values()) for _, _, frames in lines), default=0) or 1
     head = "".join(f"<th>{name}</th>" for name in ("", *numbers, ""))
     body = ""
@@ -215,13 +215,13 @@ def _histogram_note(sample: Sample) -> str:
 
 
 def _examples(sample: Sample) -> list[str]:
-    """A frame of each organ with all its channels."""
+    """One frame of each organ with all its channels."""
     by_organ: dict[str, list[Shot]] = {}
     for shot in sample.shots:
         by_organ.setdefault(shot.organ, []).append(shot)
     parts = ["<h2>Channels</h2>"]
     for shots in list(by_organ.values())[:_EXAMPLES]:
-        # One that shows lesions, if there is any, has the most to look at.
+        # A frame with lesions, if there is one, shows the most.
         shot = max(shots, key=lambda shot: len(shot.lesions))
         episode = shot.member.read()
         parts.append(f"<p class='note'>{_caption(shot)}</p><div class='tiles'>")
@@ -257,7 +257,7 @@ def _caption(shot: Shot) -> str:
 
 
 def _tile(shown: NDArray, caption: str, is_categorical: bool) -> str:
-    """A small picture: JPEG, or PNG where colors stand for classes."""
+    """Thumbnail: JPEG, or PNG for categorical images."""
     from PIL import Image
 
     image = Image.fromarray(np.ascontiguousarray(shown))

@@ -1,4 +1,4 @@
-"""Frames of a data set, chosen evenly, and what they show: as many however large it is."""
+"""Evenly spread sample of a dataset's frames and their contents, of fixed size."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 NUM_SHOTS = 240
 _PIXELS = 2000
-"""Pixels of an image that count in histograms, spread evenly."""
+"""Pixels per image that count in histograms, spread evenly."""
 _GOLDEN = 0.618033988749895
-"""Multiples of it are spread evenly between whole numbers."""
+"""Golden ratio: its multiples modulo 1 are evenly spread."""
 _VELOCITY = tuple(f"capsule_v{axis}_m_per_s" for axis in "xyz")
 _LESION = "instance"
 
@@ -33,16 +33,16 @@ class Shot:
     """One sampled frame of one camera.
 
     Attributes:
-        member: Its recording.
+        member: Recording of the frame.
         organ: Name of the organ.
-        segment: Where the capsule is.
+        segment: Segment in which the capsule is.
         capsule: Name of the capsule.
         camera: Name of the camera.
-        frame: Number of the frame.
-        depth: Depth of some of its pixels [m]; none without a channel `depth`.
+        frame: Index of the frame.
+        depth: Depth of some of its pixels [m]; empty without a channel `depth`.
         brightness: Gray level, 0 to 255, of some of the pixels that the lens illuminates.
         has_masks: Whether lesions have masks.
-        lesions: Kinds of the lesions that it shows.
+        lesions: Kinds of the visible lesions.
     """
 
     member: Member
@@ -59,11 +59,11 @@ class Shot:
 
 @dataclass(frozen=True)
 class Sample:
-    """What was looked at of a data set.
+    """Sample of a dataset.
 
     Attributes:
         shots: Frames, in the order of their recordings.
-        speeds: Split, and speed of the capsule at all frames [m/s], of each recording looked at.
+        speeds: Split, and speed of the capsule at all frames [m/s], of each sampled recording.
     """
 
     shots: tuple[Shot, ...]
@@ -71,11 +71,11 @@ class Sample:
 
 
 def sample(dataset: Dataset, num_shots: int = NUM_SHOTS) -> Sample:
-    """Look at frames that are spread evenly over recordings, time and cameras.
+    """Sample frames that are spread evenly over recordings, time and cameras.
 
     Args:
-        dataset: An open data set with at least one recording.
-        num_shots: Number of frames; fewer where there are not so many.
+        dataset: Open dataset with at least one recording.
+        num_shots: Number of frames; fewer if there are not so many.
 
     Raises:
         InputError: If a file cannot be read.
@@ -92,7 +92,7 @@ def sample(dataset: Dataset, num_shots: int = NUM_SHOTS) -> Sample:
 
 
 def _shots_of(chosen: tuple[Member, list[int]]) -> tuple[list[Shot], NDArray]:
-    """Frames of a recording, each at a place that its number fixes, and the capsule's speeds."""
+    """Frames of a recording, at positions fixed by their indices, and the capsule's speeds."""
     member, numbers = chosen
     episode = member.read()
     count = len(episode) * len(episode.cameras)
@@ -136,5 +136,5 @@ def _some(values: NDArray) -> NDArray:
 
 @cache
 def _lit(camera: Camera) -> NDArray:
-    """Pixels [h w] that the lens illuminates."""
+    """Mask [h w] of the pixels that the lens illuminates."""
     return np.all(np.isfinite(camera_rays(camera)), axis=-1, keepdims=False)

@@ -1,4 +1,4 @@
-"""Pictures of how policies were judged: figures, a page and videos.
+"""Output of policy evaluations: figures, an HTML page and videos.
 
-`subject` sums up, `summary_figure` and `run_video` draw, `page` writes all of it into a folder.
+`subject` computes summaries, `summary_figure` and `run_video` draw, `page` writes all to a folder.
 """

@@ -1,4 +1,4 @@
-"""Page of an evaluation: one file that opens in any browser, with a picture and a table beside."""
+"""HTML page of an evaluation, with its figure and table as separate files."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ episodes of percentiles over the actions of an episode."""
 
 
 def write_page(folder: Path, subjects: Sequence[Subject]) -> list[Path]:
-    """Write the page, the picture and the table.
+    """Write the page, the figure and the table.
 
     Args:
-        folder: Where.
-        subjects: What was judged; with the video of a median run in each folder, if it was made.
+        folder: Output folder.
+        subjects: Evaluated policies; each has the video of its median run in its folder, if made.
 
     Returns:
-        The files.
+        Paths of the files.
     """
     write_bytes(folder / PICTURE, summary_picture(subjects))
     columns = {subject.name: summary(subject) for subject in subjects}
@@ -83,7 +83,7 @@ def _page(folder: Path, subjects: Sequence[Subject], rows: list[dict[str, str]])
 
 
 def _by_organ(subjects: Sequence[Subject]) -> list[dict[str, str]]:
-    """A row for each organ, a column for each subject."""
+    """One row per organ, one column per subject."""
     names = sorted({str(o) for s in subjects for o in s.evaluation.column("organ")})
     rows = []
     for name in names:
@@ -97,7 +97,7 @@ def _by_organ(subjects: Sequence[Subject]) -> list[dict[str, str]]:
 
 
 def _ends(subjects: Sequence[Subject]) -> list[dict[str, str]]:
-    """A row for each subject: how many episodes ended for each reason."""
+    """One row per subject: number of episodes by end reason."""
     counts = [ends(subject) for subject in subjects]
     reasons = sorted({reason for count in counts for reason in count})
     return [

@@ -1,4 +1,4 @@
-"""Video of the median run: what the camera saw, beside the organ seen and unseen and the curve."""
+"""Video of the median run: camera image, organ seen and unseen, and coverage curve."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from vrcaps.env.settings import EnvSettings
 
 _FASTER, _EVERY = 2.0, 2
-"""How many times as fast the run is shown, and every how many actions there is a frame."""
+"""Playback speed, and number of actions per video frame."""
 
 _SIZE_PX, _STRIP_PX = 360, 70
 _BACKGROUND, _TEXT = (18, 18, 22), (230, 230, 230)
@@ -44,12 +44,12 @@ _SEEN, _CAPSULE = (85, 180, 105), (30, 90, 235)
 def write_run_video(
     path: Path, subject: Subject, progress: Callable[[int, int], None] | None = None
 ) -> None:
-    """Write a video of the median run of a subject, the wall at rest.
+    """Write a video of the median run of a subject, with the wall at rest.
 
     Args:
         path: MP4 to write or replace.
-        subject: What was judged.
-        progress: Called with the number of frames done and of all.
+        subject: Evaluated policy.
+        progress: Called with the number of frames done and the total.
     """
     row = subject.evaluation.median_row(MEDIAN_OF)
     curves = subject.evaluation.episode_curves(row)
@@ -78,7 +78,7 @@ def write_run_video(
 def faces_first_seen(
     settings: EnvSettings, model: Model, poses: Float[np.ndarray, "t 4 4"]
 ) -> Int[np.ndarray, " m"]:
-    """Pose at which the middle of each triangle was first visible; `len(poses)` where never."""
+    """Index of the pose that first sees each triangle's center; `len(poses)` if none does."""
     points = wall_points(model.organ, None)
     num_faces, bit = len(model.organ.faces), 1 << POINT_LEVELS.index("visible")
     flags, cells = np.zeros(len(points), np.uint8), np.zeros((1, int(points.cell.max()) + 1))
@@ -101,7 +101,7 @@ def faces_first_seen(
 
 
 class _View:
-    """The organ from outside; only its colors change."""
+    """View of the organ from outside; only its colors change."""
 
     def __init__(self, model: Model, axes: Float[np.ndarray, "3 3"]) -> None:
         organ = model.organ
@@ -116,7 +116,7 @@ class _View:
         self._face = face.reshape(_SIZE_PX, _SIZE_PX)
 
     def at(self, seen: np.ndarray, pose: Float[np.ndarray, "4 4"]) -> np.ndarray:
-        """The organ with what is seen, and the capsule as a line through the wall."""
+        """Draw the organ with its seen part, and the capsule as a line through the wall."""
         colors = np.stack([255.0 * LEVEL_COLORS[0], np.array(_SEEN, float)])
         image = colors[seen[self._face].astype(int)] * self._shade
         image[self._face < 0] = _BACKGROUND
@@ -130,7 +130,7 @@ class _View:
 
 
 def _strip(curves: dict[str, np.ndarray], number: int, width: int) -> np.ndarray:
-    """Time, coverage, and its curve so far."""
+    """Draw time, coverage, and the coverage curve up to now."""
     from PIL import Image, ImageDraw
 
     strip = Image.new("RGB", (width, _STRIP_PX), _BACKGROUND)
@@ -155,7 +155,7 @@ def _poses(curves: dict[str, np.ndarray]) -> Float[np.ndarray, "t 4 4"]:
 
 
 def _patient(settings: EnvSettings, name: str) -> Patient:
-    """The patient of a name, with its textures."""
+    """Return the patient of a name, with its textures."""
     organ = next(o for o in settings.organs if organ_name(o) == name)
     settings = replace(settings, organs=(organ,))
     return Patients(settings, device_of(settings.capsule), with_textures=True)[0]

@@ -1,4 +1,4 @@
-"""Subject: a policy with a capsule as it was judged, and its figures."""
+"""Subject of an evaluation: a policy with a capsule, and its metrics."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ if TYPE_CHECKING:
 
 
 MEDIAN_OF = "visible_area_under_curve"
-"""Figure whose median run is shown."""
+"""Metric that determines the median run."""
 
 
 @dataclass(frozen=True)
 class Subject:
-    """What was judged.
+    """Evaluated policy.
 
     Attributes:
-        name: Of the policy, and of the capsule where several are compared.
+        name: Name of the policy, and of the capsule if several are compared.
         evaluation: Its episodes.
-        settings: Of the environment.
+        settings: Settings of the environment.
     """
 
     name: str
@@ -35,17 +35,17 @@ class Subject:
 
     @property
     def judged_at(self) -> float:
-        """Time at which coverage is told [s]."""
+        """Time at which coverage is reported [s]."""
         return judged_time(self.settings.episode_time)
 
     @property
     def has_goal(self) -> bool:
-        """Whether its task is to get somewhere or find something, and then done."""
+        """Whether the task has a goal, such as a position or a lesion, that ends the episode."""
         return self.settings.task.kind != "coverage"
 
 
 def summary(subject: Subject) -> dict[str, str]:
-    """Medians over all episodes by name, with 10th and 90th percentile of coverage."""
+    """Medians over all episodes by metric; coverage with its 10th and 90th percentile."""
     evaluation = subject.evaluation
     row = {"episodes": str(len(evaluation.rows))}
     if subject.has_goal:
@@ -69,7 +69,7 @@ def summary(subject: Subject) -> dict[str, str]:
 
 
 def _success(evaluation: Evaluation) -> dict[str, str]:
-    """Share of episodes whose task was done, with its confidence interval, and how long it took."""
+    """Success rate with its confidence interval, and time to success."""
     done = evaluation.column("success")
     spread = bootstrap(
         lambda items: float(done[items].mean()), len(done), groups=organs_of(evaluation)
@@ -83,24 +83,24 @@ def _success(evaluation: Evaluation) -> dict[str, str]:
 
 
 def organs_of(evaluation: Evaluation) -> np.ndarray | None:
-    """Organ of each episode: episodes in one are alike. None where all are in the same."""
+    """Organ of each episode, as those in one organ are correlated. None if all are in the same."""
     organs = evaluation.column("organ")
     return organs if len(np.unique(organs)) > 1 else None
 
 
 def median_time(times: np.ndarray) -> float:
-    """Median of times [s], where one that was never reached is the longest."""
+    """Median of times [s]; a goal that was never reached counts as the longest time."""
     return float(np.median(np.where(np.isnan(times), np.inf, times)))
 
 
 def time_text(times: np.ndarray) -> str:
-    """Median time, where one that was never reached is the longest, and how many reached it."""
+    """Format the median time, with goals never reached as longest, and how many were reached."""
     middle = median_time(times)
     reached = f"{np.isfinite(times).sum()}/{len(times)}"
     return f"{middle:.1f} ({reached})" if np.isfinite(middle) else f"not ({reached})"
 
 
 def ends(subject: Subject) -> dict[str, int]:
-    """How many episodes ended for each reason."""
+    """Number of episodes by end reason."""
     names, counts = np.unique(subject.evaluation.column("end"), return_counts=True)
     return dict(zip(names.tolist(), counts.tolist(), strict=True))

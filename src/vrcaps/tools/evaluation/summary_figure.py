@@ -1,4 +1,4 @@
-"""Figure of an evaluation: coverage against time, at the time of judging, and time to targets."""
+"""Figure of an evaluation: coverage over time, coverage at the evaluation time, time to targets."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 COLORS = ("#3b6fb6", "#e0982f", "#1a8a4a", "#a23b72", "#7f5f3f", "#5f5f5f", "#27a5a5", "#c44536")
-"""One for each subject, in turn."""
+"""Colors of the subjects, in turn."""
 
 _SIZE_INCH, _DPI = (14.0, 8.2), 110
 _POINTS = 241
 
 
 def summary_picture(subjects: Sequence[Subject]) -> bytes:
-    """All subjects side by side, as a PNG."""
+    """Draw all subjects side by side, as a PNG."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -43,7 +43,7 @@ def summary_picture(subjects: Sequence[Subject]) -> bytes:
 
 
 def _draw_over_time(view: Axes, subjects: Sequence[Subject], column: int) -> None:
-    """Mean of each subject with its confidence band, and the range of most episodes."""
+    """Draw the mean of each subject with its confidence band, and the range of most episodes."""
     level = POINT_LEVELS[column]
     whole = max(subject.settings.episode_time for subject in subjects)
     time = np.linspace(0.0, whole, _POINTS)
@@ -73,7 +73,7 @@ def _draw_over_time(view: Axes, subjects: Sequence[Subject], column: int) -> Non
 
 
 def _draw_coverage(view: Axes, subjects: Sequence[Subject]) -> None:
-    """Bars of coverage at the time of judging, median with the range of most episodes."""
+    """Draw bars of coverage at the evaluation time: median and range of most episodes."""
     judged = subjects[0].judged_at
     width = 0.8 / len(subjects)
     for number, subject in enumerate(subjects):
@@ -98,7 +98,7 @@ def _draw_coverage(view: Axes, subjects: Sequence[Subject]) -> None:
 
 
 def _draw_times(view: Axes, subjects: Sequence[Subject]) -> None:
-    """Median time to each target at `visible`; a cross at the end where half never reach it."""
+    """Draw median times to each target at `visible`; a cross at the end if half never reach it."""
     whole = max(subject.settings.episode_time for subject in subjects)
     for number, subject in enumerate(subjects):
         color = COLORS[number % len(COLORS)]

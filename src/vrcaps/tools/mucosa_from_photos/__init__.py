@@ -1,1 +1,1 @@
-"""Mucosa from a user's own photographs: endoscopic frames to a texture for an organ."""
+"""Mucosa textures from a user's own endoscopic photographs."""

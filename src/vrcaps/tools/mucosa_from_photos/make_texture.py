@@ -1,4 +1,4 @@
-"""A mucosa texture from endoscopic photographs: image quilting, relief and vessels."""
+"""Mucosa texture from endoscopic photographs: image quilting, relief and vessels."""
 
 from __future__ import annotations
 
@@ -34,22 +34,22 @@ if TYPE_CHECKING:
 
     from vrcaps.tools.photos import Photo
 
-_REDDEST = 0.92  # linear red light that 99 % of texels stay below
+_REDDEST = 0.92  # 99th percentile of linear red light over the texels, at most
 
 
 @dataclass(frozen=True)
 class TextureOptions:
-    """How a texture is made.
+    """Settings of the texture.
 
     Attributes:
         size: Side of the texture [texels].
-        luminance: Mean reflectance; a camera sets its exposure, so no photograph tells it.
+        luminance: Mean reflectance; photographs do not contain it, as cameras adapt exposure.
             0.30 is that of the built-in colon.
-        max_sources: Most photographs whose regions are mixed.
-        vessels: Whether vessels are taken out of the ground, and laid onto it anew.
-        placement: How they lie.
-        is_flat: Whether the pictures are textures already, without border, highlights, shading.
-        box: Left, top, width, height [px] of the region instead of the most uniform one.
+        max_sources: Maximum number of photographs whose regions are mixed.
+        vessels: Whether to remove vessels from the ground and place them again on top.
+        placement: Distribution of the placed vessels.
+        is_flat: Whether the images are textures already, without border, highlights, shading.
+        box: Left, top, width, height [px] of the region to use instead of the most uniform one.
     """
 
     size: int = 2048
@@ -63,14 +63,14 @@ class TextureOptions:
 
 @dataclass(frozen=True)
 class TextureResult:
-    """A texture and what it was made from.
+    """Texture and its sources.
 
     Attributes:
         texture: The result.
         sources: Photographs whose regions were used, best first.
-        others: Photographs looked at and not used.
+        others: Names of the photographs that were not used.
         source_rgb: The regions as they were quilted, sRGB, in the texture's colors.
-        vessel_density: Optical density of the vessels laid on, in green.
+        vessel_density: Optical density of the placed vessels, in green.
     """
 
     texture: MucosaTexture
@@ -88,17 +88,17 @@ def make_texture(
     seed: int,
     progress: Callable[[int, int], None] | None = None,
 ) -> TextureResult:
-    """A mucosa's texture that continues over its edges, from endoscopic photographs.
+    """Synthesize a tileable mucosa texture from endoscopic photographs.
 
     Args:
         photos: At least one.
-        scale: Of their pixels; a texel of the texture is as large as a pixel of the best one.
-        options: How it is made.
-        seed: The same gives the same bytes.
-        progress: Called with the work done and in all.
+        scale: Scale of their pixels; a texel has the size of a pixel of the best photograph.
+        options: Settings of the texture.
+        seed: The same seed gives the same bytes.
+        progress: Called with the work done and the total.
 
     Raises:
-        InputError: If the scale, the options or a photograph is not possible, or no photograph
+        InputError: If the scale, the options or a photograph is invalid, or no photograph
             has a usable region.
     """
     check_scale(scale)
@@ -127,7 +127,7 @@ def _chosen(
     options: TextureOptions,
     tell: Callable[[int, int], None],
 ) -> tuple[list[PhotoAnalysis], list[str]]:
-    """The photographs to use, analyzed, best first, and the names of the others.
+    """Choose the photographs to use, analyzed, best first; also return the names of the others.
 
     Raises:
         InputError: If none has a usable region.
@@ -153,7 +153,7 @@ def _chosen(
 
 
 def _finish(ground, parts, chosen, others, options: TextureOptions, *, rng, seed) -> TextureResult:
-    """Color, relief and vessels of the quilted ground."""
+    """Add color, relief and vessels to the quilted ground."""
     texel = chosen[0].mm_per_pixel * MM
     color = _color(ground, np.mean([source.color for source in chosen], axis=0), options.luminance)
     ground = ground - ground.mean(axis=(0, 1)) + color
@@ -186,9 +186,9 @@ def _finish(ground, parts, chosen, others, options: TextureOptions, *, rng, seed
 
 
 def _color(ground, photographed, luminance: float) -> Float[np.ndarray, " 3"]:
-    """Mean logarithm of reflectance: the photographs' color at the luminance asked for.
+    """Mean logarithm of reflectance: the photographs' color at the requested luminance.
 
-    Red is kept below 1, at the cost of luminance, where the color is so saturated.
+    For very saturated colors, luminance is reduced so that red stays below 1.
     """
     deviation = ground - ground.mean(axis=(0, 1))
     light = np.exp(deviation[::4, ::4] + photographed)
@@ -198,7 +198,7 @@ def _color(ground, photographed, luminance: float) -> Float[np.ndarray, " 3"]:
 
 
 def _scaled(source: PhotoAnalysis, first: PhotoAnalysis) -> list[VesselPiece]:
-    """A photograph's vessels at the scale of the first."""
+    """Vessels of a photograph at the scale of the first photograph."""
     zoom = source.mm_per_pixel / first.mm_per_pixel
     if abs(zoom - 1.0) <= 0.02:
         return source.vessels.pieces

@@ -1,4 +1,4 @@
-"""Square patches of mucosa from photographs, with shading removed, of one scale and color."""
+"""Square patches of mucosa from photographs, without shading, at one scale and color."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ if TYPE_CHECKING:
     from vrcaps.tools.photos import Photo
 
 MAX_WIDTH = 1024
-"""Photographs wider than this are halved, or more, first [px]."""
+"""Maximum width of photographs [px]; wider ones are first halved, or more."""
 
-_VESSEL_REACH = 1024  # side of the square in which vessels are sought [px]
-_WORSE = 0.5  # a further photograph's region may be so much less even than the best
-_SMALLER = 0.7  # and its side so much shorter
-_SLOW = 0.85  # fraction of the slow variation that is taken out of a square
-_BLEMISH = 3.7  # standard deviations from the mean that a rare mark has
+_VESSEL_REACH = 1024  # side of the square in which vessels are searched [px]
+_WORSE = 0.5  # maximum relative loss of evenness of a further photograph's region against the best
+_SMALLER = 0.7  # minimum ratio of its side to that of the best
+_SLOW = 0.85  # fraction of the slow variation that is removed from a square
+_BLEMISH = 3.7  # minimum distance of a rare mark from the mean [standard deviations]
 
 
 @dataclass(frozen=True)
 class PhotoAnalysis:
-    """What one photograph gives.
+    """Analysis of one photograph.
 
     Attributes:
-        photo: The photograph, shrunk if it was too wide.
-        shrink: By how much.
-        view: Its parts.
+        photo: The photograph, downsampled if it was too wide.
+        shrink: Downsampling factor.
+        view: Its regions.
         filled: Logarithm of linear light, highlights filled in.
         flat: Logarithm of reflectance up to a constant, see `remove_shading`.
         region: Most uniform square.
-        vessels: What was found.
-        mm_per_pixel: Of the shrunk photograph.
+        vessels: Detected vessels.
+        mm_per_pixel: Scale of the downsampled photograph.
     """
 
     photo: Photo
@@ -62,18 +62,18 @@ class PhotoAnalysis:
 
 @dataclass(frozen=True)
 class PhotoScale:
-    """How large a pixel is; one of the two is given.
+    """Scale of the pixels; exactly one of the two is given.
 
     Attributes:
-        mm_per_pixel: On the wall.
-        field_width_mm: Width of wall that a photograph's field shows.
+        mm_per_pixel: Size of a pixel on the wall.
+        field_width_mm: Width of wall that the photograph's field shows.
     """
 
     mm_per_pixel: float | None = None
     field_width_mm: float | None = None
 
     def of_field(self, width: int, shrink: int) -> float:
-        """Millimeters per pixel of a photograph whose shrunk field is so wide [px]."""
+        """Millimeters per pixel for the width of the downsampled field [px]."""
         if self.mm_per_pixel is not None:
             return self.mm_per_pixel * shrink
         assert self.field_width_mm is not None
@@ -81,10 +81,10 @@ class PhotoScale:
 
 
 def check_scale(scale: PhotoScale) -> None:
-    """Refuse a scale that is missing, given twice, or impossible.
+    """Check that the scale is given exactly once and is possible.
 
     Raises:
-        InputError: Says which.
+        InputError: If it is missing, given twice or impossible.
     """
     given = [value for value in (scale.mm_per_pixel, scale.field_width_mm) if value is not None]
     if len(given) != 1:
@@ -103,16 +103,16 @@ def analyze_photo(
     is_flat: bool = False,
     box: tuple[int, int, int, int] | None = None,
 ) -> PhotoAnalysis | None:
-    """Everything about one photograph; None where it has no usable region.
+    """Analyze one photograph; None if it has no usable region.
 
     Args:
         photo: The photograph.
-        scale: Of its pixels.
+        scale: Scale of its pixels.
         is_flat: Whether it is a texture already, without border, highlights or shading.
-        box: Left, top, width, height [px] of where to take the region instead of searching.
+        box: Left, top, width, height [px] of the region to use instead of searching.
 
     Raises:
-        InputError: If the photograph is too small, or the box does not lie in it.
+        InputError: If the photograph is too small, or the box does not lie within it.
     """
     height, width = photo.rgb.shape[:2]
     if min(height, width) < MIN_SIDE:
@@ -149,7 +149,7 @@ def analyze_photo(
 
 
 def _around(region: Region, shape: tuple[int, ...]) -> tuple[slice, ...]:
-    """Rows and columns about a region's middle, where its vessels are sought."""
+    """Rows and columns around a region's center, where its vessels are searched."""
     starts = [
         int(np.clip(at + (region.side - _VESSEL_REACH) // 2, 0, max(0, size - _VESSEL_REACH)))
         for at, size in zip((region.row, region.column), shape, strict=True)
@@ -158,7 +158,7 @@ def _around(region: Region, shape: tuple[int, ...]) -> tuple[slice, ...]:
 
 
 def _placed(vessels: Vessels, near: tuple[slice, ...], shape: tuple[int, ...]) -> Vessels:
-    """Vessels of a part of a picture, their mask in the whole of it."""
+    """Vessels of a crop, with their mask extended to the whole image."""
     mask = np.zeros(shape, bool)
     mask[near] = vessels.mask
     return replace(vessels, mask=mask)
@@ -180,16 +180,16 @@ def choose(sources: list[PhotoAnalysis], max_sources: int) -> list[PhotoAnalysis
 def source_patches(
     chosen: list[PhotoAnalysis], *, keep_vessels: bool
 ) -> tuple[list[Float[np.ndarray, "s s 3"]], list[Bool[np.ndarray, "s s"]]]:
-    """Patches of one size, scale and color to quilt a texture of, and their filled-in pixels.
+    """Patches of one size, scale and color for quilting, and masks of their filled-in pixels.
 
-    Highlights, rare marks (which would show as repetition) and, unless they are kept, vessels are
-    filled in, and variation slower than a patch, which patches would turn into a lattice, is
-    lessened. Each channel of each square gets the mean spread of all (Reinhard et al. 2001,
-    Color transfer between images, in logarithms of light).
+    Highlights, rare marks (whose repetition would show) and, unless kept, vessels are filled in.
+    Variation slower than a patch, which would turn into a lattice, is reduced. Each channel of each
+    square is scaled to the mean standard deviation of all (Reinhard et al. 2001, Color transfer
+    between images, in logarithms of light).
 
     Args:
-        chosen: The first gives the scale.
-        keep_vessels: Whether vessels stay in.
+        chosen: Analyzed photographs; the first determines the scale.
+        keep_vessels: Whether vessels are kept.
     """
     parts, masks = [], []
     for source in chosen:
@@ -221,13 +221,13 @@ def source_patches(
 
 
 def _high_pass(part: Float[np.ndarray, "s s 3"]) -> Float[np.ndarray, "s s 3"]:
-    """With most of the variation slower than an eighth of the side taken out."""
+    """Remove most of the variation slower than an eighth of the side."""
     sigma = len(part) / 8.0
     return part - _SLOW * scipy.ndimage.gaussian_filter(part, (sigma, sigma, 0.0), mode="reflect")
 
 
 def _shrunk(rgb: np.ndarray, factor: int) -> np.ndarray:
-    """Mean of blocks of pixels."""
+    """Average over blocks of pixels."""
     if factor == 1:
         return rgb
     height, width = (n // factor * factor for n in rgb.shape[:2])
@@ -245,7 +245,7 @@ def _grown(mask: np.ndarray) -> np.ndarray:
 
 
 def _blemishes(part: Float[np.ndarray, "s s 3"]) -> Bool[np.ndarray, "s s"]:
-    """Marks so rare in a square that patches with one would be recognized again."""
+    """Detect marks so rare in a square that their repetition would be noticed."""
     tints = np.dstack([part, part[..., 0] - part[..., 1], part[..., 1] - part[..., 2]])
     smooth = scipy.ndimage.gaussian_filter(tints, (0.7, 0.7, 0.0))
     off = np.abs(smooth - np.median(smooth, axis=(0, 1)))
@@ -255,23 +255,23 @@ def _blemishes(part: Float[np.ndarray, "s s 3"]) -> Bool[np.ndarray, "s s"]:
 
 
 SHADING_GRAIN = 1 / 16
-"""Standard deviation of the low-pass that counts as shading, as a fraction of the field's width."""
+"""Standard deviation of the shading low-pass, as a fraction of the field's width."""
 
 
 def remove_shading(
     log_light: Float[np.ndarray, "h w 3"], known: Bool[np.ndarray, "h w"], width: int
 ) -> Float[np.ndarray, "h w 3"]:
-    """The picture under even light: log R = log I − low-pass(log I), homomorphic filtering.
+    """Remove shading by homomorphic filtering: log R = log I − low-pass(log I).
 
     Light and reflectance multiply, so in logarithms they add (Oppenheim et al. 1968; a one-scale
     retinex, Jobson et al. 1997). The low-pass is a Gaussian over known pixels alone (normalized
-    convolution), for each channel, since light that has bounced about in the gut is redder.
-    The mean of the known pixels becomes 0.
+    convolution), per channel, since light after several bounces in the gut is redder. The mean of
+    the known pixels becomes 0.
 
     Args:
         log_light: Logarithm of linear light.
-        known: Which pixels show the wall.
-        width: Of the field [px].
+        known: Pixels that show the wall.
+        width: Width of the field [px].
     """
     sigma = SHADING_GRAIN * width
     weight = scipy.ndimage.gaussian_filter(known.astype(np.float32), sigma, mode="reflect")

@@ -1,4 +1,4 @@
-"""Vessels placed on a texture at random positions, rotations and sizes."""
+"""Placement of vessels on a texture at random positions, rotations and sizes."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from vrcaps.tools.mucosa_from_photos.vessels import VesselPiece
 
 _MAX_PIECES = 4000
-_CANDIDATES = 12  # positions compared for each piece
-_IS_VESSEL = 0.04  # optical density in green from which a texel counts as vessel
+_CANDIDATES = 12  # candidate positions compared for each piece
+_IS_VESSEL = 0.04  # optical density in green above which a texel counts as vessel
 
 
 @dataclass(frozen=True)
@@ -23,10 +23,10 @@ class VesselPlacement:
     """Normal distributions of position, rotation and size of vessels, as in VR-Caps.
 
     Attributes:
-        position_std: Of the offset from the emptiest of some random positions, in lengths of the
-            piece's side.
-        rotation_std_deg: Of the rotation against the photograph [°]; mean 0.
-        size_std: Of the size against the photograph; mean 1.
+        position_std: Standard deviation of the offset from the emptiest of some random positions,
+            in side lengths of the piece.
+        rotation_std_deg: Standard deviation of the rotation relative to the photograph [°]; mean 0.
+        size_std: Standard deviation of the size relative to the photograph; mean 1.
     """
 
     position_std: float = 0.3
@@ -41,17 +41,17 @@ def place_vessels(
     placement: VesselPlacement,
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "size size 3"]:
-    """Optical density of vessels on a texture that continues over its edges.
+    """Optical density of vessels placed on a tileable texture.
 
-    Pieces are drawn with a chance that grows with their length until vessels cover the coverage
-    that they cover in the photographs. Where two cross, the denser counts.
+    Pieces are drawn with a probability proportional to their length until the covered fraction
+    equals that in the photographs. Where two cross, the denser counts.
 
     Args:
-        pieces: To choose from.
-        coverage: Of the texture to cover.
-        size: [px].
+        pieces: Vessel pieces to choose from.
+        coverage: Fraction of the texture to cover.
+        size: Side of the texture [px].
         placement: Distributions of position, rotation and size.
-        rng: Draws them.
+        rng: Random generator.
     """
     density = np.zeros((size, size, 3), np.float32)
     if not pieces or coverage <= 0.0:
@@ -81,7 +81,7 @@ def place_vessels(
 def _transformed(
     density, placement: VesselPlacement, rng: np.random.Generator
 ) -> Float[np.ndarray, "h w"]:
-    """A piece rotated, scaled and, every other time, mirrored."""
+    """Rotate, scale and, with probability 1/2, mirror a piece."""
     angle = np.deg2rad(rng.normal(0.0, placement.rotation_std_deg))
     scale = float(np.clip(rng.normal(1.0, placement.size_std), 0.5, 1.5))
     matrix = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
@@ -98,7 +98,7 @@ def _transformed(
 
 
 def _draw_position(occupancy, grain: int, reach: int, std: float, rng: np.random.Generator):
-    """Near the emptiest of some random positions [px]."""
+    """Draw a position near the emptiest of some random positions [px]."""
     size = occupancy.shape[0]
     smooth = scipy.ndimage.gaussian_filter(occupancy, max(1.0, 0.35 * reach / grain), mode="wrap")
     candidates = rng.integers(0, size, (_CANDIDATES, 2))

@@ -1,4 +1,4 @@
-"""How good a texture is: seams, color, detail, repetition, highlights."""
+"""Quality metrics of a texture: seams, color, detail, repetition, highlights."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from vrcaps.tools.field_of_view import highlights
 if TYPE_CHECKING:
     from jaxtyping import Float, UInt8
 
-_BINS = np.linspace(0.0, 30.0, 61)  # of gradients in L* per texel
+_BINS = np.linspace(0.0, 30.0, 61)  # bins of gradients in L* per texel
 
 
 @dataclass(frozen=True)
 class TextureQuality:
-    """A texture against the regions it was made from.
+    """Comparison of a texture with its source regions.
 
     Attributes:
-        seam_ratio: Mean step over the edges where the texture continues, over that inside.
+        seam_ratio: Mean step across the wrapped edges over that inside.
         lab_mean_source: Mean L*, a*, b* of the regions.
-        lab_mean_texture: Of the texture.
+        lab_mean_texture: Mean L*, a*, b* of the texture.
         lab_std_source: Standard deviation of L*, a*, b* of the regions.
-        lab_std_texture: Of the texture.
+        lab_std_texture: Standard deviation of L*, a*, b* of the texture.
         gradient_distance: Difference of the histograms of steps in L* between neighbors: half
             the sum of absolute differences, 0 (same) to 1.
-        repetition: Highest autocorrelation of L* beyond a patch's reach, 0 to 1; a repeated
+        repetition: Highest autocorrelation of L* beyond the reach of a patch, 0 to 1; a repeated
             texture has 1.
-        highlight_fraction: Of the texture's texels that a search for highlights finds.
+        highlight_fraction: Fraction of the texels detected as highlights.
     """
 
     seam_ratio: float
@@ -43,7 +43,7 @@ class TextureQuality:
     highlight_fraction: float
 
     def record(self) -> dict:
-        """As plain values, rounded."""
+        """Convert to plain values, rounded."""
         return {
             name: [round(v, 2) for v in value] if isinstance(value, tuple) else round(value, 5)
             for name, value in asdict(self).items()
@@ -53,7 +53,7 @@ class TextureQuality:
 def texture_quality(
     texture: UInt8[np.ndarray, "n n 3"], sources: list[UInt8[np.ndarray, "s s 3"]]
 ) -> TextureQuality:
-    """Measure a texture, before vessels are laid on it, against its sources."""
+    """Compare a texture, before vessels are placed, with its sources."""
     colors = lab_from_srgb(texture)
     regions = [lab_from_srgb(source) for source in sources]
     pixels = np.concatenate([region.reshape(-1, 3) for region in regions])
@@ -85,7 +85,7 @@ def seam_ratio(image: Float[np.ndarray, "n m c"]) -> float:
 def repetition(image: Float[np.ndarray, "n n"], *, reach: int) -> float:
     """Highest autocorrelation at shifts longer than `reach` [px], without slow variation.
 
-    By the Wiener-Khinchin theorem, of the image that continues over its edges.
+    Computed by the Wiener-Khinchin theorem with periodic boundaries.
     """
     power = np.abs(np.fft.rfft2(image - image.mean())) ** 2
     rows, columns = np.fft.fftfreq(len(image)), np.fft.rfftfreq(len(image))

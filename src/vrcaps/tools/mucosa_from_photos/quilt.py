@@ -1,4 +1,4 @@
-"""Image quilting on a torus: a large texture without seams from small patches.
+"""Image quilting on a torus: a large seamless texture from small patches.
 
 Efros A. A., Freeman W. T. Image quilting for texture synthesis and transfer. SIGGRAPH 2001.
 """
@@ -17,22 +17,22 @@ if TYPE_CHECKING:
 
     from jaxtyping import Bool, Float, Int
 
-_TOLERANCE = 0.15  # a patch may fit so much worse than the best one
+_TOLERANCE = 0.15  # maximum relative excess of a patch's error over the least
 _TRIED = 4  # sources searched for each patch
-_REUSE = 0.6  # a place used once before counts as so much worse
-_MOST_USED = 4.0  # uses counted
-_MASKED = 3.0  # median differences that a patch wholly of filled-in pixels costs more
+_REUSE = 0.6  # relative penalty of a position for each earlier use
+_MOST_USED = 4.0  # maximum number of uses counted
+_MASKED = 3.0  # penalty of a patch entirely of filled-in pixels [median differences]
 _FEATHER = 1.0  # standard deviation of the seam's blur [px]
 _SIDES = ("left", "top", "right", "bottom")
 
 
 @dataclass(frozen=True)
 class Quilt:
-    """How patches are laid.
+    """Layout of the patches.
 
     Attributes:
         patch: Side of a patch [px].
-        overlap: Of neighboring patches, at least [px].
+        overlap: Minimum overlap of neighboring patches [px].
     """
 
     patch: int
@@ -40,13 +40,13 @@ class Quilt:
 
     @classmethod
     def of_side(cls, side: int) -> Quilt:
-        """Patches of two fifths of a source's side, 16 to 128 px; a quarter of it overlaps."""
+        """Patches of two fifths of a source's side, 16 to 128 px, with an overlap of a quarter."""
         patch = int(np.clip(round(0.4 * side), 16, 128))
         return cls(patch, patch // 4)
 
 
 def variants(squares: list[np.ndarray]) -> list[np.ndarray]:
-    """Each square turned by 0, 90, 180, 270° and mirrored: mucosa has no top."""
+    """Rotate each square by 0, 90, 180, 270° and mirror it: mucosa has no orientation."""
     return [
         turned
         for square in squares
@@ -64,18 +64,18 @@ def quilt(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> Float[np.ndarray, "size size c"]:
-    """A texture of size × size that continues from right to left and from bottom to top.
+    """Synthesize a tileable texture of size × size.
 
-    Patches are laid row by row. Each is chosen at random among the places in some sources whose
-    sum of squared differences over the overlap is close to the least; places used before and
-    filled-in pixels count as worse. It is joined along the path of least difference.
+    Patches are placed row by row. Each is chosen at random among positions in some sources whose
+    sum of squared differences over the overlap is close to the minimum; reused positions and
+    filled-in pixels are penalized. It is joined along the minimum-error path.
 
     Args:
         sources: Squares to take patches from, all of one side; see `variants`.
-        doubtful: Filled-in pixels of each.
-        size: [px]; at least two patches.
+        doubtful: Masks of the filled-in pixels of each source.
+        size: Side of the texture [px]; at least two patches.
         layout: Size of the patches.
-        rng: Chooses them.
+        rng: Random generator.
         progress: Called with the number of patches laid and their total.
     """
     starts = _starts(size, layout)
@@ -94,7 +94,7 @@ def quilt(
         canvas[np.ix_(rows, columns)] = there + alpha * (patch - there)
         if progress is not None:
             progress(number + 1, total)
-    # The edges then run through the middle of patches, and no path of a join along them.
+    # The edges then run through the middle of patches, without joins along them.
     return np.roll(canvas, -(layout.patch // 2), axis=(0, 1))
 
 
@@ -104,7 +104,7 @@ def _starts(size: int, layout: Quilt) -> Int[np.ndarray, " n"]:
 
 
 def _overlaps(starts, i: int, j: int, size: int, patch: int) -> tuple[int, int, int, int]:
-    """Depth [px] of what is already laid at the left, top, right and bottom of patch i, j."""
+    """Depth [px] of the placed texture at the left, top, right and bottom of patch i, j."""
     last = len(starts) - 1
     closing = int(starts[last]) + patch - size
     left = int(starts[j - 1]) + patch - int(starts[j]) if j else 0
@@ -113,7 +113,7 @@ def _overlaps(starts, i: int, j: int, size: int, patch: int) -> tuple[int, int, 
 
 
 class _Search:
-    """Finds patches in sources by correlation through the Fourier transform."""
+    """Patch search in the sources, by correlation through the Fourier transform."""
 
     def __init__(self, sources, doubtful, patch: int, rng: np.random.Generator) -> None:
         self.sources = np.stack(sources).astype(np.float32)
@@ -129,7 +129,7 @@ class _Search:
         self.energies = lru_cache(maxsize=64)(self._energies)
 
     def choose(self, there, overlaps) -> Float[np.ndarray, "p p c"]:
-        """A patch that fits what is there."""
+        """Choose a patch that fits the placed texture."""
         tried = self.rng.permutation(len(self.sources))[:_TRIED]
         mask = _band(self.patch, overlaps)
         if not mask.any():
@@ -146,7 +146,7 @@ class _Search:
         return self.sources[tried[k], row : row + self.patch, column : column + self.patch]
 
     def _differences(self, there, overlaps, tried) -> Float[np.ndarray, "k n n"]:
-        """Sum of squared differences at every place of the tried sources."""
+        """Sum of squared differences at every position of the given sources."""
         wanted = np.asarray(scipy.fft.rfft2(there, self.shape, axes=(0, 1)))
         product = np.einsum("kcij,ijc->kij", self.spectrum[tried], wanted.conj())
         across = np.asarray(scipy.fft.irfft2(product, self.shape))[:, : self.places, : self.places]
@@ -160,7 +160,7 @@ class _Search:
         return sums[:, : self.places, : self.places]
 
     def _mark(self, source: int, row: int, column: int) -> None:
-        """Count a place and those near it as used, in every turned form of the same square."""
+        """Mark a position and its neighbors as used, in every rotation of the same square."""
         reach = max(2, self.patch // 4)
         first = source // 8 * 8
         family = np.arange(first, min(first + 8, len(self.sources)))
@@ -179,7 +179,7 @@ def _box_mean(mask: np.ndarray, side: int) -> Float[np.ndarray, "n n"]:
 
 @lru_cache(maxsize=64)
 def _band(patch: int, overlaps: tuple[int, int, int, int]) -> Bool[np.ndarray, "p p"]:
-    """Where a patch overlaps what is there."""
+    """Mask of a patch's overlap with the placed texture."""
     left, top, right, bottom = overlaps
     band = np.zeros((patch, patch), bool)
     band[:, :left] = band[:top] = band[:, patch - right :] = band[patch - bottom :] = True
@@ -187,12 +187,12 @@ def _band(patch: int, overlaps: tuple[int, int, int, int]) -> Bool[np.ndarray, "
 
 
 def _join(there, patch, overlaps) -> Float[np.ndarray, "p p"]:
-    """Weight of the new patch: 0 beyond the seams, 1 inside them, blurred by about a pixel."""
+    """Weight of the new patch: 0 outside the seams, 1 inside, blurred by about a pixel."""
     difference = ((there - patch) ** 2).sum(axis=2)
     alpha = np.ones(difference.shape, np.float32)
     for turns, depth in enumerate(overlaps):
         if depth:
-            # Turned so that the overlap lies left: top, right, bottom come there in order.
+            # Rotated so that the overlap lies left: top, right, bottom in order.
             turned = np.rot90(difference, turns)[:, :depth]
             keep = np.ones(difference.shape, np.float32)
             keep[:, :depth] = np.arange(depth) > least_path(turned)[:, None]
@@ -203,12 +203,12 @@ def _join(there, patch, overlaps) -> Float[np.ndarray, "p p"]:
 
 @lru_cache(maxsize=64)
 def _rim(patch: int, overlaps: tuple[int, int, int, int]) -> Bool[np.ndarray, "p p"]:
-    """The outermost pixels of the overlaps, which stay as they are."""
+    """Mask of the outermost pixels of the overlaps, which do not change."""
     return _band(patch, tuple(min(depth, 2) for depth in overlaps))  # type: ignore[arg-type]
 
 
 def least_path(cost: Float[np.ndarray, "n w"]) -> Int[np.ndarray, " n"]:
-    """Column in each row of the path from top to bottom of least total cost.
+    """Column in each row of the path of least total cost from top to bottom.
 
     The column changes by at most one from row to row (Efros & Freeman 2001, section 2.1).
     """

@@ -1,4 +1,4 @@
-"""The most uniform square of a photograph, where a texture can be taken from."""
+"""Search for the most uniform square of a photograph as a texture source."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 MIN_SIDE = 48
-"""Shortest side of a region [px]: three patches of 16 px."""
+"""Minimum side of a region [px]: three patches of 16 px."""
 
 MAX_SIDE = 512
-"""Longest side of a region [px]."""
+"""Maximum side of a region [px]."""
 
 _SEARCH_WIDTH = 1024
-"""Widest field [px] that is searched as it is; wider ones are searched in means over blocks."""
+"""Maximum width of the field [px] searched at full resolution; wider ones are block-averaged."""
 
-_SIDES = (0.64, 0.56, 0.48, 0.40, 0.34, 0.28, 0.24, 0.20, 0.17)  # of the field's width
-_MAX_UNUSABLE = 0.15  # fraction of a region's pixels that show no wall
-_WELL_LIT = 0.1  # luminance below which noise shows
-_SMALLNESS = 0.5  # what halving the side must gain in unevenness
+_SIDES = (0.64, 0.56, 0.48, 0.40, 0.34, 0.28, 0.24, 0.20, 0.17)  # relative to the field's width
+_MAX_UNUSABLE = 0.15  # maximum fraction of a region's pixels that show no wall
+_WELL_LIT = 0.1  # luminance below which noise is visible
+_SMALLNESS = 0.5  # minimum reduction of unevenness to justify half the side
 
 
 @dataclass(frozen=True)
 class Region:
-    """A square of a photograph.
+    """Square of a photograph.
 
     Attributes:
-        row: Of its top.
-        column: Of its left side.
-        side: [px].
-        unevenness: What `find_region` made least; 0 is perfectly even.
+        row: Row of its top.
+        column: Column of its left side.
+        side: Side [px].
+        unevenness: Objective that `find_region` minimized; 0 is perfectly even.
     """
 
     row: int
@@ -47,7 +47,7 @@ class Region:
 
     @property
     def window(self) -> tuple[slice, slice]:
-        """Rows and columns."""
+        """Slices of its rows and columns."""
         return (
             slice(self.row, self.row + self.side),
             slice(self.column, self.column + self.side),
@@ -57,7 +57,7 @@ class Region:
 def find_region(
     log_light: Float[np.ndarray, "h w 3"], usable: Bool[np.ndarray, "h w"], width: int
 ) -> Region | None:
-    """The square whose color, shading and detail vary least; None where none is usable.
+    """Find the square whose color, shading and detail vary least; None if none is usable.
 
     Unevenness of a square is the sum of: the spread of low-passed log brightness (folds, the
     lumen, fall-off), that of low-passed log red-to-green and green-to-blue (blood, bile, stool),
@@ -67,8 +67,8 @@ def find_region(
 
     Args:
         log_light: Logarithm of linear light, highlights filled in.
-        usable: Which pixels show the wall.
-        width: Of the field [px].
+        usable: Pixels that show the wall.
+        width: Width of the field [px].
     """
     factor = -(-width // _SEARCH_WIDTH)
     maps = _Maps.of(_coarse(log_light, factor), _coarse(usable, factor) == 1.0, width // factor)
@@ -87,7 +87,7 @@ def find_region(
 
 
 def box_region(box: tuple[int, int, int, int], shape: tuple[int, int]) -> Region:
-    """The largest square in the middle of a box that the user chose.
+    """Largest square in the middle of a box chosen by the user.
 
     Args:
         box: Left, top, width, height [px].
@@ -112,13 +112,13 @@ def box_region(box: tuple[int, int, int, int], shape: tuple[int, int]) -> Region
 
 @dataclass(frozen=True)
 class _Maps:
-    """What unevenness is measured on, as sums over all pixels above and to the left.
+    """Summed-area tables of the maps that define unevenness.
 
     Attributes:
-        first: Of each map.
-        second: Of each map's square.
-        unusable: Of unusable pixels.
-        dim: Of what the logarithm of luminance lacks to a good exposure.
+        first: Sums of each map.
+        second: Sums of each map's square.
+        unusable: Counts of unusable pixels.
+        dim: Sums of the deficit of log luminance relative to a good exposure.
     """
 
     first: list[Float[np.ndarray, "h1 w1"]]
@@ -152,7 +152,7 @@ class _Maps:
         )
 
     def unevenness(self, side: int) -> Float[np.ndarray, "i j"]:
-        """Of the square whose top left pixel is [i, j]."""
+        """Unevenness of the square whose top left pixel is [i, j]."""
         blocked = _boxes(self.unusable, side) / side**2
         count = np.maximum(1.0 - blocked, 1e-3) * side**2
         total = 2.0 * blocked + 0.5 * _boxes(self.dim, side) / side**2
@@ -163,7 +163,7 @@ class _Maps:
 
 
 def _coarse(part: np.ndarray, factor: int) -> np.ndarray:
-    """Means over square blocks of pixels."""
+    """Average over square blocks of pixels."""
     if factor == 1:
         return part
     rows, columns = (size // factor for size in part.shape[:2])

@@ -13,10 +13,10 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 RELIEF_SLOPE = 0.08
-"""RMS slope given to the relief; one picture under light from the lens does not tell it."""
+"""RMS slope of the relief; a single image lit from the lens does not determine it."""
 
 ROUGHNESS = 0.65
-"""Mean perceptual roughness of the wall under its wet film."""
+"""Mean perceptual roughness of the wall under its mucus film."""
 
 _ROUGHNESS_SPREAD = 0.04  # hollows hold more mucus and are smoother
 _COARSEST = 0.6e-3  # standard deviation of the low-pass above which color is not relief [m]
@@ -25,15 +25,15 @@ _COARSEST = 0.6e-3  # standard deviation of the low-pass above which color is no
 def relief(
     log_light: Float[np.ndarray, "n n 3"], texel: float
 ) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n"]]:
-    """Height [m] and roughness: what is darker lies deeper.
+    """Estimate height [m] and roughness: darker parts lie deeper.
 
-    With the lamp beside the lens a pit is darker than its surroundings whichever way it faces,
-    so band-passed log brightness stands for height (Glencross et al. 2008, A perceptually
-    validated model for surface depth hallucination, ACM Trans. Graph. 27(3)). Its size is set so
-    that the RMS slope is `RELIEF_SLOPE`.
+    With the lamp next to the lens, a pit is darker than its surroundings whichever way it faces, so
+    band-passed log brightness approximates height (Glencross et al. 2008, A perceptually validated
+    model for surface depth hallucination, ACM Trans. Graph. 27(3)). Its amplitude gives an RMS
+    slope of `RELIEF_SLOPE`.
 
     Args:
-        log_light: Logarithm of reflectance without vessels; continues over its edges.
+        log_light: Logarithm of reflectance without vessels; tileable.
         texel: Side of a texel [m].
     """
     bright = log_luminance(log_light)

@@ -1,4 +1,4 @@
-"""A picture of how photographs became a texture."""
+"""Figure of the steps from photographs to a texture."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ if TYPE_CHECKING:
     from vrcaps.tools.mucosa_from_photos.patches import PhotoAnalysis
 
 _TINTS = {"highlight": (0, 255, 255), "dark": (30, 30, 200), "vessel": (0, 255, 0)}
-_CLOSE = 320  # texels of the close view
+_CLOSE = 320  # texels of the close-up
 
 
 def write_report(path: Path, work: TextureResult) -> None:
-    """Write a picture: photographs with masks and regions, and the texture, far and near.
+    """Draw photographs with masks and regions, and the texture in full and close up.
 
     Args:
         path: Image file to write; its suffix is the format.
-        work: See `make_texture`.
+        work: Result of `make_texture`.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -51,7 +51,7 @@ def write_report(path: Path, work: TextureResult) -> None:
 
 
 def _draw_source(axes, source: PhotoAnalysis) -> None:
-    """One photograph: as it is, what is masked, under even light, its vessels."""
+    """Draw one photograph: original, masks, without shading, vessels."""
     from matplotlib.patches import Rectangle
 
     rgb, view, region = source.photo.rgb, source.view, source.region

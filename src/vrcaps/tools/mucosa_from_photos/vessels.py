@@ -1,4 +1,4 @@
-"""Vessels of a photograph: dark red ridges, cut out as pieces to place elsewhere."""
+"""Vessels of a photograph: dark red ridges, cut out as pieces to place on textures."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ import scipy
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-_RADII = (0.0035, 0.006, 0.010)  # of vessels sought, as fractions of the field's width
-_NOISE = 99.0  # percentile of bright ridges, which no vessel makes, that a vessel exceeds
-_LOW = 0.5  # of that strength down to which a vessel is followed
-_MIN_LENGTH = 0.045  # of a piece, as a fraction of the field's width
-_MIN_DENSITY = 0.07  # mean optical density in green of a piece over its surroundings
-_MAX_REDNESS = 0.42  # density in red over that in green; shadows have 1, blood has about 0.2
+_RADII = (0.0035, 0.006, 0.010)  # radii of the vessels, as fractions of the field's width
+_NOISE = 99.0  # percentile of bright ridges, which are noise, used as threshold of a vessel
+_LOW = 0.5  # fraction of that threshold down to which a vessel is followed
+_MIN_LENGTH = 0.045  # minimum length of a piece, as a fraction of the field's width
+_MIN_DENSITY = 0.07  # minimum mean optical density in green of a piece over its surroundings
+_MAX_REDNESS = 0.42  # maximum density in red over that in green; shadows 1, blood about 0.2
 
 
 @dataclass(frozen=True)
 class VesselPiece:
-    """A connected piece of a vessel network, without what it lay on.
+    """Connected piece of a vessel network, without its background.
 
     Attributes:
         density: Optical density that it adds in green light, smooth, 0 at the rim.
-        color: Optical density in red, green, blue light over that in green.
-        length: Of its skeleton [px].
+        color: Optical density in red, green, blue light relative to green.
+        length: Length of its skeleton [px].
         radius: Mean half width [px].
     """
 
@@ -38,7 +38,7 @@ class VesselPiece:
 
 @dataclass(frozen=True)
 class Vessels:
-    """What was found in one photograph.
+    """Vessels of one photograph.
 
     Attributes:
         pieces: Largest first.
@@ -54,16 +54,16 @@ class Vessels:
 def find_vessels(
     flat: Float[np.ndarray, "h w 3"], usable: Bool[np.ndarray, "h w"], width: int
 ) -> Vessels:
-    """Gray, median, CLAHE, ridges, hysteresis, skeleton; then what is no vessel is dropped.
+    """Segment vessels: gray, median, CLAHE, ridges, hysteresis, skeleton; then reject non-vessels.
 
-    The gray is the optical density in green, which blood absorbs and other tissue hardly does.
-    Ridges are Sato's (Sato et al. 1998, Med. Image Anal. 2(2):143–168). A piece stays if it is
-    long enough, dark enough, and redder than the shadow of a fold would be.
+    The gray value is the optical density in green, absorbed by blood but hardly by other tissue.
+    Ridges are Sato's (Sato et al. 1998, Med. Image Anal. 2(2):143–168). A piece is kept if it is
+    long enough, dark enough, and redder than the shadow of a fold.
 
     Args:
         flat: Logarithm of reflectance, see `remove_shading`.
-        usable: Which pixels show the wall.
-        width: Of the field [px].
+        usable: Pixels that show the wall.
+        width: Width of the field [px].
     """
     from skimage.exposure import equalize_adapthist
     from skimage.filters import apply_hysteresis_threshold, sato
@@ -103,7 +103,7 @@ def find_vessels(
 
 
 def _piece(member, part, extra, number: int, box) -> VesselPiece | None:
-    """A piece, or None where it is too faint or too gray for a vessel."""
+    """Build a piece; None if it is too faint or too gray for a vessel."""
     margin = 6
     window = tuple(
         slice(max(0, s.start - margin), min(n, s.stop + margin))
@@ -127,13 +127,13 @@ def _piece(member, part, extra, number: int, box) -> VesselPiece | None:
 
 
 def _along(values, line, sigma: float) -> Float[np.ndarray, "h w"]:
-    """Values on a line, smoothed along it."""
+    """Smooth values on a line along it."""
     weight = scipy.ndimage.gaussian_filter(line.astype(np.float32), sigma)
     return scipy.ndimage.gaussian_filter(values * line, sigma) / np.maximum(weight, 1e-6)
 
 
 def _taper(line, radius: float) -> Float[np.ndarray, "h w"]:
-    """1, falling to 0 at the free ends of a line."""
+    """Weight of 1 that falls to 0 at the free ends of a line."""
     neighbors = scipy.ndimage.convolve(
         line.astype(np.int16), np.ones((3, 3), np.int16), mode="constant"
     )
@@ -144,7 +144,7 @@ def _taper(line, radius: float) -> Float[np.ndarray, "h w"]:
 
 
 def _distance(mask: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """From each pixel to the nearest of a mask [px]."""
+    """Distance of each pixel to the nearest pixel of a mask [px]."""
     return np.asarray(scipy.ndimage.distance_transform_edt(~mask))
 
 

@@ -1,1 +1,1 @@
-"""Overview pictures of an organ."""
+"""Overview figures of an organ."""

@@ -1,4 +1,4 @@
-"""Views from inside an organ, along its centerline, by the lamps and lens of a capsule."""
+"""Views from inside an organ, along its centerline, with the LEDs and lens of a capsule."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ if TYPE_CHECKING:
     from vrcaps._core import Wall
     from vrcaps.camera.camera import Camera
 
-_BRIGHT = 0.6  # linear value that the 90th percentile of an image is brought to
-_ASIDE = 30.0 * MM  # how far a view may lie from where it is asked for
-_CONE = 0.45  # tangent of the half angle ahead that nothing shall block
+_BRIGHT = 0.6  # linear value that the 90th percentile of an image is scaled to
+_ASIDE = 30.0 * MM  # maximum distance of a view from the requested position
+_CONE = 0.45  # tangent of the half angle of the cone ahead that must be free
 _GAIN = (0.25, 12.0)  # of the capsule's own exposure; capsules regulate theirs likewise
 
 
 def inside_views(
     organ: OrganSurface, arc_length: Sequence[float], *, capsule: str = "mirocam"
 ) -> list[UInt8[np.ndarray, "h w 3"]]:
-    """What a capsule on the centerline sees that looks towards the anal end.
+    """Render the view of a capsule on the centerline that looks towards the anal end.
 
     Args:
         organ: The organ.
-        arc_length: Where [m]; up to `_ASIDE` from there where a lesion stands in the way.
-        capsule: Whose front camera; its exposure is regulated in each view.
+        arc_length: Position [m]; moved by up to `_ASIDE` if a lesion is in the way.
+        capsule: Its front camera is used; the exposure is regulated in each view.
     """
     device = read_device(capsule)
     camera = device.cameras[0]
@@ -57,7 +57,7 @@ def inside_views(
 
 
 def exposed_image(renderer: Renderer, state: State, camera: Camera) -> UInt8[np.ndarray, "h w 3"]:
-    """What a camera sees, with its exposure regulated as capsules do."""
+    """Render a camera image with its exposure regulated as capsules do."""
     radiance = renderer.render(state, camera, channels=("radiance",)).radiance
     assert radiance is not None
     lit = np.append(radiance[..., 0][radiance[..., 0] > 0.0], 1e-9)
@@ -66,9 +66,9 @@ def exposed_image(renderer: Renderer, state: State, camera: Camera) -> UInt8[np.
 
 
 def clear_place(organ: OrganSurface, wall: Wall, arc_length: float) -> float:
-    """The arc length [m] nearest to one from which most of the way ahead is free for a diameter.
+    """Arc length [m] nearest to the given one with a mostly free view ahead for one diameter.
 
-    Where none is found, the one asked for.
+    If there is none, the given arc length.
     """
     angle = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
     across = _CONE * np.stack([np.cos(angle), np.sin(angle)], axis=1)

@@ -40,7 +40,7 @@ def outside_view(
         wall: Its surface, in the organ's frame.
         axes: Rows are the image's right and up and the viewing direction, unit vectors.
         center: Point in the middle of the image [m].
-        half: Half the side of the square seen [m]; the view starts twice as far from `center`.
+        half: Half the side of the visible square [m]; the view starts twice as far from `center`.
         colors: sRGB color of each label.
         size_px: Side of the image; each pixel averages 2×2 rays.
 
@@ -85,5 +85,5 @@ def view_rays(
 def project(
     point: Float[np.ndarray, " 3"], axes: Float[np.ndarray, "3 3"], center: Float[np.ndarray, " 3"]
 ) -> Float[np.ndarray, " 2"]:
-    """Where a point lies in a view: to the right of and above the middle [m]."""
+    """Position of a point in a view: to the right of and above the center [m]."""
     return axes[:2] @ (point - center)

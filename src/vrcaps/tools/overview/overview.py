@@ -1,4 +1,4 @@
-"""One picture of a whole organ: outside, inside, unrolled, and its diameter along the way."""
+"""Overview figure of an organ: outside, inside, unrolled, and diameter over arc length."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import SubFigure
 
-_WIDTH = 14.0  # of the picture [inch]
-_STRIP = 12.6  # of a row of unrolled wall in it [inch]
-_ROW_HEIGHT = (1.0, 3.4)  # least and greatest height of such a row [inch]
+_WIDTH = 14.0  # width of the figure [inch]
+_STRIP = 12.6  # width of a row of unrolled wall [inch]
+_ROW_HEIGHT = (1.0, 3.4)  # min and max height of such a row [inch]
 _MAX_ROWS = 8
 _DPI = 110
 _INK, _PALE = "#222222", "#777777"
-_NUM_VIEWS = 6  # inside views where there are fewer segments than these
+_NUM_VIEWS = 6  # number of inside views if there are fewer segments
 _VIEWS_PER_ROW = 9
 
 
 @dataclass(frozen=True)
 class Marked:
-    """A lesion as the picture marks it.
+    """Lesion as marked in the figure.
 
     Attributes:
         number: Its instance.
         text: Kind, grade and size.
-        center: On the wall [m].
-        arc_length: Of that point [m].
-        theta: Of that point [rad].
+        center: Point on the wall [m].
+        arc_length: Arc length of that point [m].
+        theta: Angle of that point [rad].
     """
 
     number: int
@@ -54,7 +54,7 @@ class Marked:
 
 @dataclass(frozen=True)
 class _Picture:
-    """What all panels share."""
+    """Data shared by all panels."""
 
     organ: OrganSurface
     facts: OrganMeasures
@@ -67,7 +67,7 @@ class _Picture:
 
     @cached_property
     def labels(self) -> list[int]:
-        """Labels of the wall, in the order in which the gut passes them."""
+        """Labels of the wall, in oral-to-anal order."""
         own = np.unique(self.organ.label)
         return sorted(own.tolist(), key=self.middle)
 
@@ -80,17 +80,17 @@ class _Picture:
 
     @cached_property
     def rows(self) -> int:
-        """Number of rows that the unrolled wall is broken into."""
+        """Number of rows of the unrolled wall."""
         return int(np.clip(np.ceil(_ROW_HEIGHT[0] / self._row_height(1)), 1, _MAX_ROWS))
 
     @property
     def row_height(self) -> float:
-        """Of a row of unrolled wall [inch]; true to scale at the median girth where that fits."""
+        """Height of a row of unrolled wall [inch]; to scale at the median girth if that fits."""
         return float(np.clip(self._row_height(self.rows), *_ROW_HEIGHT))
 
     @property
     def is_short(self) -> bool:
-        """Whether the organ is so short that its unrolled wall needs no whole row."""
+        """Whether the organ is so short that its unrolled wall does not fill a row."""
         return self._row_height(1) > 1.6 * _ROW_HEIGHT[1]
 
     def _row_height(self, rows: int) -> float:
@@ -98,7 +98,7 @@ class _Picture:
         return _STRIP * girth * rows / self.organ.centerline.length
 
     def middle(self, label: int) -> float:
-        """Arc length [m] in the middle of a segment."""
+        """Arc length [m] of the middle of a segment."""
         return float(np.median(self.organ.arc_length[self.organ.label == label]))
 
     def diameter(self, label: int) -> float:
@@ -106,7 +106,7 @@ class _Picture:
         return 2.0 * float(np.median(self.organ.radius[self.organ.label == label]))
 
     def length(self, label: int) -> float:
-        """Length of the centerline that a segment takes [m]."""
+        """Length of the centerline in a segment [m]."""
         return sum(end - start for number, start, end in self.spans if number == label)
 
     def name(self, label: int) -> str:
@@ -114,16 +114,16 @@ class _Picture:
 
 
 def write_overview(organ: OrganSurface, path: Path, *, facts: OrganMeasures | None = None) -> None:
-    """Write a picture of an organ.
+    """Write an overview figure of an organ.
 
-    Two outside views colored by segment, a table of segments and lesions, a view from inside
-    each segment, the unrolled wall, and the diameter along the way. Lesions are numbered alike
-    in all of them.
+    Two outside views colored by segment, a table of segments and lesions, an inside view of each
+    segment, the unrolled wall, and the diameter over arc length. Lesions have the same numbers in
+    all panels.
 
     Args:
         organ: The organ, in the patient frame.
         path: Image file to write; its suffix is the format.
-        facts: Of the organ, where they are known already.
+        facts: Measures of the organ, if already computed.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -153,7 +153,7 @@ def write_overview(organ: OrganSurface, path: Path, *, facts: OrganMeasures | No
 
 
 def marked_lesions(organ: OrganSurface) -> list[Marked]:
-    """Lesions of an organ: those its metadata lists, and other instances of its vertices."""
+    """Lesions of an organ: those listed in its metadata, and other instances of its vertices."""
     records = {r.get("instance"): r for r in organ.metadata.get("lesions", [])}
     found = []
     for number in np.unique(organ.instance[organ.instance > 0]).tolist():
@@ -177,7 +177,7 @@ def marked_lesions(organ: OrganSurface) -> list[Marked]:
 
 
 def _palette(count: int) -> Float[np.ndarray, "k 3"]:
-    """Colors that differ from their neighbors, along a rainbow of even strength."""
+    """Colors along a rainbow of uniform chroma, distinct from their neighbors."""
     from matplotlib.colors import hsv_to_rgb
 
     hue = (0.60 - 0.92 * np.arange(count) / max(count, 5)) % 1.0
@@ -202,7 +202,7 @@ def _draw_title(part: SubFigure, picture: _Picture) -> None:
 
 
 def _draw_outside(part: SubFigure, picture: _Picture) -> None:
-    """Two views, and the table of segments and lesions."""
+    """Draw two views, and the table of segments and lesions."""
     organ = picture.organ
     low, high = organ.vertices.min(axis=0), organ.vertices.max(axis=0)
     center = (low + high) / 2.0
@@ -223,7 +223,7 @@ def _draw_outside(part: SubFigure, picture: _Picture) -> None:
 
 
 def _draw_scale(view: Axes, half_cm: float) -> None:
-    """A bar of a round length in the lower left corner."""
+    """Draw a scale bar of a round length in the lower left corner."""
     length = max(x for x in (0.5, 1, 2, 5, 10, 20) if x <= max(0.5, 0.5 * half_cm))
     x, y = -0.97 * half_cm, -0.97 * half_cm
     view.plot([x, x + length], [y, y], color=_INK, lw=2, solid_capstyle="butt")
@@ -236,7 +236,7 @@ def _draw_number(view: Axes, x: float, y: float, number: int) -> None:
 
 
 def _draw_table(table: Axes, picture: _Picture) -> None:
-    """Segments with their colors and diameters, then lesions with their numbers."""
+    """Draw segments with their colors and diameters, then lesions with their numbers."""
     table.set_axis_off()
     table.set(xlim=(0, 1), ylim=(0, 1))
     lines = [(label, None) for label in picture.labels] + [(None, le) for le in picture.lesions]
@@ -269,7 +269,7 @@ def _draw_table(table: Axes, picture: _Picture) -> None:
 
 
 def _view_places(picture: _Picture) -> list[tuple[str, float, Any]]:
-    """Title, arc length [m] and color of each inside view: one a segment, more of long ones."""
+    """Title, arc length [m] and color of each inside view: one per segment, more for long ones."""
     organ, labels = picture.organ, picture.labels
     share = {label: max(picture.length(label), 1e-9) for label in labels}
     count = dict.fromkeys(labels, 1)
@@ -303,7 +303,7 @@ def _draw_inside(
 
 
 def _draw_unrolled(part: SubFigure, picture: _Picture) -> None:
-    """The unrolled wall in as many rows as it takes."""
+    """Draw the unrolled wall in as many rows as needed."""
     length = picture.organ.centerline.length
     high = picture.rows * (picture.row_height + 0.5) + 0.35
     left, right = (0.10, 0.97) if picture.is_short else (0.05, 0.98)
@@ -332,7 +332,7 @@ def _draw_unrolled(part: SubFigure, picture: _Picture) -> None:
 def _draw_lesions(
     view: Axes, picture: _Picture, instance: np.ndarray, box: tuple[float, float, float, float]
 ) -> None:
-    """Outlines and numbers of the lesions that lie in a row."""
+    """Draw outlines and numbers of the lesions in a row."""
     for lesion in picture.lesions:
         mask = instance == lesion.number
         if mask.any():
@@ -349,7 +349,7 @@ def _draw_lesions(
 
 
 def _draw_bar(view: Axes, picture: _Picture, low: float, high: float) -> None:
-    """A strip of the segments' colors, between two heights of the axes."""
+    """Draw a strip of the segments' colors, between two heights of the axes."""
     for label, start, end in picture.spans:
         view.fill_between(
             [start / CM, end / CM], low, high, color=picture.colors[label], lw=0, zorder=3
@@ -362,7 +362,7 @@ def _tidy(view: Axes) -> None:
 
 
 def _draw_diameter(part: SubFigure, picture: _Picture) -> None:
-    """Diameter along the centerline: median over the angle, band from 10 % to 90 %."""
+    """Draw diameter over arc length: median over the angle, band from 10 % to 90 %."""
     organ = picture.organ
     left, right = (0.10, 0.96) if picture.is_short else (0.05, 0.98)
     graph = part.add_axes((left, 0.24, right - left, 0.58))

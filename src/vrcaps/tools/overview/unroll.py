@@ -1,8 +1,8 @@
-"""The wall of a gut unrolled (virtual dissection): arc length across, angle up.
+"""Unrolled wall of a gut (virtual dissection): arc length across, angle up.
 
-From each point of the centerline a ray goes out in the curve's normal plane; what it meets first
-is shown. It is the unfolding of virtual colonoscopy (Vilanova Bartrolí et al. 2001) in the gut
-coordinates of `OrganSurface`: a vertex that the centerline sees appears at its own coordinates.
+From each point of the centerline, rays are cast in the curve's normal plane; the first hit is
+shown. This is the unfolding of virtual colonoscopy (Vilanova Bartrolí et al. 2001) in the gut
+coordinates of `OrganSurface`: a vertex visible from the centerline appears at its own coordinates.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from vrcaps.organ.surface import OrganSurface, face_label
 if TYPE_CHECKING:
     from jaxtyping import Float, Int, UInt16
 
-_PLAIN_COLOR = (0.72, 0.46, 0.40)  # sRGB; drawn where there is no appearance
+_PLAIN_COLOR = (0.72, 0.46, 0.40)  # sRGB; used without an appearance
 _NOTHING = 0.93  # gray where a ray leaves through an open end
 _LIGHT = (0.75, 0.55, 0.35)  # towards the light: the axis, the oral end, greater angles
 _AMBIENT = 0.30
 _GAMMA = 2.2
-_FINER = 2  # rays for each pixel of `dissection_rows`, along each axis
+_FINER = 2  # rays per pixel of `dissection_rows`, along each axis
 
 
 @dataclass(frozen=True)
 class Unrolled:
-    """What rays from the centerline meet.
+    """Hits of rays from the centerline.
 
     Attributes:
-        arc_length: Of each column [m].
-        theta: Of each row [rad].
-        radius: Way from the centerline to the wall [m]; NaN where there is none.
-        face: Triangle met; −1 for none.
-        weights: Of the triangle's corners.
-        shade: Share of light that the wall there returns, 0 to 1.
+        arc_length: Arc length of each column [m].
+        theta: Angle of each row [rad].
+        radius: Distance from the centerline to the wall [m]; NaN for no hit.
+        face: Index of the triangle; −1 for none.
+        weights: Barycentric weights of the triangle's corners.
+        shade: Fraction of light that the wall returns there, 0 to 1.
     """
 
     arc_length: Float[np.ndarray, " w"]
@@ -58,7 +58,7 @@ def unroll(
 ) -> Unrolled:
     """Cast a ray for each pair of arc length and angle.
 
-    Where a lesion stands on the centerline the rays start beside it.
+    Where a lesion covers the centerline, the rays start next to it.
 
     Args:
         organ: The organ.
@@ -98,7 +98,7 @@ def _in_lumen(
     frames: Float[np.ndarray, "w 3 3"],
     radii: Float[np.ndarray, " w"],
 ) -> Float[np.ndarray, "w 3"]:
-    """The points; those inside a lesion that stands on the centerline are moved aside."""
+    """Points, with those inside a lesion on the centerline moved aside."""
     if not organ.instance.any():
         return points
     _, nearest = wall.closest_point(points)
@@ -118,10 +118,10 @@ def _in_lumen(
 
 
 def dissection(organ: OrganSurface, unrolled: Unrolled) -> Float[np.ndarray, "h w 3"]:
-    """Picture of an unrolled wall, sRGB 0 to 1: its own color, folds lit from the oral side.
+    """Image of an unrolled wall, sRGB 0 to 1: its own color, folds lit from the oral side.
 
-    What stands into the lumen is lighter, pouches are darker: the depth that perspective would
-    show is in the shading.
+    Parts that protrude into the lumen are lighter, pouches are darker: shading replaces the depth
+    that perspective would show.
     """
     seen = unrolled.face >= 0
     linear = _color(organ, unrolled, seen) ** _GAMMA
@@ -135,16 +135,16 @@ def dissection(organ: OrganSurface, unrolled: Unrolled) -> Float[np.ndarray, "h 
 def dissection_rows(
     organ: OrganSurface, wall: Wall, rows: int, size: tuple[int, int]
 ) -> list[tuple[Float[np.ndarray, "h w 3"], UInt16[np.ndarray, "h2 w2"]]]:
-    """A whole wall unrolled in rows of equal length, greater angles up.
+    """Unroll a whole wall in rows of equal length, greater angles up.
 
     Args:
         organ: The organ.
         wall: Its surface, in the organ's frame.
-        rows: Number of them.
+        rows: Number of rows.
         size: Height and width of each [pixels].
 
     Returns:
-        Of each row its picture (`dissection`) and the lesion numbers of twice as many rays.
+        For each row, its image (`dissection`) and the lesion instances at twice the resolution.
     """
     (tall, wide), span = size, organ.centerline.length / rows
     theta = np.pi * (1.0 - 2.0 * (np.arange(_FINER * tall) + 0.5) / (_FINER * tall))
@@ -160,13 +160,13 @@ def dissection_rows(
 
 
 def instances(organ: OrganSurface, unrolled: Unrolled) -> UInt16[np.ndarray, "h w"]:
-    """Lesion number of each place, 0 for plain wall or none."""
+    """Lesion instance of each pixel, 0 for plain wall or none."""
     instance = face_label(organ.instance, organ.faces)
     return np.where(unrolled.face >= 0, instance[unrolled.face], 0).astype(np.uint16)
 
 
 def _color(organ: OrganSurface, unrolled: Unrolled, seen: np.ndarray) -> np.ndarray:
-    """Albedo where a ray met the wall, sRGB 0 to 1; from a smaller image if texels are finer."""
+    """Albedo at each hit, sRGB 0 to 1; from a smaller texture if texels are finer than pixels."""
     color = np.ones((*seen.shape, 3))
     if organ.appearance is None:
         color[seen] = _PLAIN_COLOR

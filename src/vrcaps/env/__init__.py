@@ -1,8 +1,8 @@
-"""Environments to train and judge controllers in: Gymnasium, Stable-Baselines3 and PettingZoo.
+"""Environments to train and evaluate controllers: Gymnasium, Stable-Baselines3 and PettingZoo.
 
 ``import vrcaps.env`` registers them with Gymnasium; ``gymnasium.make("vrcaps.env:Coverage-v0")``
-does both. Keywords of `make` are fields of `EnvSettings`; a part is its name or its settings, as in
-``actuation="magnet"`` or ``actuation=MagnetActuation(speed=0.05)``.
+does both. Keyword arguments of `make` are fields of `EnvSettings`; a part is given by its name or
+its settings, as in ``actuation="magnet"`` or ``actuation=MagnetActuation(speed=0.05)``.
 """
 
 from vrcaps.errors import MissingExtraError
@@ -42,11 +42,11 @@ from vrcaps.tissue.tissue import Tissue as Tissue
 _register(gymnasium)
 
 _OPTIONAL = {"Sb3VecEnv": "vrcaps.env.sb3", "CapsuleParallelEnv": "vrcaps.env.parallel_env"}
-"""Classes that need Stable-Baselines3 or PettingZoo, loaded when they are first used."""
+"""Classes that need Stable-Baselines3 or PettingZoo, imported on first use."""
 
 
 def __getattr__(name: str) -> _Any:
-    """A class that needs an optional package.
+    """Import a class that needs an optional package.
 
     Raises:
         AttributeError: If there is no such name.

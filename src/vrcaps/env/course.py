@@ -1,4 +1,4 @@
-"""Course of the gut in each world, sampled so that all guts have arrays of one shape."""
+"""Course of the gut in each world, resampled so that the arrays of all guts have one shape."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _SAMPLES = 512
 
 @dataclass(frozen=True)
 class CoursePlace:
-    """A place on the centerline in each world, in the world frame.
+    """A position on the centerline in each world, in the world frame.
 
     Attributes:
-        point: Where it is [m].
+        point: The position [m].
         axes: Transverse axes and tangent there, as rows.
         radius: Distance from there to the nearest wall at rest [m].
     """
@@ -38,16 +38,16 @@ class Course:
     """Centerlines of the organs of all worlds.
 
     Attributes:
-        length: Of each centerline [m].
+        length: Length of each centerline [m].
     """
 
     def __init__(self, memory: Memory) -> None:
-        """Makes room in the memory."""
+        """Allocate the arrays in the memory."""
         self._samples = memory.allocate("course/samples", (_SAMPLES, 13))
         self.length = memory.allocate("course/length")
 
     def begin(self, index: int, model: Model) -> None:
-        """Takes over the organ of one world."""
+        """Set the organ of one world."""
         line = model.organ.centerline
         points, frames, radius = interpolate(line, np.linspace(0.0, line.length, _SAMPLES))
         axes = rotate_vectors(model.T_world_patient, np.swapaxes(frames, 1, 2))
@@ -57,9 +57,9 @@ class Course:
         self.length[index] = line.length
 
     def at(self, arc_length: Float[np.ndarray, " n"]) -> CoursePlace:
-        """Places at arc lengths [m], one in each world; those beyond an end are at the end.
+        """Evaluate the centerline at arc lengths [m], one per world, clamped to its ends.
 
-        Points and radii are linear between samples, axes those of the nearest sample.
+        Points and radii are interpolated linearly; axes are those of the nearest sample.
         """
         place = (arc_length / self.length).clip(0.0, 1.0) * (_SAMPLES - 1)
         below = np.minimum(place.astype(int), _SAMPLES - 2)
@@ -76,13 +76,13 @@ class Course:
         arc_length: Float[np.ndarray, " m"],
         reach: float,
     ) -> Float[np.ndarray, " m"]:
-        """Arc lengths of the points of centerlines that are nearest to places in the world [m].
+        """Arc lengths [m] of the points on centerlines that are nearest to positions in the world.
 
         Args:
-            numbers: Worlds.
-            places: One in each [m].
-            arc_length: Near which they are sought [m]: a neighboring loop of gut may be nearer.
-            reach: How far along the gut [m].
+            numbers: Indices of the worlds.
+            places: Position in each world [m].
+            arc_length: Center of the search [m], since a neighboring loop of gut may be nearer.
+            reach: Search distance along the gut [m].
         """
         points, length = self._samples[numbers, :, :3], self.length[numbers]
         step, worlds = length / (_SAMPLES - 1), np.arange(len(numbers))

@@ -1,4 +1,4 @@
-"""Environment of one capsule."""
+"""Gymnasium environment of one capsule."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class CapsuleEnv(gymnasium.Env):
     def __init__(
         self, settings: EnvSettings | None = None, *, render_mode: str | None = None
     ) -> None:
-        """Makes room; `reset` makes the world.
+        """Allocate buffers; the world is created by `reset`.
 
         Raises:
             InputError: If the render mode is unknown.
@@ -40,17 +40,17 @@ class CapsuleEnv(gymnasium.Env):
     def reset(
         self, *, seed: int | None = None, options: dict | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Begin an episode.
+        """Start an episode.
 
         Raises:
-            InputError: If the organ cannot be made, or the capsule fits nowhere in it.
+            InputError: If the organ cannot be created, or the capsule does not fit in it.
         """
         super().reset(seed=seed)
         self.episode.begin(0, self.np_random)
         return self._first(self.episode.observe()), self._plain(self.episode.measures())
 
     def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """Move on by a control period.
+        """Advance by one control period.
 
         Raises:
             InputError: If there was no reset, or the action is not in the space.
@@ -67,7 +67,7 @@ class CapsuleEnv(gymnasium.Env):
         )
 
     def render(self) -> np.ndarray | None:
-        """What the capsule's first camera sees [h w 3]; None without a render mode.
+        """Render the view of the capsule's first camera [h w 3]; None without a render mode.
 
         Raises:
             InputError: If there was no reset.
@@ -78,7 +78,7 @@ class CapsuleEnv(gymnasium.Env):
         return self.episode.images()[0]
 
     def snapshot(self) -> EnvSnapshot:
-        """Its whole state, for `restore` here or in another environment of the same settings.
+        """Return the full state, for `restore` here or in another environment of the same settings.
 
         Raises:
             InputError: If there was no reset.
@@ -87,10 +87,10 @@ class CapsuleEnv(gymnasium.Env):
         return take_snapshot(self.episode, [0], [self.np_random], np.zeros(1, bool))
 
     def restore(self, snapshot: EnvSnapshot) -> dict[str, np.ndarray]:
-        """Goes back to a snapshot, from which the same actions lead to the same bytes.
+        """Restore a snapshot; the same actions then give the same bytes.
 
         Returns:
-            The observation there.
+            The observation in the restored state.
 
         Raises:
             InputError: If it is of other settings.

@@ -1,4 +1,4 @@
-"""Episodes of many worlds: observations, rewards and ends, without anything of Gymnasium's API."""
+"""Batched episodes with observations, rewards and ends, independent of the Gymnasium API."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ if TYPE_CHECKING:
     from vrcaps.env.snapshot import WorldSnapshot
 
 _PROGRESS = 1e-3
-"""Gain of progress below which a world makes none."""
+"""Minimum gain of progress that counts."""
 
 
 @dataclass(frozen=True)
 class EpisodeStep:
-    """What one step did, with a row for each world; 0 where a world did not step.
+    """Result of one step, with a row for each world; 0 for worlds that did not step.
 
     Attributes:
-        reward: What was earned.
-        terminated: Whether the task is done.
+        reward: Reward of the step.
+        terminated: Whether the task is completed.
         truncated: Whether the episode ends for another reason: time, no progress, or a fault.
-        measures: What the task and the rewards are made of.
+        measures: Metrics of the task and terms of the reward.
     """
 
     reward: Float[np.ndarray, " n"]
@@ -42,12 +42,12 @@ class EpisodeStep:
 
 
 class Episode:
-    """Runs a task in many worlds."""
+    """Episodes of a task in several worlds."""
 
     def __init__(
         self, settings: EnvSettings, num_worlds: int, *, render_mode: str | None = None
     ) -> None:
-        """Makes room; `begin` makes the worlds. See `Simulation`.
+        """Allocate buffers; worlds are created by `begin`. See `Simulation`.
 
         Raises:
             InputError: If the render mode is unknown, or a file of settings is missing.
@@ -73,19 +73,19 @@ class Episode:
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """A copy continues to the same bytes; it makes its organs again."""
+        """Support pickling; a copy creates its organs again and continues with the same bytes."""
         s = self.simulation
         begun = [k for k in range(s.num_worlds) if s.patient_number(k) >= 0]
         worlds = {k: s.snapshot(k) for k in begun}
         return _restored, (self.settings, s.num_worlds, self.render_mode, worlds)
 
     def __deepcopy__(self, memo: object) -> Episode:
-        """A copy that shares what never changes: the settings, and the organs."""
+        """Return a copy that shares the immutable parts: the settings and the organs."""
         _, given = self.__reduce__()
         return _restored(*given, patients=self.simulation.patients)
 
     def begin(self, index: int, rng: np.random.Generator, patient: int | None = None) -> None:
-        """Begin an episode in one world, see `Simulation.reset`."""
+        """Start an episode in one world, see `Simulation.reset`."""
         self.simulation.reset(index, rng, patient)
         progress = self.settings.task.progress(self.simulation)[index]
         self._best[index] = self._mark[index] = progress
@@ -94,7 +94,7 @@ class Episode:
         self._growth[index] = 0.0
 
     def check_actions(self, actions: Any) -> np.ndarray:
-        """Actions as an array with a row for each world.
+        """Convert actions to an array with a row for each world.
 
         Raises:
             InputError: If an action is not in the space.
@@ -117,7 +117,7 @@ class Episode:
         return actions
 
     def step(self, actions: np.ndarray, active: Bool[np.ndarray, " n"]) -> EpisodeStep:
-        """Move the active worlds on by a control period."""
+        """Advance the active worlds by one control period."""
         simulation, task = self.simulation, self.settings.task
         simulation.step(actions, active)
         self._follow_progress(active)
@@ -133,7 +133,7 @@ class Episode:
         truncated = active & ~terminated & (over_time | is_stuck | failed)
         measures = self.measures() | {f"reward_{name}": term for name, term in terms.items()}
         measures |= {"is_stuck": active & is_stuck, "is_too_fast": active & is_too_fast}
-        # What a throw or a fault of the simulation shows earns nothing.
+        # Failed or ejected worlds receive no reward.
         paid = active & ~failed
         return EpisodeStep(np.where(paid, reward, 0.0), terminated, truncated, measures)
 
@@ -147,7 +147,7 @@ class Episode:
         self._mark[:] = np.where(gains, progress, self._mark)
 
     def _follow_frontier(self, active: Bool[np.ndarray, " n"]) -> None:
-        """Measure the frontier on the map, where it is paid for."""
+        """Measure the frontier on the map, if a reward uses it."""
         self._growth[:] = 0.0
         if any(reward.term == "total-variation" for reward in self.rewards):
             s = self.simulation
@@ -157,12 +157,12 @@ class Episode:
             self._frontier[active] = length
 
     def observe(self) -> dict[str, np.ndarray]:
-        """Observations of all worlds, in arrays of their own."""
+        """Return the observations of all worlds, in new arrays."""
         observations = self.settings.observations
         return {o.name: o.observe(self.simulation) for o in observations}
 
     def measures(self) -> dict[str, np.ndarray]:
-        """What an episode is judged by, of all worlds."""
+        """Return the metrics of the episodes of all worlds."""
         s = self.simulation
         return {
             **self.settings.task.measures(s),
@@ -176,10 +176,10 @@ class Episode:
         }
 
     def images(self) -> list[np.ndarray]:
-        """What the first camera of each capsule sees, in its own size.
+        """Render the first camera of each capsule, at its native size.
 
         Raises:
-            InputError: If an episode has not begun in every world.
+            InputError: If a world has no episode yet.
         """
         if any(self.simulation.patient_number(k) < 0 for k in range(self.simulation.num_worlds)):
             raise InputError("No episode has begun, so there is nothing to draw. Call reset first.")
@@ -194,7 +194,7 @@ def _restored(
     *,
     patients: Patients | None = None,
 ) -> Episode:
-    """Episodes as others were, of which `Episode.__reduce__` tells."""
+    """Reconstruct episodes from the state of `Episode.__reduce__`."""
     episode = Episode(settings, num_worlds, render_mode=render_mode)
     episode.simulation.patients = patients or episode.simulation.patients
     for index, saved in worlds.items():
@@ -203,7 +203,7 @@ def _restored(
 
 
 def _limits(space: Any) -> str:
-    """Meaning of the limits of an action space, for a message."""
+    """Explanation of the limits of an action space, for a message."""
     if not hasattr(space, "low"):
         return "An action is the number of a choice."
     return (

@@ -1,4 +1,4 @@
-"""Located capsules: poses of the capsules of many worlds by the readings of their sensors."""
+"""Localized capsules: poses of the capsules of all worlds, estimated from their sensors."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ if TYPE_CHECKING:
 
 
 class LocatedCapsules:
-    """A filter for each world, which reads its IMU and Hall sensors once a control period.
+    """A filter for each world, which reads its IMU and Hall sensors once per control period.
 
-    All that changes lies in the simulation's memory.
+    Its state is part of the simulation's memory.
 
     Attributes:
-        Ts_world_capsule: Poses by the filters.
-        velocity_world: Velocities [m/s], and angular velocities [rad/s] by the gyroscopes.
+        Ts_world_capsule: Estimated poses.
+        velocity_world: Velocities [m/s], and angular velocities [rad/s] from the gyroscopes.
         contact_force_world: Forces of the wall on the capsules' sides [N].
     """
 
     def __init__(self, simulation: Simulation, sensors: TrackingSensors) -> None:
-        """Makes room.
+        """Allocate buffers.
 
         Raises:
-            InputError: If the capsule does not hold just one magnet, which it is located by.
+            InputError: If the capsule does not contain exactly one magnet for localization.
         """
         check_locatable(simulation.device)
         self._simulation, self._sensors = simulation, sensors
@@ -40,13 +40,13 @@ class LocatedCapsules:
         self._trackers: dict[int, tuple[tuple[int, int], CapsuleTracker]] = {}
 
     def begin(self, index: int, rng: np.random.Generator) -> None:
-        """Begins to locate the capsule of one world, near where it is."""
+        """Start the localization of the capsule of one world, near its true pose."""
         self._seed[index] = rng.integers(2**31)
         self._trackers.pop(index, None)
         self._saved[index] = self._tracker(index).to_array()
 
     def read(self) -> None:
-        """Reads the sensors of all worlds that have moved on since they were read."""
+        """Read the sensors of all worlds that have advanced since the last reading."""
         for index, world in enumerate(self._simulation.worlds):
             tracker, sources = self._tracker(index), world.sources
             tracker.restore(self._saved[index], sources)
@@ -57,7 +57,7 @@ class LocatedCapsules:
             self.contact_force_world[index] = tracker.contact_force_world
 
     def _tracker(self, index: int) -> CapsuleTracker:
-        """The tracker of a world's patient and seed; its state is that of whoever used it last."""
+        """Tracker of a world's patient and seed; its state is that of its last use."""
         s = self._simulation
         key = (int(self._seed[index]), s.patient_number(index))
         kept = self._trackers.get(index)

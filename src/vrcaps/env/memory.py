@@ -1,4 +1,4 @@
-"""Memory of an environment: what tasks, actuation and observations carry from step to step."""
+"""Memory of an environment: state of task, actuation and observations between steps."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from vrcaps.errors import InputError
 class Memory:
     """Named arrays with a row for each world; saved and restored row by row.
 
-    Whatever changes during an episode lives here, so that a snapshot of an environment is complete
-    without any part knowing of it.
+    All state that changes during an episode is stored here, so that a snapshot of an environment is
+    complete without knowledge of its parts.
 
     Example:
         >>> best = memory.allocate("coverage/best")
@@ -28,7 +28,7 @@ class Memory:
     def allocate(
         self, name: str, shape: Sequence[int] = (), dtype: Any = float, fill: float = 0
     ) -> np.ndarray:
-        """A new array [num_worlds, *shape] that is full of one value."""
+        """Allocate an array [num_worlds, *shape] filled with one value."""
         if name in self._arrays:
             raise InputError(f"Memory {name!r} is taken. Allowed: a name of its own.")
         self._arrays[name] = np.full((self._num_worlds, *shape), fill, dtype)
@@ -41,14 +41,14 @@ class Memory:
         return name in self._arrays
 
     def row(self, index: int) -> dict[str, np.ndarray]:
-        """A copy of all that belongs to one world."""
+        """Return a copy of the rows of one world."""
         return {name: array[index].copy() for name, array in self._arrays.items()}
 
     def set_row(self, index: int, row: dict[str, np.ndarray]) -> None:
-        """Puts back what `row` gave.
+        """Restore the rows of one world from `row`.
 
         Raises:
-            InputError: If it is of another memory.
+            InputError: If they are of another memory.
         """
         arrays = self._arrays
         fits = set(row) == set(arrays) and all(

@@ -1,4 +1,4 @@
-"""Organs of an environment: named by texts, and checked before any is made."""
+"""Organs of an environment: parsed from texts, and checked before any is created."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ if TYPE_CHECKING:
     from vrcaps.env.settings import EnvSettings
 
 Organ = OrganGenerated | OrganFile | OrganSurface | str
-"""An organ, or a text as `parse_organs` reads it."""
+"""An organ, or a text in the syntax of `parse_organs`."""
 
 _SEEDS = re.compile(r"(\d{1,9})(?:-(\d{1,9}))?")
 _MOST_SEEDS = 100_000
 
 
 def organs_of(given: Iterable[Organ]) -> Iterator[OrganGenerated | OrganFile | OrganSurface]:
-    """Organs of what was given; a text may name several.
+    """Yield the given organs; a text may name several.
 
     Raises:
-        InputError: If a text cannot be read.
+        InputError: If a text cannot be parsed.
     """
     for organ in given:
         if isinstance(organ, str):
@@ -36,10 +36,10 @@ def organs_of(given: Iterable[Organ]) -> Iterator[OrganGenerated | OrganFile | O
 
 
 def parse_organs(text: str) -> list[OrganGenerated | OrganFile]:
-    """Organs of a text such as ``stomach``, ``stomach:3``, ``stomach:0-15`` or ``mine.ply:mm``.
+    """Parse a text such as ``stomach``, ``stomach:3``, ``stomach:0-15`` or ``mine.ply:mm``.
 
     Raises:
-        InputError: If what follows the colon is neither a seed or seeds, nor a unit of a mesh.
+        InputError: If the part after the colon is neither a seed or seeds, nor a unit of a mesh.
     """
     name, _, rest = text.rpartition(":") if ":" in text else (text, "", "")
     organ = organ_named(name)
@@ -60,7 +60,7 @@ def parse_organs(text: str) -> list[OrganGenerated | OrganFile]:
 
 
 def check_names(settings: EnvSettings) -> None:
-    """Check that there are the organs and the capsule that settings name; nothing is made.
+    """Check that the organs and the capsule named in settings exist; nothing is created.
 
     Raises:
         InputError: If an organ's file or unit is missing, or a device file.

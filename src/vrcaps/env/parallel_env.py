@@ -1,4 +1,4 @@
-"""Environment of several capsules at once in PettingZoo's parallel API."""
+"""Multi-agent environment of several capsules in PettingZoo's parallel API."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
 
 class CapsuleParallelEnv(ParallelEnv):
-    """Capsules side by side, each in an organ of its own, as agents of the parallel API.
+    """Independent capsules, each in its own organ, as agents of the parallel API.
 
-    Agent ``capsule_k`` is in the k-th of the settings' organs. An agent whose episode is over
-    leaves the others behind.
+    Agent ``capsule_k`` is in the k-th of the settings' organs. An agent whose episode ends is
+    removed; the others continue.
 
     Example:
         >>> stomachs = tuple(OrganGenerated("stomach", seed=k) for k in range(3))
@@ -43,13 +43,13 @@ class CapsuleParallelEnv(ParallelEnv):
         is_reward_shared: bool = True,
         render_mode: str | None = None,
     ) -> None:
-        """Makes room; `reset` makes the worlds.
+        """Allocate buffers; worlds are created by `reset`.
 
         Args:
-            settings: What the worlds are made of.
-            is_reward_shared: Whether each capsule earns the sum of what all earn, as in VR-Caps
-                (Incetan et al. 2021: r = α Σ gains); otherwise each earns its own.
-            render_mode: `rgb_array` lets `render` give the images side by side; None none.
+            settings: Settings of the environment.
+            is_reward_shared: Whether each capsule receives the sum of all rewards, as in VR-Caps
+                (Incetan et al. 2021: r = α Σ gains); otherwise each receives its own.
+            render_mode: `rgb_array` enables `render`, which returns the images side by side.
 
         Raises:
             InputError: If the render mode is unknown.
@@ -61,7 +61,7 @@ class CapsuleParallelEnv(ParallelEnv):
         self.episode = Episode(settings, count, render_mode=render_mode)
         self.possible_agents = [f"capsule_{k}" for k in range(count)]
         self.agents: list[str] = []
-        # Spaces have generators of their own: one for each agent.
+        # Spaces contain random generators: one for each agent.
         self.action_spaces = {name: settings.actuation.space() for name in self.possible_agents}
         self.observation_spaces = dict.fromkeys(
             self.possible_agents, self.episode.observation_space
@@ -69,20 +69,20 @@ class CapsuleParallelEnv(ParallelEnv):
         self._generators = [seeding.np_random(None)[0] for _ in range(count)]
 
     def observation_space(self, agent: str) -> spaces.Space:
-        """Space of an agent's observations."""
+        """Observation space of an agent."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space:
-        """Space of an agent's actions."""
+        """Action space of an agent."""
         return self.action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Begin an episode of every capsule; agent k has the seed `seed` + k.
+        """Start an episode of every capsule; agent k has the seed `seed` + k.
 
         Raises:
-            InputError: If an organ cannot be made, or a capsule fits nowhere in it.
+            InputError: If an organ cannot be created, or a capsule does not fit in it.
         """
         if seed is not None:
             count = len(self.possible_agents)
@@ -95,7 +95,7 @@ class CapsuleParallelEnv(ParallelEnv):
     def step(
         self, actions: dict[str, Any]
     ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, Any]]:
-        """Move all agents on by a control period.
+        """Advance all agents by one control period.
 
         Raises:
             InputError: If an agent has no action, or an action is not in the space.
@@ -115,7 +115,7 @@ class CapsuleParallelEnv(ParallelEnv):
         return self._result(step)
 
     def _result(self, step: EpisodeStep) -> tuple:
-        """What `step` returns; agents whose episode is over leave."""
+        """Result of `step`; removes agents whose episode is over."""
         reward = step.reward
         if self.is_reward_shared:
             reward = np.full_like(reward, reward.sum())
@@ -130,7 +130,7 @@ class CapsuleParallelEnv(ParallelEnv):
         return observations, earned, ended, cut, infos
 
     def _of_each(self, batch: Any) -> dict[str, Any]:
-        """What belongs to each agent, of an array or of a dictionary of arrays."""
+        """Split an array or a dictionary of arrays by agent."""
         rows = {}
         for index, name in enumerate(self.possible_agents):
             if name not in self.agents:
@@ -142,7 +142,7 @@ class CapsuleParallelEnv(ParallelEnv):
         return rows
 
     def render(self) -> np.ndarray | None:
-        """What the first camera of each capsule sees, side by side [h w 3].
+        """Render the first camera of each capsule, side by side [h w 3].
 
         Raises:
             InputError: If the environment has not been reset.
@@ -152,7 +152,7 @@ class CapsuleParallelEnv(ParallelEnv):
         return np.concatenate(self.episode.images(), axis=1)
 
     def close(self) -> None:
-        """Lets go of the worlds."""
+        """Release the worlds."""
         count = len(self.possible_agents)
         self.episode = Episode(self.settings, count, render_mode=self.render_mode)
         self.agents = []

@@ -1,4 +1,4 @@
-"""Patient of an environment: an organ, the capsule in it, and the points that coverage counts."""
+"""Patient of an environment: an organ, the capsule, and the wall points for coverage."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Patient:
-    """An organ with all that does not change from episode to episode.
+    """An organ with everything that is constant over episodes.
 
     Attributes:
         model: Organ, capsule and posture.
-        points: Points of the wall that stand for its area.
-        num_cells: Cells of the map of the wall.
+        points: Sample points of the wall, weighted by area.
+        num_cells: Number of cells of the map of the wall.
     """
 
     model: Model
@@ -43,7 +43,7 @@ class Patient:
 
     @cached_property
     def cell_center(self) -> Float[np.ndarray, "c 3"]:
-        """Middle of each cell's part of the wall in the world frame [m]; 0 where it has none."""
+        """Centroid of the wall in each cell in the world frame [m]; 0 for empty cells."""
         face, weights = self.points.face, self.points.weights
         weights = np.column_stack([weights, 1.0 - weights.sum(axis=1)])
         corners = self.model.vertices_world[self.model.organ.faces[face]]
@@ -53,13 +53,13 @@ class Patient:
 
 
 class Patients:
-    """The patients of an environment; each is made when it is first needed."""
+    """Patients of an environment, created on first use."""
 
     def __init__(self, settings: EnvSettings, device: Device, *, with_textures: bool) -> None:
-        """Makes nothing yet.
+        """Initialize without creating any patient.
 
         Args:
-            settings: Names the organs.
+            settings: Settings, which name the organs.
             device: The capsule.
             with_textures: Whether the wall will be rendered.
         """

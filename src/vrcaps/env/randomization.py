@@ -1,4 +1,4 @@
-"""Randomization: what of tissue, capsule and camera varies from episode to episode."""
+"""Domain randomization of tissue, capsule and camera from episode to episode."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from vrcaps.tissue.tissue import Tissue
 
 Factor = float | tuple[float, float]
-"""A number, or the limits between which it is drawn evenly at each reset."""
+"""A number, or the limits of a uniform distribution that is sampled at each reset."""
 
 FACTORS = ("stiffness", "friction", "drag", "mass", "magnet", "focal")
-"""What is multiplied, in the order of `Randomization.draw`."""
+"""Randomized quantities, in the order of `Randomization.draw`."""
 
 _MOST = 100.0
 _LENSES = 9
@@ -38,14 +38,14 @@ _UNFIT = (
     "rolling_shutter",
     "adaptive_frame_rate",
 )
-"""Effects that change the wall or the size or time of an image, or need the frames beside it."""
+"""Effects that change the wall or an image's size or time, or need neighboring frames."""
 
 
 @dataclass(frozen=True)
 class Randomization:
-    """Factors on physical parameters, and what lens and sensor do to images.
+    """Random factors on physical parameters, and camera effects on images.
 
-    Each factor is a number, or a range from which every episode draws one.
+    Each factor is a number, or a range that is sampled in every episode.
 
     Example:
         >>> varied = Randomization(friction=(0.5, 2.0), mass=(0.9, 1.1), magnet=0.8)
@@ -53,13 +53,14 @@ class Randomization:
     Attributes:
         stiffness: Of the wall: its foundation's modulus, and its springs' or layer's stiffness.
         friction: Coefficient of friction of the wall.
-        drag: Drag of what fills the lumen, viscosity of the mucus, and resistance of the laws
+        drag: Drag of the lumen contents, viscosity of the mucus, and resistance of the laws
             `incetan2021` and `continuous`.
-        mass: Of the capsule. Who balances its weight knows only the mass in its file.
+        mass: Mass of the capsule. A controller that balances its weight knows only the nominal
+            mass.
         magnet: Moment of the magnets in the capsule.
-        focal: Focal length of its cameras; of a range one of nine equal steps is drawn.
-        effects: On image observations; a range of severities is drawn from, too. Those that need
-            other frames or change the wall are not among them. A text is read as by
+        focal: Focal length of its cameras; a range is sampled at nine equidistant values.
+        effects: Camera effects on image observations; a range of severities is sampled as well.
+            Effects that need other frames or change the wall are not allowed. A text is parsed by
             `parse_effects`, such as ``noise=1..3,bloom=2``.
     """
 
@@ -91,17 +92,20 @@ class Randomization:
                 )
 
     def sample_effects(self, seed: int) -> Effects:
-        """The effects with a severity sampled from each range."""
-        assert not isinstance(self.effects, str)  # the constructor has read a text
+        """Sample a severity from each range of the effects."""
+        assert not isinstance(self.effects, str)  # the constructor has parsed a text
         return self.effects.sample(seed)
 
     @property
     def has_effects(self) -> bool:
-        """Whether images are other than the ideal camera's."""
+        """Return whether images differ from those of the ideal camera."""
         return self.effects != Effects()
 
     def draw(self, rng: np.random.Generator) -> tuple[Float[np.ndarray, " 6"], int]:
-        """Factors in the order of `FACTORS`, and a seed for effects; draws only what varies."""
+        """Sample factors in the order of `FACTORS` and a seed for effects.
+
+        Fixed values consume no random numbers.
+        """
         factors = []
         for name in FACTORS:
             value = getattr(self, name)
@@ -116,7 +120,7 @@ class Randomization:
 
 
 def varied_tissue(tissue: Tissue, factors: Float[np.ndarray, " 6"]) -> Tissue:
-    """The tissue with drawn factors on its stiffness, friction and drag."""
+    """Apply drawn factors to the stiffness, friction and drag of a tissue."""
     stiffness, friction, drag = factors[:3].tolist()
     if stiffness == friction == drag == 1.0:
         return tissue
@@ -139,7 +143,7 @@ def varied_tissue(tissue: Tissue, factors: Float[np.ndarray, " 6"]) -> Tissue:
 
 
 def varied_device(device: Device, factors: Float[np.ndarray, " 6"]) -> Device:
-    """The capsule with drawn factors on its mass, magnets and lenses."""
+    """Apply drawn factors to the mass, magnets and lenses of a capsule."""
     mass, magnet, focal = factors[3:].tolist()
     if mass == magnet == focal == 1.0:
         return device
@@ -153,7 +157,7 @@ def varied_device(device: Device, factors: Float[np.ndarray, " 6"]) -> Device:
 
 @lru_cache(maxsize=64)
 def _magnified(cameras: tuple[Camera, ...], focal: float) -> tuple[Camera, ...]:
-    """Cameras with other focal lengths; the same object for the same cameras."""
+    """Scale the focal lengths of cameras; cached, so that equal input gives the same object."""
     return tuple(
         replace(c, lens=scaled_lens(c.lens, focal, (c.lens.cx, c.lens.cy))) for c in cameras
     )

@@ -1,4 +1,4 @@
-"""Names under which Gymnasium makes the environments, and their keywords."""
+"""Registration of the environments with Gymnasium, and their keyword arguments."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def register(gymnasium: Any) -> None:
 
 
 def make_env(render_mode: str | None = None, **keywords: Any) -> Any:
-    """The environment of one capsule with some settings."""
+    """Create the environment of one capsule from keyword arguments."""
     from vrcaps.env.env import CapsuleEnv
 
     return CapsuleEnv(_settings(keywords), render_mode=render_mode)
@@ -36,7 +36,7 @@ def make_vector_env(
     autoreset_mode: Any = "NextStep",
     **keywords: Any,
 ) -> Any:
-    """The vector environment with some settings."""
+    """Create the vector environment from keyword arguments."""
     from vrcaps.env.vector_env import CapsuleVectorEnv, with_time_limit
 
     settings = with_time_limit(_settings(keywords), max_episode_steps)

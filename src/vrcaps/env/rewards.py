@@ -1,4 +1,4 @@
-"""Rewards: named terms with weights, each a function of what the last step did."""
+"""Rewards: named, weighted terms, each a function of the last step."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from vrcaps.env.simulation import Simulation
 
 _LEAST_UNSEEN = 0.005
-"""Unseen fraction below which `log-gain` no longer pays more for less."""
+"""Unseen fraction below which the reward `log-gain` levels off."""
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,8 @@ class Reward:
 
     Attributes:
         term: Its name, one of `TERMS`.
-        weight: What it is multiplied by.
-        level: Level of coverage that it counts, where it counts coverage.
+        weight: Factor of the term.
+        level: Coverage level, for terms of coverage.
     """
 
     term: str
@@ -48,29 +48,29 @@ class Reward:
             )
 
     def value(self, simulation: Simulation) -> Float[np.ndarray, " n"]:
-        """What each world earns in the last step."""
+        """Reward of each world for the last step."""
         return self.weight * TERMS[self.term](simulation, self)
 
 
 def total_reward(
     rewards: tuple[Reward, ...], simulation: Simulation
 ) -> tuple[Float[np.ndarray, " n"], dict[str, Float[np.ndarray, " n"]]]:
-    """Sum of all rewards, and those of each term."""
+    """Sum of all rewards, and the reward of each term."""
     terms: dict[str, Float[np.ndarray, " n"]] = {}
-    for reward in rewards:  # two may be of one term, at different levels
+    for reward in rewards:  # a term may occur twice, at different levels
         terms[reward.term] = terms.get(reward.term, 0.0) + reward.value(simulation)
     return np.sum(list(terms.values()), axis=0), terms
 
 
 def _area_gain(simulation: Simulation, reward: Reward) -> Float[np.ndarray, " n"]:
-    """Fraction of the whole seen for the first time."""
+    """Fraction of the whole wall that was seen for the first time."""
     return simulation.gain[:, POINT_LEVELS.index(reward.level)]
 
 
 def _log_gain(simulation: Simulation, reward: Reward) -> Float[np.ndarray, " n"]:
-    """Fall of ln(u + 0.005), u the unseen fraction: to halve it always pays about the same.
+    """Decrease of ln(u + 0.005) with the unseen fraction u: halving u has about the same reward.
 
-    So the last hundredths are worth looking for, where `area-gain` hardly pays for them.
+    Therefore the last hundredths are worth seeking, which `area-gain` hardly rewards.
     """
     unseen = 1.0 - simulation.seen(reward.level)
     return np.log1p(_area_gain(simulation, reward) / (unseen + _LEAST_UNSEEN))
@@ -82,37 +82,37 @@ def _paper_gain(simulation: Simulation, reward: Reward) -> Float[np.ndarray, " n
 
 
 def _paper_thresholded(simulation: Simulation, reward: Reward) -> Float[np.ndarray, " n"]:
-    """As VR-Caps' code pays: 0.1 of a gain above 0.03 percent points, else −0.01."""
+    """Reward of VR-Caps' code: 0.1 of a gain above 0.03 percentage points, else −0.01."""
     percent = 100.0 * _area_gain(simulation, reward)
     return np.where(percent > 0.03, 0.1 * percent, -0.01)
 
 
 def _time(simulation: Simulation, reward: Reward) -> Float[np.ndarray, " n"]:
-    """Minus the time of a step [s]."""
+    """Negative duration of a step [s]."""
     return np.full(simulation.num_worlds, -simulation.settings.control_period)
 
 
 def _force(simulation: Simulation, reward: Reward) -> Float[np.ndarray, " n"]:
-    """Minus the sum of normal forces beyond a capsule's weight, 0.1 N [N]."""
+    """Negative sum of normal forces beyond a capsule's weight, 0.1 N [N]."""
     return -np.maximum(simulation.normal_force_total - 0.1, 0.0)
 
 
 def _progress(simulation: Simulation, reward: Reward) -> Float[np.ndarray, " n"]:
-    """What the task has come nearer to its end beyond its best so far, as a fraction of it."""
+    """Gain of the task's progress over its best so far, as a fraction."""
     return simulation.memory["progress/gain"]
 
 
 def _total_variation(simulation: Simulation, reward: Reward) -> Float[np.ndarray, " n"]:
-    """Minus what the last step added to the frontier's length, in circumferences of the gut.
+    """Negative growth of the frontier's length in the last step, in circumferences of the gut.
 
-    It pays for closing holes and for frontiers that are straight (Jonnarth, Zhao, Felsberg, arXiv
-    2306.16978, incremental total variation reward).
+    It rewards closing holes and straight frontiers (Jonnarth, Zhao, Felsberg, arXiv 2306.16978,
+    incremental total variation reward).
     """
     return -simulation.memory["frontier/growth"]
 
 
 def _success(simulation: Simulation, reward: Reward) -> Float[np.ndarray, " n"]:
-    """One where the task is done."""
+    """One if the task is completed."""
     return simulation.settings.task.is_done(simulation).astype(float)
 
 
@@ -133,15 +133,15 @@ TERMS: dict[str, Callable[[Simulation, Reward], Float[np.ndarray, " n"]]] = {
 def frontier_length(
     fraction: Float[np.ndarray, "n c"], has_wall: Bool[np.ndarray, "n c"], grid: tuple[int, int]
 ) -> Float[np.ndarray, " n"]:
-    """Length of the frontier between seen and unseen in circumferences of the gut.
+    """Length of the frontier between seen and unseen wall, in circumferences of the gut.
 
-    It is the discrete isotropic total variation of the map, Σ sqrt(Δ_along² + Δ_around²), over the
-    number of its columns; cells without wall do not count.
+    It is the discrete isotropic total variation of the map, Σ sqrt(Δ_along² + Δ_around²), divided
+    by its number of columns; cells without wall do not count.
 
     Args:
-        fraction: Fraction seen of each cell of maps.
-        has_wall: Whether there is wall in each.
-        grid: Rows along the gut and columns around it, which repeat.
+        fraction: Seen fraction of each cell of the maps.
+        has_wall: Whether each cell contains wall.
+        grid: Number of rows along the gut and of columns around it, which are periodic.
     """
     maps, wall = fraction.reshape(-1, *grid), has_wall.reshape(-1, *grid)
     around = (np.roll(maps, -1, axis=2) - maps) * (np.roll(wall, -1, axis=2) & wall)

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 class Sb3VecEnv(VecEnv):
     """The native vector environment as a VecEnv of Stable-Baselines3.
 
-    Episodes begin anew within the step that ends them. The `info` of a world has its measures; at
-    an episode's end also `terminal_observation` and `TimeLimit.truncated`.
+    A world is reset within the step that ends its episode. The `info` of a world has its metrics;
+    at an episode's end also `terminal_observation` and `TimeLimit.truncated`.
 
     Example:
         >>> envs = Sb3VecEnv(EnvSettings(organs=("stomach",)), 16)
@@ -40,14 +40,14 @@ class Sb3VecEnv(VecEnv):
         is_flat: bool = False,
         render_mode: str | None = None,
     ) -> None:
-        """Makes room; `reset` makes the worlds.
+        """Allocate buffers; worlds are created by `reset`.
 
         Args:
-            settings: What the worlds are made of.
-            num_envs: How many there are.
-            is_flat: Whether an observation is one vector, its keys one after the other as in the
-                settings; otherwise it is a dictionary.
-            render_mode: `rgb_array` lets `render` give an image; None none.
+            settings: Settings of the environment.
+            num_envs: Number of worlds.
+            is_flat: Whether an observation is one vector, concatenated from its keys in the order
+                of the settings; otherwise it is a dictionary.
+            render_mode: `rgb_array` enables `render`; None disables it.
 
         Raises:
             InputError: If there is no world, or a mode is unknown.
@@ -65,7 +65,7 @@ class Sb3VecEnv(VecEnv):
         )
 
     def reset(self) -> Any:
-        """Begin an episode in every world, with the seeds of `seed` if it was called."""
+        """Start an episode in every world, with the seeds of `seed` if it was called."""
         seeds = None if all(s is None for s in self._seeds) else self._seeds
         observations, infos = self.envs.reset(seed=seeds, options=self._options[0] or None)
         self.reset_infos = [_row(infos, k) for k in range(self.num_envs)]
@@ -74,7 +74,7 @@ class Sb3VecEnv(VecEnv):
         return self._shaped(observations)
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Keep the actions for `step_wait`."""
+        """Store the actions for `step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> tuple[Any, np.ndarray, np.ndarray, list[dict[str, Any]]]:
@@ -92,11 +92,11 @@ class Sb3VecEnv(VecEnv):
         return self._shaped(observations), rewards.astype(np.float32), over, rows
 
     def close(self) -> None:
-        """Lets go of the worlds."""
+        """Release the worlds."""
         self.envs.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """The vector environment's attribute, once for each world asked for."""
+        """Return the vector environment's attribute, once for each requested world."""
         return [getattr(self.envs, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
@@ -107,16 +107,16 @@ class Sb3VecEnv(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call a method of the vector environment, once; each world's answer is the same."""
+        """Call a method of the vector environment once; the result is the same for each world."""
         answer = getattr(self.envs, method_name)(*method_args, **method_kwargs)
         return [answer] * len(list(self._get_indices(indices)))
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
-        """No world is wrapped."""
+        """Return False for each world, since none is wrapped."""
         return [False] * len(list(self._get_indices(indices)))
 
     def get_images(self) -> Sequence[np.ndarray | None]:
-        """What the first camera of each capsule sees."""
+        """Render the first camera of each capsule."""
         return self.envs.render() or [None] * self.num_envs
 
     def _require_all(self, indices: Any) -> None:
@@ -128,7 +128,7 @@ class Sb3VecEnv(VecEnv):
 
 
 def flat_observations(observations: dict[str, np.ndarray], count: int) -> np.ndarray:
-    """Observations of `count` worlds as rows of one array, key after key."""
+    """Flatten the observations of `count` worlds to rows of one array, key after key."""
     parts = [np.asarray(array, np.float32).reshape(count, -1) for array in observations.values()]
     return np.concatenate(parts, axis=1)
 
@@ -144,7 +144,7 @@ def flat_space(space: spaces.Dict) -> spaces.Box:
 
 
 def _row(infos: dict[str, Any], index: int) -> dict[str, Any]:
-    """What the infos say of one world."""
+    """Infos of one world."""
     return {
         name: array[index]
         for name, array in infos.items()

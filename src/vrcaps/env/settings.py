@@ -1,4 +1,4 @@
-"""Settings of an environment: all that an experimenter varies, as one typed tree."""
+"""Settings of an environment, as one typed tree."""
 
 from __future__ import annotations
 
@@ -26,42 +26,42 @@ from vrcaps.world.dynamics import RELAXATION_TIME
 from vrcaps.world.model import posture_transform
 
 _LONGEST = 7 * 86400.0
-"""Longest episode [s], a week; files of policies may state any."""
+"""Maximum duration of an episode [s], a week, since files of policies may state any."""
 _MOST_CELLS = 1024
 
 
 @dataclass(frozen=True)
 class EnvSettings:
-    """What an environment holds, what an agent may do and see in it, and what it is paid for.
+    """Contents, actions, observations and rewards of an environment.
 
     Example:
         >>> settings = EnvSettings(organs=("stomach",), actuation=Wrench(torque=0.0))
         >>> env = vrcaps.env.CapsuleEnv(settings)
 
     Attributes:
-        task: What is to be done.
-        actuation: How an action moves the capsule.
-        observations: What the agent sees; each is a key of a dictionary.
-        rewards: What it is paid for; empty: as the task proposes.
+        task: Task of the agent.
+        actuation: Mapping from actions to the capsule's motion.
+        observations: Observations of the agent; each is a key of a dictionary.
+        rewards: Terms of the reward; empty for the task's defaults.
         organs: Patients, one of which is drawn at each reset; a text names an organ, its seeds or
             a file, such as ``stomach``, ``stomach:0-15`` or ``mine.ply:mm``.
         capsule: Name in the catalog, path of a device file, or a device in memory.
-        posture: How the patient lies.
-        lesions: Lesions to put into each organ.
-        dynamics: `quasi-static` leaves out inertia and is fast; `physics` is the full simulation.
-        substep: Longest substep of `physics` [s].
-        tissue: How the wall behaves. Where its drag has no relaxation time it takes that of
-            quasi-static motion, so that the capsule's momentum lasts as long under both dynamics.
-        randomization: What of tissue, capsule and camera varies from episode to episode.
-        start: Where an episode begins.
+        posture: Posture of the patient.
+        lesions: Lesions to insert into each organ.
+        dynamics: `quasi-static` neglects inertia and is fast; `physics` is the full simulation.
+        substep: Maximum substep of `physics` [s].
+        tissue: Properties of the wall. If its drag has no relaxation time, that of quasi-static
+            motion is used, so that the capsule's momentum decays equally in both dynamics.
+        randomization: Domain randomization of tissue, capsule and camera.
+        start: Distribution of the initial pose.
         control_period: Time between actions [s].
         episode_time: Time after which an episode is truncated [s].
-        stuck_time: Time without progress after which it is truncated, too [s].
-        max_speed: Speed beyond which it is truncated, without reward [m/s]: that of a throw, more
-            than a capsule reaches that falls across a stomach. VR-Caps' code has 0.35.
-        criteria: When a part of the wall counts as seen.
-        num_points: Points of the wall that stand for its area.
-        grid: Cells of the map of the wall, along the gut and around it.
+        stuck_time: Time without progress after which an episode is truncated [s].
+        max_speed: Speed above which an episode is truncated, without reward [m/s]: that of a
+            throw, faster than a capsule that falls across a stomach. VR-Caps' code has 0.35.
+        criteria: Criteria for a part of the wall to count as seen.
+        num_points: Number of sample points of the wall, weighted by area.
+        grid: Number of cells of the map of the wall, along the gut and around it.
     """
 
     task: AnyTask = field(default_factory=CoverageTask)
@@ -103,26 +103,26 @@ class EnvSettings:
         require(is_grid, "grid", self.grid, f"1 to {_MOST_CELLS} cells each way")
 
     def __deepcopy__(self, memo: object) -> EnvSettings:
-        """Itself: nothing of it changes, and organs in memory are large."""
+        """Return itself, since it is immutable and organs in memory are large."""
         return self
 
     @property
     def relaxation_time(self) -> float:
-        """Time within which what fills the lumen takes a capsule's momentum [s]."""
+        """Time constant with which the lumen contents damp a capsule's momentum [s]."""
         return self.tissue.drag.relaxation_time or RELAXATION_TIME
 
 
 def env_settings(**keywords: Any) -> EnvSettings:
-    """Settings from keywords, in which parts may be given by their names.
+    """Create settings from keyword arguments, in which parts may be given by name.
 
-    What is not given is as suits the task.
+    Defaults depend on the task.
 
     Example:
         >>> env_settings(task="coverage", actuation="magnet", observations=("state", "map"))
 
     Raises:
-        InputError: If a keyword is no field, or a value is not allowed.
-        UnknownNameError: If no part has a name.
+        InputError: If a keyword is not a field, or a value is not allowed.
+        UnknownNameError: If there is no part of a name.
     """
     known = [f.name for f in fields(EnvSettings)]
     for name in keywords:
@@ -150,7 +150,7 @@ def env_settings(**keywords: Any) -> EnvSettings:
 
 
 def _part(noun: str, union: Any, given: Any) -> Any:
-    """A part by its name, or as it is."""
+    """Create a part from its name, or return it unchanged."""
     if not isinstance(given, str):
         return given
     kinds = {cls.kind: cls for cls in get_args(union)}

@@ -1,4 +1,4 @@
-"""Worlds of an environment side by side: how they begin, move on, and what their cameras see."""
+"""Parallel worlds of an environment: their reset, steps and camera views."""
 
 from __future__ import annotations
 
@@ -31,50 +31,50 @@ if TYPE_CHECKING:
     from vrcaps.world.model import Model
 
 _NEARBY = 3.0 * CM
-"""How far along the gut the capsule's place is sought from where it was a step before."""
+"""Maximum change of the capsule's arc length per step, for the search of its position."""
 
 
 class Simulation:
-    """Worlds side by side. All arrays have a row for each world and are those of the last step.
+    """Parallel worlds. Arrays have a row for each world and hold the state after the last step.
 
     Attributes:
-        settings: What the worlds are made of.
-        device: The capsule, as its file has it.
-        devices: The capsule of each world, as it was drawn.
-        T_patient_world: From the world to the frame in which walls are kept.
-        memory: What changes from step to step; part of a snapshot.
-        worlds: The worlds; each is new at a reset.
-        time: Since the episode began [s].
-        arc_length: Place of the capsule along the centerline [m].
+        settings: Settings of the environment.
+        device: The nominal capsule.
+        devices: The capsule of each world, after randomization.
+        T_patient_world: Transform from the world to the frame in which walls are stored.
+        memory: State that changes from step to step; part of a snapshot.
+        worlds: The worlds; each is replaced at a reset.
+        time: Time since the start of the episode [s].
+        arc_length: Position of the capsule along the centerline [m].
         fraction: Fraction of the whole seen so far at each of `POINT_LEVELS`.
-        gain: What of it was seen for the first time in the last step.
-        cells: Fraction of the whole that was visible so far in each cell of the map.
+        gain: Fraction that was seen for the first time in the last step.
+        cells: Visible fraction of the whole so far in each cell of the map.
         cell_area: Fraction of the whole that lies in each cell.
-        cell_center: Middle of each cell's part of the wall at rest [m]; 0 where it has none.
+        cell_center: Centroid of each cell's part of the wall at rest [m]; 0 for empty cells.
         course: Centerlines.
         views: Images.
-        effects_seed: Of what lens and sensor do to the images of each.
-        located: The capsules as sensors locate them; None where no observation asks for that.
+        effects_seed: Seed of the camera effects of each world.
+        located: Localized capsules; None if no observation needs them.
         T_world_capsule: Poses of the capsules.
         velocity_world: Their velocities [m/s] and angular velocities [rad/s].
         contact_force_world: Mean force of the wall on each in the last step [N].
-        normal_force_total: Mean sum of the sizes of the normal forces [N].
+        normal_force_total: Mean sum of the magnitudes of the normal forces [N].
         is_outside: Whether a capsule has left the lumen, which is a fault of the simulation.
-        failure: Why a world could not be stepped; empty where it could.
+        failure: Reason why a world could not be stepped; empty without failure.
     """
 
     def __init__(
         self, settings: EnvSettings, num_worlds: int, *, with_textures: bool = False
     ) -> None:
-        """Makes room; `reset` makes the worlds.
+        """Allocate buffers; worlds are created by `reset`.
 
         Args:
-            settings: What the worlds are made of.
-            num_worlds: How many there are.
-            with_textures: Whether walls have textures, also where no observation needs them.
+            settings: Settings of the environment.
+            num_worlds: Number of worlds.
+            with_textures: Whether walls have textures even if no observation needs them.
 
         Raises:
-            UnknownNameError: If an observation names no camera of the capsule.
+            UnknownNameError: If the capsule has no camera that an observation names.
         """
         self.settings, self.num_worlds = settings, num_worlds
         self.T_patient_world = invert(posture_transform(settings.posture))
@@ -113,20 +113,20 @@ class Simulation:
             observation.allocate(self)
 
     def patient(self, index: int) -> Patient:
-        """The patient of a world."""
+        """Return the patient of a world."""
         return self.patients[self.patient_number(index)]
 
     def patient_number(self, index: int) -> int:
-        """Which of the settings' organs a world has."""
+        """Return the index of a world's organ in the settings."""
         return int(self._patient[index])
 
     def seen(self, level: CoverageLevel) -> Float[np.ndarray, " n"]:
-        """Fraction of the whole seen so far at one level."""
+        """Return the fraction of the whole seen so far at one level."""
         return self.fraction[:, POINT_LEVELS.index(level)]
 
     @property
     def cell_fraction(self) -> Float[np.ndarray, "n c"]:
-        """Fraction of each cell's area that was visible so far; 1 where a cell has no wall."""
+        """Fraction of each cell's area that was visible so far; 1 for cells without wall."""
         ones = np.ones_like(self.cells)
         fraction = np.divide(self.cells, self.cell_area, out=ones, where=self.cell_area > 0.0)
         return fraction.clip(0.0, 1.0)
@@ -137,15 +137,15 @@ class Simulation:
         return np.maximum(self.cell_area - self.cells, 0.0)
 
     def reset(self, index: int, rng: np.random.Generator, number: int | None = None) -> None:
-        """Begin an episode in one world.
+        """Start an episode in one world.
 
         Args:
-            index: The world.
-            rng: Draws all that is random.
-            number: Of the patient; None draws one.
+            index: Index of the world.
+            rng: Random generator.
+            number: Index of the patient; None draws one.
 
         Raises:
-            InputError: If the organ cannot be made, or the capsule fits nowhere in it.
+            InputError: If the organ cannot be created, or the capsule does not fit in it.
         """
         settings = self.settings
         drawn = rng.integers(len(self.patients))
@@ -159,16 +159,16 @@ class Simulation:
         self._begin(index, rng)
 
     def follow(self, index: int, world: World, arc_length: float, rng: np.random.Generator) -> None:
-        """Begin an episode in a world that somebody else steps, who tells of it by `arrive`.
+        """Start an episode in a world that is stepped externally and updated by `arrive`.
 
         Args:
-            index: Its number.
-            world: Of the first of the settings' patients.
-            arc_length: Place of its capsule along the centerline [m].
-            rng: Draws all that is random.
+            index: Index of the world.
+            world: World of the first of the settings' patients.
+            arc_length: Position of its capsule along the centerline [m].
+            rng: Random generator.
 
         Raises:
-            InputError: If the actuation cannot begin there.
+            InputError: If the actuation cannot start there.
         """
         self._enter(index, 0)
         self._start[index], self.arc_length[index] = world.T_world_capsule, arc_length
@@ -177,7 +177,7 @@ class Simulation:
         self._begin(index, rng)
 
     def _enter(self, index: int, number: int) -> Model:
-        """Takes over a patient in one world."""
+        """Set the patient of one world."""
         self._patient[index] = number
         patient = self.patient(index)
         self.course.begin(index, patient.model)
@@ -185,7 +185,7 @@ class Simulation:
         return patient.model
 
     def _begin(self, index: int, rng: np.random.Generator) -> None:
-        """Nothing is seen or done yet in one world."""
+        """Reset coverage, task and observations of one world."""
         settings = self.settings
         self.flags[index] = np.zeros(len(self.patient(index).points), np.uint8)
         for array in (self.time, self.fraction, self.gain, self.cells):
@@ -198,7 +198,7 @@ class Simulation:
             observation.begin(self, index, rng)
 
     def _make_world(self, index: int, seed: int) -> World:
-        """Puts a new world at its start, with what acts on its capsule."""
+        """Create a world at its start pose, with the sources of the actuation."""
         settings, start = self.settings, State(0.0, self._start[index].copy())
         sources = settings.actuation.begin(self, index, start)
         model, factors = self.patient(index).model, self._factors[index]
@@ -221,10 +221,10 @@ class Simulation:
         self.worlds[index] = world
 
     def snapshot(self, index: int, generator: str = "", is_over: bool = False) -> WorldSnapshot:
-        """All that changes in one world.
+        """Return the full state of one world.
 
         Args:
-            index: Its number.
+            index: Index of the world.
             generator: State of its random generator, as JSON.
             is_over: Whether its episode is over.
         """
@@ -238,7 +238,7 @@ class Simulation:
         )
 
     def restore(self, index: int, saved: WorldSnapshot) -> None:
-        """Goes back to a snapshot of one world.
+        """Restore a snapshot of one world.
 
         Raises:
             InputError: If it is of another environment, or damaged.
@@ -247,13 +247,13 @@ class Simulation:
         self._make_world(index, saved.world.seed).restore(saved.world)
         self.flags[index], self.failure[index] = saved.flags.copy(), saved.failure
         self.views.expire(np.array([index]))
-        # Once more: to put the world into its place has changed some of it.
+        # Repeated, since the creation of the world has changed some of it.
         self.memory.set_row(index, saved.memory)
 
     def step(self, actions: np.ndarray, active: Bool[np.ndarray, " n"]) -> None:
-        """Move the active worlds on by one control period.
+        """Advance the active worlds by one control period.
 
-        A world that cannot be stepped stays as it was and says why in `failure`.
+        A world that cannot be stepped keeps its state and reports the reason in `failure`.
         """
         settings, numbers = self.settings, np.flatnonzero(active)
         controls = settings.actuation.controls(self, actions, numbers)
@@ -264,13 +264,13 @@ class Simulation:
         self.arrive(numbers, settings.control_period)
 
     def arrive(self, numbers: np.ndarray, duration: float) -> None:
-        """Take in worlds of some numbers after they have moved on by a time [s]."""
+        """Update the state after the given worlds have advanced by a time [s]."""
         self.time[numbers] += duration
         self._read(numbers)
         self.settings.task.update(self, numbers)
 
     def _read(self, numbers: np.ndarray) -> None:
-        """Bring all arrays up to date with some of the worlds."""
+        """Update all arrays from some of the worlds."""
         worlds = [self.worlds[index] for index in numbers]
         state = batch_state(worlds)
         self.T_world_capsule[numbers] = state.Ts_world_capsule
@@ -285,7 +285,7 @@ class Simulation:
         self._look(numbers)
 
     def _look(self, numbers: np.ndarray) -> None:
-        """Mark what the cameras see."""
+        """Mark the wall points that the cameras see."""
         self.gain[numbers] = 0.0
         lenses = np.array([id(self.devices[k].cameras) for k in numbers])
         for lens in set(lenses.tolist()):
@@ -293,7 +293,7 @@ class Simulation:
         self.fraction[numbers] += self.gain[numbers]
 
     def _look_alike(self, numbers: np.ndarray) -> None:
-        """Mark what the cameras of worlds see whose cameras are the same."""
+        """Mark the wall points seen in worlds with identical cameras."""
         cells, walls = self.cells[numbers], walls_of([self.worlds[k] for k in numbers])
         for camera in self.devices[numbers[0]].cameras:
             self.gain[numbers] += mark_points(

@@ -1,4 +1,4 @@
-"""Snapshot of an environment: its whole state, in memory and in a file."""
+"""Snapshot of an environment: its full state, in memory and in a file."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ _TEXTS = ("failure", "generator")
 
 @dataclass(frozen=True)
 class WorldSnapshot:
-    """All that changes in one world of an environment.
+    """Full state of one world of an environment.
 
     Attributes:
         world: Capsule and wall.
-        memory: What task, actuation and observations carry from step to step.
+        memory: State of task, actuation and observations.
         flags: Levels at which each point of the wall was seen.
-        failure: Why it could not be stepped; empty where it could.
+        failure: Reason why it could not be stepped; empty without failure.
         generator: State of its random generator, as JSON.
         is_over: Whether its episode is over.
     """
@@ -47,9 +47,9 @@ class WorldSnapshot:
 
 @dataclass(frozen=True)
 class EnvSnapshot:
-    """Whole state of an environment, of one world or of many.
+    """Full state of an environment, of one or more worlds.
 
-    An environment of the same settings that takes it over goes on to the same bytes.
+    An environment of the same settings that restores it continues with the same bytes.
 
     Example:
         >>> snapshot = env.snapshot()
@@ -58,8 +58,8 @@ class EnvSnapshot:
 
     Attributes:
         settings: Fingerprint of the environment's settings.
-        version: Of the package.
-        worlds: Its worlds.
+        version: Version of the package.
+        worlds: State of each world.
     """
 
     settings: str
@@ -73,12 +73,12 @@ def take_snapshot(
     generators: Sequence[np.random.Generator],
     is_over: Bool[np.ndarray, " n"],
 ) -> EnvSnapshot:
-    """Snapshot of some worlds of an environment after its first reset.
+    """Take a snapshot of some worlds of an environment after its first reset.
 
     Args:
         episode: The worlds.
-        numbers: Which of them.
-        generators: Of all worlds.
+        numbers: Indices of the worlds in the snapshot.
+        generators: Random generators of all worlds.
         is_over: Whether the episode of each of all worlds is over.
     """
 
@@ -96,13 +96,13 @@ def restore_snapshot(
     numbers: Sequence[int],
     generators: Sequence[np.random.Generator],
 ) -> None:
-    """Puts worlds back to a snapshot.
+    """Restore worlds from a snapshot.
 
     Args:
         episode: All worlds.
-        snapshot: Of as many worlds as there are numbers.
-        numbers: Worlds to put back.
-        generators: Of all worlds; set, too.
+        snapshot: Snapshot of as many worlds as there are indices.
+        numbers: Indices of the worlds to restore.
+        generators: Random generators of all worlds; their state is restored as well.
 
     Raises:
         InputError: If the snapshot is of other settings, another version or another number of
@@ -124,7 +124,7 @@ def restore_snapshot(
 
 
 def write_env_snapshot(path: Path, snapshot: EnvSnapshot) -> None:
-    """Write a snapshot as a NumPy archive (.npz), whole or not at all."""
+    """Write a snapshot as a NumPy archive (.npz) atomically."""
     arrays = {"settings": np.array(snapshot.settings), "version": np.array(snapshot.version)}
     for k, saved in enumerate(snapshot.worlds):
         parts = {f"world/{name}": array for name, array in snapshot_arrays(saved.world).items()}
@@ -135,10 +135,10 @@ def write_env_snapshot(path: Path, snapshot: EnvSnapshot) -> None:
 
 
 def read_env_snapshot(path: Path) -> EnvSnapshot:
-    """Read what `write_env_snapshot` wrote.
+    """Read a snapshot that `write_env_snapshot` wrote.
 
     Raises:
-        InputError: If the file is no snapshot of an environment.
+        InputError: If the file is not a snapshot of an environment.
     """
     with reading(f"the snapshot of an environment {path}"):
         arrays = read_arrays(path)
@@ -165,7 +165,7 @@ def _world_of(arrays: dict[str, np.ndarray], start: str) -> WorldSnapshot:
 
 
 def fingerprint(settings: Any) -> str:
-    """Fingerprint of settings, in which organs may be in memory: equal settings have the same."""
+    """Fingerprint of settings, also with organs in memory; equal settings have the same."""
     digest = hashlib.sha256()
 
     def add(value: Any) -> None:

@@ -1,4 +1,4 @@
-"""Start of an episode: where the capsule is, drawn anew at each reset."""
+"""Start of an episode: the capsule's initial pose, drawn at each reset."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from vrcaps.world.model import Model, State
 
 @dataclass(frozen=True)
 class Start:
-    """Where an episode begins; each number is drawn evenly between its two limits.
+    """Initial pose of an episode; each value is drawn uniformly between its two limits.
 
     Attributes:
-        fraction: Place along the centerline, as a fraction of it; moved to where the capsule fits.
-        angle: Between the capsule's front and the direction to the anal end [rad].
-        settle: Time that the capsule takes to come to rest before the first observation [s].
+        fraction: Position along the centerline, as a fraction; moved to where the capsule fits.
+        angle: Angle between the capsule's front and the direction to the anal end [rad].
+        settle: Time for the capsule to come to rest before the first observation [s].
     """
 
     fraction: tuple[float, float] = (0.1, 0.9)
@@ -37,10 +37,10 @@ class Start:
             raise InputError(f"Start's angle is {self.angle}. Allowed: finite [rad], rising.")
 
     def draw(self, model: Model, rng: np.random.Generator) -> tuple[State, float]:
-        """A state at rest, and its arc length [m].
+        """Draw a state at rest; returns it and its arc length [m].
 
         Raises:
-            InputError: If the capsule fits nowhere in the organ.
+            InputError: If the capsule does not fit in the organ.
         """
         place, angle = (float(rng.uniform(*limits)) for limits in (self.fraction, self.angle))
         T_world_capsule, arc_length, _ = start_pose(model, place, angle)

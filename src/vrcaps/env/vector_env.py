@@ -19,9 +19,9 @@ from vrcaps.errors import InputError, require
 
 
 class CapsuleVectorEnv(gymnasium.vector.VectorEnv):
-    """Many capsules, each in a world of its own, as one Gymnasium vector environment.
+    """Independent capsules, each in its own world, as one Gymnasium vector environment.
 
-    World k, seeded with s + k, gives the same bytes as `CapsuleEnv` seeded so.
+    With the seed s, world k gives the same bytes as `CapsuleEnv` with the seed s + k.
 
     Example:
         >>> envs = gymnasium.make_vec("vrcaps.env:Coverage-v0", num_envs=16, organs=("stomach",))
@@ -37,14 +37,14 @@ class CapsuleVectorEnv(gymnasium.vector.VectorEnv):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
     ) -> None:
-        """Makes room; `reset` makes the worlds.
+        """Allocate buffers; worlds are created by `reset`.
 
         Args:
-            settings: What the worlds are made of.
-            num_envs: How many there are.
-            autoreset_mode: What happens after an episode's end: `NextStep`, `SameStep` or
-                `Disabled`, see `gymnasium.vector.AutoresetMode`.
-            render_mode: `rgb_array` lets `render` give an image of each world; None none.
+            settings: Settings of the environment.
+            num_envs: Number of worlds.
+            autoreset_mode: Behavior after an episode's end: `NextStep`, `SameStep` or `Disabled`,
+                see `gymnasium.vector.AutoresetMode`.
+            render_mode: `rgb_array` enables `render`, with an image of each world.
 
         Raises:
             InputError: If there is no world, or a mode is unknown.
@@ -67,14 +67,14 @@ class CapsuleVectorEnv(gymnasium.vector.VectorEnv):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Begin an episode in every world, or in those of `options={"reset_mask": …}`.
+        """Start an episode in every world, or in those of `options={"reset_mask": …}`.
 
         Args:
-            seed: One for each world, or one to which each world's number is added.
-            options: `reset_mask` has a truth value for each world.
+            seed: One seed for each world, or one to which each world's index is added.
+            options: `reset_mask` has a boolean for each world.
 
         Raises:
-            InputError: If the mask does not fit, or an organ cannot be made.
+            InputError: If the mask does not fit, or an organ cannot be created.
         """
         mask = np.ones(self.num_envs, bool)
         if options and "reset_mask" in options:
@@ -94,10 +94,10 @@ class CapsuleVectorEnv(gymnasium.vector.VectorEnv):
     def step(
         self, actions: np.ndarray
     ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Move every world on by a control period; see `gymnasium.vector.VectorEnv.step`.
+        """Advance every world by one control period; see `gymnasium.vector.VectorEnv.step`.
 
         Raises:
-            InputError: If there was no reset, or an action is out of the space.
+            InputError: If there was no reset, or an action is not in the space.
         """
         require(self._was_reset, "The environment's state", "none", "a reset before the first step")
         actions = self.episode.check_actions(actions)
@@ -118,7 +118,7 @@ class CapsuleVectorEnv(gymnasium.vector.VectorEnv):
         return self.episode.observe(), step.reward, step.terminated, step.truncated, infos
 
     def _reset_in_step(self, step: EpisodeStep, infos: dict[str, Any]) -> tuple:
-        """Result of a step whose worlds that are over begin anew at once."""
+        """Reset the worlds that are over within the step, and return its result."""
         over, last = self._is_over.copy(), self.episode.observe()
         final = np.full(self.num_envs, None, object)
         for index in np.flatnonzero(over):
@@ -139,12 +139,12 @@ class CapsuleVectorEnv(gymnasium.vector.VectorEnv):
 
     @staticmethod
     def _masked(measures: dict[str, np.ndarray], mask: np.ndarray) -> dict[str, Any]:
-        """Measures with the masks that say of which worlds they are."""
+        """Add masks that state which worlds the metrics belong to."""
         marks = {f"_{name}": mask.copy() for name in measures}
         return {**measures, **marks}
 
     def snapshot(self, index: int | None = None) -> EnvSnapshot:
-        """Whole state of one world or of all, see `CapsuleEnv.snapshot`.
+        """Return the full state of one world or of all, see `CapsuleEnv.snapshot`.
 
         Raises:
             InputError: If there was no reset, or there is no such world.
@@ -153,14 +153,14 @@ class CapsuleVectorEnv(gymnasium.vector.VectorEnv):
         return take_snapshot(self.episode, self._chosen(index), self._generators, self._is_over)
 
     def restore(self, snapshot: EnvSnapshot, index: int | None = None) -> dict[str, np.ndarray]:
-        """Puts one world or all back to a snapshot, which may be of another environment.
+        """Restore one world or all from a snapshot, which may be of another environment.
 
         Returns:
-            The observations of all worlds then.
+            The observations of all worlds in the restored state.
 
         Raises:
-            InputError: If it is of other settings, or of another number of worlds; or if one world
-                is to be put back before there are any.
+            InputError: If it is of other settings, or of another number of worlds; or if a single
+                world is to be restored before the first reset.
         """
         given = "one" if index is not None else "all"
         is_allowed = self._was_reset or index is None
@@ -172,14 +172,14 @@ class CapsuleVectorEnv(gymnasium.vector.VectorEnv):
         return self.episode.observe()
 
     def _chosen(self, index: int | None) -> list[int]:
-        """Numbers of one world or of all."""
+        """Indices of one world or of all."""
         if index is None:
             return list(range(self.num_envs))
         require(0 <= index < self.num_envs, "index", index, f"0 to {self.num_envs - 1}")
         return [index]
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """An image of what the first camera of each capsule sees; None without a render mode.
+        """Render the first camera of each capsule; None without a render mode.
 
         Raises:
             InputError: If there was no reset.
@@ -190,7 +190,7 @@ class CapsuleVectorEnv(gymnasium.vector.VectorEnv):
         return tuple(self.episode.images())
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Lets go of the worlds."""
+        """Release the worlds."""
         self.episode = Episode(self.settings, self.num_envs, render_mode=self.render_mode)
         self._was_reset = False
 
@@ -203,7 +203,7 @@ def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
 
 
 def with_time_limit(settings: EnvSettings, max_episode_steps: int | None) -> EnvSettings:
-    """Settings whose episodes last a number of steps; None leaves them as they are."""
+    """Limit the number of steps of an episode; None leaves the settings unchanged."""
     if max_episode_steps is None:
         return settings
     return replace(settings, episode_time=max_episode_steps * settings.control_period)

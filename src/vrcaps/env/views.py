@@ -1,4 +1,4 @@
-"""Views: what the cameras of many worlds see, rendered once for all who ask for the same."""
+"""Camera images of many worlds, rendered once for all consumers."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class View:
-    """One camera of the capsule and how it is rendered.
+    """One camera of the capsule and its render settings.
 
     Attributes:
-        camera: Its name; None is the capsule's first.
-        size: Height and width of the image [px]; None is the camera's own.
-        render: How images are computed.
+        camera: Name of the camera; None for the capsule's first.
+        size: Height and width of the image [px]; None for the camera's own.
+        render: Render settings.
     """
 
     camera: str | None = None
@@ -43,24 +43,24 @@ class View:
 
 
 class _WorldWall:
-    """Wall of the world that is rendered, in the patient frame, in place of a `MovingWall`."""
+    """Current wall of the rendered world, in the patient frame, in place of a `MovingWall`."""
 
     def __init__(self) -> None:
         self.wall: _core.Wall | None = None
 
     def at(self, state: State) -> Any:
-        """The wall in a state, which is that of the world now."""
+        """Return the current wall, independent of the state."""
         return self.wall
 
 
 class Views:
-    """Images of all worlds as they are now.
+    """Current images of all worlds.
 
-    Channels of one view are rendered together, and each world once after each of its steps.
+    All channels of a view are rendered together, and each world at most once per step.
     """
 
     def __init__(self, simulation: Simulation) -> None:
-        """Renders nothing yet."""
+        """Initialize without rendering."""
         self._simulation = simulation
         self._renderers: dict[tuple[int, RenderSettings], tuple[Renderer, _WorldWall]] = {}
         self._wanted: dict[View, tuple[str, ...]] = {}
@@ -70,7 +70,7 @@ class Views:
         self._pipelines: dict[tuple[int, View], tuple[object, CameraPipeline]] = {}
 
     def want(self, view: View, channel: str) -> None:
-        """Makes room for a channel of a view in the simulation's memory.
+        """Allocate a channel of a view in the simulation's memory.
 
         Raises:
             UnknownNameError: If the capsule has no such camera.
@@ -79,7 +79,7 @@ class Views:
             self._add(view, channel, self._simulation.memory)
 
     def _add(self, view: View, channel: str, memory: Memory) -> None:
-        """Makes room in a memory."""
+        """Allocate a channel of a view in a memory."""
         camera, kind = self.camera(view), CHANNELS[channel]
         shape, name = kind.shape(camera.height, camera.width), f"views/{len(self._images)}"
         self._images[view, channel] = memory.allocate(f"{name}/{channel}", shape, kind.dtype)
@@ -90,17 +90,17 @@ class Views:
         self._wanted[view] = (*self._wanted.get(view, ()), channel)
 
     def begin(self, index: int) -> None:
-        """Begins an episode in one world, whose cameras are exposed as their files say."""
+        """Start an episode in one world, with the nominal exposure of its cameras."""
         for exposure in self._exposure.values():
             exposure[index] = 1.0
 
     def expire(self, numbers: np.ndarray) -> None:
-        """Says that some worlds are no longer as their images."""
+        """Mark the images of some worlds as outdated."""
         for is_stale in self._is_stale.values():
             is_stale[numbers] = True
 
     def images(self, view: View, channel: str) -> np.ndarray:
-        """A channel of all worlds [n h w …], which the next step overwrites."""
+        """Return a channel of all worlds [n h w …]; the next step overwrites it."""
         if channel not in self._wanted.get(view, ()):
             self._add(view, channel, Memory(self._simulation.num_worlds))
         self._render(np.flatnonzero(self._is_stale[view]).tolist(), view)
@@ -108,7 +108,7 @@ class Views:
         return self._images[view, channel]
 
     def camera(self, view: View, index: int | None = None) -> Camera:
-        """The camera of a view in its size, as the file of the capsule or one world has it.
+        """Return the camera of a view at its size, of the nominal capsule or of one world.
 
         Raises:
             UnknownNameError: If the capsule has no such camera.
@@ -122,16 +122,16 @@ class Views:
         return camera if view.size is None else resized_camera(camera, *view.size)
 
     def _is_captured(self, view: View) -> bool:
-        """Whether lens and sensor act on a view: on those of agents, not on those to be shown."""
+        """Return whether camera effects apply to a view: to those of agents, not for display."""
         return self._simulation.settings.randomization.has_effects and view.size is not None
 
     def _effects(self, index: int) -> Effects:
-        """What lens and sensor of a world do to the images that agents see."""
+        """Camera effects of a world on the images of agents."""
         s = self._simulation
         return s.settings.randomization.sample_effects(int(s.effects_seed[index]))
 
     def _render(self, numbers: list[int], view: View) -> None:
-        """Renders worlds: those that one camera sees by direct light in one call."""
+        """Render worlds; those that share a camera and use direct light in one call."""
         together: dict[Camera, list[int]] = {}
         for index in numbers:
             renderer, _ = self._renderer(index, view.render)
@@ -152,16 +152,16 @@ class Views:
                 self._images[view, channel][some] = image
 
     def _T_patient_capsule(self, index: int) -> np.ndarray:
-        """Pose of a capsule in the frame in which its wall is kept."""
+        """Pose of a capsule in the frame in which its wall is stored."""
         s = self._simulation
         return s.T_patient_world @ s.T_world_capsule[index]
 
     def _render_alone(self, index: int, view: View) -> None:
-        """Renders one world in the patient frame, in which its wall is kept."""
+        """Render one world in the patient frame, in which its wall is stored."""
         s = self._simulation
         renderer, wall = self._renderer(index, view.render)
         wall.wall = s.worlds[index].wall
-        wall.wall.vertex_normals()  # a step leaves them out, the renderer needs them
+        wall.wall.vertex_normals()  # a step does not compute them, the renderer needs them
         state = State(float(s.time[index]), self._T_patient_capsule(index))
         channels = self._wanted[view]
         if self._is_captured(view):
@@ -172,7 +172,7 @@ class Views:
             self._images[view, channel][index] = getattr(frame, channel)
 
     def _captured(self, index: int, view: View, state: State, renderer: Renderer) -> Frame:
-        """The frame as lens and sensor of a world give it."""
+        """Render a frame through the camera pipeline of a world."""
         s = self._simulation
         seed, fps = int(s.effects_seed[index]), 1.0 / s.settings.control_period
         key = (seed, renderer, s.devices[index].cameras, self._wanted[view])
@@ -193,7 +193,7 @@ class Views:
         return frame
 
     def _renderer(self, index: int, render: RenderSettings) -> tuple[Renderer, _WorldWall]:
-        """The renderer of a world's patient."""
+        """Renderer of a world's patient."""
         s = self._simulation
         key = (s.patient_number(index), render)
         if key not in self._renderers:
@@ -205,19 +205,19 @@ class Views:
 
 @lru_cache(maxsize=64)
 def resized_camera(camera: Camera, height: int, width: int) -> Camera:
-    """The camera with an image of another size: scaled until it fills that, then cut on all sides.
+    """Resize a camera's image: scale it to cover the new size, then crop it symmetrically.
 
     Args:
         camera: The camera.
-        height: Of the image [px].
-        width: Of the image [px].
+        height: Height of the image [px].
+        width: Width of the image [px].
 
     Raises:
         InputError: If the camera cannot be so small.
     """
     scale = max(height / camera.height, width / camera.width)
     lens, circle = camera.lens, camera.image_circle_px
-    # The middle of the image stays its middle.
+    # The center of the image remains its center.
     cx = (lens.cx - 0.5 * (camera.width - 1)) * scale + 0.5 * (width - 1)
     cy = (lens.cy - 0.5 * (camera.height - 1)) * scale + 0.5 * (height - 1)
     return replace(

@@ -121,7 +121,7 @@ class NextBestViewPolicy:
 
 
 def _is_over(simulation: Simulation, index: int, plan: _Plan) -> bool:
-    """Whether a view is reached, takes too long, or the capsule is stuck on the way."""
+    """Return whether a view is reached, takes too long, or the capsule is stuck on the way."""
     T, now = simulation.T_world_capsule[index], simulation.time[index]
     speeds = np.linalg.norm(simulation.velocity_world[index], axis=1)
     is_held = now > plan.began + _PAUSE and bool((speeds < _STILL).all())

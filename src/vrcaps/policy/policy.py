@@ -171,7 +171,7 @@ def _imported(path: str) -> Policy:
 
 
 def _is_policy_class(value: Any) -> bool:
-    """Whether a value is a class with the methods of `Policy`; `requires` may be set per object."""
+    """Return whether a value is a class with `Policy`'s methods; instances may set `requires`."""
     if not isinstance(value, type):
         return False
     return all(callable(getattr(value, name, None)) for name in ("reset", "act"))

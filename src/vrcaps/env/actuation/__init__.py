@@ -1,1 +1,1 @@
-"""Actuation: how an action moves the capsule, one file each."""
+"""Actuations, which map actions to the capsule's motion, one file each."""

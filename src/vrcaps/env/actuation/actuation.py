@@ -1,4 +1,4 @@
-"""Actuation: what every actuation of an environment answers."""
+"""Protocol of an actuation of an environment."""
 
 from __future__ import annotations
 
@@ -15,38 +15,38 @@ if TYPE_CHECKING:
 
 
 class Actuation(Protocol):
-    """How an action moves the capsule. What changes lies in the simulation's memory."""
+    """Mapping from actions to the capsule's motion. Its state is in the simulation's memory."""
 
     kind: ClassVar[str]
 
     def space(self) -> Any:
-        """Space of one world's actions, a `gymnasium.spaces.Space`."""
+        """Action space of one world, a `gymnasium.spaces.Space`."""
         ...
 
     def allocate(self, simulation: Simulation) -> None:
-        """Make room in the simulation's memory."""
+        """Allocate state in the simulation's memory."""
         ...
 
     def begin(self, simulation: Simulation, index: int, start: State) -> tuple[Source, ...]:
-        """Begin an episode in one world whose capsule is at `start`.
+        """Start an episode in one world whose capsule is at `start`.
 
         Returns:
-            Magnets outside, where they are then.
+            External magnets at their initial poses.
         """
         ...
 
     def controls(
         self, simulation: Simulation, actions: np.ndarray, numbers: np.ndarray
     ) -> Sequence[Control]:
-        """Commands of the next control period for the worlds of some numbers.
+        """Return the commands of the given worlds for the next control period.
 
         Args:
             simulation: The worlds.
             actions: A row for each of all worlds.
-            numbers: Worlds that move.
+            numbers: Indices of the worlds that move.
         """
         ...
 
     def measures(self, simulation: Simulation) -> dict[str, np.ndarray]:
-        """What it says of each world, for `info`."""
+        """Return metrics of each world, for `info`."""
         ...

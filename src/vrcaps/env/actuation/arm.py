@@ -1,4 +1,4 @@
-"""Arm: joint velocities of a robot that carries an external magnet."""
+"""Arm actuation: joint velocities of a robot that carries an external magnet."""
 
 from __future__ import annotations
 
@@ -34,23 +34,23 @@ if TYPE_CHECKING:
     from vrcaps.world.model import State
 
 _LIMITS = np.array(["", "joint", "collision"], object)
-"""What may have kept the arm from moving as told, by its number in `arm/limit`."""
+"""Limits that may have modified the arm's motion, by the value of `arm/limit`."""
 
 
 @dataclass(frozen=True)
 class ArmActuation:
-    """A robot arm beside the patient that holds a magnet across its flange.
+    """A robot arm next to the patient that holds a magnet across its flange.
 
-    Actions are a number from −1 to 1 for each joint: its velocity over `fraction` of its limit. A
-    joint stops at the end of its range. The arm stops where it would touch itself, or where its
-    links or its magnet would come below `standoff` above the organ's highest point: the plane of
-    the patient and the table. `info["arm_limit"]` says `joint` or `collision`.
+    An action has a value from −1 to 1 for each joint: its velocity, relative to `fraction` of its
+    limit. A joint stops at the end of its range. The arm stops before a self-collision, and before
+    its links or its magnet come below `standoff` above the organ's highest point: the plane of the
+    patient and the table. `info["arm_limit"]` is then `joint` or `collision`.
 
     Attributes:
         arm: Name or file of the arm.
         magnet: Name of the magnet, see `vrcaps.magnet.presets.magnet_names`.
-        fraction: Largest velocity of each joint, as a fraction of its limit.
-        standoff: Least gap between the organ's highest point and the magnet [m].
+        fraction: Maximum velocity of each joint, as a fraction of its limit.
+        standoff: Minimum gap between the organ's highest point and the magnet [m].
     """
 
     arm: str = "panda"
@@ -83,19 +83,19 @@ class ArmActuation:
 
     @cached_property
     def _ranges(self) -> tuple[Float[np.ndarray, " j"], ...]:
-        """Least and largest angles [rad], and largest velocities [rad/s]."""
+        """Minimum and maximum angles [rad], and maximum velocities [rad/s]."""
         arm = self._robot.arm
         velocity = np.array([joint.velocity for joint in arm.joints])
         return arm.lower, arm.upper, self.fraction * velocity
 
     def space(self) -> Any:
-        """A number from −1 to 1 for each joint."""
+        """Action space: a value from −1 to 1 for each joint."""
         from gymnasium import spaces
 
         return spaces.Box(-1.0, 1.0, (self._robot.arm.num_joints,), np.float32)
 
     def allocate(self, simulation: Simulation) -> None:
-        """Room for joint angles, the base's position, and the magnet's pose."""
+        """Allocate joint angles, the base's position, and the magnet's pose."""
         memory = simulation.memory
         memory.allocate("magnet/T", (4, 4))
         memory.allocate("arm/joints", (self._robot.arm.num_joints,))
@@ -103,14 +103,14 @@ class ArmActuation:
         memory.allocate("arm/limit", dtype=np.int64)
 
     def begin(self, simulation: Simulation, index: int, start: State) -> tuple[Source, ...]:
-        """The arm with its magnet above the capsule; at rest where it does not reach there.
+        """Place the magnet above the capsule; the arm is at rest if it cannot reach there.
 
         Raises:
-            InputError: If the capsule holds no magnet.
+            InputError: If the capsule contains no magnet.
         """
         model, memory = simulation.patient(index).model, simulation.memory
         magnet, base = self._robot.magnet, base_beside(model)
-        # However the magnet is turned, no edge of it comes below the plane.
+        # The magnet's edge stays above the plane for any orientation.
         edge = 0.5 * (math.hypot(magnet.diameter, magnet.length) - magnet.diameter)
         workspace = workspace_above(model, magnet, self.standoff + edge)
         T_base_magnet = supporting_pose(model, magnet, workspace, start.T_world_capsule)
@@ -129,7 +129,7 @@ class ArmActuation:
     def controls(
         self, simulation: Simulation, actions: np.ndarray, numbers: np.ndarray
     ) -> Sequence[Control]:
-        """The arm moved on for a control period, or stopped."""
+        """Move the arm for a control period, or stop it."""
         memory, (lower, upper, velocity) = simulation.memory, self._ranges
         now = memory["arm/joints"][numbers]
         step = simulation.settings.control_period * velocity
@@ -145,5 +145,5 @@ class ArmActuation:
         return [Control(Ts_world_magnet=pose[None]) for pose in poses]
 
     def measures(self, simulation: Simulation) -> dict[str, np.ndarray]:
-        """What kept the arm from moving as told."""
+        """Return the limit that modified each arm's motion."""
         return {"arm_limit": _LIMITS[simulation.memory["arm/limit"]]}

@@ -1,4 +1,4 @@
-"""Magnet: the twist of an external magnet that moves freely."""
+"""Magnet actuation: the twist of an external magnet that moves freely."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class MagnetActuation:
-    """A magnet above the patient that moves and rotates as it is told.
+    """A magnet above the patient that follows velocity commands.
 
-    Actions are six numbers from −1 to 1: velocity along x, y and z of the world and angular
-    velocity about them, over their largest values. The magnet begins above the capsule, where it
-    carries most of its weight. It stays in a box from `standoff` above the organ's highest point
-    upward.
+    An action has six values from −1 to 1: velocity along x, y and z of the world and angular
+    velocity about them, relative to their maxima. The magnet starts above the capsule, where it
+    supports most of its weight. It stays in a box that starts `standoff` above the organ's highest
+    point.
 
     Attributes:
         magnet: Name of the magnet, see `vrcaps.magnet.presets.magnet_names`.
-        speed: Largest speed along each axis [m/s].
-        angular_speed: Largest angular speed about each axis [rad/s].
-        standoff: Least gap between the organ's highest point and the magnet [m].
-        reach: How far the box reaches beyond the organ on all sides, and how high it is [m].
+        speed: Maximum speed along each axis [m/s].
+        angular_speed: Maximum angular speed about each axis [rad/s].
+        standoff: Minimum gap between the organ's highest point and the magnet [m].
+        reach: Margin of the box around the organ on all sides, and its height [m].
     """
 
     magnet: str = "cylinder-76.2"
@@ -59,21 +59,21 @@ class MagnetActuation:
         read_magnet(self.magnet)
 
     def space(self) -> Any:
-        """Six numbers from −1 to 1."""
+        """Action space: six values from −1 to 1."""
         from gymnasium import spaces
 
         return spaces.Box(-1.0, 1.0, (6,), np.float32)
 
     def allocate(self, simulation: Simulation) -> None:
-        """Room for the magnet's pose and its box."""
+        """Allocate the magnet's pose and its box."""
         simulation.memory.allocate("magnet/T", (4, 4))
         simulation.memory.allocate("magnet/box", (2, 3))
 
     def begin(self, simulation: Simulation, index: int, start: State) -> tuple[Source, ...]:
-        """The magnet above the capsule.
+        """Place the magnet above the capsule.
 
         Raises:
-            InputError: If the capsule holds no magnet.
+            InputError: If the capsule contains no magnet.
         """
         model, magnet = simulation.patient(index).model, read_magnet(self.magnet)
         floor, vertices = workspace_above(model, magnet, self.standoff), model.vertices_world
@@ -89,7 +89,7 @@ class MagnetActuation:
     def controls(
         self, simulation: Simulation, actions: np.ndarray, numbers: np.ndarray
     ) -> Sequence[Control]:
-        """The magnet moved on for a control period, within its box."""
+        """Move the magnet for a control period, within its box."""
         dt, poses = simulation.settings.control_period, simulation.memory["magnet/T"]
         twist = np.asarray(actions, float)[numbers]
         moved = poses[numbers]
@@ -101,7 +101,7 @@ class MagnetActuation:
         return [Control(Ts_world_magnet=pose[None]) for pose in moved]
 
     def measures(self, simulation: Simulation) -> dict[str, np.ndarray]:
-        """Nothing."""
+        """Return no metrics."""
         return {}
 
 
@@ -111,16 +111,16 @@ def supporting_pose(
     workspace: Workspace,
     T_world_capsule: Float[np.ndarray, "4 4"],
 ) -> Float[np.ndarray, "4 4"]:
-    """Pose of a magnet that carries the weight of a capsule but for a small rest.
+    """Pose of a magnet that supports all but a small part of a capsule's weight.
 
     Args:
         model: The capsule and the organ.
         magnet: The magnet.
-        workspace: Where it may be.
-        T_world_capsule: Pose of the capsule, whose heading the field keeps.
+        workspace: Allowed positions of the magnet.
+        T_world_capsule: Pose of the capsule; the field preserves its heading.
 
     Raises:
-        InputError: If the capsule holds no magnet.
+        InputError: If the capsule contains no magnet.
     """
     solver = MagnetPoseSolver(SourceSet([magnet]), model.device.magnets, workspace)
     force = max(model.device.mass * GRAVITY - _REST, 0.0)

@@ -1,4 +1,4 @@
-"""All actuations: the type of a settings' field."""
+"""Registry of all actuations: the type of the setting."""
 
 from typing import TypeAlias
 

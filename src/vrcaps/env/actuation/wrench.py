@@ -1,4 +1,4 @@
-"""Wrench: a force and a torque on the capsule, as if by an ideal actuator."""
+"""Wrench actuation: a force and a torque on the capsule, as by an ideal actuator."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ _DIRECTIONS = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
 class Wrench:
     """A force on the capsule's center of mass and a torque.
 
-    `continuous` actions are six numbers from −1 to 1: force and torque over their largest values.
-    `discrete` ones are VR-Caps' set: 0 for nothing, 1 to 3 for a force along x, y, z, 4 to 6 for
-    one against them, at full strength.
+    `continuous` actions have six values from −1 to 1: force and torque, relative to their maxima.
+    `discrete` actions are VR-Caps' set: 0 for no force, 1 to 3 for a force along x, y, z, 4 to 6
+    for a force along −x, −y, −z, at full strength.
 
     Attributes:
         mode: Kind of the action space.
-        force: Largest force in each direction [N].
-        torque: Largest torque about each axis [N·m].
+        force: Maximum force in each direction [N].
+        torque: Maximum torque about each axis [N·m].
         is_weightless: Whether gravity is balanced, as by a magnet that holds the capsule up.
-        frame: Axes of the actions: the world's, or the capsule's as they are at their beginning.
+        frame: Axes of the actions: the world's, or the capsule's at the start of the action.
     """
 
     mode: Literal["continuous", "discrete"] = "continuous"
@@ -47,7 +47,7 @@ class Wrench:
         check_fields(self)
 
     def space(self) -> Any:
-        """Six numbers from −1 to 1, or one of seven choices."""
+        """Action space: six values from −1 to 1, or one of seven choices."""
         from gymnasium import spaces
 
         if self.mode == "discrete":
@@ -55,16 +55,16 @@ class Wrench:
         return spaces.Box(-1.0, 1.0, (6,), np.float32)
 
     def allocate(self, simulation: Simulation) -> None:
-        """Needs no memory."""
+        """Do nothing; no state is needed."""
 
     def begin(self, simulation: Simulation, index: int, start: State) -> tuple[Source, ...]:
-        """No magnets."""
+        """Return no magnets."""
         return ()
 
     def controls(
         self, simulation: Simulation, actions: np.ndarray, numbers: np.ndarray
     ) -> Sequence[Control]:
-        """The wrench, held for the control period."""
+        """Return the wrench, constant for the control period."""
         if self.mode == "discrete":
             forces = self.force * _DIRECTIONS[actions[numbers]]
             torques = np.zeros_like(forces)
@@ -79,5 +79,5 @@ class Wrench:
         return [Control(force, torque) for force, torque in zip(forces, torques, strict=True)]
 
     def measures(self, simulation: Simulation) -> dict[str, np.ndarray]:
-        """Nothing."""
+        """Return no metrics."""
         return {}

@@ -1,1 +1,1 @@
-"""Observations: what an agent sees, one file each."""
+"""Observations of an agent, one file each."""

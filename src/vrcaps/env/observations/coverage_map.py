@@ -1,4 +1,4 @@
-"""Map: what was seen so far in gut coordinates, and where the capsule is on it."""
+"""Map observation: coverage so far in gut coordinates, and the capsule's position in it."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class MapObservation:
-    """The wall unrolled: a row for each cell along the gut, a column for each around it.
+    """The unrolled wall: a row for each cell along the gut, a column for each around it.
 
-    Two channels [2 rows columns]: the fraction of each cell's area that was visible so far, 1 where
-    a cell has no wall; and 1 in the cell that the capsule is in, 0 elsewhere.
+    Two channels [2 rows columns]: the fraction of each cell's area that was visible so far, 1 for
+    cells without wall; and 1 in the cell that contains the capsule, 0 elsewhere.
 
-    `egocentric` gives crops about the capsule instead [2 scales, size, size]: for each scale the
-    fraction seen of the wall in each pixel, then the fraction of the pixel that is within the gut.
-    Both are 0 beyond its ends, and around it the map repeats. A pixel is a cell of the map at the
-    first scale, and `factor` times as long and as wide at each further one (Jonnarth, Zhao,
+    `egocentric` gives crops around the capsule instead [2 scales, size, size]: for each scale the
+    seen fraction of the wall in each pixel, then the fraction of the pixel that is within the gut.
+    Both are 0 beyond its ends; around the gut the map is periodic. A pixel is a cell of the map at
+    the first scale, and `factor` times as long and as wide at each further one (Jonnarth, Zhao,
     Felsberg, arXiv 2306.16978, multi-scale egocentric maps).
 
     Attributes:
         egocentric: Whether the map is centered at the capsule.
-        scales: How many crops.
-        size: Pixels to a side of each.
-        factor: How much coarser each is than the one before.
+        scales: Number of crops.
+        size: Side of each crop [px].
+        factor: Ratio of the pixel sizes of consecutive scales.
     """
 
     egocentric: bool = False
@@ -48,7 +48,7 @@ class MapObservation:
         check_fields(self)
 
     def space(self, simulation: Simulation) -> Any:
-        """Fractions."""
+        """Observation space: fractions."""
         from gymnasium import spaces
 
         shape = (2, *simulation.settings.grid)
@@ -57,18 +57,18 @@ class MapObservation:
         return spaces.Box(0.0, 1.0, shape, np.float32)
 
     def allocate(self, simulation: Simulation) -> None:
-        """Needs no memory but the simulation's own."""
+        """Do nothing; no further state is needed."""
 
     def begin(self, simulation: Simulation, index: int, rng: np.random.Generator) -> None:
-        """Begins with what the start shows."""
+        """Do nothing; the map holds the view at the start."""
 
     def observe(self, simulation: Simulation) -> Float[np.ndarray, "n c h w"]:
-        """The maps of all worlds."""
+        """Return the maps of all worlds."""
         made = self._crops(simulation) if self.egocentric else _whole(simulation)
         return made.clip(0.0, 1.0).astype(np.float32)
 
     def _crops(self, s: Simulation) -> Float[np.ndarray, "n c h w"]:
-        """Maps about the capsules; a pixel's value is the mean over what it covers."""
+        """Maps around the capsules; a pixel's value is the mean over its area."""
         rows, columns = s.settings.grid
         half = 0.5 * self.size * self.factor ** np.arange(self.scales)[:, None]
         edges = half * np.linspace(-1.0, 1.0, self.size + 1)
@@ -97,7 +97,7 @@ def _whole(s: Simulation) -> Float[np.ndarray, "n 2 h w"]:
 
 
 def _place(s: Simulation) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Row and column of each capsule on the map, as fractional numbers of cells."""
+    """Row and column of each capsule on the map, as fractional indices."""
     rows, columns = s.settings.grid
     here = s.course.at(s.arc_length)
     offset = s.T_world_capsule[:, :3, 3] - here.point
@@ -107,13 +107,13 @@ def _place(s: Simulation) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " 
 
 
 def _overlap(edges: Float[np.ndarray, "*n k"], count: int) -> Float[np.ndarray, "*n k-1 c"]:
-    """How much of each of `count` cells of length 1 lies between neighboring edges."""
+    """Length of each of `count` cells of length 1 that lies between neighboring edges."""
     return np.diff((edges[..., None] - np.arange(count)).clip(0.0, 1.0), axis=-2)
 
 
 def _repeated_overlap(
     edges: Float[np.ndarray, "*n k"], count: int
 ) -> Float[np.ndarray, "*n k-1 c"]:
-    """The same where cells repeat without end."""
+    """Overlap as in `_overlap`, with periodic cells."""
     rounds, rest = np.divmod(edges[..., None], count)
     return np.diff(rounds + (rest - np.arange(count)).clip(0.0, 1.0), axis=-2)

@@ -1,4 +1,4 @@
-"""Image: one channel of what a camera of the capsule sees."""
+"""Image observation: one channel of a camera of the capsule."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ LIMITS: dict[str, tuple[float, float]] = {
 class ImageObservation:
     """One channel of a camera's image [h w c].
 
-    Colors are of type uint8, as learners expect images to be; other channels keep their units, and
-    are 0 where no wall is seen. Several channels are several observations, which are rendered
+    Colors are uint8, as learning libraries expect images to be; other channels keep their units and
+    are 0 where no wall is visible. Several channels are several observations, which are rendered
     together if camera, size and settings are the same.
 
     Example:
@@ -42,12 +42,11 @@ class ImageObservation:
         >>> settings = EnvSettings(observations=(color, depth))
 
     Attributes:
-        channel: One of `LIMITS`, see `Frame` for what they hold.
-        camera: Name of the camera; None is the capsule's first.
-        size: Height and width [px]. The camera's image is scaled until it fills this, and what
-            juts out is cut off.
-        render: How it is computed.
-        key: Name of the observation; None is the channel's.
+        channel: One of `LIMITS`, see `Frame` for their contents.
+        camera: Name of the camera; None for the capsule's first.
+        size: Height and width [px]. The camera's image is scaled to cover this size, then cropped.
+        render: Render settings.
+        key: Name of the observation; None for the channel's.
     """
 
     channel: str = "rgb"
@@ -74,25 +73,25 @@ class ImageObservation:
 
     @property
     def view(self) -> View:
-        """What is rendered."""
+        """View that is rendered."""
         return View(self.camera, self.size, self.render)
 
     def space(self, simulation: Simulation) -> Any:
-        """Images between the channel's limits."""
+        """Observation space: images between the channel's limits."""
         from gymnasium import spaces
 
         shape = (*CHANNELS[self.channel].shape(*self.size), 1)[:3]
         return spaces.Box(*LIMITS[self.channel], shape, np.dtype(CHANNELS[self.channel].dtype))
 
     def allocate(self, simulation: Simulation) -> None:
-        """Room for the images."""
+        """Allocate the images."""
         simulation.views.want(self.view, self.channel)
 
     def begin(self, simulation: Simulation, index: int, rng: np.random.Generator) -> None:
-        """Begins with what the start shows."""
+        """Do nothing; the images are those at the start."""
 
     def observe(self, simulation: Simulation) -> np.ndarray:
-        """The images of all worlds [n h w c]."""
+        """Return the images of all worlds [n h w c]."""
         images = simulation.views.images(self.view, self.channel)
         images = images.copy() if images.ndim == 4 else images[..., None].copy()
         if images.dtype.kind == "f":

@@ -1,4 +1,4 @@
-"""Landmarks: where the gut leads, where its wall is, and where most of it is still unseen."""
+"""Landmark observation: the gut's direction, its wall, and the main unseen regions."""
 
 from __future__ import annotations
 
@@ -25,42 +25,44 @@ _SPEED, _SPIN, _FORCE = 20.0 * MM, 1.0, 0.1
 _AHEAD = 4.0 * CM
 _REACH = 0.5
 _HIDDEN = 5.0 * MM
-"""By how much the wall must be nearer than a region's middle, to hide it."""
+"""Minimum distance of the wall in front of a region's center that occludes it."""
 _NEAREST = 1.0 * CM
 _PARTS = (16, 8)
-"""Most regions along the gut and around it."""
+"""Maximum number of regions along the gut and around it."""
 
 _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / np.sqrt(3.0)
 RAYS = np.concatenate([np.eye(3), -np.eye(3), _CORNERS])
-"""Directions in which the distance to the wall is told: ±x, ±y, ±z, and a cube's corners."""
+"""Directions of the wall distances: ±x, ±y, ±z, and the corners of a cube."""
 
 
 @dataclass(frozen=True)
 class LandmarksObservation:
-    """What a guide would tell: the same numbers, with the same meaning, in every organ.
+    """Navigation features with the same number and meaning in every organ.
 
-    A distance d comes as d / (d + 20 mm), other magnitudes alike, so that all numbers are between
-    −1 and 1. Directions are unit vectors in the chosen frame. In this order:
+    A distance d is encoded as d / (d + 20 mm), and other magnitudes likewise, so that all values
+    are between −1 and 1. Directions are unit vectors in the chosen frame. In this order:
 
-    - fraction of the gut's course that lies behind, and of the episode that is over (2)
+    - fraction of the gut's course behind the capsule, and elapsed fraction of the episode (2)
     - fraction of the wall seen at `frustum`, `visible`, `resolved` (3)
-    - vector to the centerline (20 mm), its tangent there, and the direction to its point 40 mm on
-      towards the anal end (9); its distance to the wall there (1)
+    - vector to the centerline (20 mm), its tangent there, and the direction to its point 40 mm
+      ahead towards the anal end (9); its distance to the wall there (1)
     - direction of gravity; in the world frame that of the capsule's axis +z (3)
     - velocity (20 mm/s), angular velocity (1 rad/s) and contact force (0.1 N) (9)
     - distances to the wall along `RAYS` (14)
-    - of each of the most attractive unseen regions: direction (3), distance, way along the gut,
+    - for each of the top-ranked unseen regions: direction (3), distance, distance along the gut,
       positive towards the anal end (10 cm), unseen fraction of the whole wall (0.01), and whether
-      no wall is in between (7 a region); all 0 where nothing is left to see
-    - with a magnet outside: vector to it (10 cm) and direction of its moment (6)
-    - with the task Navigate: way along the gut to the goal, positive towards the anal end (10 cm)
+      no wall occludes it (7 per region); all 0 if nothing is left to see
+    - with an external magnet: vector to it (10 cm) and direction of its moment (6)
+    - with the task Navigate: distance along the gut to the goal, positive towards the anal end
+      (10 cm)
 
-    A region is a sixteenth of the gut's length by an eighth of its circumference. What is unseen of
-    it over its distance makes it attractive; the way along the gut counts where it is longer.
+    A region is a sixteenth of the gut's length by an eighth of its circumference. Regions are
+    ranked by their unseen area over their distance, or over the distance along the gut if that is
+    longer.
 
     Attributes:
-        regions: How many unseen regions.
-        frame: Axes of all vectors: the capsule's, or the world's for actions in these.
+        regions: Number of unseen regions.
+        frame: Axes of all vectors: the capsule's, or the world's for actions in the world frame.
     """
 
     regions: Annotated[int, Range(least=0, most=64)] = 6
@@ -74,7 +76,7 @@ class LandmarksObservation:
         check_fields(self)
 
     def space(self, simulation: Simulation) -> Any:
-        """Numbers from −1 to 1."""
+        """Observation space: values from −1 to 1."""
         from gymnasium import spaces
 
         memory = simulation.memory
@@ -82,13 +84,13 @@ class LandmarksObservation:
         return spaces.Box(-1.0, 1.0, (count,), np.float32)
 
     def allocate(self, simulation: Simulation) -> None:
-        """Needs no memory but the simulation's own."""
+        """Do nothing; no further state is needed."""
 
     def begin(self, simulation: Simulation, index: int, rng: np.random.Generator) -> None:
-        """Begins with what the start shows."""
+        """Do nothing; the features are those at the start."""
 
     def observe(self, simulation: Simulation) -> Float[np.ndarray, "n k"]:
-        """The numbers of all worlds."""
+        """Return the features of all worlds."""
         s = simulation
         is_fixed = self.frame == "world"
         axes = np.eye(3)[None].repeat(s.num_worlds, 0) if is_fixed else s.T_world_capsule[:, :3, :3]
@@ -118,7 +120,7 @@ class LandmarksObservation:
         distances: np.ndarray,
         facts: np.ndarray,
     ) -> Float[np.ndarray, "n k"]:
-        """All numbers in the order of the docstring."""
+        """Concatenate all features in the order of the class docstring."""
         n, last = s.num_worlds, 7 + self.regions
         regions = np.concatenate([told[:, 7:last], facts], axis=2)
         parts = [
@@ -137,7 +139,7 @@ class LandmarksObservation:
         return np.concatenate(parts, axis=1).clip(-1.0, 1.0).astype(np.float32)
 
     def _guides(self, s: Simulation, here: CoursePlace) -> list[Float[np.ndarray, "n 1 3"]]:
-        """Ways to the centerline, along it, and on, in the world frame."""
+        """Vectors to, along and ahead on the centerline, in the world frame."""
         place = s.T_world_capsule[:, :3, 3]
         ahead = s.course.at(s.arc_length + _AHEAD)
         vectors = [
@@ -150,7 +152,7 @@ class LandmarksObservation:
     def _regions(
         self, s: Simulation
     ) -> tuple[Float[np.ndarray, "n m 3"], Float[np.ndarray, "n m 3"]]:
-        """Vectors to unseen regions [m] in the world frame; distance, way and area of each."""
+        """Vectors to unseen regions [m], world frame; distance, gut distance and area of each."""
         rows, columns = s.settings.grid
         unseen = s.unseen_cells.reshape(-1, rows, columns, 1)
         sums = np.concatenate(
@@ -191,15 +193,15 @@ class LandmarksObservation:
 
 
 def _soft(value: np.ndarray, scale: float) -> np.ndarray:
-    """Value x as x / (|x| + scale)."""
+    """Encode a value x as x / (|x| + scale)."""
     return value / (np.abs(value) + scale)
 
 
 def _soft_vectors(vectors: Float[np.ndarray, "*n 3"], scale: Any) -> Float[np.ndarray, "*n 3"]:
-    """Each v as v / (|v| + scale)."""
+    """Encode each vector v as v / (|v| + scale)."""
     return vectors / (np.linalg.norm(vectors, axis=-1, keepdims=True) + scale)
 
 
 def _directions(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-    """Unit vectors; 0 where there is no direction."""
+    """Unit vectors; 0 for zero vectors."""
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)

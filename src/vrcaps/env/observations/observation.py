@@ -1,4 +1,4 @@
-"""Observation: what every observation of an environment answers."""
+"""Protocol of an observation of an environment."""
 
 from __future__ import annotations
 
@@ -11,32 +11,32 @@ if TYPE_CHECKING:
 
 
 class Observation(Protocol):
-    """One key of what an agent sees. What changes lies in the simulation's memory."""
+    """One key of an agent's observation. Its state is in the simulation's memory."""
 
     kind: ClassVar[str]
 
     @property
     def name(self) -> str:
-        """Its key."""
+        """Key of the observation."""
         ...
 
     @property
     def needs_textures(self) -> bool:
-        """Whether it renders the wall."""
+        """Return whether it renders the wall."""
         ...
 
     def space(self, simulation: Simulation) -> Any:
-        """Space of one world's observation, a `gymnasium.spaces.Box`."""
+        """Observation space of one world, a `gymnasium.spaces.Box`."""
         ...
 
     def allocate(self, simulation: Simulation) -> None:
-        """Make room in the simulation's memory."""
+        """Allocate state in the simulation's memory."""
         ...
 
     def begin(self, simulation: Simulation, index: int, rng: np.random.Generator) -> None:
-        """Begin an episode in one world."""
+        """Start an episode in one world."""
         ...
 
     def observe(self, simulation: Simulation) -> np.ndarray:
-        """What is seen in all worlds now, in an array of its own."""
+        """Return the current observation of all worlds, in a new array."""
         ...

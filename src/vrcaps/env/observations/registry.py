@@ -1,4 +1,4 @@
-"""All observations: the type of a settings' field."""
+"""Registry of all observations: the type of the setting."""
 
 from typing import TypeAlias
 

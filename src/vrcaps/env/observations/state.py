@@ -1,4 +1,4 @@
-"""State: pose, velocity and contact of the capsule, the magnet's pose, and the time."""
+"""State observation: pose, velocity and contact of the capsule, the magnet's pose, and the time."""
 
 from __future__ import annotations
 
@@ -25,21 +25,22 @@ _FORCE = 0.1
 
 @dataclass(frozen=True)
 class StateObservation:
-    """What a tracker and a force sensor would tell, in the world frame, as 19 numbers.
+    """Measurements of a tracker and a force sensor, in the world frame, as 19 values.
 
-    - position of the capsule from the middle of the organ [0.1 m] (3)
+    - position of the capsule relative to the organ's center [0.1 m] (3)
     - its rotation: the x and z axes of the capsule (6)
     - its velocity [20 mm/s] (3) and angular velocity [1 rad/s] (3)
     - mean contact force [0.1 N] (3)
-    - fraction of the episode that is over (1)
+    - elapsed fraction of the episode (1)
 
-    With a magnet outside, its position from the capsule [0.1 m] and the direction of its moment
-    follow (6). Numbers are cut off at ±10.
+    With an external magnet, its position relative to the capsule [0.1 m] and the direction of its
+    moment follow (6). Values are clipped to ±10.
 
     Attributes:
-        pose: Whether pose, velocities and contact force are the true ones, or what `sensors` tell.
-        sensors: In the capsule and under the patient; they count for a located pose. They are read
-            once a control period.
+        pose: Source of pose, velocities and contact force: `true` values, or `located`, estimated
+            from `sensors`.
+        sensors: Sensors in the capsule and under the patient, for a located pose. They are read
+            once per control period.
     """
 
     pose: Literal["true", "located"] = "true"
@@ -53,24 +54,24 @@ class StateObservation:
         check_fields(self)
 
     def space(self, simulation: Simulation) -> Any:
-        """Numbers from −10 to 10."""
+        """Observation space: values from −10 to 10."""
         from gymnasium import spaces
 
         count = 19 + (6 if "magnet/T" in simulation.memory else 0)
         return spaces.Box(-_LIMIT, _LIMIT, (count,), np.float32)
 
     def allocate(self, simulation: Simulation) -> None:
-        """Room for the middle of each organ, and for what sensors tell.
+        """Allocate the center of each organ, and the localization.
 
         Raises:
-            InputError: If the pose is located, but the capsule has no magnet to be located by.
+            InputError: If the pose is located, but the capsule has no magnet for localization.
         """
         simulation.memory.allocate("state/center", (3,))
         if self.pose == "located":
             simulation.located = LocatedCapsules(simulation, self.sensors)
 
     def begin(self, simulation: Simulation, index: int, rng: np.random.Generator) -> None:
-        """Finds the middle of the organ."""
+        """Compute the center of the organ."""
         vertices = simulation.patient(index).model.vertices_world
         center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
         simulation.memory["state/center"][index] = center
@@ -78,7 +79,7 @@ class StateObservation:
             simulation.located.begin(index, rng)
 
     def observe(self, simulation: Simulation) -> Float[np.ndarray, "n k"]:
-        """The numbers of all worlds."""
+        """Return the values of all worlds."""
         s, memory = simulation, simulation.memory
         T, velocity, force = s.T_world_capsule, s.velocity_world, s.contact_force_world
         if s.located is not None:

@@ -1,1 +1,1 @@
-"""Tasks: what is to be done in an episode, one file each."""
+"""Tasks of an episode, one file each."""

@@ -1,4 +1,4 @@
-"""Coverage: see as much of the organ's wall as possible, as fast as possible."""
+"""Coverage task: see as much of the organ's wall as possible, as fast as possible."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class CoverageTask:
     """See the whole wall.
 
     Attributes:
-        level: Level of coverage that counts.
-        target: Fraction of the wall at which the task is done.
+        level: Coverage level of the task.
+        target: Fraction of the wall at which the task is completed.
     """
 
     level: CoverageLevel = "visible"
@@ -37,31 +37,31 @@ class CoverageTask:
 
     @property
     def rewards(self) -> tuple[Reward, ...]:
-        """Gain of area, in percent of the whole, less a little for time."""
+        """Gain of area, in percent of the whole, with a small time penalty."""
         return (Reward("area-gain", 100.0, self.level), Reward("time", 0.1))
 
     @property
     def defaults(self) -> dict[str, Any]:
-        """Those of `EnvSettings`."""
+        """Default settings: those of `EnvSettings`."""
         return {}
 
     def allocate(self, simulation: Simulation) -> None:
-        """Needs no memory but the simulation's own."""
+        """Do nothing; no further state is needed."""
 
     def begin(self, simulation: Simulation, index: int, rng: np.random.Generator) -> None:
-        """Begins with what the start shows."""
+        """Do nothing; coverage includes the view at the start."""
 
     def update(self, simulation: Simulation, numbers: np.ndarray) -> None:
-        """The simulation counts coverage itself."""
+        """Do nothing; the simulation updates coverage."""
 
     def progress(self, simulation: Simulation) -> Float[np.ndarray, " n"]:
-        """Fraction of the wall that was seen."""
+        """Seen fraction of the wall."""
         return simulation.seen(self.level)
 
     def is_done(self, simulation: Simulation) -> Bool[np.ndarray, " n"]:
-        """Whether the target is reached."""
+        """Return whether the target is reached."""
         return simulation.seen(self.level) >= self.target
 
     def measures(self, simulation: Simulation) -> dict[str, np.ndarray]:
-        """Fraction seen at each level."""
+        """Seen fraction at each level."""
         return {f"coverage_{level}": simulation.seen(level).copy() for level in POINT_LEVELS}

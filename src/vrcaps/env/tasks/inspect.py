@@ -1,4 +1,4 @@
-"""Inspect: find the lesions of an organ and look at each."""
+"""Inspection task: find the lesions of an organ and look at each."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class InspectTask:
-    """Look at each lesion for some time without a break.
+    """Look at each lesion for some time without interruption.
 
-    Lesions are the instances of the organ: those that the settings put into it, or its file's.
+    Lesions are the instances of the organ: those from the settings, or those of its file.
 
     Attributes:
-        level: Level of coverage at which a lesion's surface must be seen.
-        dwell: How long each must be looked at without a break [s].
-        fraction: Part of a lesion's area that one view must show; a camera sees less than half of a
-            polyp at a time.
-        most: Largest number of lesions in an organ.
+        level: Coverage level at which a lesion's surface must be seen.
+        dwell: Time for which each must be in view without interruption [s].
+        fraction: Fraction of a lesion's area that one view must show; a camera sees less than half
+            of a polyp at a time.
+        most: Maximum number of lesions in an organ.
     """
 
     level: CoverageLevel = "resolved"
@@ -47,7 +47,7 @@ class InspectTask:
 
     @property
     def rewards(self) -> tuple[Reward, ...]:
-        """Lesions and area in percent, ten for the end, less a little for time."""
+        """Lesions and area in percent, ten for success, with a small time penalty."""
         return (
             Reward("progress", 100.0),
             Reward("area-gain", 10.0),
@@ -57,7 +57,7 @@ class InspectTask:
 
     @property
     def defaults(self) -> dict[str, Any]:
-        """A stomach with three lesions, which may take a while to find."""
+        """Default settings: a stomach with three lesions, with enough time to find them."""
         return {
             "organs": ("stomach",),
             "lesions": (Polyp(), Ulcer(), Angioectasia()),
@@ -66,14 +66,14 @@ class InspectTask:
         }
 
     def allocate(self, simulation: Simulation) -> None:
-        """Room for what is known of each lesion, in the order of their instances."""
+        """Allocate the state of each lesion, in the order of their instances."""
         memory = simulation.memory
         memory.allocate("inspect/count", dtype=np.int64)
         memory.allocate("inspect/now", (self.most,))
         memory.allocate("inspect/longest", (self.most,))
 
     def begin(self, simulation: Simulation, index: int, rng: np.random.Generator) -> None:
-        """Begins with nothing looked at.
+        """Start with no lesion inspected.
 
         Raises:
             InputError: If the organ has no lesions, or too many.
@@ -91,7 +91,7 @@ class InspectTask:
         simulation.flags[index][points.first_of_lesions :] = 0
 
     def update(self, simulation: Simulation, numbers: np.ndarray) -> None:
-        """Counts the time for which each lesion has been in view."""
+        """Update the time for which each lesion has been in view."""
         memory, bit = simulation.memory, 1 << POINT_LEVELS.index(self.level)
         shown = np.zeros((len(numbers), self.most), bool)
         for row, index in enumerate(numbers):
@@ -99,7 +99,7 @@ class InspectTask:
             flags = simulation.flags[index][points.first_of_lesions :]
             fractions = ((flags & bit) != 0).reshape(len(points.lesions), -1).mean(axis=1)
             shown[row, : len(fractions)] = fractions >= self.fraction
-            # The next step tells anew what is in view; lesions' points count no area.
+            # Each step marks the current view again; lesions' points have no area.
             flags[:] = 0
         period = simulation.settings.control_period
         now = np.where(shown, memory["inspect/now"][numbers] + period, 0.0)
@@ -107,22 +107,22 @@ class InspectTask:
         memory["inspect/longest"][numbers] = np.maximum(memory["inspect/longest"][numbers], now)
 
     def _looked_at(self, simulation: Simulation) -> Float[np.ndarray, "n m"]:
-        """Part of the time for which each lesion was looked at."""
+        """Fraction of the required time for which each lesion was in view."""
         enough = self.dwell * (1.0 - 1e-9)  # sums of periods are rounded
         return np.minimum(simulation.memory["inspect/longest"] / enough, 1.0)
 
     def progress(self, simulation: Simulation) -> Float[np.ndarray, " n"]:
-        """Mean over all lesions of the part of the time for which each was looked at."""
+        """Mean over all lesions of the fraction of the required time in view."""
         count = np.maximum(simulation.memory["inspect/count"], 1)
         return self._looked_at(simulation).sum(axis=1) / count
 
     def is_done(self, simulation: Simulation) -> Bool[np.ndarray, " n"]:
-        """Whether each was looked at for long enough."""
+        """Return whether each lesion was in view for long enough."""
         count = simulation.memory["inspect/count"]
         return (count > 0) & ((self._looked_at(simulation) >= 1.0).sum(axis=1) >= count)
 
     def measures(self, simulation: Simulation) -> dict[str, np.ndarray]:
-        """Numbers of lesions, of those found, and of those looked at for long enough."""
+        """Numbers of lesions, of detected lesions, and of those in view for long enough."""
         return {
             "lesions": simulation.memory["inspect/count"].copy(),
             "lesions_found": (simulation.memory["inspect/longest"] > 0.0).sum(axis=1),

@@ -1,4 +1,4 @@
-"""Navigate: bring the capsule to a place along the gut."""
+"""Navigation task: bring the capsule to a position along the gut."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class NavigateTask:
-    """Reach a place along the gut, from wherever the episode begins.
+    """Reach a position along the gut from the start of the episode.
 
     The centerline leads from the oral to the anal end: in a colon from the caecum to the rectum.
 
     Attributes:
         goal: A fraction of the centerline, or a segment by its label, such as `pylorus`: the border
             at which the capsule enters it.
-        tolerance: Distance from there along the gut at which the task is done [m]; at a closed end
-            half a capsule does not fit any further.
+        tolerance: Distance to the goal along the gut at which the task is completed [m]; a closed
+            end is out of reach by half a capsule.
     """
 
     goal: float | str = 1.0
@@ -47,12 +47,12 @@ class NavigateTask:
 
     @property
     def rewards(self) -> tuple[Reward, ...]:
-        """What is gained of the way in percent, ten for the end, less a little for time."""
+        """Progress along the path in percent, ten for success, with a small time penalty."""
         return (Reward("progress", 100.0), Reward("success", 10.0), Reward("time", 0.02))
 
     @property
     def defaults(self) -> dict[str, Any]:
-        """A colon from end to end, by a magnet that is strong enough for its deepest parts."""
+        """Default settings: a colon from end to end, and a magnet for its deepest parts."""
         return {
             "organs": ("colon",),
             "actuation": MagnetActuation("cylinder-152.4", speed=0.2, angular_speed=2.0),
@@ -62,12 +62,12 @@ class NavigateTask:
         }
 
     def allocate(self, simulation: Simulation) -> None:
-        """Room for start and goal [m], and the largest part of the way between them so far."""
+        """Allocate start and goal [m], and the maximum fraction of the path so far."""
         for name in ("start", "goal", "best"):
             simulation.memory.allocate(f"navigate/{name}")
 
     def begin(self, simulation: Simulation, index: int, rng: np.random.Generator) -> None:
-        """Begins where the capsule came to rest.
+        """Start at the position where the capsule came to rest.
 
         Raises:
             UnknownNameError: If the organ has no segment of the goal's name.
@@ -80,32 +80,32 @@ class NavigateTask:
         self.update(simulation, np.array([index]))
 
     def update(self, simulation: Simulation, numbers: np.ndarray) -> None:
-        """Takes in how far the capsules have come."""
+        """Update the progress of the capsules."""
         memory = simulation.memory
         start, goal, best = (memory[f"navigate/{name}"] for name in ("start", "goal", "best"))
         way = np.abs(goal - start) - self.tolerance
         covered = (simulation.arc_length - start) * np.sign(goal - start)
-        # Where the start is near the goal there is no way.
+        # If the start is near the goal, the path has no length.
         part = np.where(way > 0.0, covered / np.maximum(way, 1e-9), 1.0).clip(0.0, 1.0)
         best[numbers] = np.maximum(best, part)[numbers]
 
     def progress(self, simulation: Simulation) -> Float[np.ndarray, " n"]:
-        """Largest part of the way so far."""
+        """Maximum fraction of the path so far."""
         return simulation.memory["navigate/best"]
 
     def is_done(self, simulation: Simulation) -> Bool[np.ndarray, " n"]:
-        """Whether the goal was reached or passed."""
+        """Return whether the goal was reached or passed."""
         return simulation.memory["navigate/best"] >= 1.0
 
     def measures(self, simulation: Simulation) -> dict[str, np.ndarray]:
-        """Largest part of the way so far, and distance along the gut that is left [m]."""
+        """Maximum fraction of the path so far, and remaining distance along the gut [m]."""
         memory = simulation.memory
         left = np.abs(memory["navigate/goal"] - simulation.arc_length)
         return {"completion": memory["navigate/best"].copy(), "distance_to_goal": left}
 
 
 def _place(organ: OrganSurface, goal: float | str, start: float) -> float:
-    """Arc length of a goal [m]: of a segment, the end that is nearer to the start."""
+    """Arc length of a goal [m]; for a segment, its end that is nearer to the start."""
     if not isinstance(goal, str):
         return goal * organ.centerline.length
     present = {organ.label_names[number] for number in np.unique(organ.label)}

@@ -1,4 +1,4 @@
-"""All tasks: the type of a settings' field."""
+"""Registry of all tasks: the type of the setting."""
 
 from typing import TypeAlias
 

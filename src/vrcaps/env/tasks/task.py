@@ -1,4 +1,4 @@
-"""Task: what every task of an environment answers."""
+"""Protocol of a task of an environment."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class Task(Protocol):
-    """What is to be done. What changes in an episode lies in the simulation's memory.
+    """Task of an agent. Its state is in the simulation's memory.
 
     All arrays have a row for each world.
     """
@@ -22,34 +22,34 @@ class Task(Protocol):
 
     @property
     def rewards(self) -> tuple[Reward, ...]:
-        """Rewards that suit it."""
+        """Default rewards."""
         ...
 
     @property
     def defaults(self) -> dict[str, Any]:
-        """Settings that suit it, by name: those of `env_settings` that are not given."""
+        """Default settings by name, for those missing from `env_settings`."""
         ...
 
     def allocate(self, simulation: Simulation) -> None:
-        """Make room in the simulation's memory."""
+        """Allocate state in the simulation's memory."""
         ...
 
     def begin(self, simulation: Simulation, index: int, rng: np.random.Generator) -> None:
-        """Begin an episode in one world."""
+        """Start an episode in one world."""
         ...
 
     def update(self, simulation: Simulation, numbers: np.ndarray) -> None:
-        """Take in a step of some of the worlds."""
+        """Update the state after a step of some of the worlds."""
         ...
 
     def progress(self, simulation: Simulation) -> Float[np.ndarray, " n"]:
-        """How far it is done, 0 to 1."""
+        """Progress of the task, 0 to 1."""
         ...
 
     def is_done(self, simulation: Simulation) -> Bool[np.ndarray, " n"]:
-        """Whether it is done."""
+        """Return whether the task is completed."""
         ...
 
     def measures(self, simulation: Simulation) -> dict[str, np.ndarray]:
-        """What it is judged by, for `info`."""
+        """Return metrics, for `info`."""
         ...

@@ -1,7 +1,6 @@
 """vrcaps: a virtual environment for capsule endoscopy.
 
-The names in `__init__.pyi` are loaded when they are first used, so that importing the package
-costs nothing.
+The names in `__init__.pyi` are imported on first use, so that the import of the package is cheap.
 """
 
 import lazy_loader

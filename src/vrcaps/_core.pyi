@@ -11,7 +11,7 @@ __version__: str
 __file__: str
 
 testing: ModuleType
-"""Stages of the camera pipeline by themselves: functions that only tests call."""
+"""Individual stages of the camera pipeline: functions that only tests call."""
 
 class Wall:
     """A triangle surface with its bounding-volume hierarchy; normals point into the lumen."""
@@ -37,7 +37,7 @@ OpticalProperties = tuple[Vector, float, float, NDArray[np.float32], float, NDAr
 Pose = tuple[Vector, tuple[float, float, float, float], Vector, Vector]
 
 class World:
-    """A capsule in a soft wall; positions are about `Wall.center`."""
+    """A capsule in a soft wall; positions are relative to `Wall.center`."""
 
     pose: Pose
     active_wall: NDArray[np.float64]
@@ -136,7 +136,7 @@ class FieldSources:
     ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]: ...
 
 class _WrenchTarget(Protocol):
-    """Fields read of `vrcaps.actuation.magnet_pose_solver.WrenchTarget`."""
+    """Fields of `vrcaps.actuation.magnet_pose_solver.WrenchTarget` that are read."""
 
     @property
     def force(self) -> Sequence[float]: ...
@@ -150,7 +150,7 @@ class _WrenchTarget(Protocol):
     def motion_weight(self) -> float: ...
 
 class _Workspace(Protocol):
-    """Fields read of `vrcaps.actuation.magnet_pose_solver.Workspace`."""
+    """Fields of `vrcaps.actuation.magnet_pose_solver.Workspace` that are read."""
 
     @property
     def low(self) -> Vector: ...
@@ -175,7 +175,7 @@ def rotate_by_vector(
 def rotation_vector(matrix: NDArray[np.float64]) -> NDArray[np.float64]: ...
 
 class _CapsuleTarget(Protocol):
-    """Fields read of `vrcaps.actuation.capsule_target.CapsuleTarget`."""
+    """Fields of `vrcaps.actuation.capsule_target.CapsuleTarget` that are read."""
 
     @property
     def position(self) -> Sequence[float] | NDArray[np.float64]: ...
@@ -191,7 +191,7 @@ class _CapsuleTarget(Protocol):
     def on_planned_wall(self) -> bool: ...
 
 class _ReferenceLimits(Protocol):
-    """Fields read of `vrcaps.actuation.magnet_controller.ControllerGains`."""
+    """Fields of `vrcaps.actuation.magnet_controller.ControllerGains` that are read."""
 
     @property
     def speed(self) -> float: ...
@@ -219,7 +219,7 @@ def advance_reference(
 ]: ...
 
 class ArmChain:
-    """An arm of turning joints (`vrcaps.actuation.arm`)."""
+    """An arm of revolute joints (`vrcaps.actuation.arm`)."""
 
     has_closed_form: bool
     def __init__(
@@ -294,7 +294,7 @@ class Texture:
     ) -> None: ...
 
 class Scene:
-    """What is drawn on a wall."""
+    """Surface properties for rendering a wall."""
 
     def __init__(
         self,
@@ -317,7 +317,7 @@ class RayTable:
     def __init__(self, directions: NDArray[np.float32]) -> None: ...
 
 class Particles:
-    """Bubbles and particles that move; positions are about `Wall.center`."""
+    """Moving bubbles and particles; positions are relative to `Wall.center`."""
 
     states: NDArray[np.float64]
     count: int
@@ -346,7 +346,7 @@ def around_capsule(
 ) -> NDArray[np.float64] | None: ...
 
 class Contents:
-    """What floats in a lumen at one instant, ready to be seen."""
+    """Contents of a lumen at one instant, ready for rendering."""
 
     def __init__(
         self, wall: Wall, spheres: Any, film: Any, pools: tuple[Any, Any] | None, label: int

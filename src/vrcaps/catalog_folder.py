@@ -1,4 +1,4 @@
-"""Things by name, one TOML file each in a folder of the package, and a user's own files."""
+"""Catalogs: folders of TOML files in the package, with support for a user's own files."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from vrcaps.names import listed
 
 @dataclass(frozen=True)
 class CatalogFolder:
-    """A folder of TOML files, the stem of each a name.
+    """A folder of TOML files; the stem of each file is a name.
 
     Attributes:
         path: The folder.
-        kind: What a file describes, as error messages name it.
+        kind: Kind of object that a file describes, for error messages.
     """
 
     path: Path
@@ -26,7 +26,7 @@ class CatalogFolder:
         return tuple(path.stem for path in listed(self.path, "*.toml"))
 
     def find(self, name_or_path: str | Path) -> Path:
-        """The file of a name, or a user's own by its path.
+        """Return the file of a name, or a user's own file by its path.
 
         Raises:
             UnknownNameError: If the catalog has no such name.

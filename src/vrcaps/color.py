@@ -1,4 +1,4 @@
-"""sRGB bytes to linear light, its logarithm and back (IEC 61966-2-1), luminance, CIE L*a*b*."""
+"""Conversions of sRGB, linear light and its logarithm (IEC 61966-2-1), luminance, CIE L*a*b*."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 _XYZ_FROM_RGB = np.array(
     [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
 )
-"""Linear sRGB to CIE XYZ."""
+"""Matrix from linear sRGB to CIE XYZ."""
 
 LUMINANCE = _XYZ_FROM_RGB[1]
 """Weights of linear red, green, blue."""
@@ -28,7 +28,7 @@ _STEPS = 16384  # of linear light, in the table that encodes a logarithm's expon
 
 
 LUMA_WEIGHTS = np.array([0.299, 0.587, 0.114])
-"""Of encoded red, green and blue in the gray level (ITU-R BT.601-7)."""
+"""Weights of encoded red, green and blue in the gray level (ITU-R BT.601-7)."""
 
 
 def linear_from_srgb(rgb: UInt8[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
@@ -37,21 +37,21 @@ def linear_from_srgb(rgb: UInt8[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*
 
 
 def srgb_from_linear(linear: Float[np.ndarray, "*batch"]) -> UInt8[np.ndarray, "*batch"]:
-    """Bytes nearest to linear values, which are cut off at 0 and 1."""
+    """Nearest sRGB bytes of linear values, which are clipped to 0 to 1."""
     light = np.clip(linear, 0.0, 1.0)
     code = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1.0 / 2.4) - 0.055)
     return np.rint(255.0 * code).astype(np.uint8)
 
 
 def luminance(linear: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:
-    """CIE Y, 0 to 1, of linear sRGB, as precise as it is."""
+    """CIE Y, 0 to 1, of linear sRGB, in the precision of the input."""
     return linear @ LUMINANCE.astype(linear.dtype)
 
 
 def lab_from_srgb(rgb: UInt8[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
-    """CIE 1976 L*a*b* of 8-bit sRGB; white is sRGB's own, (100, 0, 0)."""
+    """CIE 1976 L*a*b* of 8-bit sRGB; sRGB's own white is (100, 0, 0)."""
     xyz = linear_from_srgb(rgb) @ (_XYZ_FROM_RGB / _XYZ_FROM_RGB.sum(axis=1, keepdims=True)).T
-    # CIE 15:2004, 8.2.1.1: a cube root, a straight line below (6/29)³.
+    # CIE 15:2004, 8.2.1.1: a cube root, linear below (6/29)³.
     f = np.where(xyz > _KNEE**3, np.cbrt(xyz), xyz / (3.0 * _KNEE**2) + 4.0 / 29.0)
     x, y, z = np.moveaxis(f, -1, 0)
     return np.stack([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)], axis=-1)
@@ -63,14 +63,14 @@ def log_linear_from_srgb(rgb: UInt8[np.ndarray, "*grid 3"]) -> Float[np.ndarray,
 
 
 def srgb_from_log_linear(log_light: Float[np.ndarray, "*grid 3"]) -> UInt8[np.ndarray, "*grid 3"]:
-    """Bytes of sRGB of a logarithm of linear light, light above 1 cut off."""
+    """Bytes of sRGB from the logarithm of linear light, clipped at 1."""
     linear = np.exp(np.minimum(log_light, 0.0))
     return _encoded_steps()[np.minimum((linear * _STEPS).astype(np.int32), _STEPS - 1)]
 
 
 @cache
 def _encoded_steps() -> UInt8[np.ndarray, " n"]:
-    """SRGB byte of the middle of each step of linear light."""
+    """Byte of sRGB at the center of each step of linear light."""
     return srgb_from_linear((np.arange(_STEPS) + 0.5) / _STEPS)
 
 

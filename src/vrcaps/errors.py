@@ -1,4 +1,4 @@
-"""Errors a user can act on: what was given, what is allowed, what to do."""
+"""Actionable errors: each states the given value, the allowed values and a remedy."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from contextlib import contextmanager
 from typing import Any
 
 _SYSTEM = re.compile(r"\[(?:Errno|WinError) -?\d+\] ([^:'\[\]]+)(?:: '[^']*'(?: -> '[^']*')?)?")
-"""Text of an error of the operating system: number, reason, paths."""
+"""Pattern of an operating system error: number, reason, paths."""
 
 
 def reason_of(error: BaseException | str) -> str:
-    """Reason of an error, without the numbers and paths that Python adds to those of the system.
+    """Reason of an error, without the numbers and paths that Python adds to system errors.
 
     Example:
         >>> reason_of(FileNotFoundError(2, "No such file or directory", "a.txt"))
@@ -22,9 +22,9 @@ def reason_of(error: BaseException | str) -> str:
 
 
 class VrcapsError(Exception):
-    """Base of every error vrcaps raises on purpose; its text is one line.
+    """Base of all errors that vrcaps raises; the text is one line.
 
-    What it says of an error of the operating system is the reason only, see `reason_of`.
+    Of an operating system error it contains the reason only, see `reason_of`.
     """
 
     def __init__(self, *args: object) -> None:
@@ -32,19 +32,19 @@ class VrcapsError(Exception):
 
 
 class InputError(VrcapsError, ValueError):
-    """A value, file or combination that vrcaps cannot work with."""
+    """A value, file or combination that vrcaps cannot use."""
 
 
 class StorageError(InputError):
-    """A place that cannot be written or reached: a full disk, no permission, a lost network."""
+    """A location that cannot be written or reached: full disk, no permission, lost network."""
 
 
 @contextmanager
 def reading(what: object) -> Iterator[None]:
-    """Turn whatever a library raises for damaged data into one InputError.
+    """Convert any error that a library raises for damaged data to one InputError.
 
     Libraries raise more types than a reader can list: Pillow SyntaxError, NumPy TokenError, PyAV
-    UnicodeDecodeError, JSON RecursionError. Errors of vrcaps pass unchanged.
+    UnicodeDecodeError, JSON RecursionError. Errors of vrcaps are not changed.
 
     Args:
         what: The file or folder that is read, for the message.
@@ -61,7 +61,7 @@ def reading(what: object) -> Iterator[None]:
 
 
 def _reason(error: Exception) -> str:
-    """One line that says what a library found."""
+    """One-line reason of a library's error."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     if isinstance(error, KeyError):
@@ -73,7 +73,7 @@ def _reason(error: Exception) -> str:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """A question after the name that was probably meant, with a space before it; empty if none."""
+    """Suggestion of the most similar name as a question, after a space; empty if there is none."""
     import difflib
 
     found = difflib.get_close_matches(name, list(known), 1)
@@ -100,12 +100,12 @@ class MissingExtraError(VrcapsError, ImportError):
 
 
 def import_extra(module: str, extra: str, *, package: str = "") -> Any:
-    """A module of an optional dependency.
+    """Import a module of an optional dependency.
 
     Args:
-        module: Its name.
-        extra: The extra of vrcaps that brings it.
-        package: What pip calls it, where that is another name.
+        module: Name of the module.
+        extra: Extra of vrcaps that installs it.
+        package: Name of its package for pip, if different.
 
     Raises:
         MissingExtraError: If it is not installed.
@@ -122,7 +122,7 @@ def require(is_valid: bool, name: str, value: object, allowed: str) -> None:
     """Check one value.
 
     Raises:
-        InputError: If it is not valid; says what it is and what is allowed.
+        InputError: If it is not valid; states the value and the allowed ones.
     """
     if not is_valid:
         raise InputError(f"{name} is {value}. Allowed: {allowed}.")

@@ -1,4 +1,4 @@
-"""Reference to a file with its checksum, so that a recording can be repeated from the same data."""
+"""File references with checksums, so that a recording can be repeated from the same data."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class FileRef:
     """A file, or the folder of a texture, by its path and checksum.
 
     Attributes:
-        path: Its path, relative to the working directory.
-        sha256: Checksum of the file, of a texture its head; filled in when recorded, checked when
+        path: Path relative to the working directory.
+        sha256: Checksum of the file, or of a texture's head file; set when recorded, verified when
             given.
     """
 
@@ -26,10 +26,10 @@ class FileRef:
     sha256: str = ""
 
     def checked(self) -> FileRef:
-        """The reference with the checksum of the file as it is now.
+        """Return the reference with the current checksum of the file.
 
         Raises:
-            InputError: If the file cannot be read, or is not the one that the checksum names.
+            InputError: If the file cannot be read, or does not match the given checksum.
         """
         path = Path(self.path)
         try:
@@ -45,7 +45,7 @@ class FileRef:
 
 
 def file_ref(given: FileRef | str | Path) -> FileRef:
-    """The reference of a file that may be given as a path alone."""
+    """Convert a path to a reference; references are unchanged."""
     return given if isinstance(given, FileRef) else FileRef(str(given))
 
 
@@ -55,10 +55,10 @@ def path_of(given: FileRef | str | Path) -> Path:
 
 
 def with_checksums(tree: Any) -> Any:
-    """A tree of dataclasses and tuples whose file references all have their checksum.
+    """Add the checksum to all file references in a tree of dataclasses and tuples.
 
     Raises:
-        InputError: If a file cannot be read or is not the one that a checksum names.
+        InputError: If a file cannot be read or does not match its checksum.
     """
     if isinstance(tree, FileRef):
         return tree.checked()

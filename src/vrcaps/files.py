@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and their checksums."""
+"""Atomic writing of files and folders, and checksums."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from vrcaps.locks import file_lock
 from vrcaps.temporary_files import is_temporary, remove_stale, temporary_beside
 
 MOST_BYTES = 2**32
-"""Largest size of the arrays of one archive: a header may state any."""
+"""Maximum size of the arrays of one archive, since a header may state any."""
 
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path`, which replaces `path` if the block succeeds.
+    """Yield a temporary path next to `path`, which replaces `path` if the block succeeds.
 
-    It does so when its bytes are on the disk: after a loss of power there is the old file or the
-    whole new one. The temporary name is unique, so that processes that write the same file do not
-    disturb each other: the last one to finish wins.
+    The data are synced to disk first: after a power failure there is either the old file or the
+    complete new one. The temporary name is unique, so that concurrent writers of the same file do
+    not interfere: the last one to finish wins.
     """
     with temporary_beside(path) as temporary:
         yield temporary
@@ -43,14 +43,14 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def atomic_folder(out: Path) -> Iterator[Path]:
-    """Empty folder beside `out`, which becomes `out` if the block succeeds and is removed if not.
+    """Yield an empty folder next to `out`, which becomes `out` on success and is removed otherwise.
 
-    The folder of a process that was killed is replaced.
+    The partial folder of a killed process is replaced.
 
     Raises:
         InputError: If `out` exists and is not empty.
-        FolderInUseError: If another process is making `out`.
-        StorageError: If the place cannot be written.
+        FolderInUseError: If another process is writing `out`.
+        StorageError: If the location cannot be written.
     """
     out = Path(os.path.abspath(out))
     require_new_folder(out)
@@ -73,7 +73,7 @@ def atomic_folder(out: Path) -> Iterator[Path]:
 
 
 def _remove_folder(folder: Path) -> None:
-    """Remove a folder with all that it holds; of a symbolic link only the link."""
+    """Remove a folder with its contents; of a symbolic link only the link."""
     if folder.is_symlink():
         folder.unlink()
     elif folder.exists():
@@ -81,18 +81,18 @@ def _remove_folder(folder: Path) -> None:
 
 
 def write_bytes(path: Path, data: bytes | Iterable[bytes]) -> None:
-    """Write a file whole or not at all.
+    """Write a file atomically.
 
     Args:
         path: The file to write or replace.
-        data: Its bytes, or pieces of them in order.
+        data: Its bytes, or chunks of them in order.
     """
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         file.writelines([data] if isinstance(data, bytes) else data)
 
 
 def sync_folder(folder: Path) -> None:
-    """Wait until the names in a folder are on the disk; returns at once on Windows."""
+    """Sync the names in a folder to disk; returns immediately on Windows."""
     if os.name == "nt":
         return
     descriptor = os.open(folder, os.O_RDONLY)
@@ -116,11 +116,11 @@ def read_arrays(path: Path, most_bytes: int = MOST_BYTES) -> dict[str, np.ndarra
 
     Args:
         path: The file.
-        most_bytes: Largest size of all arrays together.
+        most_bytes: Maximum total size of the arrays.
 
     Raises:
         OSError: If the file cannot be read.
-        ValueError: If it is no archive, is cut short or damaged, or its arrays are larger.
+        ValueError: If it is not an archive, is truncated or damaged, or its arrays are larger.
     """
     try:
         with path.open("rb") as file, zipfile.ZipFile(file) as archive:
@@ -133,21 +133,21 @@ def read_arrays(path: Path, most_bytes: int = MOST_BYTES) -> dict[str, np.ndarra
             }
     except OSError:
         raise
-    except Exception as error:  # what zipfile and NumPy raise for damaged data has no common base
+    except Exception as error:  # errors of zipfile and NumPy for damaged data have no common base
         raise ValueError(f"no whole NumPy archive: {error}") from error
 
 
 def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
-    """Bytes of a member; no more are decompressed than its header states."""
+    """Bytes of a member; decompression stops at the size that its header states."""
     with archive.open(member) as file:
         return file.read(member.file_size)
 
 
 def decode_array(data: bytes) -> np.ndarray:
-    """Array of the bytes of a NumPy file (.npy); its size is checked before it is allocated.
+    """Decode the bytes of a NumPy file (.npy); its size is checked before allocation.
 
     Raises:
-        ValueError: If they are no such file, hold objects, or are fewer than the header states.
+        ValueError: If they are not such a file, hold objects, or are fewer than the header states.
     """
     file = io.BytesIO(data)
     try:
@@ -169,35 +169,35 @@ def decode_array(data: bytes) -> np.ndarray:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write JSON, indented, in the order of the keys given; NaN is an error."""
+    """Write indented JSON in the given key order; NaN is an error."""
     text = json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False)
     write_bytes(path, (text + "\n").encode())
 
 
 def is_new_folder(folder: Path) -> bool:
-    """Whether a folder to be made is not there, or holds at most temporary files."""
+    """Return whether a folder is missing, or contains at most temporary files."""
     if not folder.exists():
         return True
     return folder.is_dir() and all(is_temporary(path.name) for path in folder.iterdir())
 
 
 def require_new_folder(folder: Path) -> None:
-    """Check that a folder to be made is not there, or is empty.
+    """Check that an output folder is missing or empty.
 
     Raises:
-        InputError: If it is there with something in it, or is a file.
+        InputError: If it is not empty, or is a file.
     """
     if not is_new_folder(folder):
         raise InputError(f"{folder} exists. Give a new or empty folder.")
 
 
 def files_in(folder: Path) -> list[Path]:
-    """All files in a folder and those below it, sorted."""
+    """All files in a folder and its subfolders, sorted."""
     return sorted(path for path in folder.rglob("*") if path.is_file())
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write rows as CSV below a header: all names, in the order in which they first come."""
+    """Write rows as CSV with a header: all names, in the order of their first occurrence."""
     text = io.StringIO()
     names = list(dict.fromkeys(name for row in rows for name in row))
     writer = csv.DictWriter(text, names, lineterminator="\n")

@@ -1,4 +1,4 @@
-"""Vectors, triangles and the edge graph of a triangle mesh: formulas used in many packages."""
+"""Vectors, triangles and the edge graph of a triangle mesh."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def unit(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
-    """Vectors of length 1 along the given ones; a zero vector stays zero."""
+    """Normalize vectors to length 1; a zero vector stays zero."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return vectors / np.maximum(length, np.finfo(float).tiny)
 
@@ -24,14 +24,14 @@ def smoothstep(x: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
 
 
 def triangle_normals(corners: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "m 3"]:
-    """Normal of each triangle, as long as twice its area [m²]; by the right-hand rule."""
+    """Normal of each triangle by the right-hand rule; its length is twice the area [m²]."""
     return cross_products(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 def cross_products(
     one: Float[np.ndarray, "n 3"], other: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Cross products of rows; `np.cross` takes three times as long."""
+    """Cross products of rows, three times as fast as `np.cross`."""
     (x, y, z), (a, b, c) = one.T, other.T
     return np.stack([y * c - z * b, z * a - x * c, x * b - y * a], axis=1)
 
@@ -46,7 +46,7 @@ def barycentric(
 ) -> Float[np.ndarray, "n 3"]:
     """Barycentric coordinates of a point in the plane of each triangle, 0 to 1.
 
-    They are ratios of signed areas, clipped for points that lie just outside.
+    They are ratios of signed areas, clipped for points just outside the triangle.
     """
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     area = np.cross(b - a, c - a)

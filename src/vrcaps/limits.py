@@ -15,10 +15,10 @@ class Range:
     """Limits of a number, for `Annotated[float, Range(above=0.0)]`; None and ``inf`` are open.
 
     Attributes:
-        least: Least value allowed.
-        most: Largest value allowed.
-        above: What the value must exceed.
-        below: What the value must stay under.
+        least: Minimum, inclusive.
+        most: Maximum, inclusive.
+        above: Lower bound, exclusive.
+        below: Upper bound, exclusive.
         unit: Unit, for messages.
     """
 
@@ -48,15 +48,15 @@ def _text(limit: float) -> str:
 def check_fields(instance: Any, of: str = "") -> None:
     """Check that each field with a `Range` or a `Literal` type holds an allowed value.
 
-    Call it in `__post_init__`. A field that is None is not checked; an infinite number fits no
-    open range.
+    Call it in `__post_init__`. A field that is None is not checked; an infinite number is outside
+    any open range.
 
     Args:
         instance: The dataclass.
-        of: Whose fields they are, for messages.
+        of: Owner of the fields, for messages.
 
     Raises:
-        InputError: If a number is out of range; names the field and what is allowed.
+        InputError: If a number is out of range; states the field and the allowed values.
         UnknownNameError: If a text is none of the literals.
     """
     owner = "" if not of else f"{of}' " if of.endswith("s") else f"{of}'s "
@@ -85,7 +85,7 @@ def _limits(cls: type) -> tuple[tuple[str, Range | None, tuple[str, ...]], ...]:
 
 
 def _literals(hint: Any) -> tuple[str, ...]:
-    """Texts that a type allows; none if it allows any."""
+    """Texts that a type allows; empty if it allows any."""
     if get_origin(hint) is Annotated:
         hint = get_args(hint)[0]
     if get_origin(hint) is Literal:
@@ -97,5 +97,5 @@ def _literals(hint: Any) -> tuple[str, ...]:
 
 
 def range_of(hint: Any) -> Range | None:
-    """Range that a type is annotated with, if any."""
+    """Range in the annotation of a type, if any."""
     return next((m for m in getattr(hint, "__metadata__", ()) if isinstance(m, Range)), None)

@@ -1,4 +1,4 @@
-"""Locks on files, which the operating system releases when their process ends."""
+"""File locks, which the operating system releases when their process ends."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ def file_lock(path: Path, what: str) -> Iterator[None]:
 
     Args:
         path: The file.
-        what: What is written under the lock, for messages.
+        what: Output that the lock protects, for messages.
 
     Raises:
         FolderInUseError: If another process or thread holds it.
-        StorageError: If it cannot be made.
+        StorageError: If it cannot be created.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -50,11 +50,11 @@ def file_lock(path: Path, what: str) -> Iterator[None]:
 
 
 def _acquire(path: Path, what: str) -> int:
-    """The open and locked file.
+    """Open and lock the file.
 
     Raises:
         FolderInUseError: If another process holds it.
-        OSError: If it cannot be made.
+        OSError: If it cannot be created.
     """
     flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
     while True:
@@ -78,7 +78,7 @@ def _acquire(path: Path, what: str) -> int:
 
 
 def _release(file: int, path: Path) -> None:
-    """Removes the file while it is locked; on Windows, where an open file stays, after that."""
+    """Remove the file while it is locked; on Windows, which keeps open files, after closing it."""
     with contextlib.suppress(OSError):
         if sys.platform != "win32":
             path.unlink()
@@ -88,10 +88,10 @@ def _release(file: int, path: Path) -> None:
 
 
 def try_lock(file: int) -> bool:
-    """Lock an open file until it is closed; returns at once.
+    """Lock an open file until it is closed, without waiting.
 
     Returns:
-        Whether it is locked now: False if the file system has no locks.
+        True if it is locked now, False if the file system has no locks.
 
     Raises:
         OSError: If another process or thread holds it.
@@ -115,7 +115,7 @@ def try_lock(file: int) -> bool:
 
 
 def _require_lock(file: int) -> None:
-    """Lock an open file; warn where the file system has no locks.
+    """Lock an open file; warn if the file system has no locks.
 
     Raises:
         OSError: If another process or thread holds it.
@@ -129,7 +129,7 @@ def _require_lock(file: int) -> None:
 
 
 def _holder(path: Path) -> str:
-    """Which process wrote the lock, for messages."""
+    """Process that wrote the lock, for messages."""
     try:
         held = json.loads(path.read_text(encoding="utf-8"))
         return f"Process {held['pid']} on {held['host']}"

@@ -1,4 +1,4 @@
-"""What bytes depend on beside the input: the compiled core and the packages that compute."""
+"""Versions that output bytes depend on, besides the input: the compiled core and the packages."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def core_sha256() -> str:
 
 
 def versions(packages: tuple[str, ...]) -> dict[str, str]:
-    """Versions of packages, empty where one is not installed."""
+    """Versions of packages, empty for those that are not installed."""
     return {name: _version(name) for name in packages}
 
 
 def made_here() -> dict[str, str]:
-    """Versions of vrcaps, of its core and of all packages that an episode's bytes depend on."""
+    """Versions of vrcaps, its core and all packages that an episode's bytes depend on."""
     own = {"vrcaps": _core.__version__, "core_sha256": core_sha256()}
     return {**own, **versions(EPISODE_PACKAGES)}
 

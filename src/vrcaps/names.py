@@ -1,7 +1,7 @@
-"""Names that data state and files that folders hold: checked before they are used as paths.
+"""Names in data and files in folders, checked before their use as paths.
 
-Data of others may state any text as the name of a sequence, a split or a file. Such a name is a
-relative path that stays below its folder, also where links are followed.
+External data may contain any text as the name of a sequence, a split or a file. A valid name is a
+relative path that stays below its folder, even if links are followed.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ from vrcaps.errors import InputError
 
 _LONGEST = 1000
 _SYSTEM_FILES = ("thumbs.db", "desktop.ini", "__macosx", "icon\r")
-"""Files and folders, in lower case, that Windows and macOS add to those of a user."""
+"""Files and folders, in lower case, that Windows and macOS add to a user's folders."""
 
 
 def require_name(noun: str, name: Any) -> str:
-    """Check that a name that data state can be a relative path on every system.
+    """Check that a name in data is a valid relative path on every system.
 
     Args:
-        noun: Whose name it is, for messages.
+        noun: Kind of the named object, for messages.
         name: The name; slashes separate folders.
 
     Returns:
         The name.
 
     Raises:
-        InputError: If it is no text, empty, absolute, leads upwards, or has control characters.
+        InputError: If it is not text, empty, absolute, leads upwards, or has control characters.
     """
     if not (isinstance(name, str) and _is_relative(name)):
         shown = repr(name)
@@ -54,23 +54,23 @@ def _is_relative(name: str) -> bool:
 
 
 def _is_control(character: str) -> bool:
-    """Whether a character is a control character, a backslash, or not text (half of a pair)."""
+    """Return whether a character is a control character, a backslash, or a lone surrogate."""
     code = ord(character)
     return code < 32 or code == 127 or character == "\\" or 0xD800 <= code <= 0xDFFF
 
 
 def inside(folder: Path, name: Any) -> Path:
-    """Path of a file that data name, in a folder, with links followed.
+    """Path of a file named in data, below a folder, with links followed.
 
     Args:
-        folder: Which the file must be below.
-        name: Relative path, as data state it.
+        folder: Folder that must contain the file.
+        name: Relative path in the data.
 
     Returns:
         ``folder / name``.
 
     Raises:
-        InputError: If it is no text, or leads out of the folder.
+        InputError: If it is not text, or leads out of the folder.
     """
     if not isinstance(name, (str, Path)) or "\0" in str(name):
         raise InputError(f"A file in {folder} has the name {name!r}. Allowed: a relative path.")
@@ -81,10 +81,10 @@ def inside(folder: Path, name: Any) -> Path:
 
 
 def require_links_inside(folder: Path) -> None:
-    """Check that no link in a folder or in those below it leads out of it; hidden ones may.
+    """Check that no link in a folder or its subfolders leads out of it; hidden ones may.
 
     Raises:
-        InputError: If one does; names it.
+        InputError: If one does; states its path.
     """
     for place, folders, files in os.walk(folder):
         folders[:] = [name for name in folders if not is_hidden(Path(name))]
@@ -94,19 +94,19 @@ def require_links_inside(folder: Path) -> None:
 
 
 def listed(folder: Path, pattern: str) -> list[Path]:
-    """Files and folders that fit a pattern, sorted; without hidden ones and those of systems.
+    """Files and folders that match a pattern, sorted, without hidden and system files.
 
-    Hidden are names that begin with a dot, such as the `._*` that macOS puts beside each file.
+    Names that start with a dot are hidden, such as the `._*` that macOS adds next to each file.
 
     Args:
-        folder: Where to look.
-        pattern: As of `Path.glob`; ``**`` is any depth.
+        folder: Folder to search.
+        pattern: As in `Path.glob`; ``**`` is any depth.
     """
     return sorted(p for p in folder.glob(pattern) if not is_hidden(p.relative_to(folder)))
 
 
 def is_hidden(path: Path) -> bool:
-    """Whether a relative path has a part that is hidden or that a system adds."""
+    """Return whether a relative path has a part that is hidden or added by a system."""
     return any(part.startswith(".") or part.lower() in _SYSTEM_FILES for part in path.parts)
 
 

@@ -1,4 +1,4 @@
-"""Conversion of numbers from files and users to a narrower type, with a check of their range."""
+"""Range-checked conversion of numbers from files and users to a narrower type."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 
 
 def narrow(values: ArrayLike, dtype: DTypeLike, name: str) -> np.ndarray[Any, Any]:
-    """Array of an integer type that holds the same numbers.
+    """Convert an array to an integer type without changing any value.
 
-    NumPy's `astype` wraps what is out of range and cuts off fractions without a word.
+    NumPy's `astype` silently wraps values that are out of range and truncates fractions.
 
     Args:
         values: Numbers of any type.
@@ -34,7 +34,7 @@ def narrow(values: ArrayLike, dtype: DTypeLike, name: str) -> np.ndarray[Any, An
         return found.astype(dtype)
     low, high = found.min(), found.max()  # NaN, if there is one
     if found.dtype.kind == "f":
-        # Not `wanted.max` itself: as a float, that of 64 bits lies just beyond the range.
+        # Not `wanted.max` itself: for 64 bits its float is just beyond the range.
         bad = ~((found >= float(wanted.min)) & (found < float(wanted.max) + 1.0))
         bad |= found != np.floor(found)
     else:

@@ -1,4 +1,4 @@
-"""Files of plain values: TOML and JSON, read with exact decimals, written whole or not at all."""
+"""Files of plain values: TOML and JSON, read with exact decimals, written atomically."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from vrcaps.files import write_bytes
 
 
 def read_plain(path: Path, noun: str) -> Any:
-    """What a TOML file holds, or a JSON file where the name does not end in `.toml`.
+    """Read a TOML file, or a JSON file if the name does not end in `.toml`.
 
     Args:
         path: The file.
-        noun: What it describes, for messages, such as ``scenario``.
+        noun: Kind of its contents, for messages, such as ``scenario``.
 
     Raises:
         InputError: If the file cannot be read or is neither.
@@ -35,11 +35,11 @@ def read_plain(path: Path, noun: str) -> Any:
 
 
 def decode_json(data: bytes | str, what: object) -> Any:
-    """Value of a JSON text.
+    """Decode a JSON text.
 
     Args:
-        data: The text, UTF-8 where it is given as bytes.
-        what: Where it is from, for messages.
+        data: The text, UTF-8 if given as bytes.
+        what: Source of the text, for messages.
 
     Raises:
         InputError: If it is not JSON.
@@ -51,12 +51,12 @@ def decode_json(data: bytes | str, what: object) -> Any:
 
 
 def write_toml(path: Path, plain: dict[str, Any], noun: str) -> None:
-    """Write plain values as TOML, whole or not at all.
+    """Write plain values as TOML atomically.
 
     Args:
         path: The file.
         plain: Its tables; numbers may be decimals.
-        noun: What it describes, for messages.
+        noun: Kind of its contents, for messages.
 
     Raises:
         InputError: If a value has no TOML form or the file cannot be written.

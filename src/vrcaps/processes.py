@@ -16,18 +16,18 @@ _PR_SET_PDEATHSIG = 1
 
 
 class _EndsWithParent:
-    """Value that calls `kill_with_parent` where it is unpickled."""
+    """Value that calls `kill_with_parent` when it is unpickled."""
 
     def __reduce__(self) -> tuple[Callable[[int], None], tuple[int]]:
         return kill_with_parent, (os.getpid(),)
 
 
 def spawned(target: Callable[..., None], *arguments: Any) -> Any:
-    """New process of `multiprocessing`, not started, that ends when this process ends in any way.
+    """Create a `multiprocessing` process, not started, that ends with this one in any case.
 
     Args:
-        target: Function that it runs.
-        arguments: Of the function.
+        target: Function to run.
+        arguments: Arguments of the function.
     """
     context = multiprocessing.get_context("spawn")
     # Unpickled in this order: the process must not outlive its parent while it imports packages.
@@ -41,10 +41,10 @@ def _run(_: None, target: Callable[..., None], arguments: tuple[Any, ...]) -> No
 
 
 def end_with_parent() -> None:
-    """End this process of `multiprocessing` as soon as its parent has ended, in any way.
+    """End this `multiprocessing` process as soon as its parent has ended, in any way.
 
-    On Linux the kernel kills it; elsewhere a thread waits for the end of the parent, which it
-    notices when compiled code releases the interpreter.
+    On Linux the kernel kills it. On other systems a thread waits for the end of the parent and acts
+    once compiled code releases the interpreter.
     """
     parent = multiprocessing.parent_process()
     assert parent is not None and parent.pid is not None
@@ -53,10 +53,10 @@ def end_with_parent() -> None:
 
 
 def kill_with_parent(parent: int) -> None:
-    """Ask the kernel to kill this process when its parent ends; returns at once elsewhere.
+    """Ask the kernel to kill this process when its parent ends; no effect on other systems.
 
     Args:
-        parent: Number of the parent, which may have ended already.
+        parent: Process ID of the parent, which may have ended already.
     """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)

@@ -1,8 +1,8 @@
-"""Independent random streams: one generator for each purpose, all from one seed.
+"""Independent random streams: one generator per purpose, all from one seed.
 
-A seed alone is no stream: two generators with the same seed draw the same numbers, and what they
-decide is then correlated. Each purpose therefore has a name, and the name is part of the seed
-(the `spawn_key` of NumPy's `SeedSequence`).
+Two generators with the same seed draw the same numbers, so their uses would be correlated. Each
+purpose therefore has a name, which is part of the seed (the `spawn_key` of NumPy's
+`SeedSequence`).
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 
 def stream(seed: int, purpose: str, *index: int) -> np.random.Generator:
-    """Generator for one purpose, such as ``"colon/course"``, independent of all others.
+    """Create the generator for one purpose, such as ``"colon/course"``, independent of all others.
 
     The same arguments give the same numbers on every machine.
 
     Args:
-        seed: Of the patient, the scenario or whatever is drawn, 0 or more.
-        purpose: Name of what is drawn; each place in the source has its own.
-        index: Numbers that tell members of the purpose apart, such as a frame's, 0 or more.
+        seed: Seed of the patient, the scenario or another object, 0 or more.
+        purpose: Name of the purpose; each use in the source has its own.
+        index: Indices that distinguish members of the purpose, such as a frame's, 0 or more.
     """
     digest = hashlib.sha256(purpose.encode()).digest()
     words = np.frombuffer(digest[:16], "<u4").tolist()
@@ -33,15 +33,16 @@ def stream(seed: int, purpose: str, *index: int) -> np.random.Generator:
 
 
 def truncated_normal(rng: np.random.Generator, bound: float = 2.0) -> float:
-    """A truncated normal number of mean 0 and deviation 1, without tails that fit in no abdomen.
+    """Draw from a truncated normal distribution of mean 0 and standard deviation 1.
 
-    A standard normal number cut off at ±b has the variance 1 − 2 b φ(b) / (2 Φ(b) − 1) (Johnson,
-    Kotz and Balakrishnan 1994, Continuous Univariate Distributions 1, section 13.10.1); it is
-    drawn so and divided by the root of that, so that the published deviations hold.
+    Truncation avoids tails that do not fit in an abdomen. A standard normal truncated at ±b has the
+    variance 1 − 2 b φ(b) / (2 Φ(b) − 1) (Johnson, Kotz and Balakrishnan 1994, Continuous Univariate
+    Distributions 1, section 13.10.1); the value is divided by its square root, so that published
+    standard deviations hold.
 
     Args:
-        rng: Source of the number.
-        bound: Where the normal distribution is cut off, before it is scaled.
+        rng: Random generator.
+        bound: Truncation of the normal distribution, before scaling.
     """
     while abs(value := float(rng.standard_normal())) > bound:
         pass

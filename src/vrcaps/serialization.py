@@ -1,10 +1,10 @@
 """Serialization: trees of frozen dataclasses to and from the plain values of TOML and JSON.
 
 A field's type is the schema: ``bool``, ``int``, ``float``, ``str``, ``None``, ``Literal``, ``Any``,
-tuples, dataclasses and unions of these. An infinite number is the text ``inf``. Where a union has
-several dataclasses, the key ``kind`` names the class by its own class variable `kind`. A key that a
-table leaves out is as in the default value of that table's field. A dataclass whose files look
-different from its fields registers how to expand it with `register_shorthand`.
+tuples, dataclasses and unions of these. Infinity is the text ``inf``. If a union has several
+dataclasses, the key ``kind`` selects the class by its class variable `kind`. Missing keys of a
+table are taken from the default value of that table's field. A dataclass whose files differ from
+its fields registers its expansion with `register_shorthand`.
 
 A field with ``metadata={"unit": "mm"}`` holds SI units in Python. With ``units=True`` its key is
 ``<name>_mm`` and its value is in that unit, converted exactly; otherwise keys and values are SI.
@@ -37,33 +37,33 @@ _SHORTHANDS: dict[type, Callable[[dict[str, Any]], dict[str, Any]]] = {}
 
 
 class _NotAllowedError(ValueError):
-    """A value that does not fit its type; the place is found later."""
+    """A value that does not fit its type; its location is added later."""
 
     def __init__(self, given: Any, allowed: str, verb: str = "is") -> None:
         super().__init__(f"{verb} {given}. Allowed: {allowed}.")
 
 
 _STRUCTURE_ERRORS = (BaseValidationError, VrcapsError, ValueError, TypeError, KeyError)
-"""What a value may raise that is not of its declared type."""
+"""Errors that a value of a wrong type may raise."""
 
 
 def register_shorthand(cls: type, expand: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
-    """Let files with units state a dataclass in other keys than its fields.
+    """Let files with units use other keys for a dataclass than its fields.
 
     Args:
         cls: The dataclass.
-        expand: Makes a table with the keys of the fields; values may already be objects.
+        expand: Returns a table with the keys of the fields; values may already be objects.
     """
     _SHORTHANDS[cls] = expand
 
 
 def to_plain(value: Any, declared: Any, *, units: bool = False) -> Any:
-    """Plain form of a value of the declared type.
+    """Convert a value of the declared type to plain form.
 
     Args:
         value: A dataclass, tuple, number, text or None.
-        declared: Its type; decides whether a dataclass carries its `kind`.
-        units: Write fields in the units of their metadata, as decimals, and leave out None.
+        declared: Its type; determines whether a dataclass includes its `kind`.
+        units: Write fields in the units of their metadata, as decimals, and omit None.
     """
     if is_dataclass(value):
         hints = type_hints(type(value))
@@ -84,17 +84,17 @@ def to_plain(value: Any, declared: Any, *, units: bool = False) -> Any:
 
 
 def from_plain(declared: Any, plain: Any, *, at: str, units: bool = False) -> Any:
-    """Value of the declared type from its plain form.
+    """Convert plain form to a value of the declared type.
 
     Args:
-        declared: A type as described on top of this module.
-        plain: What a JSON or TOML file holds; numbers may be decimals.
-        at: Where in the file it is, for messages, such as ``scenario.motion`` or ``mine.toml:``.
+        declared: A type as described at the top of this module.
+        plain: Contents of a JSON or TOML file; numbers may be decimals.
+        at: Location in the file, for messages, such as ``scenario.motion`` or ``mine.toml:``.
         units: Fields are in the units of their metadata.
 
     Raises:
         InputError: If a key is unknown or missing or a value is not allowed; one line with the
-            place, what was given and what is allowed.
+            location, the given and the allowed value.
     """
     try:
         return _converter(units).structure(plain, declared)
@@ -110,7 +110,7 @@ def type_hints(cls: type) -> dict[str, Any]:
 
 @cache
 def _converter(units: bool) -> Converter:
-    """The cattrs converter with strict types."""
+    """Create the cattrs converter with strict types."""
     converter = Converter(forbid_extra_keys=True)
     for scalar in (bool, int, float, str, types.NoneType):
         converter.register_structure_hook(scalar, _structure_scalar)
@@ -162,8 +162,8 @@ def _tuple_hook(converter: Converter, declared: Any, units: bool) -> Callable[[A
 
 
 def _note(index: int, item: Any) -> str:
-    """Where in a list an error is, as cattrs notes it."""
-    make = cast(Any, IterableValidationNote)  # checkers see the constructor of `str`
+    """Location of an error in a list, in the form of cattrs."""
+    make = cast(Any, IterableValidationNote)  # type checkers see the constructor of `str`
     return make("", index, item)
 
 
@@ -189,7 +189,7 @@ def _union_hook(converter: Converter, declared: Any, units: bool) -> Callable[[A
 
 
 class _UnknownKindError(_NotAllowedError):
-    """A table of no known kind."""
+    """A table of unknown kind."""
 
     def __init__(self, kind: Any, known: Mapping[str, type]) -> None:
         given = "missing" if kind is None else _shown(kind)
@@ -197,7 +197,7 @@ class _UnknownKindError(_NotAllowedError):
 
 
 def _table_hook(converter: Converter, cls: Any, units: bool) -> Callable[[Any, Any], Any]:
-    """Reads a table into a dataclass; parts of tables are filled up from their field's default."""
+    """Create the hook from a table to a dataclass; partial tables are completed from defaults."""
     hints, known = type_hints(cls), {_key(f, units): f for f in fields(cls)}
     renamed = {
         f.name: override(
@@ -233,21 +233,21 @@ def _unit_hook(
         return lambda plain, _: converter.structure(plain, declared)
 
     def structure(plain: Any, _: Any) -> Any:
-        converter.structure(plain, declared)  # what is wrong is said in the file's own unit
+        converter.structure(plain, declared)  # errors are reported in the file's own unit
         return converter.structure(_scaled(plain, unit), declared)
 
     return structure
 
 
 def _scaled(plain: Any, unit: str) -> Any:
-    """Numbers of a unit as SI."""
+    """Convert numbers of a unit to SI."""
     if isinstance(plain, list | tuple):
         return [_scaled(item, unit) for item in plain]
     return plain if plain is None or unit not in UNITS else to_si(plain, unit)
 
 
 def _completed(f: Field, declared: Any, plain: Any, units: bool) -> Any:
-    """A table of some keys with the others as the field's own default has them."""
+    """Complete a partial table with the values of the field's default."""
     default = f.default if f.default_factory is MISSING else f.default_factory()
     if not (isinstance(plain, Mapping) and is_dataclass(default)):
         return plain
@@ -257,7 +257,7 @@ def _completed(f: Field, declared: Any, plain: Any, units: bool) -> Any:
 
 
 def _explained(error: BaseException, at: str, units: bool) -> InputError:
-    """The first error of a tree of them, with its place."""
+    """First error of a tree of errors, with its location."""
     if isinstance(error, ClassValidationError):
         return _explained_table(error, at, units)
     if isinstance(error, IterableValidationError):
@@ -292,7 +292,7 @@ def _explained_table(error: ClassValidationError, at: str, units: bool) -> Input
 
 
 def _titled(what: str, place: str) -> str:
-    """What is wrong with a key, behind the name of the file where the place has one."""
+    """Description of a problem with a key, after the file name if the location has one."""
     file, _, key = place.rpartition(": ")
     return f"{file}: {what[0].lower()}{what[1:]} {key}" if file else f"{what} {key}"
 
@@ -333,7 +333,7 @@ def _item_types(declared: Any, count: int) -> tuple[Any, ...]:
 
 
 def _classes(declared: Any) -> dict[str, type]:
-    """Dataclasses of a union by kind; those without a kind, beside others, have no plain form."""
+    """Dataclasses of a union by kind; those without a kind, next to others, have no plain form."""
     classes = [m for m in _members(declared) if isinstance(m, type) and is_dataclass(m)]
     if len(classes) == 1:
         return {"": classes[0]}
@@ -353,7 +353,7 @@ def _fits(member: Any, plain: Any) -> bool:
 
 
 def _is_number(plain: Any) -> bool:
-    """Whether a value is a number that a float can hold, or the text for an infinite one."""
+    """Return whether a value is a number that a float can hold, or the text for infinity."""
     if isinstance(plain, float):
         return True
     if isinstance(plain, bool) or not isinstance(plain, int | Decimal):

@@ -1,4 +1,4 @@
-"""Temporary files beside their targets, and removal of those that killed processes left behind."""
+"""Temporary files next to their targets, and removal of those left by killed processes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory, gettempdir
 from vrcaps.locks import try_lock
 
 TEMPORARY = ".tmp"
-"""End of the names of files that are still being written; they start with a dot."""
+"""Suffix of files that are still being written; their names start with a dot."""
 
 _SCRATCH, _HELD = "vrcaps-scratch-", ".lock"
 
@@ -24,15 +24,15 @@ _NAME = re.compile(rf"\..+\.([0-9a-f]{{16}}|[0-9a-f]{{32}}){re.escape(TEMPORARY)
 
 
 def is_temporary(name: str) -> bool:
-    """Whether a file name is one that `temporary_beside` or the core gives."""
+    """Return whether a file name has the form of `temporary_beside` or of the core."""
     return _NAME.fullmatch(name) is not None
 
 
 @contextmanager
 def temporary_beside(path: Path) -> Iterator[Path]:
-    """Empty temporary file in the folder of `path`, under a unique name, removed after the block.
+    """Yield an empty, uniquely named temporary file in the folder of `path`; removed after the block.
 
-    The process holds a lock on the file, which ends with the process: `remove_stale` thereby
+    The process holds a lock on the file, which ends with the process. By it, `remove_stale`
     distinguishes the file of a killed process from that of a running one. The first temporary file
     of a process in a folder removes the stale ones there.
     """
@@ -41,13 +41,13 @@ def temporary_beside(path: Path) -> Iterator[Path]:
         temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}{TEMPORARY}")
         file = os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o666)
         try:
-            if os.name != "nt":  # Windows removes no open file, and replaces none
+            if os.name != "nt":  # Windows can neither remove nor replace an open file
                 try_lock(file)
             if temporary.exists():
                 break
         except OSError:
             pass
-        os.close(file)  # `remove_stale` of another process came before the lock
+        os.close(file)  # `remove_stale` of another process preceded the lock
     if os.name == "nt":
         os.close(file)
     try:
@@ -60,23 +60,23 @@ def temporary_beside(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """Empty folder below the system's folder of temporary files, removed after the block.
+    """Yield an empty folder in the system's temporary folder; removed after the block.
 
-    Those that killed processes of the same user left behind are removed first.
+    Folders left by killed processes of the same user are removed first.
     """
     _remove_stale_scratch()
     with (
         TemporaryDirectory(prefix=_SCRATCH) as name,
         temporary_beside(Path(name) / "new") as lock,
     ):
-        lock.rename(lock.with_name(_HELD))  # seen by others when it is locked
+        lock.rename(lock.with_name(_HELD))  # visible to others once it is locked
         (Path(name) / "files").mkdir()
         yield Path(name) / "files"
 
 
 def _remove_stale_scratch() -> None:
     """Remove scratch folders whose processes have ended."""
-    if os.name == "nt":  # who owns them is not known
+    if os.name == "nt":  # their owner is not known
         return
     for folder in Path(gettempdir()).glob(f"{_SCRATCH}*"):
         with contextlib.suppress(OSError):  # held, or removed by another process meanwhile
@@ -91,9 +91,9 @@ def _remove_stale_scratch() -> None:
 
 
 def remove_stale(folder: Path) -> None:
-    """Remove the temporary files in a folder whose processes have ended; others stay.
+    """Remove the temporary files in a folder whose processes have ended; others are kept.
 
-    A file system without locks shows no difference; there all of them stay.
+    Without file locks the two cannot be distinguished; then all are kept.
     """
     with contextlib.suppress(OSError), os.scandir(folder) as entries:
         stale = [Path(entry.path) for entry in entries if is_temporary(entry.name)]
@@ -103,7 +103,7 @@ def remove_stale(folder: Path) -> None:
 
 @lru_cache(maxsize=1024)
 def _remove_stale_once(folder: Path) -> None:
-    """Remove stale files in a folder, once in a process: to list a large folder takes a while."""
+    """Remove stale files in a folder once per process, since listing a large folder is slow."""
     remove_stale(folder)
 
 

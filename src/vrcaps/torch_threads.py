@@ -1,4 +1,4 @@
-"""PyTorch on a number of threads, with the same bytes on every run."""
+"""Deterministic PyTorch with a set number of threads."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from vrcaps.errors import import_extra
 
 @contextmanager
 def exact_torch(threads: int = 1) -> Iterator[None]:
-    """PyTorch on a number of threads, the same bytes on every run.
+    """Set PyTorch's number of threads and deterministic algorithms within the block.
 
-    A small network on two threads of a busy machine learns twenty times slower than on one.
+    On a busy machine, a small network trains twenty times slower on two threads than on one.
 
     Raises:
         MissingExtraError: If PyTorch is not installed.

@@ -1,4 +1,4 @@
-"""Folder of a training: what it was begun with, so that it goes on to the same result."""
+"""Folder of a training: its settings and versions, so that it resumes with the same result."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ def begin_training(
     is_forced: bool = False,
     growing: tuple[str, ...] = (),
 ) -> None:
-    """Make the folder of a training, or check that it is of the same one.
+    """Create the folder of a training, or check that it belongs to the same one.
 
     Args:
         out: Folder: new, empty, or of the same training.
         plain: Settings as plain values.
         packages: Packages that the result's bytes depend on.
-        is_forced: Go on even if vrcaps or a package has changed since the training began.
-        growing: Settings by their paths that may have grown; the new values are written.
+        is_forced: Resume even if vrcaps or a package has changed since the start of the training.
+        growing: Dotted paths of settings that may have grown; the new values are written.
 
     Raises:
         InputError: If the folder holds something else, or a training of other settings or versions.
@@ -66,7 +66,7 @@ def begin_training(
 
 
 def _with_grown(before: Any, now: Any, growing: tuple[str, ...]) -> Any:
-    """A plain tree with the numbers at some paths raised to those of another tree."""
+    """Copy of a plain tree with the numbers at some paths raised to those of another tree."""
     raised = copy.deepcopy(before)
     for path in growing:
         *groups, name = path.split(".")
@@ -81,7 +81,7 @@ def _with_grown(before: Any, now: Any, growing: tuple[str, ...]) -> Any:
 
 
 def _differences(before: Any, now: Any, at: str = "") -> list[str]:
-    """Places at which two plain trees differ, with both values."""
+    """Paths at which two plain trees differ, with both values."""
     if isinstance(before, dict) and isinstance(now, dict):
         keys = sorted({*before, *now})
         return [

@@ -17,15 +17,15 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _UNIT = 0.01
-"""Largest deviation of a stored quaternion's length from 1."""
+"""Maximum deviation of a stored quaternion's length from 1."""
 _FARTHEST = 1e9
-"""Positions beyond this are no data [m]; differences of larger ones overflow."""
+"""Maximum magnitude of positions in valid data [m]; differences of larger ones overflow."""
 
 
 def transform_from(
     rotation: Float[np.ndarray, "*batch 3 3"], translation: Float[np.ndarray, "*batch 3"]
 ) -> Float[np.ndarray, "*batch 4 4"]:
-    """``T_a_b`` from the rotation ``R_a_b`` and the origin of b in a [m]."""
+    """Compose ``T_a_b`` from the rotation ``R_a_b`` and the origin of b in a [m]."""
     rotation, translation = np.asarray(rotation, float), np.asarray(translation, float)
     batch = rotation.shape[:-2]
     if batch != translation.shape[:-1]:
@@ -38,7 +38,7 @@ def transform_from(
 
 
 def invert(transform: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 4 4"]:
-    """``T_b_a`` of a rigid ``T_a_b``."""
+    """Inverse ``T_b_a`` of a rigid ``T_a_b``."""
     rotation = np.swapaxes(transform[..., :3, :3], -1, -2)
     return transform_from(rotation, -(rotation @ transform[..., :3, 3:])[..., 0])
 
@@ -46,7 +46,7 @@ def invert(transform: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*ba
 def transform_points(
     transform: Float[np.ndarray, "*batch 4 4"], points: Float[np.ndarray, "*batch n 3"]
 ) -> Float[np.ndarray, "*batch n 3"]:
-    """Points of frame b in frame a, given ``T_a_b``."""
+    """Transform points from frame b to frame a, given ``T_a_b``."""
     rotation, translation = transform[..., :3, :3], transform[..., None, :3, 3]
     return points @ np.swapaxes(rotation, -1, -2) + translation
 
@@ -54,7 +54,7 @@ def transform_points(
 def rotate_vectors(
     transform: Float[np.ndarray, "*batch 4 4"], vectors: Float[np.ndarray, "*batch n 3"]
 ) -> Float[np.ndarray, "*batch n 3"]:
-    """Directions of frame b in frame a, given ``T_a_b``."""
+    """Rotate directions from frame b to frame a, given ``T_a_b``."""
     return vectors @ np.swapaxes(transform[..., :3, :3], -1, -2)
 
 
@@ -71,7 +71,7 @@ def matrix_from_quaternion(
     if not ((norm > 0.0) & (norm < np.inf)).all():
         raise InputError("A quaternion is zero or not finite. Allowed: any other wxyz.")
     unit = wxyz / norm
-    # One in plain numbers, which are many times as fast as NumPy's.
+    # A single one is computed with Python floats, which are many times as fast as NumPy's.
     w, x, y, z = unit.tolist() if unit.ndim == 1 else np.moveaxis(unit, -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -85,7 +85,7 @@ def matrix_from_quaternion(
 def matrix_from_unit_quaternion(
     wxyz: Float[np.ndarray, "*batch 4"], what: object
 ) -> Float[np.ndarray, "*batch 3 3"]:
-    """Rotation matrix of a quaternion that a file holds, of unit length but for rounding.
+    """Rotation matrix of a quaternion from a file, of unit length up to rounding.
 
     Args:
         wxyz: The quaternion.
@@ -107,16 +107,16 @@ def matrix_from_unit_quaternion(
 def require_rigid(
     transforms: Float[np.ndarray, "*batch 4 4"], what: object, tolerance: float = 1e-3
 ) -> None:
-    """Check that matrices that data hold are rigid transforms.
+    """Check that matrices from data are rigid transforms.
 
     Args:
         transforms: The matrices.
-        what: Where they are from, for messages.
-        tolerance: Largest deviation of ``R Rᵀ`` from the identity; files round.
+        what: Source of the matrices, for messages.
+        tolerance: Maximum deviation of ``R Rᵀ`` from the identity, since files round.
 
     Raises:
-        InputError: If one is not finite, its rotation not orthonormal and right-handed, or its last
-            row not 0 0 0 1.
+        InputError: If one is not finite, its rotation is not orthonormal and right-handed, or its
+            last row is not 0 0 0 1.
     """
     matrices = np.asarray(transforms, float)
     if matrices.shape[-2:] != (4, 4):
@@ -160,7 +160,7 @@ def quaternion_from_matrix(
 def look_along(
     forward: Float[np.ndarray, "*batch 3"], up: Float[np.ndarray, "*batch 3"]
 ) -> Float[np.ndarray, "*batch 3 3"]:
-    """Rotation whose z axis is `forward` and whose y axis is as near to −`up` as can be.
+    """Rotation whose z axis is `forward` and whose y axis is as close as possible to −`up`.
 
     This is a camera's rotation ``R_world_camera`` (x right, y down, z forward).
 
@@ -179,9 +179,9 @@ def look_along(
 def rotation_vector(
     R_world_a: Float[np.ndarray, "*batch 3 3"], R_world_b: Float[np.ndarray, "*batch 3 3"]
 ) -> Float[np.ndarray, "*batch 3"]:
-    """Axis times angle [rad] of the rotation that takes a to b, in the world frame.
+    """Axis times angle [rad] of the rotation from a to b, in the world frame.
 
-    The angle is from 0 to π: the shorter way round.
+    The angle is between 0 and π.
     """
     wxyz = quaternion_from_matrix(R_world_b @ np.swapaxes(R_world_a, -1, -2))
     sine = np.linalg.norm(wxyz[..., 1:], axis=-1, keepdims=True)
@@ -207,7 +207,7 @@ def vector_from_rotation(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray
 def rotate_by_vector(
     vector: Float[np.ndarray, " 3"], rotation: Float[np.ndarray, "3 3"]
 ) -> Float[np.ndarray, "3 3"]:
-    """One rotation matrix rotated further by a rotation vector [rad] in the same outer frame.
+    """Rotate one rotation matrix by a rotation vector [rad] in the same outer frame.
 
     Compiled, for control loops; the result is orthonormal.
     """

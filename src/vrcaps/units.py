@@ -1,6 +1,6 @@
-"""Unit factors to SI and the parsing of stated units; nothing is guessed.
+"""Unit factors to SI, and parsing of stated units without guessing.
 
-Multiply to enter SI (``5.5 * MM``), divide to leave it (``length / MM``).
+Multiply to convert to SI (``5.5 * MM``), divide to convert from it (``length / MM``).
 """
 
 from __future__ import annotations

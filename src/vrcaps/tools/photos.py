@@ -1,4 +1,4 @@
-"""Photographs from files, folders and videos."""
+"""Reader of photographs from files, folders and videos."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ if TYPE_CHECKING:
     from jaxtyping import UInt8
 
 IMAGES = (".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp")
-"""File name ends of pictures."""
+"""File name extensions of images."""
 
 VIDEOS = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".webm")
-"""File name ends of videos."""
+"""File name extensions of videos."""
 
 
 @dataclass(frozen=True)
 class Photo:
-    """One endoscopic picture.
+    """Endoscopic image.
 
     Attributes:
-        name: File name, with the number of the frame where it is of a video.
-        rgb: sRGB.
+        name: File name; for a video, with the frame index.
+        rgb: sRGB values.
         sha256: Checksum of the file.
     """
 
@@ -40,14 +40,14 @@ class Photo:
 
 
 def read_photos(paths: Sequence[Path], *, num_frames: int = 8) -> list[Photo]:
-    """Every picture of files and folders, sorted by name within a folder.
+    """Read all images of files and folders, sorted by name within a folder.
 
     Args:
-        paths: Pictures, videos, or folders of them (without their subfolders).
-        num_frames: Frames to take of each video, evenly spaced.
+        paths: Images, videos, or folders of them (without their subfolders).
+        num_frames: Frames to read from each video, evenly spaced.
 
     Raises:
-        InputError: If a path is missing, holds no picture, or cannot be read as one.
+        InputError: If a path is missing, contains no image, or cannot be read as one.
     """
     if num_frames < 1:
         raise InputError(f"The number of frames of a video is {num_frames}. Allowed: 1 or more.")

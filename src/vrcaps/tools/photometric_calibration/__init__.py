@@ -1,1 +1,1 @@
-"""A camera from its frames: circle, vignetting, color, noise, compression."""
+"""Photometric camera calibration from frames: circle, vignetting, color, noise, compression."""

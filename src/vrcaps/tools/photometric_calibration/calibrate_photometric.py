@@ -1,4 +1,4 @@
-"""Photometric calibration of a camera from its frames, and a device that has the result."""
+"""Photometric calibration of a camera from its frames, and a device with the result."""
 
 from __future__ import annotations
 
@@ -26,25 +26,25 @@ from vrcaps.tools.photometric_calibration.vignetting_profile import (
 )
 
 _SAME_SHAPE = 0.02
-"""Largest difference of the ratios of width and height of frames and camera."""
+"""Maximum difference of the aspect ratios of frames and camera."""
 
 
 @dataclass(frozen=True)
 class PhotometricCalibration:
-    """What frames say of the camera that took them.
+    """Photometric parameters of a camera, estimated from its frames.
 
     Attributes:
         size: Width and height of the frames [px].
-        circle: Image circle in the frames, or None where no dark rim is seen.
-        vignetting: How the light falls towards the edge.
+        circle: Image circle in the frames, or None if there is no dark rim.
+        vignetting: Decrease of the light towards the edge.
         profile: Radial brightness of the frames.
-        reference_profile: That of reference frames, if any.
-        color: Of the wall, or None where nothing is well exposed.
-        gains: Red, green and blue relative to the reference's; 1 without one.
-        brightness: Green light on the axis relative to the reference's; 1 without one.
-        noise: Gain and read noise, or None where coding hides them.
+        reference_profile: Radial brightness of the reference frames, if any.
+        color: Color of the wall, or None if nothing is well exposed.
+        gains: Red, green and blue relative to the reference; 1 without one.
+        brightness: Green light on the axis relative to the reference; 1 without one.
+        noise: Gain and read noise, or None if coding hides them.
         jpeg_quality: Of JPEG files, or None.
-        blockiness: Step over the borders of 8 px over the step elsewhere.
+        blockiness: Step across the borders of 8 px blocks over the step elsewhere.
     """
 
     size: tuple[int, int]
@@ -67,16 +67,16 @@ def calibrate_photometric(
     reference: Frames | None = None,
     jpeg_quality: int | None = None,
 ) -> PhotometricCalibration:
-    """Figures of the camera that took frames.
+    """Estimate the photometric parameters of a camera from its frames.
 
     Args:
-        frames: Real ones.
-        camera: Gives its size and its lens's center.
-        reference: Frames rendered with `camera` without effects, that all is compared with.
-        jpeg_quality: Of the files.
+        frames: Real frames.
+        camera: Provides the size and the lens's center.
+        reference: Frames rendered with `camera` without effects, for comparison.
+        jpeg_quality: JPEG quality of the files.
 
     Raises:
-        InputError: If frames have another shape than the camera's images.
+        InputError: If the aspect ratio of the frames differs from the camera's.
     """
     center = _center(frames, camera)
     profile = radial_profile(frames, center)
@@ -107,10 +107,10 @@ def calibrate_photometric(
 def photometric_device(
     pattern: Device, calibration: PhotometricCalibration, *, camera: str | None = None
 ) -> Device:
-    """A device whose camera has the frames' image circle, color and brightness.
+    """Copy of a device whose camera has the image circle, color and brightness of the frames.
 
-    The circle is scaled to the camera's size; color goes into the LEDs' intensities, brightness
-    into the exposure.
+    The circle is scaled to the camera's size; color is applied to the LEDs' intensities, brightness
+    to the exposure.
 
     Raises:
         UnknownNameError: If the pattern has no such camera.
@@ -132,9 +132,9 @@ def photometric_device(
 
 
 def write_scenario(path: Path, calibration: PhotometricCalibration, capsule: Path) -> None:
-    """Write a scenario with the capsule and what its device cannot hold, as exact effects.
+    """Write a scenario with the capsule, and the effects that a device does not include.
 
-    Vignetting, noise and JPEG are left out where the frames show none.
+    Vignetting, noise and JPEG are omitted if the frames show none.
 
     Args:
         path: TOML file to write.
@@ -161,10 +161,10 @@ def write_scenario(path: Path, calibration: PhotometricCalibration, capsule: Pat
 
 
 def _center(frames: Frames, camera: Camera) -> tuple[float, float]:
-    """The lens's center in frames that may be larger or smaller than the camera's images [px].
+    """Lens center in frames that may be larger or smaller than the camera's images [px].
 
     Raises:
-        InputError: If frames have another shape than the camera's images.
+        InputError: If the aspect ratio of the frames differs from the camera's.
     """
     width, height = frames.size
     across, down = width / camera.width, height / camera.height

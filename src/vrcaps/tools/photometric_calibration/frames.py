@@ -1,4 +1,4 @@
-"""Frames of one camera in linear light, and where in them the wall is seen."""
+"""Frames of one camera in linear light, with masks of the visible wall."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from vrcaps.tools.photos import Photo
 
 MIN_FRAMES = 3
-"""Fewest frames: what is on one is not the camera's."""
+"""Minimum number of frames; a single frame cannot separate scene and camera."""
 _MASK_SIDE = 112
-"""Shorter side that masks are found at, at least [px]: finer ones take longer and tell no more."""
+"""Minimum shorter side of masks [px]: finer ones take longer and add nothing."""
 _SATURATED, _DARKEST = 250, 5
-"""Code values beyond which light is cut off or lost [of 255]."""
+"""Code values beyond which light is clipped or lost [of 255]."""
 
 
 @dataclass(frozen=True)
@@ -30,10 +30,10 @@ class Frames:
     """Frames of one camera.
 
     Attributes:
-        rgb: As stored.
+        rgb: Stored values.
         linear: Linear light of sRGB, 1 = white.
-        field: Inside the camera's field and no overlaid box or highlight.
-        exposed: Of these, neither saturated nor black in any channel.
+        field: Pixels inside the camera's field without overlays and highlights.
+        exposed: Of these, pixels neither saturated nor black in any channel.
     """
 
     rgb: UInt8[np.ndarray, "n h w 3"]
@@ -52,17 +52,17 @@ class Frames:
         return self.rgb.shape[2], self.rgb.shape[1]
 
     def part(self, keep: Bool[np.ndarray, " n"]) -> Frames:
-        """Some of the frames."""
+        """Select some of the frames."""
         return Frames(self.rgb[keep], self.linear[keep], self.field[keep], self.exposed[keep])
 
 
 def make_frames(
     photos: Sequence[Photo], progress: Callable[[int, int], None] | None = None
 ) -> Frames:
-    """Linear light and masks of frames.
+    """Convert frames to linear light and compute their masks.
 
     Args:
-        photos: Of one camera, all of one size.
+        photos: Photographs by one camera, of one size.
         progress: Called with the number done and the total.
 
     Raises:
@@ -90,7 +90,7 @@ def make_frames(
 
 
 def _field(rgb: UInt8[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
-    """Where a frame shows wall without highlights or overlays."""
+    """Mask of a frame's wall without highlights or overlays."""
     height, width = rgb.shape[:2]
     step = max(1, min(height, width) // _MASK_SIDE)
     view = field_of_view(rgb[::step, ::step])

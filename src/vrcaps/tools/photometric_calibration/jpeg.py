@@ -1,4 +1,4 @@
-"""JPEG compression of frames: the quality of files, and blocks in what was stored anew."""
+"""JPEG compression of frames: quality of the files, and block artifacts after re-encoding."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _TABLE = np.sort(
 
 
 def quality_tables() -> Float[np.ndarray, "100 64"]:
-    """Sorted quantization tables of qualities 1 to 100, as the Independent JPEG Group scales."""
+    """Sorted quantization tables of qualities 1 to 100, scaled as by the Independent JPEG Group."""
     quality = np.arange(1, 101)
     percent = np.where(quality < 50, 5000 // quality, 200 - 2 * quality)
     return np.clip((percent[:, None] * _TABLE + 50) // 100, 1, 255).astype(float)
@@ -35,7 +35,7 @@ def quality_tables() -> Float[np.ndarray, "100 64"]:
 def jpeg_quality(paths: Sequence[Path]) -> int | None:
     """Median quality of the JPEG files among paths and in folders; None if there are none.
 
-    The quality is that whose luminance table is nearest, on the scale of the Independent JPEG
+    The quality is the one with the nearest luminance table, on the scale of the Independent JPEG
     Group's library.
     """
     from PIL import Image
@@ -54,9 +54,9 @@ def jpeg_quality(paths: Sequence[Path]) -> int | None:
 
 
 def blockiness(luminance: Float[np.ndarray, "n h w"], field: Bool[np.ndarray, "n h w"]) -> float:
-    """Step over the borders of a grid of 8 px over the step elsewhere; 1 where there is no grid.
+    """Step across the borders of an 8 px grid over the step elsewhere; 1 without a grid.
 
-    The grid may begin at any pixel: the larger ratio of columns and rows, each at its best offset.
+    The grid may start at any pixel: the larger ratio of columns and rows, each at its best offset.
     """
     ratios = []
     for axis in (1, 2):

@@ -1,4 +1,4 @@
-"""Noise of a camera from its frames: variance against brightness."""
+"""Noise model of a camera from its frames: variance against brightness."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 BLOCK = 16
 _STRIDE = 8
 _FLATTEST = 0.1
-"""Share of the blocks of a brightness that are taken for flat: texture adds variance."""
+"""Fraction of the blocks of a brightness that are considered flat: texture adds variance."""
 _CORRELATION = (1.0 + 2.0 * (4.0 / 6.0) ** 2 + 2.0 * (1.0 / 6.0) ** 2) ** 2
 """Sum of the squared autocorrelation of white noise after the filter [1 -2 1] both ways."""
 MOST_ELECTRONS = 1e6
-"""Full well beyond which a sensor has no noise to speak of."""
+"""Full well above which noise is negligible."""
 _NUM_LEVELS, _FEWEST_LEVELS, _FEWEST_BLOCKS = 12, 3, 30
 
 
@@ -30,10 +30,10 @@ class NoiseModel:
     """``variance = brightness / full_well + (read_noise / full_well)²``; linear, 1 = white.
 
     Attributes:
-        full_well: Electrons of white.
-        read_noise: Standard deviation of reading a site [electrons].
-        brightness: Levels it was fitted to.
-        variance: Of each.
+        full_well: Electrons at white.
+        read_noise: Standard deviation of the read noise [electrons].
+        brightness: Brightness levels of the fit.
+        variance: Variance at each level.
     """
 
     full_well: float
@@ -43,14 +43,14 @@ class NoiseModel:
 
 
 def fit_noise(frames: Frames) -> NoiseModel | None:
-    """Gain and read noise of the green channel; None where coding hides the noise.
+    """Fit gain and read noise of the green channel; None if coding hides the noise.
 
-    A second difference along rows and columns, [1 -2 1] both ways over 6, leaves the variance of
-    white noise as it is and takes away shading (Immerkær, CVIU 64(2), 1996). Blocks of 16 px are
-    sorted by brightness; at each the variance of the flattest tenth, divided by what that quantile
-    is of equal noise (chi-squared), is the noise's. The line is photon transfer's (Janesick 2007).
-    Rounding to 8 bits is taken off; noise below that of rounding is not told. Demosaicing, resizing
-    and JPEG smooth noise away: the figures say what is in the frames, not what the sensor had.
+    A second difference along rows and columns, [1 -2 1] both ways over 6, keeps the variance of
+    white noise and removes shading (Immerkær, CVIU 64(2), 1996). Blocks of 16 px are sorted by
+    brightness; at each level, the noise variance is the variance of the flattest tenth, divided by
+    its expectation for uniform noise (chi-squared). The line is photon transfer's (Janesick 2007).
+    The variance of rounding to 8 bits is subtracted; smaller noise cannot be measured. Demosaicing,
+    resizing and JPEG reduce noise: the values describe the frames, not the sensor.
     """
     levels = _levels(*_blocks(frames))
     if len(levels) < _FEWEST_LEVELS:
@@ -61,7 +61,7 @@ def fit_noise(frames: Frames) -> NoiseModel | None:
         slope, offset = np.exp(x)
         return np.log((slope * brightness + offset) / variance)
 
-    # Variances scatter in proportion to themselves, hence the logarithm.
+    # Variances scatter in proportion to their value, hence the logarithm.
     start = np.log([np.median(variance / brightness), 0.3 * variance.min()])
     fit = scipy.optimize.least_squares(
         residuals, start, bounds=(-60.0, 0.0), loss="huber", f_scale=0.1
@@ -73,7 +73,7 @@ def fit_noise(frames: Frames) -> NoiseModel | None:
 
 
 def _blocks(frames: Frames) -> tuple[Float[np.ndarray, " m"], ...]:
-    """Brightness, variance and variance of rounding of all blocks that are exposed throughout."""
+    """Brightness, variance and rounding variance of all fully exposed blocks."""
     green = frames.linear[..., 1].astype(float)
     across = green[:, :, :-2] - 2.0 * green[:, :, 1:-1] + green[:, :, 2:]
     residual = (across[:, :-2] - 2.0 * across[:, 1:-1] + across[:, 2:]) / 6.0
@@ -90,7 +90,7 @@ def _blocks(frames: Frames) -> tuple[Float[np.ndarray, " m"], ...]:
 def _levels(
     mean: np.ndarray, variance: np.ndarray, rounding: np.ndarray
 ) -> Float[np.ndarray, "k 3"]:
-    """Brightness, noise's variance and that of rounding at levels with blocks enough."""
+    """Brightness, noise variance and rounding variance at levels with enough blocks."""
     if len(mean) < _NUM_LEVELS:
         return np.zeros((0, 3))
     freedom = BLOCK**2 / _CORRELATION

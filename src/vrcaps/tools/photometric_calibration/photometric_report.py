@@ -1,4 +1,4 @@
-"""A picture of what frames say of their camera."""
+"""Figure of a photometric calibration."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ def write_report(path: Path, calibration: PhotometricCalibration, frames: Frames
 
     Args:
         path: Image file to write; its suffix is the format.
-        calibration: What was found.
-        frames: In which.
+        calibration: The result.
+        frames: Frames that it was estimated from.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

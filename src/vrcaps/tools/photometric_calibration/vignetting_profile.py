@@ -16,24 +16,24 @@ if TYPE_CHECKING:
 
 NUM_RINGS = 24
 ENVELOPE = 0.9
-"""Fraction of a ring's pixels below its brightness: the lumen's dark middle does not count."""
+"""Quantile of a ring's pixels that is its brightness, so that the dark lumen does not count."""
 _NUM_PARTS = 8
 _MOST_RISE = 0.3
-"""Largest k1 of a vignetting: with more, light would rise from the middle, as no lens makes it."""
+"""Maximum k1 of a vignetting: with more, light would increase from the center, unlike any lens."""
 _FEWEST = 200
-"""Pixels of all frames that a ring must have."""
+"""Minimum number of pixels of all frames in a ring."""
 _BRIGHT = (0.5, 0.95)
-"""Quantiles of luminance between which mucosa shows its color: neither shade nor glint."""
+"""Quantiles of luminance between which mucosa shows its color: neither shadow nor highlight."""
 
 
 @dataclass(frozen=True)
 class RadialProfile:
-    """Brightness by distance from the image's center.
+    """Brightness by distance from the image center.
 
     Attributes:
-        radius: Middles of rings, in halves of the image's shorter side.
-        brightness: Of each ring, relative to the frames' own.
-        count: Pixels of each ring.
+        radius: Mean radii of the rings, in halves of the image's shorter side.
+        brightness: Brightness of each ring, relative to the frames' own.
+        count: Number of pixels of each ring.
     """
 
     radius: Float[np.ndarray, " k"]
@@ -42,10 +42,10 @@ class RadialProfile:
 
 
 def radial_profile(frames: Frames, center: tuple[float, float]) -> RadialProfile:
-    """The envelope of luminance over rings, each frame divided by its own mean.
+    """Compute the envelope of luminance over rings, each frame divided by its own mean.
 
     Args:
-        frames: Of one camera.
+        frames: Frames of one camera.
         center: Column and row of the optical axis [px].
     """
     radius = _radius(frames, center)
@@ -78,8 +78,8 @@ class VignettingProfile:
     Attributes:
         k1: Coefficient of ρ².
         k2: Coefficient of ρ⁴.
-        rim: Fraction of the light at the outermost ring.
-        deviation: Standard deviation of `rim`, from leaving out parts of the frames.
+        rim: Fraction of the light in the outermost ring.
+        deviation: Standard deviation of `rim`, by leaving out parts of the frames.
     """
 
     k1: float
@@ -89,14 +89,14 @@ class VignettingProfile:
 
     @property
     def is_clear(self) -> bool:
-        """Whether the frames darken towards the edge, and by more than chance."""
+        """Whether the frames darken towards the edge significantly."""
         return self.k1 <= _MOST_RISE and 1.0 - self.rim > 2.0 * self.deviation
 
 
 def mean_transmission(
     vignetting: VignettingProfile, frames: Frames, center: tuple[float, float]
 ) -> float:
-    """Fraction of the light that a vignetting leaves over the field; 1 where none is clear."""
+    """Mean transmission of a vignetting over the field; 1 if it is not clear."""
     if not vignetting.is_clear:
         return 1.0
     square = _radius(frames, center) ** 2
@@ -109,13 +109,13 @@ def fit_vignetting(
     center: tuple[float, float],
     reference: tuple[Frames, tuple[float, float]] | None = None,
 ) -> VignettingProfile:
-    """Vignetting of a camera, with its deviation by a jackknife over eight parts of the frames.
+    """Fit the vignetting of a camera; deviation by a jackknife over eight parts of the frames.
 
     Args:
-        frames: Of the camera.
+        frames: Frames of the camera.
         center: Column and row of its optical axis [px].
         reference: Frames without vignetting, such as rendered ones, and their center. Without them
-            the light is taken for even, and the wall's own shading counts as the lens's.
+            the light is assumed uniform, and the wall's own shading is attributed to the lens.
     """
     profile = radial_profile(frames, center)
     aim = None if reference is None else radial_profile(*reference)
@@ -128,7 +128,7 @@ def fit_vignetting(
 
 
 def _fitted(profile: RadialProfile, reference: RadialProfile | None) -> tuple[float, float, float]:
-    """k1, k2 and the fraction of light at the outermost ring; the light does not rise there."""
+    """Fit k1, k2 and the fraction of light in the outermost ring, where the light does not rise."""
     radius, brightness = profile.radius, profile.brightness
     if reference is not None:
         brightness = brightness / np.interp(radius, reference.radius, reference.brightness)
@@ -144,21 +144,21 @@ def _fitted(profile: RadialProfile, reference: RadialProfile | None) -> tuple[fl
 
     k1, k2 = map(float, solve(np.column_stack([square, square**2])))
     if k1 < 0.0 and k1 + 2.0 * k2 * square[-1] > 0.0:
-        # Level at the rim: d/dρ (k1 ρ² + k2 ρ⁴) = 0.
+        # Zero slope at the rim: d/dρ (k1 ρ² + k2 ρ⁴) = 0.
         k1 = float(solve((square - 0.5 * square**2 / square[-1])[:, None])[0])
         k2 = -0.5 * k1 / square[-1]
     return k1, k2, float(1.0 + k1 * square[-1] + k2 * square[-1] ** 2)
 
 
 def _parts(frames: Frames, center: tuple[float, float]) -> Iterator[RadialProfile]:
-    """Profiles of the frames with every eighth left out, beginning at each of the first eight."""
+    """Profiles of the frames without every eighth, starting at each of the first eight."""
     count = len(frames.rgb)
     for k in range(min(_NUM_PARTS, count)):
         yield radial_profile(frames.part(np.arange(count) % _NUM_PARTS != k), center)
 
 
 def _jackknife(values: list[float]) -> float:
-    """Variance of an estimate from its values with each part left out (Quenouille and Tukey)."""
+    """Jackknife variance of an estimate from its leave-one-out values (Quenouille and Tukey)."""
     return (len(values) - 1) * float(np.var(values))
 
 
@@ -178,7 +178,7 @@ class WallColor:
 
 
 def wall_color(frames: Frames) -> WallColor | None:
-    """Color of what is bright but neither saturated nor a highlight; None if nothing is."""
+    """Color of pixels that are bright but neither saturated nor highlights; None without any."""
     logs = []
     for linear, luminance, exposed in zip(
         frames.linear, frames.luminance, frames.exposed, strict=True

@@ -1,6 +1,6 @@
-"""Reconstruction of a wall from images with depth and poses, and its errors.
+"""Reconstruction of a wall from images with depth and poses, and its evaluation.
 
-`volume` holds signed distances in blocks, `fuse` fills it from frames and takes the surface.
-`stitch` joins the frames to one image instead, `stitch_surface` makes that a surface. `compare`
-measures a surface against the true wall and draws where it errs.
+`volume` stores signed distances in blocks, `fuse` fills it from frames and extracts the surface.
+`stitch` instead combines the frames into one image, `stitch_surface` converts that to a surface.
+`compare` measures a surface against the true wall and draws its errors.
 """

@@ -1,7 +1,7 @@
-"""Homographies of many images to one of them: along the best pairs, then all pairs at once.
+"""Homographies of many images to one of them: chained over the best pairs, then adjusted jointly.
 
-Brown and Lowe, IJCV 74(1), 2007, sections 3 and 4, with homographies in place of rotations, since a
-capsule moves as well as turns.
+Brown and Lowe, IJCV 74(1), 2007, sections 3 and 4, with homographies in place of rotations, since
+a capsule also translates.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _POINTS = 40
-"""Most matches of a pair that are adjusted to."""
+"""Maximum number of matches of a pair in the adjustment."""
 _ROUGH_PX = 1.0
-"""Distance from which a match counts less than by its square."""
+"""Distance above which the loss of a match is less than quadratic."""
 _EVALUATIONS = 30
 
 
 def chained_homographies(
     count: int, images: Sequence[int], pairs: Sequence[Pair]
 ) -> tuple[int, dict[int, Float[np.ndarray, "3 3"]]]:
-    """The reference image and the homography of each image to it, by the pairs of most inliers.
+    """Reference image, and the homography of each image to it along the pairs of most inliers.
 
     Args:
         count: Number of images.
-        images: Those of one component.
-        pairs: Which images show the same place.
+        images: Images of one component.
+        pairs: Pairs of overlapping images.
     """
     reference, found = chained(count, images, pairs, lambda pair: pair.homography)
     return reference, {image: _normalized(matrix) for image, matrix in found.items()}
@@ -44,15 +44,15 @@ def adjusted(
     reference: int,
     size: tuple[int, int],
 ) -> dict[int, Float[np.ndarray, "3 3"]]:
-    """Homographies to the reference by which the matches of all pairs meet best.
+    """Adjust the homographies to the reference jointly to the matches of all pairs.
 
-    Minimized is the Huber norm of the distances [px], in the second image of a pair, between its
-    matches and those of the first image brought there (bundle adjustment; Brown 2007, eq. 15).
+    Minimizes the Huber norm of the distances [px], in the second image of a pair, between its
+    matches and the mapped ones of the first image (bundle adjustment; Brown 2007, eq. 15).
 
     Args:
-        homographies: Of each image, near the solution.
+        homographies: Homography of each image, near the solution.
         pairs: Matches.
-        reference: The image that stays as it is.
+        reference: The image that is kept fixed.
         size: Width and height of the images [px].
     """
     from scipy.optimize import least_squares
@@ -61,7 +61,7 @@ def adjusted(
     used = [p for p in pairs if p.first in homographies and p.second in homographies]
     if not free or not used:
         return dict(homographies)
-    # About the middle and in units of half a width, so that all eight numbers are of one size.
+    # Centered and in units of half a width, so that all eight parameters are of one size.
     half, (x, y) = size[0] / 2.0, ((size[0] - 1) / 2.0, (size[1] - 1) / 2.0)
     to_pixel = np.array([[half, 0.0, x], [0.0, half, y], [0.0, 0.0, 1.0]])
     to_unit = np.linalg.inv(to_pixel)
@@ -101,12 +101,12 @@ class _Matches:
         self.num_free = len(free)
 
     def matrices(self, x: np.ndarray) -> np.ndarray:
-        """Homographies of the free images, and that of the reference."""
+        """Homographies of the free images, and of the reference."""
         rows = np.concatenate([x.reshape(-1, 8), np.ones((self.num_free, 1))], axis=1)
         return np.concatenate([rows.reshape(-1, 3, 3), np.eye(3)[None]])
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
-        """Offsets of the matches."""
+        """Differences between matches and mapped points."""
         matrices = self.matrices(x)
         across = np.linalg.inv(matrices)[self.second] @ matrices[self.first]
         rows = np.concatenate([self.one, np.ones((len(self.one), 1))], axis=1)
@@ -114,7 +114,7 @@ class _Matches:
         return (there[:, :2] / there[:, 2:] - self.other).ravel()
 
     def sparsity(self) -> Any:
-        """Which residuals depend on which numbers."""
+        """Sparsity of the Jacobian."""
         from scipy.sparse import coo_array
 
         rows, columns = [], []
@@ -131,7 +131,7 @@ class _Matches:
 def mapped(
     homography: Float[np.ndarray, "3 3"], points: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "n 2"]:
-    """Points under a homography."""
+    """Map points by a homography."""
     rows = np.concatenate([points, np.ones((len(points), 1))], axis=1) @ homography.T
     return rows[:, :2] / rows[:, 2:]
 

@@ -1,4 +1,4 @@
-"""Errors of a reconstructed wall against the true one: figures, a colored mesh, a picture."""
+"""Evaluation of a reconstructed wall against the true one: errors, a colored mesh, a figure."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ _WITHIN = 2.0 * MM
 
 @dataclass(frozen=True)
 class Comparison:
-    """A reconstruction against the truth.
+    """Comparison of a reconstruction with the true wall.
 
     Attributes:
-        errors: Distances of its vertices from the true wall.
+        errors: Statistics of its vertices' distances from the true wall.
         completeness: Fraction of the true wall's area within 2 mm of the reconstruction.
-        distances: Of each vertex [m].
+        distances: Distance of each vertex [m].
     """
 
     errors: SurfaceErrors
@@ -61,7 +61,7 @@ def write_comparison(folder: Path, mesh: Mesh, found: Comparison) -> None:
 
 
 def error_colors(distances: Float[np.ndarray, " n"]) -> UInt8[np.ndarray, "n 3"]:
-    """Colors of errors: from blue at 0 to red at 3 mm and more."""
+    """Map errors to colors from blue at 0 to red at 3 mm and more."""
     from matplotlib import colormaps
 
     return (colormaps["turbo"](np.clip(distances / _SCALE, 0.0, 1.0))[:, :3] * 255).astype(np.uint8)
@@ -77,7 +77,7 @@ def write_ply(path: Path, mesh: Mesh, color: UInt8[np.ndarray, "n 3"]) -> None:
 
 
 def _write_picture(path: Path, mesh: Mesh, found: Comparison) -> None:
-    """Two views of the vertices, colored by error, the nearest in front; a histogram."""
+    """Draw two views of the vertices, colored by error, the nearest in front; and a histogram."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize

@@ -1,4 +1,4 @@
-"""Sequences with depth and poses that were estimated, in place of true ones."""
+"""Sequences with estimated instead of true depth and poses."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ if TYPE_CHECKING:
     from vrcaps.learn.weights import Trained
 
 _SLACK = 0.5
-"""Largest difference of a pose's time from a frame's, in frames."""
+"""Maximum difference between the times of a pose and a frame, in frames."""
 _REACH = 20.0 * MM
-"""Distance of points that stand for what a camera sees."""
+"""Distance of the points that represent the view of a camera."""
 
 
 def with_depth(
     sequence: FrameSequence, depth_of: Callable[[int], Float[np.ndarray, "h w"]]
 ) -> FrameSequence:
-    """The sequence with other depth.
+    """Copy of a sequence with other depth.
 
     Args:
         sequence: Images.
@@ -52,10 +52,10 @@ def with_depth(
 def with_poses(
     sequence: FrameSequence, Ts_world_camera: Float[np.ndarray, "n 4 4"]
 ) -> FrameSequence:
-    """The sequence with other poses of its camera.
+    """Copy of a sequence with other camera poses.
 
     Raises:
-        InputError: If there are not as many poses as frames.
+        InputError: If the number of poses differs from the number of frames.
     """
     if len(Ts_world_camera) != len(sequence):
         raise InputError(f"There are {len(Ts_world_camera)} poses for {len(sequence)} frames.")
@@ -65,18 +65,18 @@ def with_poses(
 def aligned(
     sequence: FrameSequence, truth: Float[np.ndarray, "n 4 4"], align: TrajectoryAlignment
 ) -> FrameSequence:
-    """A sequence moved to where its true poses are, depth in the scale of the poses.
+    """Align a sequence to its true poses; depth is scaled like the poses.
 
-    A capsule travels almost straight, and then its positions alone hardly tell how it is turned
-    about its path. So the motion is fitted to positions and to points before each camera.
+    A capsule travels almost straight, so positions alone hardly determine the rotation about its
+    path. The motion is therefore fitted to positions and to points in front of each camera.
 
     Args:
-        sequence: With estimated poses, and depth of one scale with them.
+        sequence: With estimated poses, and depth of the same scale.
         truth: True ``T_world_camera`` of its frames.
-        align: What is fitted; `sim3` multiplies depth, too.
+        align: Type of motion; `sim3` also scales depth.
 
     Raises:
-        InputError: If a scale is fitted to positions on one line.
+        InputError: If a scale is fitted to collinear positions.
     """
     if align == "none":
         return sequence
@@ -90,21 +90,22 @@ def aligned(
 
 
 def _before(poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "m 3"]:
-    """Places of cameras, and points along their axes [m]."""
+    """Positions of cameras, and points along their axes [m]."""
     places = poses[:, None, :3, 3]
     along = places + _REACH * np.swapaxes(poses[:, :3, :3], 1, 2)
     return np.concatenate([places, along], axis=1).reshape(-1, 3)
 
 
 def read_depth(folder: Path, sequence: FrameSequence) -> FrameSequence:
-    """The sequence with the depth [m] that was estimated of its frames.
+    """Copy of a sequence with the depth [m] that was estimated from its frames.
 
     Args:
-        folder: What `vrcaps predict depth` wrote.
-        sequence: Of which images.
+        folder: Output of `vrcaps predict depth`.
+        sequence: Sequence of these images.
 
     Raises:
-        InputError: If it holds none of this sequence; when an image is read, if a file is damaged.
+        InputError: If the folder contains none of this sequence; on reading an image, if a file is
+            damaged.
     """
     place = folder / sequence.name
     if not place.is_dir():
@@ -121,7 +122,7 @@ def read_depth(folder: Path, sequence: FrameSequence) -> FrameSequence:
 
 
 def with_network_depth(sequence: FrameSequence, trained: Trained) -> FrameSequence:
-    """The sequence with the depth that a network estimates, whenever it is read.
+    """Copy of a sequence with depth estimated by a network on access.
 
     Args:
         sequence: Images and camera.
@@ -142,12 +143,12 @@ def with_network_depth(sequence: FrameSequence, trained: Trained) -> FrameSequen
 def network_depth(
     trained: Trained, rgb: UInt8[np.ndarray, "h w 3"], camera: Camera
 ) -> Float[np.ndarray, "h w"]:
-    """Depth z of an image [m] by a network; up to scale by one of the task `sfm`.
+    """Estimate depth z of an image [m] by a network; up to scale for the task `sfm`.
 
     Args:
         trained: Weights of the task `depth` or `sfm`.
         rgb: The image.
-        camera: What took it.
+        camera: Camera of the image.
 
     Raises:
         InputError: If the weights are of another task.
@@ -167,10 +168,10 @@ def network_depth(
 
 
 def require_depth(trained: Trained) -> None:
-    """Check that weights are of a task that estimates depth.
+    """Check that weights belong to a task that estimates depth.
 
     Raises:
-        InputError: If they are not.
+        InputError: If they do not.
     """
     kind = trained.learner.kind
     if kind not in ("depth", "sfm"):
@@ -180,12 +181,12 @@ def require_depth(trained: Trained) -> None:
 def read_poses(
     path: Path, sequence: FrameSequence, align: TrajectoryAlignment
 ) -> Float[np.ndarray, "n 4 4"]:
-    """Estimated ``T_world_camera`` of each frame, aligned to the true ones.
+    """Read the estimated ``T_world_camera`` of each frame, aligned to the true ones.
 
     Args:
         path: Rows ``timestamp tx ty tz qx qy qz qw``.
-        sequence: Whose frames; each takes the pose of its time.
-        align: What is fitted first.
+        sequence: Sequence of the frames; each takes the pose of its time.
+        align: Type of motion to fit for the alignment.
 
     Raises:
         InputError: If a frame has no pose of its time, or the file cannot be read.

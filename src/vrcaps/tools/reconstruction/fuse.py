@@ -1,4 +1,4 @@
-"""Depth and poses of a whole run, fused into one surface."""
+"""Fusion of the depth and poses of a run into one surface."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ if TYPE_CHECKING:
     from jaxtyping import UInt8
 
 LEAST_COSINE = 0.05
-"""Of a ray to the axis: nearer to a right angle, depth along the axis says nothing of distance."""
+"""Minimum cosine of a ray to the axis: near 90°, depth along the axis does not give distance."""
 
 
 @dataclass(frozen=True)
 class FuseSettings:
-    """How views are fused.
+    """Settings of the fusion.
 
     Attributes:
         voxel: Side of a voxel [m].
-        max_distance: Distance beyond which depth is left out [m].
-        min_views: Views in which a voxel must have been seen.
+        max_distance: Distance beyond which depth is ignored [m].
+        min_views: Minimum number of views of a voxel.
     """
 
     voxel: Annotated[float, Range(above=0.0)] = 1.0 * MM
@@ -47,15 +47,15 @@ def fuse(
     *,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[Mesh, UInt8[np.ndarray, "n 3"]]:
-    """The wall that a camera saw, in the world frame, and the color of its vertices.
+    """Reconstruct the wall seen by a camera, in the world frame, with vertex colors.
 
     Args:
         sequence: Images, camera, depth and poses.
-        settings: How views are fused.
-        progress: Called with the number of frames done and of all.
+        settings: Settings of the fusion.
+        progress: Called with the number of frames done and the total.
 
     Raises:
-        InputError: If depth, poses or the camera are missing, or nothing is found.
+        InputError: If depth, poses or the camera are missing, or there is no surface.
     """
     camera = sequence.camera
     if camera is None:

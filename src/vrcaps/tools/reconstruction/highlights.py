@@ -1,8 +1,8 @@
-"""Specular highlights of endoscopic images: found by Otsu's threshold, inpainted by Telea's method.
+"""Specular highlights of endoscopic images: detected by Otsu's threshold, inpainted by Telea.
 
-What is thresholded is by how much the least color channel exceeds its median around, brightened as
-the greatest channel is: a highlight adds white light, and mucosa is poor in blue. Brightness itself
-would not do: near walls are the brightest.
+The threshold applies to the excess of the least color channel over its local median, scaled like
+the greatest channel: a highlight adds white light, and mucosa is poor in blue. Brightness itself
+is unsuitable, as near walls are the brightest.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, UInt8
 
 _WINDOW = 0.1
-"""Side of the median's window, of the image's shorter side."""
+"""Side of the median's window, relative to the image's shorter side."""
 _LEAST = 24
-"""Excess below which nothing is a highlight [of 255]; Otsu's threshold always parts, even noise."""
+"""Minimum excess of a highlight [of 255]; Otsu's threshold always separates, even noise."""
 _GLOW = 1 / 140
-"""Width of the glow around a highlight, of the image's shorter side."""
+"""Width of the glow around a highlight, relative to the image's shorter side."""
 _REACH_PX = 5
-"""From how far around colors are drawn in when inpainting."""
+"""Radius of the inpainting [px]."""
 
 
 def highlights(rgb: UInt8[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
-    """Where highlights are, with their glow (Otsu, IEEE Trans. SMC 9(1), 1979).
+    """Detect highlights with their glow (Otsu, IEEE Trans. SMC 9(1), 1979).
 
     Raises:
         MissingExtraError: If OpenCV is not installed.
@@ -47,7 +47,7 @@ def highlights(rgb: UInt8[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
 
 
 def without_highlights(rgb: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
-    """The image with its highlights inpainted (Telea, J. Graphics Tools 9(1), 2004).
+    """Inpaint the highlights of an image (Telea, J. Graphics Tools 9(1), 2004).
 
     Raises:
         MissingExtraError: If OpenCV is not installed.

@@ -1,7 +1,7 @@
 """Registration of points to a surface: iterative closest point with point-to-plane distances.
 
 Besl and McKay, IEEE TPAMI 14(2), 1992, with the distances of Chen and Medioni, Image and Vision
-Computing 10(3), 1992: they leave points free to slide along the surface, so few steps suffice.
+Computing 10(3), 1992: points may slide along the surface, so few steps suffice.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ if TYPE_CHECKING:
 
 _MOST_STEPS = 60
 _CONVERGED = 1e-4
-"""Relative change of the error below which registration ends."""
+"""Relative change of the error below which registration stops."""
 _EXACT = 1e-8
-"""Error at which it ends, too [m]: nearest points are found in 32 bits."""
+"""Error at which registration also stops [m]: nearest points have 32-bit precision."""
 _MOST_POINTS = 20_000
 _USED = 0.9
-"""Part of the points, the nearest, that a step is fitted to; the others may be off the surface."""
+"""Fraction of the points, the nearest, used in a step; the others may be off the surface."""
 _SOFT = 1e-2
-"""Directions that distances constrain less than this, relative to the best, stay as they are: in a
+"""Directions that distances constrain less than this, relative to the best, are not updated: in a
 tube points can slide and roll."""
 
 
 @dataclass(frozen=True)
 class Registration:
-    """Where points lie best on a surface.
+    """Result of point-to-plane ICP.
 
     Attributes:
-        similarity: From the given points to the surface.
+        similarity: Maps the given points to the surface.
         rmse: Root mean square distance from the surface before each step and after the last [m].
     """
 
@@ -47,12 +47,12 @@ class Registration:
 
 
 def register(points: Float[np.ndarray, "n 3"], surface: Mesh, *, scale: bool) -> Registration:
-    """The motion that brings points near to a surface, from where they are.
+    """Register points to a surface, starting from their current position.
 
     Args:
-        points: Points near their place [m].
-        surface: Where they belong [m].
-        scale: Whether a scale is fitted, too.
+        points: Points near their solution [m].
+        surface: Target surface [m].
+        scale: Whether to fit a scale as well.
 
     Raises:
         InputError: If there are fewer than 10 points.
@@ -84,12 +84,12 @@ def _has_converged(errors: list[float]) -> bool:
 
 
 def registered(mesh: Mesh, surface: Mesh, *, scale: bool) -> tuple[Mesh, Registration]:
-    """A mesh moved to where it lies best on a surface.
+    """Register a mesh to a surface.
 
     Args:
-        mesh: Near its place [m].
-        surface: Where it belongs [m].
-        scale: Whether a scale is fitted, too.
+        mesh: Mesh near its solution [m].
+        surface: Target surface [m].
+        scale: Whether to fit a scale as well.
 
     Raises:
         InputError: If it has fewer than 10 vertices.
@@ -100,12 +100,12 @@ def registered(mesh: Mesh, surface: Mesh, *, scale: bool) -> tuple[Mesh, Registr
 
 
 def apply(similarity: Similarity, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """Points moved by a similarity."""
+    """Transform points by a similarity."""
     return similarity.scale * points @ similarity.rotation.T + similarity.translation
 
 
 def after(second: Similarity, first: Similarity) -> Similarity:
-    """One similarity after another."""
+    """Compose two similarities."""
     return Similarity(
         second.rotation @ first.rotation,
         apply(second, first.translation[None])[0],
@@ -116,7 +116,7 @@ def after(second: Similarity, first: Similarity) -> Similarity:
 def _step(
     points: np.ndarray, nearest: np.ndarray, normals: np.ndarray, *, scale: bool
 ) -> Similarity:
-    """The small motion after which points lie nearest to the planes of their nearest points."""
+    """Small motion that minimizes the distances of points to the planes of their nearest points."""
     center = points.mean(axis=0)
     arm = points - center
     size = float(np.sqrt(np.mean(np.sum(arm**2, axis=1))))

@@ -1,7 +1,7 @@
-"""Which images show the same place, and by which homography: features, matches, RANSAC.
+"""Image matching: features, matches, and homographies of overlapping images by RANSAC.
 
 After Brown and Lowe, Automatic Panoramic Image Stitching using Invariant Features, IJCV 74(1),
-2007, sections 2 and 3. Nearest descriptors are exact ones, so that results are the same each time.
+2007, sections 2 and 3. Nearest neighbors are exact, so that results are reproducible.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Float32, Int, UInt8
 
 _RATIO = 0.8
-"""Largest distance to the nearest descriptor over that to the next (Lowe, IJCV 60(2), 2004)."""
+"""Maximum ratio of nearest to second-nearest descriptor distance (Lowe, IJCV 60(2), 2004)."""
 _SAMPLED = 200
-"""Features of an image by which candidates are chosen."""
+"""Features of an image used to choose candidates."""
 _CANDIDATES = 6
-"""Images that each image is compared with in full (Brown 2007, section 3: m = 6)."""
+"""Number of images that each image is fully compared with (Brown 2007, section 3: m = 6)."""
 _LEAST_INLIERS, _INLIER_PART = 8.0, 0.3
-"""A pair is right if its inliers outnumber 8 + 0.3 of its matches."""
+"""A pair is accepted if its inliers exceed 8 + 0.3 of its matches."""
 _TRIALS, _CONFIDENCE = 4000, 0.999
 
 
@@ -44,15 +44,15 @@ class Features:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two images that show the same place.
+    """Two overlapping images.
 
     Attributes:
-        first: Number of one image.
-        second: Number of the other.
-        homography: From pixels of the first to pixels of the second.
-        points_first: Pixels of the matches that fit it, in the first image.
-        points_second: In the second.
-        num_matches: Number of matches, right and wrong.
+        first: Index of one image.
+        second: Index of the other.
+        homography: Maps pixels of the first to pixels of the second.
+        points_first: Pixels of the inlier matches in the first image.
+        points_second: The same in the second image.
+        num_matches: Number of matches, inliers and outliers.
     """
 
     first: int
@@ -64,19 +64,19 @@ class Pair:
 
     @property
     def num_inliers(self) -> int:
-        """Number of matches that fit."""
+        """Number of inlier matches."""
         return len(self.points_first)
 
 
 def sift_features(
     rgb: UInt8[np.ndarray, "h w 3"], count: int, is_seen: Bool[np.ndarray, "h w"] | None = None
 ) -> Features:
-    """The strongest features of an image (Lowe 2004).
+    """Extract the strongest features of an image (Lowe 2004).
 
     Args:
         rgb: The image.
-        count: Most features.
-        is_seen: Where to look: the border of a lens's field stays in place, and would match.
+        count: Maximum number of features.
+        is_seen: Pixels to search: the border of a lens's field does not move, and would match.
 
     Raises:
         MissingExtraError: If OpenCV is not installed.
@@ -98,7 +98,7 @@ def sift_features(
 def matches(
     one: Float32[np.ndarray, "n d"], other: Float32[np.ndarray, "k d"]
 ) -> Int[np.ndarray, "m 2"]:
-    """Numbers of descriptors, unit vectors, that are each other's nearest by a clear margin."""
+    """Indices of descriptors, unit vectors, that are mutual nearest neighbors by a clear margin."""
     if len(one) < 2 or len(other) < 2:
         return np.zeros((0, 2), int)
     square = np.maximum(2.0 - 2.0 * one @ other.T, 0.0)
@@ -112,13 +112,13 @@ def matches(
 def homography_pair(
     numbers: tuple[int, int], one: Features, other: Features, tolerance: float
 ) -> Pair | None:
-    """The homography that most matches of two images fit (RANSAC); None if too few do.
+    """Fit a homography to the matches of two images by RANSAC; None with too few inliers.
 
     Args:
-        numbers: Of the images.
+        numbers: Indices of the images.
         one: Features of the first.
         other: Features of the second.
-        tolerance: Distance from where the homography puts it within which a match fits [px].
+        tolerance: Maximum distance of an inlier from its mapped position [px].
 
     Raises:
         MissingExtraError: If OpenCV is not installed.
@@ -138,16 +138,16 @@ def homography_pair(
 
 
 def is_trusted(num_inliers: int, num_matches: int) -> bool:
-    """Whether a pair of images is right, by how many of its matches fit (Brown 2007, eq. 13)."""
+    """Whether a pair of images is accepted, by its number of inliers (Brown 2007, eq. 13)."""
     return num_inliers > _LEAST_INLIERS + _INLIER_PART * num_matches
 
 
 def image_pairs(features: Sequence[Features], tolerance: float) -> list[Pair]:
-    """All pairs of images that show the same place, in any order of the images.
+    """Find all pairs of overlapping images, in any order of the images.
 
     Args:
-        features: Of each image.
-        tolerance: As of `homography_pair` [px].
+        features: Features of each image.
+        tolerance: See `homography_pair` [px].
 
     Raises:
         MissingExtraError: If OpenCV is not installed.
@@ -160,10 +160,10 @@ def image_pairs(features: Sequence[Features], tolerance: float) -> list[Pair]:
 
 
 def likely_pairs(descriptors: Sequence[Float32[np.ndarray, "n d"]]) -> list[tuple[int, int]]:
-    """Pairs of images worth comparing in full, sorted: each image with the six most like it.
+    """Candidate pairs for a full comparison, sorted: each image with the six most similar.
 
     Args:
-        descriptors: Of each image, the strongest first.
+        descriptors: Descriptors of each image, the strongest first.
     """
     count = len(descriptors)
     score = np.zeros((count, count), int)

@@ -1,9 +1,9 @@
-"""Many images, and their depth, as one of a wider camera that stands where one of them was taken.
+"""Mosaic of many images, and of their depth, in a wider camera at the pose of one of them.
 
-Images are joined where each is nearest to its own middle and blended in bands, low frequencies over
-wide seams and high ones over narrow (Burt and Adelson, ACM TOG 2(4), 1983).
+Each image contributes where it is nearest to its own center. Images are blended in bands, low
+frequencies over wide seams and high ones over narrow (Burt and Adelson, ACM TOG 2(4), 1983).
 
-Depth follows exactly if the camera only turned, or the wall is flat: a point at depth z on the ray
+Depth is exact if the camera only rotated, or the wall is flat: a point at depth z on the ray
 r = (x, y, 1) of one camera has depth z (H r)₃ in the other, where the homography H between rays is
 scaled so that its middle singular value is 1 (Ma et al., An Invitation to 3-D Vision, 2004, lemma
 5.18).
@@ -27,25 +27,25 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Float32, UInt8
 
 _WIDEST = 2.5
-"""Largest tangent to the axis that a mosaic shows: 68°; beyond, a plane stretches too far."""
+"""Maximum tangent to the axis in a mosaic: 68°; beyond, a plane stretches too far."""
 _MOST_SCALE = 3.0
-"""Factor in size beyond which an image is left out."""
+"""Scale factor above which an image is excluded."""
 _WIDEST_SEAM = 1 / 16
-"""Width of the seams of the lowest band, of an image's shorter side; each band halves it."""
+"""Width of the seams of the lowest band, relative to the shorter side; each band halves it."""
 _GRID = 9
-"""Points along a side of an image at which its homography is looked at."""
+"""Points along a side of an image at which its homography is evaluated."""
 
 
 @dataclass(frozen=True)
 class Mosaic:
-    """A wide image made of many.
+    """Wide image composed of many.
 
     Attributes:
-        rgb: Colors; black where no image sees.
-        depth: Depth z [m]; NaN where it is not known.
-        camera: Pinhole that sees it, at the pose of the reference.
-        reference: Number of the image that it is aligned to.
-        images: Numbers of the images that it is made of.
+        rgb: Colors; black where no image covers it.
+        depth: Depth z [m]; NaN where it is unknown.
+        camera: Pinhole camera of the mosaic, at the pose of the reference.
+        reference: Index of the reference image.
+        images: Indices of the images used.
     """
 
     rgb: UInt8[np.ndarray, "h w 3"]
@@ -58,11 +58,11 @@ class Mosaic:
 def usable(
     homographies: Mapping[int, Float[np.ndarray, "3 3"]], camera: Camera
 ) -> dict[int, Float[np.ndarray, "3 3"]]:
-    """The homographies of images that lie before the reference and keep about their size there.
+    """Select the homographies of images in front of the reference and of similar scale.
 
     Args:
-        homographies: From pixels of each image to pixels of the reference.
-        camera: That took the images.
+        homographies: Map pixels of each image to pixels of the reference.
+        camera: Camera of the images.
     """
     return {k: H for k, H in homographies.items() if _is_sane(H, camera)}
 
@@ -71,7 +71,7 @@ def _is_sane(homography: np.ndarray, camera: Camera) -> bool:
     columns, rows = (np.linspace(0.0, size - 1.0, _GRID) for size in (camera.width, camera.height))
     points = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
     ahead = np.concatenate([points, np.ones((len(points), 1))], axis=1) @ homography[2]
-    # The area of a pixel there, det H / (h₃ · p)³.
+    # The local scale of areas, det H / (h₃ · p)³.
     area = np.linalg.det(homography) / ahead**3
     middle = area[len(area) // 2]
     return bool((ahead > 0.0).all() and _MOST_SCALE**-2 < middle < _MOST_SCALE**2)
@@ -80,11 +80,11 @@ def _is_sane(homography: np.ndarray, camera: Camera) -> bool:
 def mosaic_camera(
     homographies: Sequence[Float[np.ndarray, "3 3"]], camera: Camera
 ) -> tuple[Camera, tuple[int, int]]:
-    """The camera that sees all images, and the column and row of the reference's corner in it.
+    """Camera that covers all images, and the column and row of the reference's corner in it.
 
     Args:
-        homographies: From pixels of each image to pixels of the reference.
-        camera: Pinhole that took the images.
+        homographies: Map pixels of each image to pixels of the reference.
+        camera: Pinhole camera of the images.
     """
     lens = pinhole_of(camera)
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
@@ -107,15 +107,15 @@ def blended(
     reference: int,
     is_seen: Bool[np.ndarray, "h w"] | None = None,
 ) -> Mosaic:
-    """The mosaic of images.
+    """Blend images into a mosaic.
 
     Args:
-        homographies: From pixels of each image to pixels of the reference.
-        camera: Pinhole that took the images.
+        homographies: Map pixels of each image to pixels of the reference.
+        camera: Pinhole camera of the images.
         image_of: Reads an image.
         depth_of: Reads its depth z [m]; None if there is none.
-        reference: Number of the reference.
-        is_seen: Pixels of each image that count; None takes all.
+        reference: Index of the reference.
+        is_seen: Valid pixels of each image; None means all.
 
     Raises:
         MissingExtraError: If OpenCV is not installed.
@@ -153,7 +153,7 @@ def blended(
 def _views(
     homographies: Mapping[int, np.ndarray], wide: Camera, corner: tuple[int, int], camera: Camera
 ) -> Iterator[tuple[int, tuple[np.ndarray, np.ndarray], np.ndarray]]:
-    """For each image: where the mosaic's pixels lie in it, and 1 in its middle, 0 at its edges."""
+    """Mosaic pixels mapped to each image, and weights from 1 at its center to 0 at its edges."""
     axes = (np.arange(n) - k for n, k in zip((wide.width, wide.height), corner, strict=True))
     columns, rows = np.meshgrid(*axes)
     points = np.stack([columns, rows, np.ones_like(rows)], axis=-1).astype(np.float32)
@@ -172,7 +172,7 @@ def _views(
 def _depth_factor(
     homography: np.ndarray, camera: Camera, at: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
-    """Depth in the reference's camera over depth in the image's, at pixels of the image."""
+    """Ratio of depth in the reference's camera to depth in the image's, at pixels of the image."""
     lens = pinhole_of(camera)
     matrix = np.array([[lens.fx, 0.0, lens.cx], [0.0, lens.fy, lens.cy], [0.0, 0.0, 1.0]])
     rays = np.linalg.inv(matrix)
@@ -183,10 +183,10 @@ def _depth_factor(
 
 
 def pinhole_of(camera: Camera) -> LensPinhole:
-    """The camera's lens, a pinhole.
+    """Return the camera's pinhole lens.
 
     Raises:
-        InputError: If it is none.
+        InputError: If its lens is not a pinhole.
     """
     if not isinstance(camera.lens, LensPinhole):
         raise InputError(f"Camera {camera.name!r} is no pinhole. Give rectified images.")

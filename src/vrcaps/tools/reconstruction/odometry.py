@@ -1,9 +1,9 @@
-"""Motion of a camera through a whole run, from images and their depth alone.
+"""Visual odometry of a run, from images and their depth alone.
 
-Features are matched between each frame, its next ones and those most like it; two frames with
-enough matches give the motion between them (`relative_pose`). The pairs of most matches chain all
-frames, and then all pairs are made to agree (`pose_adjustment`). Depth in meters makes poses in
-meters.
+Features are matched between each frame, the frames after it and those most similar; two frames
+with enough matches determine the motion between them (`relative_pose`). All frames are chained
+along the pairs of most matches, and all pairs are then adjusted jointly (`pose_adjustment`). Depth
+in meters gives poses in meters.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 _RIM_PX = 6
-"""Width of the rim of a lens's field that is left out: its edge stays in place and would match."""
+"""Width of the excluded rim of a lens's field: its edge does not move, and would match."""
 
 
 @dataclass(frozen=True)
 class OdometrySettings:
-    """How motion is estimated.
+    """Settings of the odometry.
 
     Attributes:
-        num_features: Most SIFT features of an image.
-        reach: To how many next frames each is matched, beside those most like it.
-        tolerance: Distance from where a motion puts it within which a match fits [px].
-        angle_deviation: Of a feature's place in the image [px].
-        distance_deviation: Of the logarithm of estimated distances.
+        num_features: Maximum number of SIFT features of an image.
+        reach: Number of next frames that each is matched with, besides those most similar.
+        tolerance: Maximum distance of an inlier from its predicted position [px].
+        angle_deviation: Standard deviation of a feature's image position [px].
+        distance_deviation: Standard deviation of the logarithm of estimated distances.
     """
 
     num_features: Annotated[int, Range(20)] = 1000
@@ -60,9 +60,9 @@ class Odometry:
     """Estimated poses.
 
     Attributes:
-        frames: Numbers of the frames whose poses are known, rising.
+        frames: Indices of the frames with known poses, ascending.
         Ts_first_camera: Their poses in the frame of the first of them [m].
-        num_pairs: Number of pairs of frames that were matched.
+        num_pairs: Number of matched pairs of frames.
     """
 
     frames: Int[np.ndarray, " n"]
@@ -76,15 +76,15 @@ def estimated_poses(
     *,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Odometry:
-    """Poses of a sequence's camera, of the largest part of it whose frames show common places.
+    """Estimate camera poses for the largest connected part of a sequence.
 
     Args:
         sequence: Images, depth and camera.
-        settings: How motion is estimated.
-        progress: Called with the number of frames and pairs done and of all.
+        settings: Settings of the odometry.
+        progress: Called with the number of frames and pairs done and the total.
 
     Raises:
-        InputError: If the camera or depth is missing, or no two frames show a common place.
+        InputError: If the camera or depth is missing, or no two frames overlap.
         MissingExtraError: If OpenCV is not installed.
     """
     camera = sequence.camera
@@ -116,7 +116,7 @@ def estimated_poses(
 
 
 def _field(camera: Camera) -> tuple[Bool[np.ndarray, "h w"], float]:
-    """Pixels well within the field, and the angle of a pixel [rad], the median over them."""
+    """Pixels well within the field, and the median angle of a pixel over them [rad]."""
     from scipy.ndimage import binary_erosion
 
     rays = unproject_pixels(camera, pixel_grid(camera.width, camera.height))
@@ -128,7 +128,7 @@ def _field(camera: Camera) -> tuple[Bool[np.ndarray, "h w"], float]:
 def _view(
     rgb: np.ndarray, depth: np.ndarray, camera: Camera, is_seen: np.ndarray, count: int
 ) -> View:
-    """Features of an image where depth is known, and their places."""
+    """Features of an image where depth is known, with their positions."""
     features = sift_features(rgb, count, is_seen)
     column, row = np.rint(features.points).astype(int).T
     rays = unproject_pixels(camera, features.points)
@@ -158,7 +158,7 @@ def _pairs(
 def _renumbered(
     frames: Sequence[int], views: Sequence[View], pairs: Sequence[PosePair]
 ) -> tuple[list[View], list[PosePair]]:
-    """Views and pairs of some frames, numbered among these."""
+    """Select views and pairs of some frames, with indices among these."""
     place = {frame: k for k, frame in enumerate(frames)}
     renumbered = [
         PosePair(place[p.first], place[p.second], p.T_second_first, p.matches) for p in pairs

@@ -1,4 +1,4 @@
-"""OpenCV, which stitching needs."""
+"""Import of OpenCV."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from vrcaps.errors import import_extra
 
 
 def opencv() -> Any:
-    """OpenCV.
+    """Import OpenCV.
 
     Raises:
         MissingExtraError: If it is not installed.

@@ -1,4 +1,4 @@
-"""Images as a graph, whose edges are pairs that show the same place."""
+"""Graph of images whose edges are overlapping pairs."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ if TYPE_CHECKING:
 
 
 class ImagePair(Protocol):
-    """Two images that show the same place."""
+    """Two overlapping images."""
 
     @property
     def first(self) -> int:
-        """Number of one image."""
+        """Index of one image."""
         ...
 
     @property
     def second(self) -> int:
-        """Number of the other."""
+        """Index of the other."""
         ...
 
     @property
     def num_inliers(self) -> int:
-        """Number of matches that fit."""
+        """Number of inlier matches."""
         ...
 
 
@@ -34,11 +34,11 @@ Pair = TypeVar("Pair", bound=ImagePair)
 
 
 def connected(count: int, pairs: Sequence[ImagePair]) -> list[int]:
-    """Numbers of the images of the largest connected component, sorted; empty without pairs.
+    """Indices of the images of the largest connected component, sorted; empty without pairs.
 
     Args:
         count: Number of images.
-        pairs: Which of them show the same place.
+        pairs: Pairs of overlapping images.
     """
     from scipy.sparse.csgraph import connected_components
 
@@ -55,20 +55,20 @@ def chained(
     pairs: Sequence[Pair],
     matrix_of: Callable[[Pair], Float[np.ndarray, "d d"]],
 ) -> tuple[int, dict[int, Float[np.ndarray, "d d"]]]:
-    """The reference image, and what takes each image to it, along the pairs of most inliers.
+    """Reference image, and the transform of each image to it along the pairs of most inliers.
 
-    The reference is the image from which the others are the fewest pairs away.
+    The reference is the image with the fewest pairs on the way to the others.
 
     Args:
         count: Number of images.
-        images: Those of one component.
-        pairs: Which images show the same place.
-        matrix_of: What takes the first image of a pair to the second.
+        images: Images of one component.
+        pairs: Pairs of overlapping images.
+        matrix_of: Returns the transform from the first image of a pair to the second.
     """
     from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree, shortest_path
 
     weights = _weights(count, pairs)
-    weights.data = 1.0 / weights.data  # the tree of least weight has the most inliers
+    weights.data = 1.0 / weights.data  # the minimum spanning tree has the most inliers
     tree = minimum_spanning_tree(weights)
     steps = shortest_path(tree, directed=False, unweighted=True, indices=list(images))
     reference = images[int(steps[:, list(images)].mean(axis=1).argmin())]
@@ -86,7 +86,7 @@ def chained(
 
 
 def _weights(count: int, pairs: Sequence[ImagePair]) -> Any:
-    """Sparse matrix of the numbers of inliers."""
+    """Sparse matrix of the inlier counts."""
     from scipy.sparse import csr_array
 
     at = ([p.first for p in pairs], [p.second for p in pairs])

@@ -1,14 +1,14 @@
-"""Poses by which the matches of many images meet best.
+"""Joint adjustment of camera poses to the matches of many images.
 
-Each image's features have places of their own, from its depth; a match says that two places are
-one. For a place p of camera i that camera j sees along the unit ray r, at distance d by its own
-depth, with q = T_j_i p, the errors are::
+The features of each image have fixed 3D points from its depth; a match states that two points
+coincide. For a point p of camera i that camera j sees along the unit ray r, at distance d by its
+own depth, with q = T_j_i p, the errors are::
 
     (q / |q| − r) / σ_angle        ln(|q| / d) / σ_distance
 
-both ways, under Cauchy's robust norm ln(1 + e²), minimized by Gauss–Newton with damping (Triggs et
-al., Bundle Adjustment: A Modern Synthesis, 2000, sections 3.2, 4.3 and 6). The places stay as
-they are, so an image has six unknowns: ω and v of T ← T exp(ω, v).
+both ways, under Cauchy's robust norm ln(1 + e²), minimized by damped Gauss–Newton (Triggs et
+al., Bundle Adjustment: A Modern Synthesis, 2000, sections 3.2, 4.3 and 6). The points are fixed,
+so an image has six unknowns: ω and v of T ← T exp(ω, v).
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ if TYPE_CHECKING:
 
 _ITERATIONS = 20
 _DAMPING = 1e-6
-"""Relative to the diagonal of the normal equations."""
+"""Damping relative to the diagonal of the normal equations."""
 _SMALL = 1e-9
-"""Relative fall of the error below which the search ends."""
+"""Relative decrease of the error below which the search stops."""
 
 
 @dataclass(frozen=True)
 class Deviations:
-    """How far measurements are off.
+    """Standard deviations of the measurements.
 
     Attributes:
-        angle: Of a ray [rad].
-        distance: Of the logarithm of a distance.
+        angle: Deviation of a ray [rad].
+        distance: Deviation of the logarithm of a distance.
     """
 
     angle: float
@@ -47,7 +47,7 @@ class Deviations:
 
 @dataclass(frozen=True)
 class _Sights:
-    """Places of one camera, seen by another: a row each."""
+    """Points of one camera seen by another, one per row."""
 
     source: Int[np.ndarray, " m"]
     target: Int[np.ndarray, " m"]
@@ -62,13 +62,13 @@ def adjusted_poses(
     pairs: Sequence[PosePair],
     deviations: Deviations,
 ) -> Float[np.ndarray, "n 4 4"]:
-    """Poses ``T_world_camera``, the first as it was.
+    """Adjust poses ``T_world_camera``; the first is fixed.
 
     Args:
-        poses: Near the solution.
-        views: Of each image.
-        pairs: Matches, of images by their numbers in `poses`.
-        deviations: How far measurements are off.
+        poses: Poses near the solution.
+        views: View of each image.
+        pairs: Matches, with image indices into `poses`.
+        deviations: Standard deviations of the measurements.
     """
     if not pairs:
         return poses
@@ -90,7 +90,7 @@ def adjusted_poses(
 
 
 def _sights(views: Sequence[View], pairs: Sequence[PosePair]) -> _Sights:
-    """All matches, each both ways."""
+    """All matches in both directions."""
     rows = []
     for pair in pairs:
         ends = ((pair.first, pair.matches[:, 0]), (pair.second, pair.matches[:, 1]))
@@ -106,7 +106,7 @@ def _sights(views: Sequence[View], pairs: Sequence[PosePair]) -> _Sights:
 def _normal_equations(
     poses: np.ndarray, sights: _Sights, deviations: Deviations
 ) -> tuple[float, tuple, np.ndarray]:
-    """Robust error; blocks of the matrix with their places; and the right side [n 6]."""
+    """Robust error; blocks of the matrix with their positions; and the right-hand side [n 6]."""
     T = invert(poses)[sights.target] @ poses[sights.source]
     q = transform_points(T, sights.points[:, None])[:, 0]
     length = np.linalg.norm(q, axis=1)
@@ -139,7 +139,7 @@ def _normal_equations(
 
 
 def _solved(blocks: tuple, slope: np.ndarray, damping: float) -> np.ndarray:
-    """Step of each pose [n 6]; none of the first."""
+    """Step of each pose [n 6]; zero for the first."""
     from scipy.sparse import coo_array, diags_array
     from scipy.sparse.linalg import spsolve
 

@@ -1,7 +1,7 @@
-"""Motion of a camera between two images, from features whose distances are known.
+"""Relative pose of a camera between two images, from features with known distances.
 
-Three matches give up to four poses (P3P); the one that most matches fit is kept (RANSAC: Fischler
-and Bolles, Comm. ACM 24(6), 1981). All is measured in angles, so that any lens will do.
+Three matches give up to four poses (P3P); the one with the most inliers is kept (RANSAC: Fischler
+and Bolles, Comm. ACM 24(6), 1981). All errors are angles, so any lens model works.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Float32, Int
 
 _TRIALS, _CONFIDENCE = 200, 0.999
-"""Most sets of three matches that are tried, and how surely one of them is to be right."""
+"""Maximum number of RANSAC trials, and the required probability of an outlier-free one."""
 _LEAST_COSINE = 0.2
-"""Of a ray to the axis, for P3P, which takes rays as points of the plane z = 1."""
+"""Minimum cosine of a ray to the axis for P3P, which uses rays as points of the plane z = 1."""
 
 
 @dataclass(frozen=True)
 class View:
-    """Features of an image, and where they are in its camera's frame.
+    """Features of an image and their 3D positions in the camera frame.
 
     Attributes:
         descriptors: Unit vectors, the strongest first.
         rays: Unit rays.
-        points: Places [m].
+        points: Positions [m].
     """
 
     descriptors: Float32[np.ndarray, "n d"]
@@ -43,13 +43,13 @@ class View:
 
 @dataclass(frozen=True)
 class PosePair:
-    """Two images that show the same place.
+    """Two overlapping images.
 
     Attributes:
-        first: Number of one image.
-        second: Number of the other.
-        T_second_first: From the first camera to the second.
-        matches: Numbers of the features in both, of the matches that fit.
+        first: Index of one image.
+        second: Index of the other.
+        T_second_first: Transform from the first camera to the second.
+        matches: Feature indices in both images, of the inlier matches.
     """
 
     first: int
@@ -59,20 +59,20 @@ class PosePair:
 
     @property
     def num_inliers(self) -> int:
-        """Number of matches that fit."""
+        """Number of inlier matches."""
         return len(self.matches)
 
 
 def pose_pair(
     numbers: tuple[int, int], one: View, other: View, tolerance: float
 ) -> PosePair | None:
-    """The motion that most matches of two images fit; None if too few do.
+    """Estimate the relative pose of two images by RANSAC; None with too few inliers.
 
     Args:
-        numbers: Of the images.
+        numbers: Indices of the images.
         one: Features of the first.
         other: Features of the second.
-        tolerance: Angle to where the motion puts it within which a match fits [rad].
+        tolerance: Maximum angle between an inlier and its predicted direction [rad].
 
     Raises:
         MissingExtraError: If OpenCV is not installed.
@@ -92,7 +92,7 @@ def pose_pair(
 
 
 def _enough_trials(fits: Bool[np.ndarray, " m"]) -> float:
-    """Trials after which one of three right matches is likely enough (Fischler and Bolles 1981)."""
+    """Number of trials for a likely outlier-free sample (Fischler and Bolles 1981)."""
     share = min(float(fits.mean()) ** 3, 1.0 - 1e-9) if len(fits) else 0.0
     return np.log(1.0 - _CONFIDENCE) / np.log1p(-share) if share > 0.0 else np.inf
 
@@ -104,14 +104,14 @@ def fitting(
     matches: Int[np.ndarray, "m 2"],
     tolerance: float,
 ) -> Bool[np.ndarray, " m"]:
-    """Which matches fit a motion, seen from either camera.
+    """Mask of the matches that fit a motion, seen from either camera.
 
     Args:
         T_second_first: The motion.
         one: Features of the first image.
         other: Features of the second.
-        matches: Numbers of features in both.
-        tolerance: Largest angle [rad].
+        matches: Feature indices in both images.
+        tolerance: Maximum angle [rad].
     """
     i, j = matches.T
     least = np.cos(tolerance)
@@ -128,7 +128,7 @@ def _cosines(pose: np.ndarray, points: np.ndarray, rays: np.ndarray) -> np.ndarr
 def _hypotheses(
     numbers: tuple[int, int], one: View, other: View, found: Int[np.ndarray, "m 2"]
 ) -> Iterator[list[Float[np.ndarray, "4 4"]]]:
-    """Poses that three matches allow, for one set of three after the other."""
+    """Generate the poses of one random set of three matches after the other."""
     cv2 = opencv()
     usable = found[other.rays[found[:, 1], 2] > _LEAST_COSINE]
     if len(usable) < 3:

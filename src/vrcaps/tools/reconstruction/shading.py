@@ -1,12 +1,12 @@
-"""Shape from shading by a light at the camera: distance from brightness, up to one factor.
+"""Shape from shading with a light at the camera: distance from brightness, up to a factor.
 
-A matte wall of one albedo, lit from where it is seen, has the brightness I = cos θ / r² at distance
-r and angle θ to its normal. With L = ln r over directions, cos θ = 1 / √(1 + |∇L|²), so that ::
+A matte wall of uniform albedo, lit from the camera, has the brightness I = cos θ / r² at distance r
+and angle θ to its normal. With L = ln r over directions, cos θ = 1 / √(1 + |∇L|²), so that ::
 
     L + ¼ ln(1 + |∇L|²) + ½ ln I = 0
 
-which has one viscosity solution (Prados and Faugeras, CVPR 2005). It is found by following
-L_t = −(…) on a grid to its rest, by the scheme of Lax and Friedrichs.
+which has a unique viscosity solution (Prados and Faugeras, CVPR 2005). It is computed by
+integrating L_t = −(…) on a grid to a steady state with the Lax-Friedrichs scheme.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ if TYPE_CHECKING:
     from jaxtyping import Float, UInt8
 
 _SIDE = 128
-"""Longest side of the grid that is solved on."""
+"""Longest side of the solver's grid."""
 _DURATION = 8.0
-"""Pseudo-time after which all is at rest, since deviations fade as e⁻ᵗ."""
+"""Pseudo-time until steady state; deviations decay as e⁻ᵗ."""
 _DARK = 1e-3
-"""Linear brightness below which noise is all there is."""
+"""Linear brightness below which there is only noise."""
 
 
 def depth_from_shading(rgb: UInt8[np.ndarray, "h w 3"], camera: Camera) -> Float[np.ndarray, "h w"]:
-    """Depth z of a wall of one albedo, up to a factor; NaN where the image is black.
+    """Depth z of a wall of uniform albedo, up to a factor; NaN where the image is black.
 
     Args:
-        rgb: Image lit by lights beside the lens, without highlights.
-        camera: Pinhole that took it.
+        rgb: Image lit by lights next to the lens, without highlights.
+        camera: Pinhole camera of the image.
     """
     from skimage.transform import resize
 
@@ -60,14 +60,14 @@ def depth_from_shading(rgb: UInt8[np.ndarray, "h w 3"], camera: Camera) -> Float
 def _solved(
     light: Float[np.ndarray, "h w"], x: Float[np.ndarray, " w"], y: Float[np.ndarray, " h"]
 ) -> Float[np.ndarray, "h w"]:
-    """L over the plane z = 1.
+    """Solve for L over the plane z = 1.
 
     There |∇L|² = q² (Lx² + Ly² + (x Lx + y Ly)²) with q² = 1 + x² + y².
     """
     column, row = np.meshgrid(x, y)
     square = 1.0 + column**2 + row**2
     steps = (float(x[1] - x[0]), float(y[1] - y[0]))
-    # Of ¼ ln(1 + |∇L|²) by Lx or Ly: no more than q² / 4, which the scheme's viscosity must exceed.
+    # Derivative of ¼ ln(1 + |∇L|²) by Lx or Ly: at most q² / 4, less than the scheme's viscosity.
     viscosity = 0.25 * square
     dt = min(steps) / (4.0 * float(viscosity.max()))
     base = -0.5 * np.log(light)

@@ -1,15 +1,16 @@
 """Reconstruction by stitching: algorithm 1 of Incetan et al., VR-Caps (2021), step by step.
 
-1. Highlights are found by Otsu's threshold and inpainted (`highlights`).
-2. SIFT features are matched between images; RANSAC finds homographies (`matching`).
-3. Bundle adjustment makes all pairs agree (`bundle`).
-4. The images are blended in bands into one (`mosaic`).
-5. Depth of that one image makes a surface (`stitch_surface`): estimated by a network as in the
-   paper, by shading, or taken over from the images' own depth.
+1. Highlights are detected by Otsu's threshold and inpainted (`highlights`).
+2. SIFT features are matched between images; RANSAC fits homographies (`matching`).
+3. Bundle adjustment makes all pairs consistent (`bundle`).
+4. The images are blended into one by multi-band blending (`mosaic`).
+5. The depth of that image gives a surface (`stitch_surface`). Depth is estimated by a network as
+   in the paper, by shading, or taken from the images' own depth.
 6. ICP registers the surface to the true wall (`icp`); errors are drawn on it (`compare`).
 
-The paper's listing inpaints the stitched image, its text inpaints first; so do we, since highlights
-move with the light. Images of fisheye lenses are rectified first, for which homographies hold.
+The paper's listing inpaints the stitched image, its text inpaints first. This implementation
+inpaints first, since highlights move with the light. Fisheye images are rectified beforehand, as
+homographies require.
 """
 
 from __future__ import annotations
@@ -37,18 +38,18 @@ if TYPE_CHECKING:
 
 
 _RIM_PX = 4
-"""Width of the rim of a lens's field that is left out: its edge stays in place and would match."""
+"""Width of the excluded rim of a lens's field: its edge does not move, and would match."""
 
 
 @dataclass(frozen=True)
 class StitchSettings:
-    """How images are stitched.
+    """Settings of the stitching.
 
     Attributes:
-        field_of_view: Of the images that are stitched [rad]; less if the lens sees less.
-        every: Every how many frames is used.
-        num_features: Most SIFT features of an image.
-        tolerance: Distance from where a homography puts it within which a match fits [px].
+        field_of_view: Field of view of the rectified images [rad]; less if the lens has less.
+        every: Stride between the frames used.
+        num_features: Maximum number of SIFT features of an image.
+        tolerance: Maximum distance of an inlier from its mapped position [px].
     """
 
     field_of_view: Annotated[float, Range(above=0.0, below=pi)] = radians(90.0)
@@ -62,13 +63,13 @@ class StitchSettings:
 
 @dataclass(frozen=True)
 class Stitched:
-    """What stitching found.
+    """Result of stitching.
 
     Attributes:
         mosaic: The wide image.
-        sequence: The frames that were used, rectified.
-        frames: Their numbers in the source.
-        pairs: Frames that show the same place, by their numbers in `sequence`.
+        sequence: The frames used, rectified.
+        frames: Their indices in the source.
+        pairs: Overlapping frames, by their indices in `sequence`.
     """
 
     mosaic: Mosaic
@@ -83,15 +84,15 @@ def stitch(
     *,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Stitched:
-    """One wide image of a sequence's frames, with their depth if it is known.
+    """Stitch the frames of a sequence into one wide image, with depth if it is known.
 
     Args:
-        sequence: Images and camera; depth, if the wide image is to have some.
-        settings: How they are stitched.
-        progress: Called with the number of frames whose features are known and of all.
+        sequence: Images and camera; depth, if the wide image shall have depth.
+        settings: Settings of the stitching.
+        progress: Called with the number of frames with computed features and the total.
 
     Raises:
-        InputError: If there is no camera, or no two frames show the same place.
+        InputError: If there is no camera, or no two frames overlap.
         MissingExtraError: If OpenCV is not installed.
     """
     chosen = np.arange(0, len(sequence), settings.every)
@@ -123,7 +124,7 @@ def stitch(
 def _rectified(
     sequence: FrameSequence, chosen: Int[np.ndarray, " n"], field_of_view: float
 ) -> FrameSequence:
-    """Images and depth of chosen frames as a pinhole sees them."""
+    """Rectify images and depth of selected frames to a pinhole camera."""
     if sequence.camera is None:
         raise InputError(f"Stitching needs a calibrated camera, which {sequence.name} has not.")
     channels = [name for name in ("rgb", "depth") if name in sequence.channels]
@@ -132,7 +133,7 @@ def _rectified(
 
 
 def _seen(lens_camera: Camera, pinhole: Camera) -> Bool[np.ndarray, "h w"]:
-    """Pixels of the rectified images that lie well within the field of the lens."""
+    """Mask of the rectified pixels that lie well within the field of the lens."""
     from scipy.ndimage import binary_erosion
 
     pixels = project_points(

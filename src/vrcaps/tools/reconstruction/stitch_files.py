@@ -1,4 +1,4 @@
-"""What stitching writes: a picture of each step, and a table of the pairs of images."""
+"""Output files of stitching: a figure of each step, and a table of the image pairs."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def write_stitched(folder: Path, found: Stitched) -> None:
 
 
 def write_registration(folder: Path, surface: WallSurface) -> None:
-    """Write `registration.csv`, the error at each step, if there was a wall to register to."""
+    """Write `registration.csv`, the error at each step, if there was a registration."""
     if surface.registration is not None:
         errors = enumerate(surface.registration.rmse)
         rows = [{"step": k, "rmse_mm": round(error / MM, 6)} for k, error in errors]
@@ -60,13 +60,13 @@ def write_registration(folder: Path, surface: WallSurface) -> None:
 
 
 def highlights_picture(rgb: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h k 3"]:
-    """An image, its highlights marked, and the image without them."""
+    """Draw an image, its marked highlights, and the inpainted image."""
     marked = np.where(highlights(rgb)[..., None], _MARK, rgb)
     return np.concatenate([rgb, marked, without_highlights(rgb)], axis=1)
 
 
 def matches_picture(found: Stitched) -> UInt8[np.ndarray, "h k 3"]:
-    """The pair of images with the most matches that fit, and lines between these."""
+    """Draw the pair of images with the most inliers, connected by lines."""
     cv2 = opencv()
     pair: Pair = max(found.pairs, key=lambda one: len(one.points_first))
     images = [found.sequence.image("rgb", k) for k in (pair.first, pair.second)]

@@ -1,4 +1,4 @@
-"""The surface that a stitched image shows, and where it lies on the true wall."""
+"""Surface of a stitched image, and its registration to the true wall."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ if TYPE_CHECKING:
     from vrcaps.learn.weights import Trained
 
 _JUMP = 1.15
-"""Ratio of neighboring depths beyond which they are of two surfaces."""
+"""Ratio of neighboring depths above which they belong to two surfaces."""
 
 
 @dataclass(frozen=True)
 class DepthSource:
-    """Where depth of a stitched image comes from; from its frames, if from nowhere else.
+    """Source of a stitched image's depth; by default, its frames.
 
     Attributes:
         weights: File or published name of weights of the task `depth` or `sfm`; empty for none.
-        shading: Whether from shading.
+        shading: Whether to use shape from shading.
     """
 
     weights: str = ""
@@ -42,12 +42,12 @@ class DepthSource:
 
 @dataclass(frozen=True)
 class WallSurface:
-    """A surface in the world frame, or in the reference's camera where no poses are known.
+    """Surface in the world frame, or in the reference camera's frame without known poses.
 
     Attributes:
-        mesh: [m].
-        color: Of its vertices.
-        registration: How it was moved to the true wall; None where that is not known.
+        mesh: Vertices in [m].
+        color: Color of each vertex.
+        registration: Registration to the true wall; None if the wall is unknown.
     """
 
     mesh: Mesh
@@ -56,23 +56,23 @@ class WallSurface:
 
 
 def wall_surface(found: Stitched, source: DepthSource) -> tuple[Stitched, WallSurface]:
-    """The surface of a stitched image, and the image with the depth that made it.
+    """Build the surface of a stitched image; return it with the image and the depth used.
 
-    It begins at the true pose of the reference, in place of the polygon that the paper labels by
-    hand. A free scale is set by the median of the frames' own depth, or fitted if that is unknown.
+    Registration starts from the reference's true pose, not the paper's hand-labeled polygon.
+    A free scale is set by the median of the frames' own depth, or fitted without it.
 
     Args:
-        found: What stitching found.
-        source: Where depth comes from.
+        found: Result of stitching.
+        source: Source of the depth.
 
     Raises:
-        InputError: If there is no depth, or the weights do not fit.
+        InputError: If there is no depth, or the weights are unsuitable.
         MissingExtraError: If a package is not installed.
     """
     mosaic, sequence = found.mosaic, found.sequence
     depth, has_scale = _depth(mosaic, source)
     if not has_scale and np.isfinite(mosaic.depth).any():
-        # Fitted by nearest points, a scale would shrink a wrong surface onto a part of the wall.
+        # A scale fitted to nearest points would shrink a wrong surface onto a part of the wall.
         depth, has_scale = depth * np.nanmedian(mosaic.depth / depth), True
     mesh, color = surface_of(depth, mosaic.rgb, mosaic.camera)
     if CAMERA_POSE in sequence.values:
@@ -102,12 +102,12 @@ def _depth(mosaic: Mosaic, source: DepthSource) -> tuple[Float[np.ndarray, "h w"
 def surface_of(
     depth: Float[np.ndarray, "h w"], rgb: UInt8[np.ndarray, "h w 3"], camera: Camera
 ) -> tuple[Mesh, UInt8[np.ndarray, "n 3"]]:
-    """The surface that a depth image shows, in the camera frame, and the color of its vertices.
+    """Triangulate a depth image in the camera frame, with vertex colors.
 
     Args:
-        depth: Depth z [m]; NaN where it is not known. The surface is cut where it jumps.
+        depth: Depth z [m]; NaN where it is unknown. The surface is cut at discontinuities.
         rgb: Colors.
-        camera: What sees both.
+        camera: Camera of both.
 
     Raises:
         InputError: If there is no surface.
@@ -128,7 +128,7 @@ def surface_of(
 
 
 def estimated_depth(trained: Trained, mosaic: Mosaic) -> tuple[Float[np.ndarray, "h w"], bool]:
-    """Depth z of a stitched image by a network, and whether it is in meters.
+    """Estimate depth z of a stitched image by a network; also return whether it is in meters.
 
     Args:
         trained: Weights of the task `depth` or, up to scale, `sfm`.

@@ -1,8 +1,8 @@
-"""Truncated signed distances to a wall, in blocks of voxels where there is a wall.
+"""Truncated signed distance volume in sparse blocks of voxels.
 
-Each view moves a voxel's distance towards what it sees by a running mean (Curless and Levoy,
-SIGGRAPH 1996). Only blocks near the wall are held (Nießner et al., ACM TOG 32(6), 2013). Distances
-are along the ray of the camera, so that any lens will do.
+Each view updates the distance of a voxel by a running mean (Curless and Levoy, SIGGRAPH 1996).
+Only blocks near the wall are stored (Nießner et al., ACM TOG 32(6), 2013). Distances are along
+the camera rays, so any lens model works.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ if TYPE_CHECKING:
 _SIDE = 8
 """Voxels along a block's side."""
 _TRUNCATION = 4.0
-"""Distance at which values end [voxels]."""
+"""Truncation distance [voxels]."""
 _MOST_VOXELS = 4 * 10**8
-"""Of the box around all blocks, which marching cubes needs whole."""
+"""Maximum size of the box around all blocks, which marching cubes needs as a whole."""
 
 
 class Volume:
-    """Signed distance to the wall, positive in the lumen, and color, where cameras looked."""
+    """Signed distance to the wall, positive in the lumen, and color, in the observed region."""
 
     def __init__(self, voxel: float) -> None:
-        """An empty volume.
+        """Create an empty volume.
 
         Args:
             voxel: Side of a voxel [m].
 
         Raises:
-            InputError: If it is not above 0.
+            InputError: If it is not positive.
         """
         require(0.0 < voxel < np.inf, "voxel", voxel, "above 0 m")
         self.voxel = voxel
@@ -62,10 +62,10 @@ class Volume:
         """Fuse one view.
 
         Args:
-            camera: What took it.
+            camera: Camera of the view.
             T_world_camera: Its pose.
-            distance: Distance of the wall along each pixel's ray [m]; NaN where there is none.
-            rgb: Its color image.
+            distance: Distance of the wall along each pixel's ray [m]; NaN for none.
+            rgb: Color image of the view.
         """
         keys = self._blocks_near(camera, T_world_camera, distance)
         if not len(keys):
@@ -78,7 +78,7 @@ class Volume:
         column, row = np.rint(np.where(seen[:, None], pixels, 0.0)).astype(int).T
         there = distance[row, column] - np.linalg.norm(points, axis=1)
         limit = _TRUNCATION * self.voxel
-        # What lies further behind the wall than that is hidden, not known.
+        # Voxels further behind the wall are occluded, not observed.
         counts = seen & np.isfinite(there) & (there > -limit)
         value = np.minimum(np.where(counts, there, 0.0), limit) / limit
         self._blend(slots, counts, value, rgb[row, column])
@@ -98,7 +98,7 @@ class Volume:
     def _blocks_near(
         self, camera: Camera, T_world_camera: np.ndarray, distance: np.ndarray
     ) -> Int[np.ndarray, "k 3"]:
-        """Numbers of the blocks within the truncation of what a view sees, sorted."""
+        """Indices of the blocks within the truncation distance of a view's surface, sorted."""
         is_seen = np.isfinite(distance)
         pixels = pixel_grid(camera.width, camera.height)[is_seen]
         rays, reach = unproject_pixels(camera, pixels), distance[is_seen]
@@ -108,18 +108,18 @@ class Volume:
         steps = np.arange(-limit, limit + 1e-12, 0.5 * _SIDE * self.voxel)
         found = [transform_points(T_world_camera, rays * (reach + step)[:, None]) for step in steps]
         keys = np.floor(np.concatenate(found) / (_SIDE * self.voxel)).astype(np.int64)
-        # One number a block: to sort rows takes ten times as long.
+        # One integer key per block: sorting rows takes ten times as long.
         low, span = keys.min(axis=0), np.ptp(keys, axis=0) + 1
         packed = np.unique(np.ravel_multi_index(tuple((keys - low).T), tuple(span)))
         return np.stack(np.unravel_index(packed, tuple(span)), axis=-1) + low
 
     def _slots_of(self, keys: Int[np.ndarray, "k 3"]) -> Int[np.ndarray, " k"]:
-        """Places of blocks in the arrays; new ones are made."""
+        """Slots of blocks in the arrays; missing ones are allocated."""
         for key in map(tuple, keys.tolist()):
             self._slots.setdefault(key, len(self._slots))
         missing = len(self._slots) - len(self._distance)
         if missing > 0:
-            room = max(missing, len(self._distance))  # doubling, so that adding stays cheap
+            room = max(missing, len(self._distance))  # doubling, for amortized constant cost
             for name in ("_distance", "_weight", "_color"):
                 array = getattr(self, name)
                 more = np.zeros((room, *array.shape[1:]), np.float32)
@@ -127,10 +127,10 @@ class Volume:
         return np.array([self._slots[key] for key in map(tuple, keys.tolist())])
 
     def surface(self, min_views: int = 1) -> tuple[Mesh, UInt8[np.ndarray, "n 3"]]:
-        """The wall where distance is zero, and the color of its vertices (marching cubes).
+        """Extract the zero surface, with vertex colors (marching cubes).
 
         Args:
-            min_views: Views in which a voxel must have been seen to count.
+            min_views: Minimum number of views for a voxel to count.
 
         Raises:
             InputError: If nothing was fused, or the box around it is too large.
@@ -164,17 +164,17 @@ class Volume:
     def _dense(
         self, values: np.ndarray, low: np.ndarray, blocks: np.ndarray
     ) -> Float32[np.ndarray, "i j k *c"]:
-        """Values of all blocks in one box; 0 where there is no block."""
+        """Values of all blocks in one dense box; 0 where there is no block."""
         more = values.shape[2:]
         box = np.zeros((*blocks, _SIDE, _SIDE, _SIDE, *more), np.float32)
-        keys = np.array(list(self._slots))  # in the order of their slots
+        keys = np.array(list(self._slots))  # in slot order
         box[tuple((keys - low).T)] = values[: len(keys)].reshape(-1, _SIDE, _SIDE, _SIDE, *more)
         order = (0, 3, 1, 4, 2, 5, *range(6, box.ndim))
         return box.transpose(order).reshape(*(blocks * _SIDE), *more)
 
 
 def _whole_cubes(is_known: Bool[np.ndarray, "i j k"]) -> Bool[np.ndarray, "i j k"]:
-    """Cubes of eight known voxels, at their last corner, where marching cubes looks for them."""
+    """Cubes of eight known voxels, at their last corner as marching cubes expects."""
     whole = is_known.copy()
     for axis in range(3):
         before = np.roll(whole, 1, axis)

@@ -15,16 +15,16 @@ if TYPE_CHECKING:
     from vrcaps.actuation.arm.arm import Arm
 
 _PACKAGE = "share/example-robot-data/robots/{arm}_description/meshes/collision/link{number}.stl"
-"""Where the package example-robot-data has an arm's links. The frames of the Panda's are those of
-its Denavit-Hartenberg joints, the base being number 0."""
+"""Path of an arm's links in the package example-robot-data. The frames of the Panda's links are
+those of its Denavit-Hartenberg joints; the base has index 0."""
 
 _PREFIXES = ("cmeel.prefix", "")
 
 
 def link_meshes(arm: Arm) -> dict[int, tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "m 3"]]]:
-    """Vertices [m] and triangles of each link, by the frame that they are in.
+    """Vertices [m] and triangles of each link, by frame index.
 
-    Frame 0 is the base, then come the joints, last the flange.
+    Frame 0 is the base, followed by the joints and the flange.
     """
     import trimesh
 
@@ -49,14 +49,14 @@ def link_meshes(arm: Arm) -> dict[int, tuple[Float[np.ndarray, "n 3"], Int[np.nd
 
 
 def _joined(shapes: list[trimesh.Trimesh]) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and triangles of several shapes."""
+    """Merge the vertices and triangles of several shapes."""
     before = np.cumsum([0, *(len(shape.vertices) for shape in shapes)])
     faces = [shape.faces + first for shape, first in zip(shapes, before[:-1], strict=True)]
     return np.vstack([shape.vertices for shape in shapes]), np.vstack(faces)
 
 
 def _description(arm: str, number: int) -> Path | None:
-    """File of a link in an installed description package; None without one."""
+    """File of a link in an installed description package; None if not installed."""
     for root in sys.path:
         for prefix in _PREFIXES:
             path = Path(root) / prefix / _PACKAGE.format(arm=arm, number=number)

@@ -1,8 +1,8 @@
-"""Browser: what the page needs of its library beyond the public names, in one place.
+"""Browser access beyond the public API of the page's library, in one module.
 
-The page's library, viser, knows no gamepad and no held keys. `InputBridge` sends a small program
-to every browser that reads both, and that writes what it reads into a text field of the page, which
-the library sends on over the page's own connection.
+The page's library, viser, supports neither gamepads nor held keys. `InputBridge` sends a script to
+every browser that reads both and writes them to a text field of the page, which the library
+transfers over the page's own connection.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     import viser
 
 _MARK, _ASK = "vrcaps:", "vrcaps-ask:"
-"""Beginnings of the values of two text fields, by which the program in the browser finds them: the
-first is what it says, the second what it is asked for."""
+"""Prefixes of the values of two text fields, by which the browser's script finds them: the first
+carries its messages, the second requests to it."""
 
 KEYS = {
     "D / A": "magnet to +x / −x",
@@ -34,7 +34,7 @@ KEYS = {
     "P, N, B": "pause; next frame; keep a snapshot",
     "T": "let the policy drive, take back",
 }
-"""Keys that drive, and what they do."""
+"""Keys for driving, and their functions."""
 
 CONTROLS = {
     "x+": "magnet to +x",
@@ -54,10 +54,10 @@ CONTROLS = {
     "snapshot": "keep a snapshot",
     "policy": "let the policy drive, take back",
 }
-"""What a gamepad's sticks and buttons can be assigned to, by the program's names of it."""
+"""Functions that can be assigned to a gamepad's sticks and buttons, by the script's names."""
 
 STANDARD = "standard"
-"""Asked for in place of a control: the standard layout."""
+"""Requested in place of a control: the standard layout."""
 
 PAD = {
     "left stick": "magnet along x and y",
@@ -70,20 +70,20 @@ PAD = {
     "X": "keep a snapshot",
     "Y": "let the policy drive, take back",
 }
-"""Controls of a gamepad of standard layout, and what they do."""
+"""Controls of a gamepad of standard layout, and their functions."""
 
 
 @dataclass(frozen=True)
 class DriverInput:
-    """What a browser's keys and gamepad say.
+    """State of a browser's keys and gamepad.
 
     Attributes:
         axes: Along and about the world's x, y, z, from −1 to 1.
-        actions: Names of actions whose button was pressed since the message before.
+        actions: Names of actions whose button was pressed since the previous message.
         pad: Name of the gamepad; empty without one.
         is_standard: Whether the browser knows the gamepad's layout.
-        layout: What each of `CONTROLS` is assigned to; None where that has not changed.
-        listening: The control that waits to be assigned; empty where none does.
+        layout: Assignment of each of `CONTROLS`; None if unchanged.
+        listening: Control that waits for assignment; empty for none.
     """
 
     axes: tuple[float, ...]
@@ -95,10 +95,10 @@ class DriverInput:
 
 
 def parse_input(text: str) -> DriverInput:
-    """What the program in a browser wrote.
+    """Parse a message of the browser's script.
 
     Raises:
-        InputError: If it is nothing that the program writes.
+        InputError: If the script does not write such messages.
     """
     try:
         plain = json.loads(text.removeprefix(_MARK))
@@ -115,25 +115,25 @@ def parse_input(text: str) -> DriverInput:
 
 
 def _layout(plain: Any) -> dict[str, str] | None:
-    """What controls are assigned to; others than `CONTROLS` are left out."""
+    """Assignments of controls; names other than `CONTROLS` are dropped."""
     if plain is None:
         return None
     return {name: str(plain[name])[:20] for name in CONTROLS if name in dict(plain)}
 
 
 class InputBridge:
-    """Keys and gamepads of all browsers that show a page.
+    """Keys and gamepads of all browsers with the page open.
 
     Attributes:
         field: The text field.
     """
 
     def __init__(self, server: viser.ViserServer, on_input: Callable[[int, str], None]) -> None:
-        """Puts the field into the page.
+        """Add the text field to the page.
 
         Args:
-            server: Of the page.
-            on_input: Called with the number of a browser and what it sent, for `parse_input`.
+            server: Server of the page.
+            on_input: Called with the ID of a browser and its message, for `parse_input`.
         """
         self.field = field = server.gui.add_text("input", _MARK, order=1e6)
         self._asked, self._ask = 0, server.gui.add_text("ask", "", order=1e6)
@@ -149,7 +149,7 @@ class InputBridge:
         )
 
     def ask(self, control: str) -> None:
-        """Asks browsers to assign what is pressed or pushed next on the gamepad.
+        """Ask browsers to assign the next button or stick used on the gamepad.
 
         Args:
             control: One of `CONTROLS`, or `STANDARD`.
@@ -162,9 +162,9 @@ class InputBridge:
 
 
 def run_javascript(server: viser.ViserServer, source: str) -> None:
-    """Runs a program in all browsers that show a page, now and when they open it.
+    """Run a script in all browsers with the page open, now and when they open it.
 
-    The message is a private one of the library, which draws its charts so.
+    Uses a private message of the library, which it uses to draw charts.
     """
     from viser._messages import RunJavascriptMessage
 

@@ -1,4 +1,4 @@
-"""Camera images: what the capsule's camera sees now, rendered as often as there is time."""
+"""Live images of the capsule's camera, rendered as often as time allows."""
 
 from __future__ import annotations
 
@@ -31,30 +31,30 @@ LIVE_CHANNELS = (
     *("rgb", "depth", "label", "instance", "normal", "albedo"),
     *("arc_length", "flow_backward"),
 )
-"""Channels that need no later frame."""
+"""Channels that do not depend on later frames."""
 
 _ON_TIME = 0.95
-"""Share of the wanted speed at which the simulation counts as on time."""
+"""Fraction of the requested speed at which the simulation counts as on time."""
 
 _LONGEST_REST = 0.4
-"""Longest pause [s] between images while the simulation is late."""
+"""Maximum pause [s] between images while the simulation is late."""
 
 _SHORTEST = 1.0 / 30.0
-"""Shortest time [s] from image to image."""
+"""Minimum time [s] between images."""
 
 _PATIENCE = 0.005
-"""How long [s] to wait before a new view is looked for."""
+"""Time [s] between checks for a new view."""
 
 
 @dataclass(frozen=True)
 class Look:
-    """How the camera's images are made.
+    """Render settings of the live images.
 
     Attributes:
         camera: Name of the camera.
-        channel: What is shown.
+        channel: Channel to show.
         render: Light and imaging.
-        effects: Of lens and sensor.
+        effects: Effects of lens and sensor.
     """
 
     camera: str
@@ -68,8 +68,8 @@ class LiveImage:
     """One image of the camera.
 
     Attributes:
-        look: How it was made.
-        picture: To look at.
+        look: Its render settings.
+        picture: Image to display.
     """
 
     look: Look
@@ -77,23 +77,23 @@ class LiveImage:
 
 
 class CameraImages:
-    """Renders a session's views in a thread of its own, always the latest.
+    """Renderer of a session's latest view, in a separate thread.
 
-    The simulation goes first: while it is late there are fewer images. While they come slowly, they
-    have no shadows; those of a simulation that stands do.
+    The simulation has priority: while it is late, there are fewer images. While images are slow,
+    they have no shadows, except when the simulation is paused.
 
     Attributes:
-        look: How; may be set at any time.
-        shadows: Which images have shadows, of those whose look has them.
-        rate: Images per second, as measured.
-        exposure: Of the last image, relative to the camera's own.
+        look: Render settings; may be set at any time.
+        shadows: Selects the images with shadows, if the look has them.
+        rate: Measured images per second.
+        exposure: Exposure of the last image, relative to the camera's own.
     """
 
     def __init__(self, session: Session, on_image: Callable[[LiveImage], None]) -> None:
-        """Prepares to render.
+        """Prepare rendering.
 
         Args:
-            session: What is looked at.
+            session: Session to render.
             on_image: Called with each image.
         """
         self._session, self._on_image = session, on_image
@@ -110,11 +110,11 @@ class CameraImages:
         self._thread = threading.Thread(target=self._run, name="vrcaps-camera", daemon=True)
 
     def start(self) -> None:
-        """Starts rendering."""
+        """Start rendering."""
         self._thread.start()
 
     def close(self) -> None:
-        """Ends rendering."""
+        """Stop rendering."""
         self._is_closed = True
         if self._thread.is_alive():
             self._thread.join()
@@ -144,12 +144,12 @@ class CameraImages:
             wall_clock.sleep(max(0.0, begin + _SHORTEST - now))
 
     def image(self, view: View, look: Look, *, has_shadows: bool = True) -> LiveImage:
-        """A view, seen by the camera.
+        """Render the camera's image of a view.
 
         Args:
-            view: The simulation then.
-            look: How.
-            has_shadows: Whether it has those that its look says.
+            view: Instant of the simulation.
+            look: Render settings.
+            has_shadows: Whether to render the shadows of the look.
 
         Raises:
             InputError: If the look is not possible.
@@ -158,7 +158,7 @@ class CameraImages:
         step = Step(view.number, view.state, previous=self._earlier(view.state))
         pipeline = self._cameras_for(look).pipelines[camera.name]
         shadows = look.render.shadows and has_shadows
-        # The renderer reads this for each image; a new one would trace its form factors anew.
+        # The renderer reads this for each image; a new one would trace its form factors again.
         pipeline.renderer.settings = replace(look.render, shadows=shadows)
         values = getattr(pipeline.capture(step), look.channel)
         self.exposure = pipeline.state.exposure
@@ -166,16 +166,16 @@ class CameraImages:
         return LiveImage(look, picture(look.channel, values, limits))
 
     def _earlier(self, state: State) -> State:
-        """The state one frame of the recording before, as nearly as it is known."""
+        """State about one recorded frame earlier, as closely as available."""
         while self._states and self._states[-1].time >= state.time:
-            self._states.pop()  # the simulation went back
+            self._states.pop()  # the simulation was rewound
         before = state.time - 1.0 / self._session.rollout.fps
         nearest = min(self._states, key=lambda known: abs(known.time - before), default=state)
         self._states.append(state)
         return nearest
 
     def _cameras_for(self, look: Look) -> CapsuleCameras:
-        """Pipelines of the cameras; made anew where light, effects or channel have changed."""
+        """Pipelines of the cameras; recreated if light, effects or channel have changed."""
         if self._renderer is None or self._renderer[0] != look.render:
             self._renderer = look.render, Renderer(self._session.model, look.render, self._wall)
             self._cameras = None
@@ -192,7 +192,7 @@ class CameraImages:
         return self._cameras[1]
 
     def _rest_while_late(self) -> None:
-        """Rests longer from image to image while the simulation is late, then shorter again."""
+        """Increase the pause between images while the simulation is late; then reduce it again."""
         clock = self._session.clock
         if clock.is_paused or clock.achieved >= _ON_TIME * clock.speed:
             self._rest = max(0.0, 0.8 * self._rest - 0.002)

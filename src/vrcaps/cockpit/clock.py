@@ -1,4 +1,4 @@
-"""Clock: keeps simulated time at real time, or at a fraction of it."""
+"""Clock that keeps simulated time at real time, or at a fraction of it."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ SLOWEST, FASTEST = 0.05, 4.0
 """Range of simulated time per real time."""
 
 _LATE = 0.25
-"""How late [s] a simulation may be before the time that it lost is given up."""
+"""Delay [s] of the simulation above which lost time is not caught up."""
 
 _MEMORY = 1.0
 """Real time [s] over which the achieved speed is measured."""
 
 
 class Clock:
-    """Makes the simulation wait until its time has come; pauses it.
+    """Pacing and pausing of the simulation.
 
     Attributes:
-        achieved: Simulated time per real time, as measured; below `speed` where the machine is too
+        achieved: Measured simulated time per real time; below `speed` if the machine is too
             slow.
     """
 
@@ -37,7 +37,7 @@ class Clock:
 
     @property
     def speed(self) -> float:
-        """Simulated time per real time that is wanted."""
+        """Requested simulated time per real time."""
         return self._speed
 
     @speed.setter
@@ -49,31 +49,31 @@ class Clock:
 
     @property
     def is_paused(self) -> bool:
-        """Whether the simulation stands, or will after the steps that it was given."""
+        """Whether the simulation is paused, or will be after the steps that were requested."""
         return self._until < math.inf
 
     def holds(self, time: float) -> bool:
-        """Whether the simulation has to stand at a time [s]."""
+        """Whether the simulation has to stop at a time [s]."""
         return time >= self._until
 
     def run(self, until: float = math.inf) -> None:
-        """Lets the simulation go on until a time [s], by default for good."""
+        """Let the simulation run until a time [s], by default without limit."""
         with self._changed:
             self._until, self._anchor = until, None
             self._changed.notify_all()
 
     def pause(self) -> None:
-        """Stops the simulation after the step that it is in."""
+        """Stop the simulation after the current step."""
         self.run(-math.inf)
 
     def wake(self) -> None:
-        """Ends the present `wait`, so that the simulation can see what else is asked of it."""
+        """End the current `wait`, so that the simulation can process other commands."""
         with self._changed:
             self._anchor, self._is_woken = None, True
             self._changed.notify_all()
 
     def wait(self, time: float) -> None:
-        """Returns when the simulation, now at a time [s], may go on, or `wake` is called."""
+        """Block until the simulation, now at a time [s], may continue, or `wake` is called."""
         with self._changed:
             while self.holds(time) and not self._is_woken:
                 self.achieved, self._anchor = 0.0, None

@@ -1,4 +1,4 @@
-"""Cockpit: session, page and server together."""
+"""Cockpit: session, page and server."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ if TYPE_CHECKING:
     from vrcaps.scenario.scenario import Scenario
 
 _SWITCHING = 1e-3
-"""Time [s] for which one thread may keep the interpreter from the others."""
+"""Time [s] for which a thread may hold the interpreter."""
 
 
 class Cockpit:
-    """An open cockpit: one drive after another, each a session of its own, in the same page.
+    """Open cockpit: consecutive drives, each with its own session, in the same page.
 
     Attributes:
-        session: What is driven.
-        page: What browsers show.
-        gate: Who may open it; has the address.
+        session: Session of the current drive.
+        page: Page in the browsers.
+        gate: Access control; has the address.
     """
 
     def __init__(
@@ -47,12 +47,12 @@ class Cockpit:
         say: Callable[[str], None],
         policies: Sequence[str] = (),
     ) -> None:
-        """Starts a session and its page.
+        """Start a session and its page.
 
         Args:
-            server: Of the page.
-            gate: In front of it.
-            session: The first, not started.
+            server: Server of the page.
+            gate: Access control of the server.
+            session: First session, not started.
             say: Called with each message for the terminal.
             policies: Files and import paths of policies that browsers may choose.
         """
@@ -62,15 +62,15 @@ class Cockpit:
         self._show(session)
 
     def begin(self, scenario: Scenario) -> None:
-        """Ends the drive, which is kept, and begins another one in the same page.
+        """End the drive, which is saved, and start another one in the same page.
 
-        Its folder is the first of `drive-2`, `drive-3`, … in that of the first drive.
+        Its folder is the first free one of `drive-2`, `drive-3`, … in that of the first drive.
 
         Args:
-            scenario: What to drive, see `cockpit_scenario`.
+            scenario: Scenario to drive, see `cockpit_scenario`.
 
         Raises:
-            InputError: If it cannot be made, or a recording is under way; the drive goes on then.
+            InputError: If it is invalid, or a recording is in progress; the drive then continues.
         """
         if not self._is_busy.acquire(blocking=False):
             raise InputError(
@@ -92,7 +92,7 @@ class Cockpit:
             self._is_busy.release()
 
     def _look_on(self, driver: int | None) -> None:
-        """The browsers that were there look at the new scene, and the same one drives."""
+        """Show the new scene in the open browsers; the driver stays the same."""
         clients, first = self._server.get_clients(), self._server.initial_camera
         for client in clients.values():
             client.camera.position, client.camera.look_at = first.position, first.look_at
@@ -100,12 +100,12 @@ class Cockpit:
             self.page.take_over(driver)
 
     def close(self) -> None:
-        """Ends page and session."""
+        """Close page and session."""
         self.page.close()
         self.session.close()
 
     def _made(self, scenario: Scenario) -> Session:
-        """A session in a new folder; where it cannot be made the folder is removed."""
+        """Create a session in a new folder; the folder is removed on failure."""
         folders = (self._folder / f"drive-{number}" for number in itertools.count(2))
         folder = next(each for each in folders if not each.exists())
         try:
@@ -139,7 +139,7 @@ def open_cockpit(
     policies: Sequence[str] = (),
     say: Callable[[str], None] = lambda text: None,
 ) -> Iterator[Cockpit]:
-    """Drives a scenario from browsers as long as the block lasts.
+    """Drive a scenario from browsers within a `with` block.
 
     Example:
         >>> with open_cockpit(vrcaps.Scenario("stomach", "magnetic"), Path("drive")) as cockpit:
@@ -147,15 +147,15 @@ def open_cockpit(
         ...     input("Enter ends it.")
 
     Args:
-        scenario: What to drive, see `cockpit_scenario`.
-        folder: New or empty folder for what is driven.
+        scenario: Scenario to drive, see `cockpit_scenario`.
+        folder: New or empty folder for the drive.
         host: Address to listen at.
         port: Port to listen at.
         policies: Files and import paths of policies that browsers may choose, see `read_policy`.
         say: Called with each message for the terminal.
 
     Raises:
-        InputError: If the scenario cannot be made, the folder is not empty, the port in use or
+        InputError: If the scenario is invalid, the folder is not empty, the port is in use or
             a policy cannot be read.
         MissingExtraError: If the extra `cockpit` is not installed.
     """
@@ -173,10 +173,10 @@ def open_cockpit(
 
 
 def make_gate(host: str, port: int) -> Gate:
-    """The gate at an address, with a new token.
+    """Create the gate of an address, with a new token.
 
     Raises:
-        InputError: If the port is impossible or in use, or the host is none of this machine.
+        InputError: If the port is invalid or in use, or the host is not of this machine.
     """
     require_free(host, port)
     return Gate(host, port, secrets.token_urlsafe(32))
@@ -193,13 +193,13 @@ def require_viser() -> None:
 
 @contextmanager
 def serving(gate: Gate, say: Callable[[str], None]) -> Iterator[viser.ViserServer]:
-    """The page's server behind a gate, as long as the block lasts.
+    """Serve the page behind a gate within a `with` block.
 
     Raises:
-        InputError: If another program took the port meanwhile.
+        InputError: If another program took the port in the meantime.
     """
     switching = sys.getswitchinterval()
-    sys.setswitchinterval(_SWITCHING)  # the simulation is back at once when its step is computed
+    sys.setswitchinterval(_SWITCHING)  # the simulation resumes as soon as its step is computed
     server = _make_server(gate, say)
     try:
         yield server
@@ -210,10 +210,10 @@ def serving(gate: Gate, say: Callable[[str], None]) -> Iterator[viser.ViserServe
 
 
 def _make_server(gate: Gate, say: Callable[[str], None]) -> viser.ViserServer:
-    """The page's server, empty.
+    """Create the page's server, without content.
 
     Raises:
-        InputError: If another program took the port meanwhile.
+        InputError: If another program took the port in the meantime.
     """
     import viser
 
@@ -233,5 +233,5 @@ def _make_server(gate: Gate, say: Callable[[str], None]) -> viser.ViserServer:
 
 
 def dock(server: viser.ViserServer) -> None:
-    """Puts the page's main panel where it belongs."""
+    """Dock the page's main panel."""
     server.gui.main_panel.dock_left()

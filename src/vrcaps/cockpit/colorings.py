@@ -1,4 +1,4 @@
-"""Registry of colorings: what the organ in a page can be colored by."""
+"""Registry of colorings of the organ in a page."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _LIVE = {each.name: each for each in (CoverageColoring, PressureColoring, Stiffn
 
 
 def coloring_names(organ: OrganSurface, *, is_live: bool) -> tuple[str, ...]:
-    """Names of the colorings of an organ, with those of a running simulation or without."""
+    """Names of the colorings of an organ; those of a running simulation only if it is live."""
     fitting = tuple(name for name, kind in _STATIC.items() if kind.fits(organ))
     return (*fitting, *_LIVE) if is_live else fitting
 
@@ -30,13 +30,13 @@ def coloring_names(organ: OrganSurface, *, is_live: bool) -> tuple[str, ...]:
 def make_coloring(
     name: str, organ: OrganSurface, mesh: PageMesh, live: LiveWall | None = None
 ) -> Coloring:
-    """A coloring by its name.
+    """Create a coloring by name.
 
     Args:
         name: One of `coloring_names`.
-        organ: What is colored.
-        mesh: As the page draws it.
-        live: The simulation's, for those that need it.
+        organ: Organ to color.
+        mesh: Its mesh in the page.
+        live: Live data of the wall, for the colorings that need it.
     """
     if name in _STATIC:
         return _STATIC[name](organ, mesh)

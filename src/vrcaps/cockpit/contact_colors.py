@@ -1,7 +1,7 @@
-"""Colorings of the organ by what the capsule does to it now: contact pressure, stiffness.
+"""Colorings of the organ by contact with the capsule: pressure, stiffness.
 
-The wall's law is the same everywhere, so it is plain but where the capsule presses. There the
-touched part of the fine wall is drawn in bands of color.
+The contact law is the same everywhere, so the wall is plain except where the capsule presses. The
+touched part of the fine wall is drawn in color bands.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ if TYPE_CHECKING:
 _COLORS: tuple[Color, ...] = (
     *((255, 236, 130), (254, 178, 76), (253, 106, 50), (227, 26, 28), (128, 0, 60)),
 )
-"""Of the bands, from the lowest."""
+"""Colors of the bands, from the lowest."""
 _KILO_MM = 1e6
 """Pascal per meter in a kilopascal per millimeter."""
 
 
 class ContactColoring(Coloring):
-    """Colors what the capsule touches, in bands.
+    """Coloring of the touched part of the wall, in bands.
 
     Attributes:
-        limits: Where each band begins.
+        limits: Lower limit of each band.
     """
 
     limits: ClassVar[tuple[float, ...]]
@@ -42,13 +42,13 @@ class ContactColoring(Coloring):
         self._live = live
 
     def values(self, depth: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-        """What is shown, in the unit of `limits`, at indentations [m]."""
+        """Values in the unit of `limits` at indentations [m]."""
         raise NotImplementedError
 
     def patches(
         self, points: Float[np.ndarray, "n 3"], T_world_capsule: Float[np.ndarray, "4 4"]
     ) -> tuple[Patch, ...]:
-        """The touched part of the wall, a patch for each band."""
+        """Touched part of the wall, one patch per band."""
         found = indentation(points, self.organ.faces, self._live.body, T_world_capsule)
         band = np.searchsorted(self.limits, self.values(found.depth), side="right") - 1
         return tuple(
@@ -57,7 +57,7 @@ class ContactColoring(Coloring):
 
 
 class PressureColoring(ContactColoring):
-    """Colors by the pressure of the wall against the capsule, as if it pressed in slowly."""
+    """Coloring by the pressure of the wall on the capsule, for quasi-static indentation."""
 
     name = "contact pressure"
     limits = (0.0, 0.5, 1.0, 2.0, 4.0)
@@ -67,7 +67,7 @@ class PressureColoring(ContactColoring):
         return 1e-3 * self._live.foundation.static_pressure(depth)
 
     def legend(self) -> str:
-        """Pressures at which the bands begin."""
+        """Lower pressure limits of the bands."""
         entries = [
             (color, f"{low:g} kPa") for color, low in zip(_COLORS[1:], self.limits[1:], strict=True)
         ]
@@ -76,18 +76,18 @@ class PressureColoring(ContactColoring):
 
 
 class StiffnessColoring(ContactColoring):
-    """Colors by how much stiffer the wall has become under the capsule."""
+    """Coloring by the stiffening of the wall under the capsule."""
 
     name = "stiffness"
     limits = (1.02, 1.1, 1.25, 1.5, 2.0)
 
     def values(self, depth: np.ndarray) -> np.ndarray:
-        """Stiffness, as a multiple of that where nothing presses."""
+        """Stiffness relative to that without indentation."""
         foundation = self._live.foundation
         return foundation.stiffness_at(depth) / foundation.stiffness
 
     def legend(self) -> str:
-        """Stiffnesses at which the bands begin."""
+        """Lower stiffness limits of the bands."""
         at_rest = self._live.foundation.stiffness / _KILO_MM
         entries = [
             (color, f"{factor * at_rest:.3g}")

@@ -1,4 +1,4 @@
-"""Drive: the files that hold what was driven, and that `vrcaps record` records again."""
+"""Files of a drive, from which `vrcaps record` records it again."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
     from vrcaps.cockpit.operator import Operator
 
 COMMANDS_CSV = "commands.csv"
-"""File of joystick commands, which `vrcaps record --steer` takes."""
+"""File of joystick commands, the input of `vrcaps record --steer`."""
 
 DRIVE_JSON = "drive.json"
-"""Scenario of the drive so far, which `vrcaps record` takes."""
+"""Scenario of the drive so far, an input of `vrcaps record`."""
 
 
 def make_folder(folder: Path) -> None:
-    """Make the folder of a drive; what a run killed in its first second left there is removed.
+    """Create the folder of a drive; remnants of a run killed in its first second are removed.
 
     Raises:
-        InputError: If it holds a drive or anything else, or cannot be made.
+        InputError: If it contains a drive or anything else, or cannot be created.
     """
     remove_stale(folder)
     if (folder / DRIVE_JSON).exists():
@@ -54,17 +54,17 @@ def make_folder(folder: Path) -> None:
 class Drive:
     """Files of a drive in a folder: commands.csv and drive.json.
 
-    Commands are added to the end of their file and forced to the disk, so a crash loses only what
-    was driven since the last `save`.
+    Commands are appended to their file and synced to disk, so a crash loses only the commands since
+    the last `save`.
     """
 
     def __init__(self, folder: Path, operator: Operator, scenario: Callable[[], Scenario]) -> None:
-        """Writes nothing yet.
+        """Create no file yet.
 
         Args:
             folder: See `make_folder`.
-            operator: Whose commands are kept.
-            scenario: Gives the scenario of the drive so far.
+            operator: Operator whose commands are saved.
+            scenario: Returns the scenario of the drive so far.
         """
         self.folder = folder
         self._operator, self._scenario = operator, scenario
@@ -72,10 +72,10 @@ class Drive:
         self._saving = threading.Lock()
 
     def save(self) -> Scenario:
-        """Brings both files up to date; the scenario of the drive so far.
+        """Update both files; return the scenario of the drive so far.
 
         Raises:
-            OSError: If a file cannot be written; the next call writes what is missing.
+            OSError: If a file cannot be written; the next call writes the missing part.
         """
         with self._saving:
             scenario = self._scenario()
@@ -86,7 +86,7 @@ class Drive:
                 write_bytes(self.folder / COMMANDS_CSV, (header + _lines(commands)).encode())
                 self._num_saved, self._num_rewound = len(commands), num_rewound
             elif commands:
-                self._num_rewound = -1  # if this fails, part of it may be there: write all anew
+                self._num_rewound = -1  # if this fails, the file may be incomplete: rewrite it
                 _append(self.folder / COMMANDS_CSV, _lines(commands).encode())
                 self._num_saved, self._num_rewound = self._num_saved + len(commands), num_rewound
             scenario = self.recorded(scenario)
@@ -94,7 +94,7 @@ class Drive:
             return scenario
 
     def recorded(self, scenario: Scenario) -> Scenario:
-        """A scenario with the commands of the file, or one that holds still if there are none."""
+        """Scenario with the commands of the file, or with a resting magnet if there are none."""
         motion = scenario.motion
         assert isinstance(motion, Dynamics)
         assert motion.magnet is not None
@@ -105,7 +105,7 @@ class Drive:
 
 
 def _lines(commands: list[JoystickCommand]) -> str:
-    """Rows of a table of commands; each number is written so that it is read back exactly."""
+    """Rows of a table of commands; each value is read back exactly."""
     rows = [(entry.time, *entry.linear, *entry.angular) for entry in commands]
     return "".join(",".join(map(repr, row)) + "\n" for row in rows)
 

@@ -1,4 +1,4 @@
-"""Episode charts: speed, forces, clearance and an estimate's error over the time of episodes."""
+"""Charts of episodes over time: speed, forces, clearance and the error of an estimate."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _NOW = "#f8f9fa"
 
 @dataclass(frozen=True)
 class Column:
-    """What a chart shows of an episode.
+    """Quantity of an episode in a chart.
 
     Attributes:
-        title: With its unit.
-        needs: Columns of the table that it is made of.
-        of: Its values, from these columns.
+        title: Title with unit.
+        needs: Table columns that it is computed from.
+        of: Computes its values from these columns.
     """
 
     title: str
@@ -55,7 +55,7 @@ COLUMNS = (
     Column("angle to the field [°]", ("coupling_angle_rad",), np.rad2deg),
     Column("insufflation [1]", ("insufflation",), lambda factor: factor),
 )
-"""Charts from top to bottom; an episode has those whose columns it has."""
+"""Charts from top to bottom; an episode has those whose columns it contains."""
 
 
 class EpisodeCharts:
@@ -64,12 +64,12 @@ class EpisodeCharts:
     def __init__(
         self, gui: viser.GuiApi, episodes: Sequence[Episode], colors: Sequence[str]
     ) -> None:
-        """Adds those of which an episode has the columns.
+        """Add the charts whose columns an episode contains.
 
         Args:
-            gui: Where.
-            episodes: One or two.
-            colors: Of their lines.
+            gui: Parent of the charts.
+            episodes: One or two episodes.
+            colors: Colors of their lines.
         """
         self._gui, self._times = gui, episodes[0].times
         self._charts: list[tuple[Any, list[np.ndarray]]] = []
@@ -81,7 +81,7 @@ class EpisodeCharts:
         self._error: Any = None
 
     def show_error(self, estimate: PathEstimate, color: str) -> None:
-        """Adds or renews the chart of an estimate's error."""
+        """Add or update the chart of an estimate's error."""
         errors = np.full(len(self._times), np.nan)
         errors[estimate.frames] = estimate.errors / MM
         if self._error is None:
@@ -91,7 +91,7 @@ class EpisodeCharts:
             self._charts[-1] = (self._error, [errors])
 
     def mark(self, frame: int) -> None:
-        """Marks a frame of the first episode in all charts."""
+        """Mark a frame of the first episode in all charts."""
         for chart, lines in self._charts:
             chart.data = (self._times, *lines, _marked(lines[0], frame))
 
@@ -124,7 +124,7 @@ def values_of(column: Column, episode: Episode) -> np.ndarray:
 
 
 def _marked(values: np.ndarray, frame: int) -> np.ndarray:
-    """Nothing but the value of a frame."""
+    """All NaN except for the value of a frame."""
     marked = np.full(len(values), np.nan)
     marked[frame] = values[frame]
     return marked

@@ -1,4 +1,4 @@
-"""Episode page: a recorded episode to look through, beside another or an estimated path."""
+"""Page to browse a recorded episode, with another one or an estimated path for comparison."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ _SECONDS_PER_MARK = 0.25
 
 @dataclass(frozen=True)
 class _Shown:
-    """An episode in the page.
+    """Elements of an episode in the page.
 
     Attributes:
         episode: The episode.
-        image: Element of its image.
-        caption: Element of the line below.
+        image: Element of the image.
+        caption: Element of the caption.
     """
 
     episode: Episode
@@ -56,12 +56,12 @@ class EpisodePage:
         episodes: Sequence[Episode],
         estimate: PathEstimate | None = None,
     ) -> None:
-        """Fills the page.
+        """Build the page.
 
         Args:
-            server: Of the page.
+            server: Server of the page.
             episodes: One or two; the organ is that of the first.
-            estimate: An estimated path of the first's capsule.
+            estimate: Estimated path of the first episode's capsule.
         """
         self._server, self._is_closed = server, False
         self._given, self._estimate = estimate, estimate
@@ -91,17 +91,17 @@ class EpisodePage:
         self._thread = threading.Thread(target=self._run, name="vrcaps-view", daemon=True)
 
     def start(self) -> None:
-        """Starts showing."""
+        """Start the display."""
         self._thread.start()
 
     def close(self) -> None:
-        """Ends it."""
+        """Stop the display."""
         self._is_closed = True
         if self._thread.is_alive():
             self._thread.join()
 
     def _add(self, number: int, episode: Episode) -> _Shown:
-        """Image and caption of an episode."""
+        """Add image and caption of an episode."""
         gui, color = self._server.gui, EPISODE_COLORS[number]
         gui.add_markdown(f'<span style="color:rgb{color}">&#9632;</span> **{episode.name}**')
         camera = episode.cameras[0]
@@ -109,7 +109,7 @@ class EpisodePage:
         return _Shown(episode, gui.add_image(blank, format="jpeg"), gui.add_markdown(""))
 
     def _toggle(self) -> None:
-        """Plays from the frame that is shown, or stops."""
+        """Play from the current frame, or stop."""
         if self._began is not None:
             self._began = None
             self._play.label = "Play"
@@ -120,7 +120,7 @@ class EpisodePage:
         self._play.label = "Stop"
 
     def _run(self) -> None:
-        """The thread that shows the frame of the slider, and moves it while playing."""
+        """Show the frame of the slider, and advance it while playing; the thread's function."""
         align: str | None = None
         while not self._is_closed:
             wall_clock.sleep(_SECONDS_PER_UPDATE)
@@ -135,13 +135,13 @@ class EpisodePage:
                 self._drawn = wanted
                 try:
                     self._show(int(self._frame.value))
-                except VrcapsError as error:  # a damaged file: other frames may be whole
+                except VrcapsError as error:  # a damaged file: other frames may be intact
                     for shown in self._shown:
                         shown.caption.content = f"**{error}**"
             self._mark(int(self._frame.value))
 
     def _advance(self, began: float, first: float) -> None:
-        """Moves the slider to the frame whose time it is; stops at the end."""
+        """Advance the slider to the frame that is due; stop at the end."""
         time = first + (wall_clock.perf_counter() - began) * self._speed.value
         frame = int(np.searchsorted(self._times, time, side="right")) - 1
         self._frame.value = frame
@@ -149,7 +149,7 @@ class EpisodePage:
             self._toggle()
 
     def _mark(self, frame: int) -> None:
-        """Marks the frame in the charts, a few times a second."""
+        """Mark the frame in the charts, a few times a second."""
         marked, at = self._marked
         now = wall_clock.perf_counter()
         frame = min(frame, len(self._times) - 1)
@@ -158,7 +158,7 @@ class EpisodePage:
             self._charts.mark(frame)
 
     def _show_estimate(self, align: Any) -> None:
-        """Draws the estimate after an alignment; as it was given if that is not possible."""
+        """Draw the estimate after an alignment; without it if the alignment fails."""
         assert self._given is not None
         try:
             self._estimate, told = self._given.aligned(align), ""
@@ -176,7 +176,7 @@ class EpisodePage:
         self._marked = (-1, 0.0)
 
     def _show(self, frame: int) -> None:
-        """Shows a frame of the first episode, and of the other that at the same time."""
+        """Show a frame of the first episode, and the frame of the other at the same time."""
         time = float(self._times[min(frame, len(self._times) - 1)])
         indices = [int(np.argmin(np.abs(s.episode.times - time))) for s in self._shown]
         self._scene.show(indices)
@@ -185,7 +185,7 @@ class EpisodePage:
             shown.caption.content = caption + self._show_image(shown, index)
 
     def _show_image(self, shown: _Shown, index: int) -> str:
-        """Shows an episode's image; what there is to say of it, after its time."""
+        """Show an episode's image; return the rest of the caption, after its time."""
         episode, channel = shown.episode, self._channel.value
         camera = self._camera.value
         if camera not in [known.name for known in episode.cameras]:
@@ -200,12 +200,12 @@ class EpisodePage:
 
 
 def _all(names: Any) -> tuple[str, ...]:
-    """Names that any of some lists has, in their order."""
+    """Union of the names in some lists, in their order."""
     return tuple(dict.fromkeys(str(name) for own in names for name in own))
 
 
 def _hex(color: tuple[int, int, int]) -> str:
-    """A color as a chart takes it."""
+    """Format a color for a chart."""
     return "#{:02x}{:02x}{:02x}".format(*color)
 
 
@@ -218,18 +218,18 @@ def open_episodes(
     port: int = 8080,
     say: Callable[[str], None] = lambda text: None,
 ) -> Iterator[tuple[EpisodePage, Gate]]:
-    """Shows episodes in browsers as long as the block lasts.
+    """Show episodes in browsers within a `with` block.
 
     Args:
-        folders: Of one or two episodes.
+        folders: Folders of one or two episodes.
         estimate: TUM file of an estimated path of the first's capsule [m], at its frames' times.
         host: Address to listen at, see `open_cockpit`.
         port: Port to listen at.
         say: Called with each message for the terminal.
 
     Raises:
-        InputError: If there are none or more than two, one cannot be read, the estimate is of other
-            times, or the port is in use.
+        InputError: If there are none or more than two, one cannot be read, the times of the
+            estimate do not match, or the port is in use.
         MissingExtraError: If the extra `cockpit` is not installed.
     """
     require_viser()

@@ -1,4 +1,4 @@
-"""Episode scene: organ, patient, magnet, and each episode's capsule and path."""
+"""Scene of episodes: organ, patient, magnet, and each episode's capsule and path."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ ESTIMATE_COLOR: Color = (255, 90, 160)
 
 
 class EpisodeScene:
-    """The scene of one or two episodes; organ, patient and magnet are those of the first."""
+    """Scene of one or two episodes; organ, patient and magnet are those of the first."""
 
     def __init__(self, server: viser.ViserServer, episodes: Sequence[Episode]) -> None:
         self._scene, self._episodes, first = server.scene, episodes, episodes[0]
@@ -54,7 +54,7 @@ class EpisodeScene:
         self._add_controls(server.gui)
 
     def show(self, indices: Sequence[int]) -> None:
-        """Moves all to a frame of each episode."""
+        """Move all nodes to a frame of each episode."""
         for capsule, episode, index in zip(self._capsules, self._episodes, indices, strict=True):
             move(capsule, episode.Ts_world_capsule[index])
         frame = indices[0]
@@ -72,7 +72,7 @@ class EpisodeScene:
             self._magnet.show(self._magnets[frame], has_lines=self._has_lines.value)
 
     def show_estimate(self, estimate: PathEstimate) -> None:
-        """Draws an estimated path and its capsule."""
+        """Draw an estimated path and its capsule."""
         if self._guess is None:
             device = self._episodes[0].head["capsule"]
             self._guess = add_capsule(
@@ -83,7 +83,7 @@ class EpisodeScene:
         self._estimate = estimate
 
     def draw_organ(self) -> bool:
-        """Draws the organ as its controls say; whether any of the scene's had changed."""
+        """Draw the organ according to the controls; return whether any control had changed."""
         cut = Cut(self._cut_axis.value, self._cut_fraction.value)
         drawn = (self._color.value, cut, self._opacity.value)
         wanted = (*drawn, self._has_patient.value, self._has_lines.value)
@@ -112,7 +112,7 @@ class EpisodeScene:
             self._legend = gui.add_markdown("")
 
     def _add_episode(self, number: int, episode: Episode) -> Any:
-        """Capsule and path of an episode."""
+        """Add capsule and path of an episode."""
         color, device = EPISODE_COLORS[number], episode.head["capsule"]
         places = episode.Ts_world_capsule[:, :3, 3]
         if len(places) >= 2:
@@ -121,7 +121,7 @@ class EpisodeScene:
         return add_capsule(self._scene, name, device["length_m"], device["radius_m"], color)
 
     def _add_magnet(self, episode: Episode) -> MagnetNode | None:
-        """The magnet that steered the capsule, if one did."""
+        """Add the magnet that steered the capsule, if there was one."""
         motion = episode.scenario.motion
         if not isinstance(motion, Dynamics) or motion.magnet is None:
             return None
@@ -129,15 +129,15 @@ class EpisodeScene:
 
 
 class RecordedWalls:
-    """Walls of an episode that were recorded with `--wall`, by the vertices of its organ."""
+    """Walls of an episode recorded with `--wall`, as vertices of its organ."""
 
     def __init__(self, episode: Episode, vertices: Float[np.ndarray, "n 3"]) -> None:
-        """Finds which vertex of the organ each vertex of the file is.
+        """Match each vertex of the file to a vertex of the organ.
 
         Args:
-            episode: With walls.
-            vertices: Of the organ at rest in the world [m]. The file holds some of them twice,
-                where seams of the texture are cut.
+            episode: Episode with walls.
+            vertices: Vertices of the organ at rest in the world [m]. The file repeats some of them
+                at texture seams.
         """
         from scipy.spatial import KDTree
 

@@ -1,4 +1,4 @@
-"""Gate: which requests the page's server answers, by token, host and origin."""
+"""Access control of the page's server, by token, host and origin."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ if TYPE_CHECKING:
     from websockets.http11 import Request, Response
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
-"""Hosts that only this machine reaches."""
+"""Hosts that only this machine can reach."""
 
 _REFUSED = "Not allowed. Open the address that vrcaps printed in the terminal, with its token.\n"
 
 
 @dataclass(frozen=True)
 class Gate:
-    """Who may open the page.
+    """Access control of the page.
 
     Attributes:
         host: Address that the server is bound to.
         port: Its port.
-        token: Secret that the address must hold, or a cookie; other processes of this machine
-            reach the server, too.
+        token: Secret that the address or a cookie must contain; other processes of this machine
+            can also reach the server.
     """
 
     host: str
@@ -49,25 +49,25 @@ class Gate:
 
     @property
     def cookie(self) -> str:
-        """Name of the cookie by which a browser that has opened the page is known."""
+        """Name of the cookie that identifies a browser that has opened the page."""
         return f"vrcaps-{self.port}"
 
     def allows(self, path: str, headers: Any) -> bool:
-        """Whether a request is to be answered.
+        """Decide whether a request is answered.
 
-        A page of another site may send requests by the user's own browser, with the cookie; its
-        origin gives it away.
+        A page of another site may send requests through the user's browser, with the cookie; the
+        origin reveals it.
 
         Args:
             path: Path and query.
-            headers: By name.
+            headers: Headers by name.
         """
         origins, hosts = headers.get_all("Origin"), headers.get_all("Host")
         try:
             if origins and [urlsplit(origin).netloc for origin in origins] != hosts:
                 return False
             query = parse_qs(urlsplit(path).query)
-        except ValueError:  # no URL
+        except ValueError:  # not a URL
             return False
         given = [*query.get("token", ()), *self._kept(headers)]
         return any(
@@ -76,7 +76,7 @@ class Gate:
         )
 
     def _kept(self, headers: Any) -> list[str]:
-        """Token in the cookie of a request; none if there is no cookie."""
+        """Token in the cookie of a request; empty without a cookie."""
         try:
             cookies = SimpleCookie("; ".join(headers.get_all("Cookie")))
         except CookieError:
@@ -88,7 +88,7 @@ def require_free(host: str, port: int) -> None:
     """Check that a server can listen at an address.
 
     Raises:
-        InputError: If the port is impossible or in use, or the host is none of this machine.
+        InputError: If the port is invalid or in use, or the host is not of this machine.
     """
     require(0 < port < 65536, "--port", port, "1 to 65535")
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -104,7 +104,7 @@ def require_free(host: str, port: int) -> None:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine reaches a host."""
+    """Check whether only this machine can reach a host."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -113,10 +113,10 @@ def is_loopback(host: str) -> bool:
 
 @contextmanager
 def guarded(gate: Gate) -> Iterator[None]:
-    """While a page's server is made here, it is made to ask a gate first.
+    """Route requests of a page's server created in this block through a gate.
 
     The page's library has no hook for this. It calls `websockets.asyncio.server.serve`, whose
-    `process_request` sees each request before anything is answered.
+    `process_request` sees each request before any answer.
     """
     from websockets.asyncio import server
 
@@ -143,14 +143,14 @@ def guarded(gate: Gate) -> Iterator[None]:
 
 
 class OneLine(logging.Filter):
-    """Tells what a logger has to say in one line of ours, and keeps its traceback to itself."""
+    """Filter that reports a log record in one line and drops its traceback."""
 
     def __init__(self, tell: Callable[[str], None]) -> None:
         super().__init__()
         self._tell = tell
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Swallows a record."""
+        """Report and drop a record."""
         if record.levelno >= logging.ERROR:
             error = record.exc_info[1] if record.exc_info else None
             what = f" ({type(error).__name__})" if error is not None else ""

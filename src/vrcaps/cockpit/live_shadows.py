@@ -1,26 +1,26 @@
-"""Live shadows: left out of live images while these come too slowly with them."""
+"""Control of the shadows in live images: disabled while images with shadows are too slow."""
 
 from __future__ import annotations
 
 _ENOUGH = 20.0
-"""Images per second below which shadows are left out."""
+"""Images per second below which shadows are disabled."""
 _PLENTY = 24.0
-"""Images per second that must be expected with shadows before they come back."""
+"""Images per second expected with shadows that enable them again."""
 _MEMORY = 12.0
-"""Images over which times are averaged."""
+"""Number of images over which times are averaged."""
 _MOST_TIMES_LONGER = 3.0
-"""Time of an image with shadows over that of one without, at most: that by direct light. More is
-measured while the machine also begins a drive or opens a browser."""
+"""Maximum ratio of the times of an image with shadows and without, by direct light. Higher ratios
+are measured while the machine also starts a drive or opens a browser."""
 _LEAST_TIME = 2.0
-"""Shortest time [s] from one change to the next, so that images do not flicker."""
+"""Minimum time [s] between changes, so that images do not flicker."""
 
 
 class LiveShadows:
-    """Decides which live images have shadows, by the time that images take.
+    """Switch of the shadows in live images, by rendering time.
 
     Attributes:
-        is_allowed: Whether shadows may be left out.
-        are_left_out: Whether the next image goes without.
+        is_allowed: Whether shadows may be disabled.
+        are_left_out: Whether the next image is rendered without shadows.
     """
 
     def __init__(self) -> None:
@@ -30,11 +30,11 @@ class LiveShadows:
         self._changed = 0.0
 
     def note(self, seconds: float, now: float) -> None:
-        """Takes account of an image.
+        """Register the time of an image.
 
         Args:
-            seconds: What it took, waiting for the simulation included.
-            now: Time of a steady clock [s].
+            seconds: Its duration, including the wait for the simulation.
+            now: Monotonic time [s].
         """
         mean = seconds if self._mean is None else self._mean
         self._mean = mean = mean + (seconds - mean) / _MEMORY

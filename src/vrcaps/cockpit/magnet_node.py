@@ -1,4 +1,4 @@
-"""Magnet node: a cylinder with its north half red, and its field lines."""
+"""Scene node of the magnet: a cylinder with a red north half, and its field lines."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ if TYPE_CHECKING:
 
 _SOUTH_COLOR, _NORTH_COLOR = (70, 72, 80), (210, 60, 50)
 _STRONG, _WEAK = (60, 130, 210), (18, 26, 42)
-"""Color of a line where the field is at the upper and at the lower end of `_FIELDS`."""
+"""Colors of a line where the field is at the upper and at the lower end of `_FIELDS`."""
 _FIELDS = (1e-3, 0.1)
-"""Flux densities [T] between which a line fades, by the logarithm."""
+"""Flux densities [T] between which a line fades, on a logarithmic scale."""
 _REACH = 0.45
 """Distance from the magnet at which lines end [m]."""
 _STEP = 4.0 * MM
 _EVERY = 3
-"""A line is drawn by every third of its points."""
+"""Stride of the points drawn of a line."""
 
 
 class MagnetNode:
-    """A magnet and its field lines, which turn and go with it: so they are computed only once."""
+    """Magnet with field lines that move with it and are therefore computed only once."""
 
     def __init__(self, scene: viser.SceneApi, magnet: Cylinder) -> None:
         import trimesh
@@ -51,7 +51,7 @@ class MagnetNode:
         )
 
     def show(self, T_world_magnet: Float[np.ndarray, "4 4"], *, has_lines: bool) -> None:
-        """Puts it to a pose, with its lines or without."""
+        """Set the pose and the visibility of the lines."""
         move(self._frame, T_world_magnet)
         if self._lines.visible != has_lines:
             self._lines.visible = has_lines
@@ -60,7 +60,7 @@ class MagnetNode:
 def colored_lines(
     magnet: Cylinder,
 ) -> tuple[Float[np.ndarray, "k 2 3"], Float[np.ndarray, "k 2 3"]]:
-    """Pieces of field lines in the magnet's frame [m], and the sRGB color of each end."""
+    """Segments of field lines in the magnet's frame [m], and the sRGB color of each end."""
     own = Cylinder(magnet.diameter, magnet.length, magnet.remanence)
     lines = magnet_lines(magnet, reach=_REACH, step=_STEP, rings=4, meridians=6)
     thinned = [np.concatenate([line[:-1:_EVERY], line[-1:]]) for line in lines]

@@ -1,4 +1,4 @@
-"""New drive: what changes from one drive to the next, in the same page."""
+"""Changes of a scenario from one drive to the next, in the same page."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ if TYPE_CHECKING:
     from vrcaps.scenario.scenario import Scenario
 
 NO_LESIONS = "none"
-"""Text in place of lesions that takes all out."""
+"""Value of the lesion text that removes all lesions."""
 
 CONTENTS = ("bubbles", "chyme", "liquid")
-"""What may float in the lumen, by severity."""
+"""Lumen contents that can be set, by severity."""
 
 LASTING_EFFECTS = tuple(name for name in SEVERITIES if not issubclass(EFFECTS[name], ImageEffect))
-"""Effects that belong to a drive: those of the capsule's cameras, of the wall and of what floats in
-the lumen. Those of the image change at any time."""
+"""Effects that are fixed during a drive: those of the capsule's cameras, of the wall and of the
+lumen contents. Image effects can change at any time."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """What is to be other than it was; what is left out stays.
+    """Changes to a scenario; omitted values stay the same.
 
     Attributes:
         organ: Name of a generated organ, or a file.
-        seed: Of the patient.
-        lesions: Short texts with spaces between them, `prevalence` for as many as a screening
+        seed: Seed of the patient.
+        lesions: Short texts separated by spaces, `prevalence` for as many as in a screening
             patient has, or `none`.
         capsule: Name in the catalog, or a device file.
         contents: Severities by name, see `CONTENTS`.
@@ -49,20 +49,20 @@ class Choice:
 
 
 def magnetic_capsules() -> tuple[str, ...]:
-    """Names of the catalog's capsules that a magnet can steer."""
+    """Names of the catalog's capsules that can be steered by magnet."""
     return tuple(name for name in device_names() if read_device(name).magnets)
 
 
 def chosen_scenario(scenario: Scenario, choice: Choice) -> Scenario:
-    """The scenario of the next drive.
+    """Return the scenario of the next drive.
 
     Args:
-        scenario: Of the drive before.
-        choice: What changes.
+        scenario: Scenario of the previous drive.
+        choice: Changes to it.
 
     Raises:
-        InputError: If a text or a device file cannot be read, or a value is impossible.
-        UnknownNameError: If there is no lesion, capsule or generator of a name.
+        InputError: If a text or a device file cannot be read, or a value is invalid.
+        UnknownNameError: If a name of a lesion, capsule or generator is unknown.
     """
     changed: dict[str, Any] = {"organ": _organ(scenario, choice)}
     contents: dict[str, Any] = dict(choice.contents)

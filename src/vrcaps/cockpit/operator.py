@@ -1,4 +1,4 @@
-"""Operator: makes joystick commands of what the driver does, and is the log of them."""
+"""Operator: converts the driver's input to joystick commands and logs them."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ if TYPE_CHECKING:
     from vrcaps.cockpit.policy_driver import PolicyDriver
 
 _ARRIVED = (1e-5, 1e-4)
-"""Distance [m] and angle [rad] from a dragged pose within which the magnet has arrived."""
+"""Distance [m] and angle [rad] from a dragged pose within which it counts as reached."""
 
 _BLOCKED = ("unreachable", "collision")
-"""Limits of the actuator behind which a dragged pose is given up once it is let go."""
+"""Actuator limits at which a dragged pose is dropped once it is released."""
 
 
 class Operator:
-    """The operator of a `SteeringProgram`.
+    """Operator of a `SteeringProgram`.
 
-    All ways to drive end in axes from −1 to 1, as a joystick has them: keys and pad give them as
-    they are; a dragged magnet follows the pose by the axes that lead to it at the greatest speed
-    allowed; a policy gives its own until a human gives any. A command is logged only where it
-    differs from the one before, at the time from which it holds. So the log, played back as
-    `MagnetSteering.joystick`, is the same drive.
+    All kinds of input end in axes from −1 to 1, like those of a joystick: keys and pad give them
+    directly; a dragged magnet follows the pose by the axes that lead to it at the maximum speed; a
+    policy gives its own until there is human input. A command is logged only if it differs from the
+    previous one, with its start time. Played back as `MagnetSteering.joystick`, the log gives the
+    same drive.
     """
 
     def __init__(self, program: SteeringProgram) -> None:
@@ -45,29 +45,29 @@ class Operator:
 
     @property
     def is_dragged(self) -> bool:
-        """Whether the magnet is on its way to a pose that it was dragged to."""
+        """Whether the magnet is moving to a dragged pose."""
         return self._target is not None
 
     @property
     def policy(self) -> str:
-        """Name of the policy that drives; empty where none does."""
+        """Name of the driving policy; empty if none drives."""
         driver = self._driver
         return "" if driver is None else driver.name
 
     def hand_over(self, driver: PolicyDriver) -> None:
-        """Lets a policy drive, until it hands back or a human drives again."""
+        """Let a policy drive until it hands back or there is human input."""
         self.stop()
         with self._lock:
             self._driver = driver
 
     def push(self, axes: Float[np.ndarray, " 6"]) -> None:
-        """Holds the axes of keys or a pad, until other ones come.
+        """Set the axes of keys or a pad, held until the next call.
 
         Args:
             axes: Along and about the world's x, y, z, from −1 to 1.
 
         Raises:
-            InputError: If they are no six such numbers.
+            InputError: If they are not six such numbers.
         """
         given = np.array(axes, float)
         if given.shape != (6,) or not (np.abs(given) <= 1.0).all():
@@ -78,23 +78,23 @@ class Operator:
                 self._target = self._driver = None
 
     def drag(self, T_world_magnet: Float[np.ndarray, "4 4"], *, is_dragging: bool = True) -> None:
-        """Leads the magnet to a pose, as near as its workspace allows.
+        """Move the magnet to a pose, as close as its workspace allows.
 
         Args:
             T_world_magnet: The pose.
-            is_dragging: Whether the driver still holds it.
+            is_dragging: Whether the driver is still dragging.
         """
         target = self._program.controller.actuator.workspace.clamp_pose(T_world_magnet)
         with self._lock:
             self._target, self._is_dragging, self._driver = target, is_dragging, None
 
     def stop(self) -> None:
-        """Lets go of everything: the magnet stays where it is asked for."""
+        """Release all input: the requested pose of the magnet stays the same."""
         with self._lock:
             self._axes, self._target, self._driver = np.zeros(6), None, None
 
     def __call__(self, time: float, dt: float) -> JoystickCommand:
-        """The command at a time [s] for the next `dt` [s]; logged from the first frame on."""
+        """Command at a time [s] for the next `dt` [s]; logged from the first frame on."""
         with self._lock:
             axes = np.zeros(6) if time < 0.0 else self._axes_now(time, dt)
             linear, angular = tuple(axes[:3].tolist()), tuple(axes[3:].tolist())
@@ -105,19 +105,19 @@ class Operator:
             return command
 
     def commands(self, after: int = 0) -> tuple[int, list[JoystickCommand]]:
-        """How often the log was cut back, and the commands from a number on."""
+        """Number of rewinds of the log, and the commands from an index on."""
         with self._lock:
             return self._num_rewound, self._log[after:]
 
     def rewind(self, time: float) -> None:
-        """Forgets commands from a time [s] on, to which the simulation goes back; stops."""
+        """Drop commands from a time [s] on, to which the simulation is rewound; stop."""
         self.stop()
         with self._lock:
             self._log = [command for command in self._log if command.time < time]
             self._num_rewound += 1
 
     def _axes_now(self, time: float, dt: float) -> Float[np.ndarray, " 6"]:
-        """Axes of keys or pad, of a policy, or those that lead to the dragged pose."""
+        """Current axes of keys or pad, of a policy, or towards the dragged pose."""
         if self._driver is not None:
             axes = self._driver.axes(time)
             if axes is not None:
@@ -135,5 +135,5 @@ class Operator:
             return np.zeros(6)
         full = np.repeat([settings.joystick_speed, settings.joystick_angular_speed], 3) * dt
         axes = np.concatenate([offset, rotation]) / full
-        # All axes by the same factor: the magnet goes straight to where it was dragged.
+        # All axes by the same factor: the magnet moves straight to the dragged pose.
         return axes / max(1.0, float(np.abs(axes).max()))

@@ -1,4 +1,4 @@
-"""Colorings of the organ in the page: what they share, by segment, by lesion, by what was seen."""
+"""Colorings of the organ in the page: base class, by segment, by lesion, by coverage."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ if TYPE_CHECKING:
 Color = tuple[int, int, int]
 
 PLAIN = (225, 150, 140)
-"""Color of a wall that is not told apart."""
+"""Color of a wall without classes."""
 _GOLDEN = 0.618033988749895
 
 
 @dataclass(frozen=True)
 class LiveWall:
-    """What only a running simulation knows of a wall.
+    """Data of a wall that only a running simulation has.
 
     Attributes:
-        seen: What of it was seen.
-        foundation: What it does against a capsule that presses in.
-        body: Shape of that capsule.
+        seen: Parts that were seen.
+        foundation: Contact law of the wall.
+        body: Shape of the capsule.
     """
 
     seen: SeenWall
@@ -42,11 +42,11 @@ class LiveWall:
 
 @dataclass(frozen=True)
 class Patch:
-    """Triangles of one color, drawn beside the wall.
+    """Triangles of one color, drawn in addition to the wall.
 
     Attributes:
         color: sRGB.
-        corners: In the world [m].
+        corners: Corners in the world [m].
     """
 
     color: Color
@@ -54,11 +54,11 @@ class Patch:
 
 
 class Coloring:
-    """Colors the triangles of a coarse wall.
+    """Coloring of the triangles of a coarse wall.
 
     Attributes:
-        name: What the colors stand for.
-        hides_capsule: Whether one has to see through the capsule.
+        name: Name in the page.
+        hides_capsule: Whether the capsule has to be transparent.
         colors: sRGB of each class.
     """
 
@@ -71,23 +71,23 @@ class Coloring:
 
     @property
     def version(self) -> int:
-        """Rises whenever a triangle changes its color."""
+        """Counter that increases whenever a triangle changes its color."""
         return 0
 
     @classmethod
     def fits(cls, organ: OrganSurface) -> bool:
-        """Whether an organ has what is colored."""
+        """Check whether an organ has the colored property."""
         del organ
         return True
 
     def classes(self) -> Int[np.ndarray, " m"]:
-        """Class of each triangle, a number into `colors`."""
+        """Class of each triangle, an index into `colors`."""
         return np.zeros(len(self.mesh.faces), int)
 
     def patches(
         self, points: Float[np.ndarray, "n 3"], T_world_capsule: Float[np.ndarray, "4 4"]
     ) -> tuple[Patch, ...]:
-        """What is drawn beside the wall now.
+        """Triangles drawn in addition to the wall now.
 
         Args:
             points: Vertices of the fine wall in the world [m].
@@ -97,7 +97,7 @@ class Coloring:
         return ()
 
     def legend(self) -> str:
-        """What the colors mean, as Markdown."""
+        """Legend of the colors, as Markdown."""
         raise NotImplementedError
 
     def _faces(self, of_vertices: np.ndarray) -> np.ndarray:
@@ -106,7 +106,7 @@ class Coloring:
 
 
 class SegmentColoring(Coloring):
-    """Colors by segment or tissue class."""
+    """Coloring by segment or tissue class."""
 
     name = "segment"
 
@@ -115,7 +115,7 @@ class SegmentColoring(Coloring):
         self.colors = [_hue(k) for k in range(len(organ.label_names))]
 
     def classes(self) -> np.ndarray:
-        """Number of each triangle's label."""
+        """Label index of each triangle."""
         return self._faces(self.organ.label)
 
     def legend(self) -> str:
@@ -125,7 +125,7 @@ class SegmentColoring(Coloring):
 
 
 class LesionColoring(Coloring):
-    """Colors lesions."""
+    """Coloring of lesions."""
 
     name = "lesion"
 
@@ -136,20 +136,20 @@ class LesionColoring(Coloring):
 
     @classmethod
     def fits(cls, organ: OrganSurface) -> bool:
-        """Whether it has lesions."""
+        """Check whether the organ has lesions."""
         return bool(organ.instance.any())
 
     def classes(self) -> np.ndarray:
-        """Number of the lesion at any corner of each triangle."""
+        """Instance of the lesion at any corner of each triangle."""
         return self.organ.instance[self.mesh.vertices][self.mesh.faces].max(axis=1).astype(int)
 
     def legend(self) -> str:
-        """Numbers of the lesions."""
+        """Instances of the lesions."""
         return legend_of([(color, f"lesion {k}") for k, color in enumerate(self.colors) if k])
 
 
 class CoverageColoring(Coloring):
-    """Colors what the camera has seen."""
+    """Coloring by what the camera has seen."""
 
     name = "coverage"
 
@@ -160,7 +160,7 @@ class CoverageColoring(Coloring):
 
     @property
     def version(self) -> int:
-        """Rises whenever more was seen."""
+        """Counter that increases whenever more was seen."""
         return self._seen.version
 
     def classes(self) -> np.ndarray:
@@ -168,17 +168,17 @@ class CoverageColoring(Coloring):
         return self._faces(self._seen.vertices.astype(np.uint8))
 
     def legend(self) -> str:
-        """What was seen and what was not."""
+        """Legend of seen and unseen."""
         return legend_of([(self.colors[1], "seen"), (self.colors[0], "not seen yet")])
 
 
 def _hue(number: int) -> Color:
-    """Distinct colors: hues a golden angle apart."""
+    """Distinct color: hues a golden angle apart."""
     color = colorsys.hsv_to_rgb(number * _GOLDEN % 1.0, 0.45, 0.92)
     return tuple(round(255 * part) for part in color)  # type: ignore[return-value]
 
 
 def legend_of(entries: list[tuple[Color, str]]) -> str:
-    """Colors and what they mean, as Markdown."""
+    """Legend of colors, as Markdown."""
     spots = (f'<span style="color:rgb{color}">&#9632;</span> {text}' for color, text in entries)
     return " · ".join(spots)

@@ -1,8 +1,8 @@
-"""Pace: how often the scene is sent, so that a browser that draws slowly still shows the images.
+"""Update rate of the scene, adapted so that a slow browser still shows the images.
 
-A browser without a graphics card may take half a second for a frame of the scene. Images that come
-meanwhile wait, as all that the page shows goes in turn. So each browser says how many frames it
-draws, and the scene gives way.
+A browser without a graphics card may take half a second for a frame of the scene. Images that
+arrive meanwhile wait, since the page processes all updates in order. Therefore each browser
+reports its frame rate, and the update rate of the scene is reduced.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ if TYPE_CHECKING:
     import viser
 
 _MARK = "vrcaps-frames:"
-"""Beginning of the text field's value, by which the program in the browser finds the field."""
+"""Prefix of the text field's value, by which the browser's script finds the field."""
 _SHORTEST, _LONGEST = 1.0 / 20.0, 1.0
 """Range of the time between updates of the scene [s]."""
 _SLOW, _FAST = 15.0, 35.0
-"""Frames per second below which updates become rarer, and above which more frequent again."""
+"""Frames per second below which updates become rarer, and above which more frequent."""
 _RARER, _MORE_FREQUENT = 1.5, 0.85
-"""Factors on the time between updates, with each message of a browser."""
+"""Factors on the time between updates, per message of a browser."""
 _STALE = 3.0
-"""Time [s] after which what a browser said does not count."""
+"""Age [s] above which a browser's message is ignored."""
 
 
 class Pace:
-    """Time between updates of the scene, by the browser that draws slowest.
+    """Time between updates of the scene, set by the slowest browser.
 
     Attributes:
-        interval: That time [s].
+        interval: Time between updates [s].
     """
 
     def __init__(self) -> None:
@@ -40,7 +40,7 @@ class Pace:
         self._rates: dict[int, tuple[float, float]] = {}
 
     def note(self, client: int, rate: float) -> None:
-        """Takes account of a browser that draws so many frames a second."""
+        """Register the frame rate of a browser [1/s]."""
         now = wall_clock.monotonic()
         self._rates[client] = (rate, now)
         slowest = min(known for known, at in self._rates.values() if now - at < _STALE)
@@ -51,7 +51,7 @@ class Pace:
 
 
 def listen_to_frame_rates(server: viser.ViserServer, pace: Pace) -> None:
-    """Lets all browsers that show a page say how many frames they draw."""
+    """Let all browsers with the page open report their frame rate."""
     field = server.gui.add_text("frames", _MARK, order=1e6)
 
     @field.on_update
@@ -64,7 +64,7 @@ def listen_to_frame_rates(server: viser.ViserServer, pace: Pace) -> None:
 
 
 def parse_rate(text: str) -> float | None:
-    """Frames per second that the program in a browser wrote; None for anything else."""
+    """Parse the frame rate that a browser's script wrote; None for anything else."""
     words = text.removeprefix(_MARK).split()
     try:
         rate = float(words[0]) if text.startswith(_MARK) and words else -1.0

@@ -1,4 +1,4 @@
-"""Page: what all browsers show, who of them drives, and what people are told."""
+"""Browser page: shared scene, driver arbitration, notifications."""
 
 from __future__ import annotations
 
@@ -26,42 +26,42 @@ if TYPE_CHECKING:
 
 _SECONDS_PER_UPDATE = 1.0 / 20.0
 _DEAD_MAN = 1.0
-"""Time [s] after which held axes count as let go if their browser says nothing more."""
+"""Time [s] without messages of a browser after which its held axes are released."""
 _SIDE_WIDTH = 400.0
 _SAID_ONCE = 10.0
-"""Time [s] within which the same message is not told again."""
+"""Time [s] within which the same message is not repeated."""
 
 
 class Panel(Protocol):
-    """A part of the page.
+    """Part of the page.
 
-    It is made with the page, puts its elements there, and is told of views and images.
+    It is created with the page, adds its elements there, and receives views and images.
     """
 
     def update(self, view: View) -> None:
-        """Shows the simulation now; called about 20 times a second from one thread."""
+        """Show the current simulation; called about 20 times a second from one thread."""
         ...
 
 
 class Page:
-    """The cockpit's page in all browsers that have it open.
+    """Page of the cockpit in all browsers that have it open.
 
-    The first browser drives; another may take over, and when the driver's is closed the magnet
-    stops and the seat is free. Buttons that change the simulation are the driver's.
+    The first browser drives; another may take over. When the driver's browser is closed, the magnet
+    stops and any browser may take over. Only the driver may use buttons that change the simulation.
 
     Attributes:
-        server: Of the page.
-        session: What is driven.
-        images: Of the capsule's camera.
-        seen: What the cameras have seen.
-        pace: How often panels may change the scene.
-        side_panel: Window at the right, in which panels have tabs.
-        bridge: To the browsers' keys and gamepads.
-        is_busy: Held while a recording is made.
+        server: Server of the page.
+        session: Current session.
+        images: Live images of the capsule's camera.
+        seen: Wall seen by the cameras.
+        pace: Update rate of the scene in panels.
+        side_panel: Window at the right with tabs for panels.
+        bridge: Access to the browsers' keys and gamepads.
+        is_busy: Held during a recording.
         policies: Files and import paths of policies that browsers may choose.
-        actions: What the buttons of a gamepad do, by name.
-        latest_image: The last of them.
-        pad: What the driver's browser said last of its gamepad's layout; None before it has one.
+        actions: Functions of gamepad buttons, by name.
+        latest_image: Last live image.
+        pad: Last gamepad layout reported by the driver's browser; None before the first report.
     """
 
     def __init__(
@@ -75,15 +75,15 @@ class Page:
         is_busy: threading.Lock | None = None,
         policies: Sequence[str] = (),
     ) -> None:
-        """Fills the page.
+        """Build the page.
 
         Args:
-            server: Of the page.
-            session: What is driven.
-            panels: Its parts, in their order.
+            server: Server of the page.
+            session: Session to drive.
+            panels: Parts of the page, in their order.
             say: Called with each message, for the terminal.
-            begin: Begins another drive in the same page.
-            is_busy: Held while a recording is made; shared by all drives.
+            begin: Starts another drive in the same page.
+            is_busy: Held during a recording; shared by all drives.
             policies: Files and import paths of policies that browsers may choose.
         """
         self.server, self.session, self._say = server, session, say
@@ -112,12 +112,12 @@ class Page:
         self._thread = threading.Thread(target=self._run, name="vrcaps-page", daemon=True)
 
     def start(self) -> None:
-        """Starts showing the session."""
+        """Start showing the session."""
         self.images.start()
         self._thread.start()
 
     def close(self) -> None:
-        """Ends it; the server is closed by who has made it."""
+        """Close the page; its server is closed by the owner."""
         self._is_closed = True
         self.images.close()
         if self._thread.is_alive():
@@ -125,11 +125,11 @@ class Page:
 
     @property
     def driver(self) -> int | None:
-        """Number of the browser that drives; None if none does."""
+        """ID of the browser that drives; None if none does."""
         return self._driver
 
     def tell(self, text: str) -> None:
-        """Shows a message in all browsers and in the terminal."""
+        """Show a message in all browsers and in the terminal."""
         now = wall_clock.monotonic()
         if now - self._told.get(text, -np.inf) < _SAID_ONCE:
             return
@@ -140,7 +140,7 @@ class Page:
             client.add_notification("vrcaps", text, auto_close_seconds=8.0)
 
     def handler(self, function: Callable[..., None]) -> Callable[..., None]:
-        """A function for the page's events, whose errors become messages."""
+        """Wrap a function as event handler whose errors become messages."""
 
         @functools.wraps(function)
         def run(*args: Any) -> None:
@@ -148,13 +148,13 @@ class Page:
                 function(*args)
             except VrcapsError as error:
                 self.tell(str(error))
-            except Exception as error:  # the simulation outlives any fault of a page
+            except Exception as error:  # the simulation survives any error of a page
                 self.tell(f"The page failed: {type(error).__name__}: {error}.")
 
         return run
 
     def for_driver(self, function: Callable[[], None]) -> Callable[[Any], None]:
-        """A function for the event of a button that only the driver may press."""
+        """Wrap a function as handler of a button that only the driver may press."""
 
         def run(event: Any) -> None:
             self.require_driver(event.client_id)
@@ -172,13 +172,13 @@ class Page:
             raise InputError("Another browser drives. Press 'Take the controls' to take over.")
 
     def require_here(self, what: str) -> None:
-        """Check that only browsers of this machine reach the page.
+        """Check that only browsers of this machine can reach the page.
 
         Args:
-            what: That reads files of this machine or runs programs of it.
+            what: Function that reads files of this machine or runs programs on it.
 
         Raises:
-            InputError: If others do.
+            InputError: If other machines can.
         """
         if not is_loopback(self.server.get_host()):
             raise InputError(
@@ -187,17 +187,17 @@ class Page:
             )
 
     def begin(self, scenario: Scenario) -> None:
-        """Ends this drive and begins another one in the same browsers.
+        """End this drive and start another one in the same browsers.
 
         Raises:
-            InputError: If the scenario cannot be made, or a recording is under way.
+            InputError: If the scenario is invalid, or a recording is in progress.
         """
         if self._begin is None:
             raise InputError("This page holds one drive. Open another one by open_cockpit.")
         self._begin(scenario)
 
     def take_over(self, client: int) -> None:
-        """Makes a browser the driver's; what the one before held is let go."""
+        """Make a browser the driver; input held by the previous one is released."""
         self.session.operator.stop()
         self._driver = client
         self.tell(f"Browser {client} has the controls.")
@@ -216,7 +216,7 @@ class Page:
                 self.take_over(others[0])
 
     def _on_input(self, client: int, text: str) -> None:
-        """Keys and gamepad of a browser."""
+        """Process keys and gamepad of a browser."""
         given = parse_input(text)
         if client != self._driver:
             if any(given.axes):
@@ -241,7 +241,7 @@ class Page:
                 self.handler(show)(image)
 
     def _run(self) -> None:
-        """The thread that shows views."""
+        """Show views; the thread's function."""
         shown = -1
         while not self._is_closed:
             wall_clock.sleep(_SECONDS_PER_UPDATE)
@@ -258,7 +258,7 @@ class Page:
 
 
 def _unknown(given: DriverInput) -> str:
-    """What to do with a gamepad that drives nothing."""
+    """Hint for a gamepad without an assigned layout."""
     if given.is_standard or given.layout:
         return ""
     return " Its layout is unknown, so it drives nothing yet: assign its sticks under 'Gamepad'."

@@ -1,4 +1,4 @@
-"""Page mesh: an organ's wall with fewer triangles, as a browser can draw it."""
+"""Decimated mesh of an organ's wall that a browser can draw."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _MOST_FACES = 12_000
 
 @dataclass(frozen=True)
 class PageMesh:
-    """A coarse wall made of some of the vertices of the fine one, so that it moves with it.
+    """Coarse wall that uses some vertices of the fine one, so that it moves with it.
 
     Attributes:
-        vertices: Numbers of the fine wall's vertices.
-        faces: Triangles of places in `vertices`.
+        vertices: Indices of the fine wall's vertices.
+        faces: Triangles of indices into `vertices`.
     """
 
     vertices: Int[np.ndarray, " n"]
@@ -31,15 +31,15 @@ class PageMesh:
 def coarse_mesh(
     points: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"], most: int = _MOST_FACES
 ) -> PageMesh:
-    """A wall of at most so many triangles, by clustering of vertices (Rossignac & Borrel, 1993).
+    """Decimate a wall to a triangle count by vertex clustering (Rossignac & Borrel, 1993).
 
-    All vertices in a cell of a cubic grid become the one nearest to their mean; triangles with
-    corners in fewer than three cells vanish. The grid is as fine as it may be.
+    All vertices in a cell of a cubic grid are replaced by the one nearest to their mean; triangles
+    with corners in fewer than three cells are removed. The grid is as fine as possible.
 
     Args:
         points: Vertices of the fine wall.
         faces: Its triangles.
-        most: Number of triangles.
+        most: Maximum number of triangles.
     """
     if len(faces) <= most:
         return PageMesh(np.arange(len(points)), np.asarray(faces))

@@ -1,4 +1,4 @@
-"""Path estimate: an estimated path of the capsule beside the true one of an episode."""
+"""Comparison of an estimated path of the capsule with the true path of an episode."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ALIGNMENTS: dict[str, TrajectoryAlignment] = {
     "rigid": "se3",
     "rigid and scale": "sim3",
 }
-"""What may be fitted to the true path first, by its name in the page."""
+"""Alignments to the true path, by their names in the page."""
 
 
 @dataclass(frozen=True)
@@ -31,9 +31,9 @@ class PathEstimate:
     """Estimated and true poses at the frames of an episode that the estimate covers.
 
     Attributes:
-        frames: Numbers of these frames, rising.
+        frames: Indices of these frames, ascending.
         estimated: Estimated ``T_world_capsule``.
-        true: True ones.
+        true: True ``T_world_capsule``.
     """
 
     frames: Int[np.ndarray, " k"]
@@ -41,10 +41,10 @@ class PathEstimate:
     true: Float[np.ndarray, "k 4 4"]
 
     def aligned(self, align: TrajectoryAlignment) -> PathEstimate:
-        """The same, aligned to the true path first (Umeyama, TPAMI 13(4), 1991).
+        """Align the estimate to the true path (Umeyama, TPAMI 13(4), 1991).
 
         Raises:
-            InputError: If the positions fix no rotation.
+            InputError: If the positions do not determine a rotation.
         """
         return PathEstimate(self.frames, aligned_poses(self.estimated, self.true, align), self.true)
 
@@ -54,13 +54,13 @@ class PathEstimate:
         return np.linalg.norm(self.estimated[:, :3, 3] - self.true[:, :3, 3], axis=1)
 
     def place_of(self, frame: int) -> int | None:
-        """Place of a frame among `frames`; None if the estimate does not cover it."""
+        """Index of a frame in `frames`; None if the estimate does not cover it."""
         place = int(np.searchsorted(self.frames, frame))
         return place if place < len(self.frames) and self.frames[place] == frame else None
 
 
 def read_path_estimate(path: Path, episode: Episode) -> PathEstimate:
-    """An estimated path from a TUM file, in meters, at the times of an episode's frames.
+    """Read an estimated path from a TUM file, in meters, at the times of an episode's frames.
 
     Raises:
         InputError: If the file cannot be read or covers fewer than two frames.

@@ -1,4 +1,4 @@
-"""Patient node: the patient's outline in a scene, and the table below."""
+"""Scene node of the patient: outline and table."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ if TYPE_CHECKING:
 
 _OUTLINE_COLOR, _TABLE_COLOR = (150, 125, 112), (36, 40, 46)
 _TABLE_SIZE = (0.6, 1.95, 0.05)
-"""Breadth, length and thickness [m]."""
+"""Width, length and thickness [m]."""
 _LYING = 0.5
-"""Greatest part of the way from feet to head that leads upwards of one who lies on a table."""
+"""Maximum vertical component of the feet-to-head direction of a patient who lies on a table."""
 
 
 class PatientNode:
-    """A schematic outline around the organ, and a table where it rests: none under who stands."""
+    """Schematic outline around the organ, and a table below unless the patient stands."""
 
     def __init__(self, scene: viser.SceneApi, organ: Float[np.ndarray, "n 3"]) -> None:
-        """Adds both.
+        """Add both to a scene.
 
         Args:
-            scene: Where.
+            scene: Scene to add to.
             organ: Vertices of its wall in the patient frame [m].
         """
         lines = patient_outline(organ)
@@ -46,7 +46,7 @@ class PatientNode:
         self._is_visible = True
 
     def show(self, T_world_patient: Float[np.ndarray, "4 4"], *, is_visible: bool) -> None:
-        """Puts both to where the patient lies, if that has changed."""
+        """Move both to the patient's posture, if it has changed."""
         same = self._shown is not None and np.array_equal(T_world_patient, self._shown)
         if same and is_visible == self._is_visible:
             return
@@ -59,7 +59,7 @@ class PatientNode:
             move(self._table, self._table_pose(T_world_patient))
 
     def _table_pose(self, T_world_patient: np.ndarray) -> np.ndarray:
-        """Of the table's middle: its length along the patient, its top at the lowest point."""
+        """Pose of the table's center: its length along the patient, its top at the lowest point."""
         points = transform_points(T_world_patient, self._points)
         along = T_world_patient[:3, 2] * (1.0, 1.0, 0.0)
         along /= np.linalg.norm(along)

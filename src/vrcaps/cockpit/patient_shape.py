@@ -1,7 +1,7 @@
-"""Patient shape: a schematic outline of a lying adult around an organ, in the patient frame.
+"""Schematic outline of a lying adult around an organ, in the patient frame.
 
-It shows where head, feet and left are, and how the patient lies. It is no anatomy: the sections are
-round numbers of an adult of 1.75 m, and the organ may come from another patient.
+It shows head, feet, left and posture. It is not anatomically exact: the sections are rounded
+values of an adult of 1.75 m, and the organ may come from another patient.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _AROUND = 24
-"""Corners of a section."""
+"""Number of corners of a section."""
 _ALONG = 6
-"""Every such corner a line leads from section to section."""
+"""Stride of the corners connected by lines from section to section."""
 _MARGIN = 2.0 * CM
 """Gap between the organ and the outline."""
 
-# Sections [cm]: height above the navel, to the left and backwards of the middle; half of the
-# breadth and of the depth.
+# Sections [cm]: height above the navel, offset to the left and backwards from the middle; half the
+# width and depth.
 _TRUNK = (
     *((-24.0, 0.0, 0.0, 17.0, 11.0), (-12.0, 0.0, 0.0, 17.5, 12.0), (0.0, 0.0, 0.0, 16.0, 12.0)),
     *((12.0, 0.0, 0.0, 15.5, 12.0), (24.0, 0.0, 0.0, 16.0, 12.5), (34.0, 0.0, 0.5, 18.0, 11.5)),
@@ -53,8 +53,8 @@ _TRUNK_AT_ORGAN = slice(0, 6)
 def patient_outline(organ: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "k 2 3"]:
     """Lines of a patient's outline around an organ, in the patient frame [m].
 
-    Generated organs have their origin at the height of the navel. Around one that does not fit
-    there, such as one from a scanner's frame, the outline is moved, then made wider.
+    Generated organs have their origin at the height of the navel. If an organ does not fit there,
+    such as one in a scanner's frame, the outline is first moved, then widened.
 
     Args:
         organ: Vertices of its wall in the patient frame [m].
@@ -73,7 +73,7 @@ def patient_outline(organ: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "k 2 3
 
 
 def _lines(sections: Float[np.ndarray, "s 5"]) -> Float[np.ndarray, "k 2 3"]:
-    """Around each section of a part, an ellipse, and along it from section to section [m]."""
+    """Ellipses around each section of a part, and lines along it from section to section [m]."""
     height, left, back, breadth, depth = sections.T[..., None]
     angle = 2.0 * np.pi * np.arange(_AROUND) / _AROUND
     x, y = left + breadth * np.cos(angle), back + depth * np.sin(angle)

@@ -1,4 +1,4 @@
-"""Policy driver: a policy or baseline at the joystick of a drive."""
+"""Policy or baseline that controls the joystick of a drive."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ if TYPE_CHECKING:
     from vrcaps.motion.rollout import Rollout
 
 _WORLD = np.zeros(1, int)
-"""Number of the only world."""
+"""Index of the only world."""
 
 _SOON = 1e-9
-"""A step that begins so little before a control period is over [s] counts as after it."""
+"""Tolerance [s] of a control period's end: a step that starts so little earlier is after it."""
 
 
 class PolicyDriver:
-    """Asks a policy once in each control period of simulated time, and holds its axes until then.
+    """Driver that queries a policy once per control period of simulated time and holds its axes.
 
-    The policy sees an environment of one world, that of the drive, in which the magnet is where it
-    was asked for. It acts by `MagnetActuation`, whose actions are a joystick's axes but for the
-    speeds that they are shares of.
+    The policy sees an environment with one world, that of the drive, in which the magnet has its
+    requested pose. It acts by `MagnetActuation`, whose actions are joystick axes except for the
+    speeds that they are fractions of.
 
     Attributes:
-        name: Of the policy.
+        name: Name of the policy.
     """
 
     def __init__(
@@ -50,19 +50,19 @@ class PolicyDriver:
         goal: float | None = None,
         on_message: Callable[[str], None] = lambda text: None,
     ) -> None:
-        """Reads the policy; the simulation may go on meanwhile.
+        """Load the policy; the simulation may continue meanwhile.
 
         Args:
             name: See `read_policy`.
             rollout: The simulation of the drive.
-            posture: How the patient lay before all turns.
-            seed: Of what is random in the policy.
-            goal: Where a policy that navigates is to lead, as a fraction of the centerline; None
-                is its own.
-            on_message: Told why the policy hands back.
+            posture: Initial posture of the patient.
+            seed: Random seed of the policy.
+            goal: Target of a policy that navigates, as a fraction of the centerline; None leaves it
+                to the policy.
+            on_message: Called with the reason for which the policy hands back.
 
         Raises:
-            InputError: If it is no policy, or none that can move a magnet.
+            InputError: If it is not a policy, or not one that can move a magnet.
             UnknownNameError: If there is no policy of that name.
         """
         self.name, self._rollout, self._tell = name, rollout, on_message
@@ -72,11 +72,11 @@ class PolicyDriver:
         settings = _settings(self._policy, rollout, self._posture, goal)
         self._policy.requires.check(settings, name)
         self._env, self._seed = CapsuleVectorEnv(settings), seed
-        self._patient = self._env.episode.simulation.patients[0]  # made now: it takes a while
+        self._patient = self._env.episode.simulation.patients[0]  # created now: it takes a while
         self._axes, self._time, self._due = np.zeros(6), -np.inf, -np.inf
 
     def axes(self, time: float) -> Float[np.ndarray, " 6"] | None:
-        """Joystick axes at a time [s], called from the thread that steps; None hands back."""
+        """Joystick axes at a time [s], called from the stepping thread; None hands back."""
         if time < self._due - _SOON:
             return self._axes
         try:
@@ -84,16 +84,16 @@ class PolicyDriver:
         except VrcapsError as error:
             self._tell(f"{self.name} hands back: {error}")
             return None
-        except Exception as error:  # the simulation outlives any fault of a policy
+        except Exception as error:  # the simulation survives any error of a policy
             self._tell(f"{self.name} hands back: {type(error).__name__}: {error}.")
             return None
         return self._axes
 
     def _act(self, time: float) -> Float[np.ndarray, " 6"]:
-        """What the policy wants at a time [s].
+        """Query the policy at a time [s].
 
         Raises:
-            InputError: If the patient is turned, or the action is impossible.
+            InputError: If the patient is turned, or the action is invalid.
         """
         rollout, episode = self._rollout, self._env.episode
         program, simulation, period = rollout.program, episode.simulation, self._period
@@ -117,7 +117,7 @@ class PolicyDriver:
         return self._env.settings.control_period
 
     def _joystick_shares(self) -> Float[np.ndarray, " 6"]:
-        """Axes of a joystick that are as fast as full actions."""
+        """Joystick axes with the speed of full actions."""
         steering, actuation = self._rollout.settings.magnet, self._env.settings.actuation
         assert steering is not None
         assert isinstance(actuation, MagnetActuation)
@@ -126,7 +126,7 @@ class PolicyDriver:
         return np.repeat([linear, angular], 3)
 
     def _check_posture(self, time: float) -> None:
-        """Check that the patient lies as the policy takes it.
+        """Check that the patient has the posture that the policy assumes.
 
         Raises:
             InputError: If not.

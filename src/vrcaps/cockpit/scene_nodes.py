@@ -1,4 +1,4 @@
-"""Scene nodes that the cockpit and the episode's page share: organ, patches, capsule, paths."""
+"""Scene nodes shared by the cockpit and the episode page: organ, patches, capsule, paths."""
 
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ if TYPE_CHECKING:
 
 _FRONT_COLOR, _BODY_COLOR = (70, 150, 255), (240, 240, 245)
 _FROM = (0.2, -1.05, 0.4)
-"""Where one looks from at first, in sizes of what is seen."""
+"""Initial viewpoint, in sizes of the visible box."""
 _PATH_STEP = 1e-3
-"""Distance between points of a path that grows [m]."""
+"""Distance between points of a growing path [m]."""
 _VISIBLE = 2e-4
-"""Motion of the wall [m] below which it is not sent again."""
+"""Motion of the wall [m] below which it is not updated."""
 _SAME_PLACE, _SAME_TURN = 1e-5, 1e-4
-"""Differences in place [m] and quaternion below which a node stays where it is."""
+"""Differences in position [m] and quaternion below which a node is not moved."""
 CUT_AXES = ("none", "x", "y", "z")
 """World axes across which the organ may be cut."""
 
 
 @dataclass(frozen=True)
 class Cut:
-    """A plane across a world axis; what lies on its lower side is left out.
+    """Clipping plane across a world axis; its lower side is removed.
 
     Attributes:
         axis: One of `CUT_AXES`.
-        fraction: Where it is, from 0, the organ's lowest place along the axis, to 1.
+        fraction: Position from 0, the organ's lowest point along the axis, to 1.
     """
 
     axis: str = "none"
     fraction: float = 0.5
 
     def keeps(self, points: Float[np.ndarray, "n 3"], faces: np.ndarray) -> np.ndarray:
-        """Which triangles stay, by their middle."""
+        """Mask of the triangles that are kept, by their centers."""
         if self.axis == "none":
             return np.ones(len(faces), bool)
         along = points[:, CUT_AXES.index(self.axis) - 1]
@@ -58,14 +58,14 @@ class _Part:
     handle: Any
 
     def move(self, points: np.ndarray) -> None:
-        """Moves it to the wall's vertices, if one would see the difference."""
+        """Move it to the wall's vertices, if the difference is visible."""
         places = points[self.vertices].astype(np.float32)
         if np.abs(places - self.handle.vertices).max() > _VISIBLE:
             self.handle.vertices = places
 
 
 class OrganNode:
-    """The organ's wall in a scene: one mesh for each color, as a mesh has no colors of its own."""
+    """Organ's wall in a scene: one mesh per color, as meshes have no vertex colors."""
 
     def __init__(self, scene: viser.SceneApi, mesh: PageMesh) -> None:
         self._scene, self._mesh = scene, mesh
@@ -73,12 +73,12 @@ class OrganNode:
         self._opacity: float | None = None
 
     def draw(self, points: Float[np.ndarray, "n 3"], coloring: Coloring, cut: Cut) -> None:
-        """Draws it anew.
+        """Redraw the wall.
 
         Args:
             points: Vertices of the fine wall in the world [m].
             coloring: Colors of its triangles.
-            cut: What of it is left out.
+            cut: Part to remove.
         """
         faces, classes = self._mesh.faces, coloring.classes()
         kept = cut.keeps(points[self._mesh.vertices], faces)
@@ -90,12 +90,12 @@ class OrganNode:
             before[number].handle.remove()
 
     def move(self, points: Float[np.ndarray, "n 3"]) -> None:
-        """Moves it to where the fine wall's vertices are [m]."""
+        """Move it to the fine wall's vertices [m]."""
         for part in self._parts.values():
             part.move(points)
 
     def set_opacity(self, opacity: float) -> None:
-        """Makes it as opaque, from 0 to 1."""
+        """Set the opacity, from 0 to 1."""
         self._opacity = None if opacity >= 1.0 else opacity
         for part in self._parts.values():
             if part.handle.opacity != self._opacity:
@@ -118,14 +118,14 @@ class OrganNode:
 
 
 class PatchNode:
-    """Patches beside the wall: drawn anew where they have changed."""
+    """Patches in addition to the wall; redrawn if they have changed."""
 
     def __init__(self, scene: viser.SceneApi) -> None:
         self._scene = scene
         self._drawn: dict[str, tuple[np.ndarray, Any]] = {}
 
     def draw(self, patches: tuple[Patch, ...]) -> None:
-        """Draws these and no others."""
+        """Draw exactly these patches."""
         wanted = {f"/patch/{number}": patch for number, patch in enumerate(patches)}
         for name in self._drawn.keys() - wanted.keys():
             self._drawn.pop(name)[1].remove()
@@ -145,7 +145,7 @@ class PatchNode:
             self._drawn[name] = (corners, handle)
 
     def _shows(self, name: str, corners: np.ndarray, color: Color) -> bool:
-        """Whether a node is already so, as far as one would see."""
+        """Whether a node already shows this, up to invisible differences."""
         before, handle = self._drawn.get(name, (np.empty((0, 3)), None))
         if handle is None or handle.color != color or before.shape != corners.shape:
             return False
@@ -159,14 +159,14 @@ def add_capsule(
     radius: float,
     color: Color = _BODY_COLOR,
 ) -> Any:
-    """A capsule with a blue front, as a frame to be moved.
+    """Add a capsule with a blue front, as a movable frame.
 
     Args:
-        scene: Where.
-        name: Of the node.
-        length: Of its body [m].
-        radius: Of its body [m].
-        color: Of its body.
+        scene: Scene to add to.
+        name: Name of the node.
+        length: Length of the body [m].
+        radius: Radius of the body [m].
+        color: Color of the body.
     """
     import trimesh
 
@@ -181,7 +181,7 @@ def add_capsule(
 
 
 def add_shape(scene: viser.SceneApi, name: str, shape: Any, color: Color) -> None:
-    """A mesh of trimesh in one color."""
+    """Add a trimesh mesh in one color."""
     vertices, faces = np.asarray(shape.vertices), np.asarray(shape.faces)
     scene.add_mesh_simple(name, vertices, faces, color=color)
 
@@ -192,13 +192,13 @@ def add_path(
     places: Float[np.ndarray, "n 3"],
     color: Color,
 ) -> None:
-    """A line through places in the world [m], two or more."""
+    """Add a line through two or more positions in the world [m]."""
     segments = np.stack([places[:-1], places[1:]], axis=1).astype(np.float32)
     scene.add_line_segments(name, segments, colors=color, thickness=3.0, thickness_units="screen")
 
 
 class PathNode:
-    """A path that grows: a point is added only where it has gone on, as each is sent anew."""
+    """Growing path; points are added only after some motion, since all are sent each time."""
 
     def __init__(self, scene: viser.SceneApi, name: str, color: Color) -> None:
         self._scene, self._name, self._color = scene, name, color
@@ -208,11 +208,11 @@ class PathNode:
 
     @property
     def places(self) -> Float[np.ndarray, "n 3"]:
-        """Its points in the world [m]."""
+        """Points in the world [m]."""
         return np.array(self._places).reshape(-1, 3)
 
     def add(self, time: float, place: Float[np.ndarray, " 3"]) -> None:
-        """Adds a place [m] at a time [s], 0 or later; forgets those at later times."""
+        """Add a position [m] at a time [s], 0 or later; remove those at later times."""
         while self._times and self._times[-1] > time:
             self._times.pop()
             self._places.pop()
@@ -224,17 +224,17 @@ class PathNode:
             self._places.append(place)
 
     def draw(self) -> None:
-        """Draws it, if it has become another."""
+        """Draw it, if it has changed."""
         if len(self._places) >= 2 and len(self._places) != self._num_drawn:
             self._num_drawn = len(self._places)
             add_path(self._scene, self._name, self.places, self._color)
 
 
 def aim(server: viser.ViserServer, low: np.ndarray, high: np.ndarray) -> None:
-    """Looks at a box.
+    """Aim the initial view at a box.
 
     Args:
-        server: Of the page.
+        server: Server of the page.
         low: Lower corner of the box in the world [m].
         high: Upper corner [m].
     """
@@ -246,7 +246,7 @@ def aim(server: viser.ViserServer, low: np.ndarray, high: np.ndarray) -> None:
 
 
 def move(handle: Any, T: Float[np.ndarray, "4 4"]) -> None:
-    """Puts a node to a pose, if one would see the difference."""
+    """Set a node's pose, if the difference is visible."""
     wxyz = quaternion_from_matrix(T[:3, :3])
     if np.abs(handle.position - T[:3, 3]).max() > _SAME_PLACE:
         handle.position = T[:3, 3]

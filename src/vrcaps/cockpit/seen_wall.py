@@ -1,4 +1,4 @@
-"""Seen wall: which parts of the organ the capsule's cameras have seen during a drive."""
+"""Parts of the organ that the capsule's cameras have seen during a drive."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ if TYPE_CHECKING:
     from vrcaps.cockpit.view import View
 
 LEVEL = "visible"
-"""Level of coverage that the page shows: in the image, and nothing in between."""
+"""Coverage level in the page: in the image and not occluded."""
 
 
 class SeenWall:
-    """Coverage of a drive so far, by the frames whose poses are kept.
+    """Coverage of a drive so far, by the frames whose poses are stored.
 
-    The wall is taken at rest: its vertices and the middles of its triangles stand for it.
+    The wall is evaluated at rest, by its vertices and the centers of its triangles.
 
     Attributes:
-        fraction: Of the wall's area that was seen.
-        version: Rises whenever more, or after a return less, was seen.
+        fraction: Fraction of the wall's area that was seen.
+        version: Counter that increases when more, or after a rewind less, was seen.
     """
 
     def __init__(self, session: Session) -> None:
@@ -45,14 +45,14 @@ class SeenWall:
 
     @property
     def faces(self) -> Bool[np.ndarray, " m"]:
-        """Whether the middle of each triangle was seen."""
+        """Whether the center of each triangle was seen."""
         last, count = self._points.first_of_lesions, len(self._model.organ.faces)
         return (self._flags[last - count : last] & self._bit) > 0
 
     def see(self, view: View) -> None:
-        """Adds what the cameras see now; after a return only the frames before it count.
+        """Add the current view of the cameras; after a rewind, only the frames before it count.
 
-        What they see while the capsule settles, before the first frame, does not count.
+        Views while the capsule settles, before the first frame, do not count.
         """
         if view.state.time < 0.0:
             return
@@ -74,8 +74,8 @@ class SeenWall:
     def _mark(
         self, T_world_patient: Float[np.ndarray, "4 4"], T_world_capsule: Float[np.ndarray, "4 4"]
     ) -> None:
-        """Adds what the cameras of a capsule see in a patient who lies so."""
-        # The wall does not move, so the capsule is put where it is in the patient.
+        """Add the view of a capsule's cameras in a patient of a posture."""
+        # The wall does not move, so the capsule is placed relative to the patient.
         to_rest = self._model.T_world_patient @ invert(T_world_patient)
         for camera in self._model.device.cameras:
             gained = mark_points(

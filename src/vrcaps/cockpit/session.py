@@ -1,4 +1,4 @@
-"""Session: the simulation in a thread of its own, which takes orders and leaves views."""
+"""Simulation thread: consumes commands, publishes snapshots."""
 
 from __future__ import annotations
 
@@ -42,33 +42,33 @@ if TYPE_CHECKING:
     from vrcaps.render.settings import RenderSettings
 
 TURN_SECONDS = 5.0
-"""How long a turn of the patient takes."""
+"""Duration of a turn of the patient."""
 
 INFLATE_SECONDS = 3.0
-"""How long the gut takes to another insufflation."""
+"""Duration of a change of insufflation."""
 
 FRONT_SECONDS = 2.0
-"""Least time between beginnings of phase III."""
+"""Minimum time between starts of phase III."""
 
 _SECONDS_PER_VIEW = 1.0 / 40.0
-"""Least real time between views."""
+"""Minimum real time between views."""
 
 _SECONDS_PER_SAVE = 1.0
-"""Real time between savings of the drive."""
+"""Real time between saves of the drive."""
 
 _AHEAD = 0.1
-"""Simulated time [s] before an ordered turn or insufflation begins: later than all that is done."""
+"""Delay [s] of a requested turn or insufflation, to start later than all completed steps."""
 
 
 class _Jump(Exception):
-    """Ends a walk through the rollout, because another checkpoint or the end is asked for."""
+    """Ends a walk through the rollout, to jump to another checkpoint or to close."""
 
 
 def cockpit_scenario(scenario: Scenario) -> Scenario:
-    """The scenario of a drive: one with a magnet that is steered by joystick, nothing left open.
+    """Return the scenario of a drive: a magnet steered by joystick, and explicit settings.
 
     A scenario without dynamics, or without a magnet, gets the default ones; waypoints and recorded
-    commands make way for the driver.
+    commands are replaced by the driver.
     """
     motion = scenario.motion
     if not isinstance(motion, Dynamics):
@@ -82,18 +82,18 @@ def cockpit_scenario(scenario: Scenario) -> Scenario:
 
 
 class Session:
-    """A simulation that is driven: steps a rollout in real time, and never waits for who looks.
+    """Interactive simulation: steps a rollout in real time, without waiting for viewers.
 
     All methods may be called from any thread. `view` is the latest instant.
 
     Attributes:
-        scenario: What is simulated.
-        model: The organ and the capsule.
-        rollout: The simulation.
-        clock: Paces and pauses it.
-        operator: Steers it.
-        drive: Files of what was driven.
-        on_message: Called with each message for people.
+        scenario: Simulated scenario.
+        model: Organ and capsule.
+        rollout: Simulation.
+        clock: Paces and pauses the simulation.
+        operator: Steers the magnet.
+        drive: Files of the drive.
+        on_message: Called with each message for the user.
     """
 
     def __init__(
@@ -103,15 +103,15 @@ class Session:
         *,
         on_message: Callable[[str], None] = lambda text: None,
     ) -> None:
-        """Builds the world.
+        """Build the world.
 
         Args:
-            scenario: What to simulate, see `cockpit_scenario`.
+            scenario: Scenario to simulate, see `cockpit_scenario`.
             folder: New or empty folder for the drive.
-            on_message: Called with each message for people.
+            on_message: Called with each message for the user.
 
         Raises:
-            InputError: If the scenario cannot be made or the folder is not empty.
+            InputError: If the scenario is invalid or the folder is not empty.
         """
         make_folder(folder)
         self.scenario = cockpit_scenario(with_stored_organ(scenario, folder))
@@ -138,12 +138,12 @@ class Session:
         ]
 
     def start(self) -> None:
-        """Starts the simulation and the saving."""
+        """Start the simulation and the saving."""
         for thread in self._threads:
             thread.start()
 
     def close(self) -> None:
-        """Ends the simulation and saves the drive."""
+        """Stop the simulation and save the drive."""
         self._is_closed = True
         self.clock.wake()
         self._saved.set()
@@ -154,29 +154,29 @@ class Session:
 
     @property
     def poses(self) -> Float[np.ndarray, "n 4 4"]:
-        """`T_world_capsule` of each whole frame."""
+        """`T_world_capsule` of each completed frame."""
         with self._lock:
             return np.array(self._poses).reshape(-1, 4, 4)
 
     @property
     def snapshots(self) -> tuple[str, ...]:
-        """Names of the snapshots to go back to."""
+        """Names of the available snapshots."""
         return tuple(self._snapshots)
 
     def scenario_so_far(self) -> Scenario:
-        """The scenario of what was driven so far: whole frames, turns and insufflations."""
+        """Scenario of the drive so far: completed frames, turns and insufflations."""
         with self._lock:
             frames = max(1, len(self._poses))
         return replace(self.scenario, motion=self.rollout.settings, frames=frames)
 
     def step_frame(self) -> None:
-        """Pauses after one more frame."""
+        """Pause after one more frame."""
         with self._lock:
             frame = len(self._poses)
         self.clock.run(until=frame / self.rollout.fps + 1e-6)
 
     def keep_snapshot(self) -> str:
-        """Keeps the last whole frame to go back to; the name of the snapshot.
+        """Store the last completed frame; return the name of the snapshot.
 
         Raises:
             InputError: If there is no frame yet.
@@ -190,7 +190,7 @@ class Session:
             return name
 
     def go_back(self, name: str) -> None:
-        """Goes back to a snapshot; what was driven since is forgotten.
+        """Rewind to a snapshot; later commands are dropped.
 
         Raises:
             UnknownNameError: If there is no such snapshot.
@@ -200,11 +200,11 @@ class Session:
         self._jump(self._snapshots[name])
 
     def reset(self) -> None:
-        """Goes back to the first frame."""
+        """Rewind to the first frame."""
         self._jump(None)
 
     def turn(self, posture: str) -> None:
-        """Turns the patient.
+        """Turn the patient.
 
         Raises:
             InputError: If the patient is still being turned.
@@ -219,10 +219,10 @@ class Session:
         self.rollout.change(replace(settings, posture_changes=changes))
 
     def insufflate(self, factor: float) -> None:
-        """Inflates or empties the gut to a factor on its radius.
+        """Inflate or deflate the gut to a factor on its radius.
 
         Raises:
-            InputError: If the factor is impossible or another is on its way.
+            InputError: If the factor is invalid or a change is in progress.
         """
         begin, settings = self._begin_of_order(), self.rollout.settings
         entries = settings.insufflation
@@ -233,10 +233,10 @@ class Session:
         self.rollout.change(replace(settings, insufflation=(*entries, *ramp)))
 
     def flush(self) -> None:
-        """Washes bubbles and chyme around the capsule off.
+        """Wash off bubbles and chyme around the capsule.
 
         Raises:
-            InputError: If there are none, or a flush is under way.
+            InputError: If there are none, or a flush is in progress.
         """
         begin, settings = self._begin_of_order(), self.rollout.settings
         contents = self.rollout.model.lumen_contents
@@ -250,10 +250,10 @@ class Session:
         self.rollout.change(replace(settings, flushes=(*flushes, Flush(begin))))
 
     def start_phase_three(self) -> None:
-        """Begins phase III of the migrating motor complex where the capsule is.
+        """Start phase III of the migrating motor complex at the capsule.
 
         Raises:
-            InputError: If it does not pass there, or has begun just now.
+            InputError: If it does not occur there, or has just started.
             UnknownNameError: If there is no muscle for a segment of the wall.
         """
         self.rollout.add_muscle()
@@ -265,11 +265,11 @@ class Session:
         self.rollout.change(replace(settings, phase_three=fronts))
 
     def change_look(self, render: RenderSettings, effects: Effects) -> None:
-        """Sets how the drive will look when it is recorded; the simulation does not change."""
+        """Set the look of later recordings of the drive; the simulation does not change."""
         self.scenario = replace(self.scenario, render=render, effects=effects)
 
     def _begin_of_order(self) -> float:
-        """Time of a tenth of a second [s] that no step has reached yet."""
+        """Next tenth of a second [s] that no step has reached yet."""
         return math.ceil(10.0 * (max(0.0, self.rollout.world.time) + _AHEAD)) / 10.0
 
     def _jump(self, state: MotionState | None) -> None:
@@ -278,7 +278,7 @@ class Session:
         self.clock.wake()
 
     def _run(self) -> None:
-        """The thread of the simulation."""
+        """Run the simulation; the thread's function."""
         start: MotionState | None = None
         while not self._is_closed:
             try:
@@ -300,7 +300,7 @@ class Session:
                     start, self._goto = self._goto[0], None
 
     def _rewind(self, state: MotionState | None) -> None:
-        """Forgets what comes after a checkpoint."""
+        """Drop everything after a checkpoint."""
         frame = 0 if state is None else state.frame
         time = frame / self.rollout.fps
         self.operator.rewind(time)
@@ -321,13 +321,13 @@ class Session:
             }
 
     def _keep(self, moment: Moment) -> None:
-        """Keeps a whole frame and its checkpoint."""
+        """Store a completed frame and its checkpoint."""
         with self._lock:
             self._poses[moment.index :] = [moment.state.T_world_capsule]
             self._last = moment.checkpoint or self._last
 
     def _tick(self, simulated: float, duration: float) -> None:
-        """Called after each step: shows it, and waits until the next is due."""
+        """Publish a step and wait until the next is due; called after each step."""
         del simulated, duration
         time = self.rollout.world.time
         self._publish()
@@ -337,7 +337,7 @@ class Session:
             raise _Jump
 
     def _publish(self) -> None:
-        """Leaves a view, if the last is old enough or time is going to stand."""
+        """Publish a view, if the last is old enough or time is about to stop."""
         number, shown = self._published
         now = wall_clock.perf_counter()
         if now - shown < _SECONDS_PER_VIEW and not self.clock.is_paused:
@@ -365,7 +365,7 @@ class Session:
         )
 
     def _autosave(self) -> None:
-        """The thread that saves the drive."""
+        """Save the drive periodically; the thread's function."""
         while not self._saved.wait(_SECONDS_PER_SAVE):
             self._save()
 

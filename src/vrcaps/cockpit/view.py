@@ -1,4 +1,4 @@
-"""View: what the page shows of one instant of the simulation."""
+"""View: data of one instant of the simulation for the page."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class View:
-    """The simulation at one instant.
+    """Simulation at one instant.
 
     Attributes:
-        number: Counts the views of a session, so that none is drawn twice.
-        frame: Number of the last whole frame.
+        number: Counter of the session's views, so that none is drawn twice.
+        frame: Index of the last completed frame.
         state: The world.
-        T_world_patient: How the patient lies.
+        T_world_patient: Posture of the patient.
         T_world_magnet: Pose of the magnet.
-        T_world_requested: Pose that the magnet was asked for.
-        joint_angles: Of the arm [rad]; empty without one.
-        limit: What keeps the magnet from the requested pose, see `ActuatorState`.
+        T_world_requested: Requested pose of the magnet.
+        joint_angles: Joint angles of the arm [rad]; empty without one.
+        limit: Limit that keeps the magnet from the requested pose, see `ActuatorState`.
         lost: Why the magnet does not hold the capsule, see `ControllerStatus`.
         achieved_speed: Simulated time per real time; 0 while paused.
-        is_paused: Whether time stands.
+        is_paused: Whether the simulation is paused.
     """
 
     number: int

@@ -1,7 +1,7 @@
 """Panels of the cockpit's page, one file each.
 
-A panel is made with the page, puts its elements there, and then is told of each view. `PANELS`
-are those of the page, from top to bottom, and then those of the window at the right.
+A panel is created with the page, adds its elements there, and then receives each view. `PANELS`
+lists those of the page, from top to bottom, and then those of the window at the right.
 """
 
 from vrcaps.cockpit.panels.camera_panel import CameraPanel

@@ -1,4 +1,4 @@
-"""Camera panel: what the capsule's cameras see, live, in any channel."""
+"""Camera panel: live images of the capsule's cameras, in any channel."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _QUALITY = 80
 
 
 class CameraPanel:
-    """The live image."""
+    """Panel of the live image."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -38,9 +38,9 @@ class CameraPanel:
             page.images.look = look
 
     def show_image(self, image: LiveImage) -> None:
-        """Shows an image of the camera; called from the thread that has rendered it."""
+        """Show an image of the camera; called from the rendering thread."""
         self._image.image = image.picture
-        self._page.server.flush()  # else the page's library waits for what else may come
+        self._page.server.flush()  # otherwise the page's library waits for further updates
 
     def update(self, view: View) -> None:
-        """Does nothing: images come by themselves."""
+        """Do nothing: images arrive separately."""

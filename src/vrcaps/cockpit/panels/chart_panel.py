@@ -26,12 +26,12 @@ _HEIGHT = 120
 
 @dataclass(frozen=True)
 class Quantity:
-    """What a chart shows.
+    """Quantity shown in a chart.
 
     Attributes:
-        title: With its unit.
-        color: Of the line.
-        of: Its value at a view.
+        title: Title with unit.
+        color: Color of the line.
+        of: Returns its value for a view.
     """
 
     title: str
@@ -70,7 +70,7 @@ QUANTITIES = (
 
 
 class ChartPanel:
-    """The last minute of what is measured."""
+    """Charts of the last minute of measured quantities."""
 
     def __init__(self, page: Page) -> None:
         from viser import uplot
@@ -95,9 +95,9 @@ class ChartPanel:
             ]
 
     def update(self, view: View) -> None:
-        """Adds a point where enough time has passed; draws twice a second."""
+        """Add a point if enough time has passed; draw twice a second."""
         time = view.state.time
-        if time < 0.0:  # the capsule is falling onto the wall
+        if time < 0.0:  # the capsule is settling on the wall
             return
         if self._rows and time < self._rows[-1][0]:
             kept = [row for row in self._rows if row[0] < time]

@@ -1,4 +1,4 @@
-"""Driving panel: the magnet's gizmo, who drives, and which keys and pad do what."""
+"""Driving panel: the magnet's gizmo, the current driver, and the functions of keys and pad."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ GIZMO = "/drive/magnet"
 
 
 class DrivingPanel:
-    """How the magnet is moved."""
+    """Controls of the magnet."""
 
     def __init__(self, page: Page) -> None:
         self._page, self._operator = page, page.session.operator
@@ -37,7 +37,7 @@ class DrivingPanel:
         self._gizmo.on_update(page.handler(self._follow))
 
     def update(self, view: View) -> None:
-        """Keeps the gizmo at the magnet while nobody drags it."""
+        """Keep the gizmo at the magnet unless it is being dragged."""
         now = wall_clock.monotonic()
         if self._is_dragged or self._operator.is_dragged:
             return
@@ -60,6 +60,6 @@ class DrivingPanel:
 
 
 def two_columns(rows: dict[str, str]) -> str:
-    """A table as Markdown, the first column bold."""
+    """Format a table as Markdown, the first column bold."""
     lines = [f"| **{first}** | {second} |" for first, second in rows.items()]
     return "\n".join(["| | |", "|-|-|", *lines])

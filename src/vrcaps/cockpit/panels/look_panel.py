@@ -15,15 +15,15 @@ if TYPE_CHECKING:
 
 _IMAGING = ("white-light", "narrow-band")
 _FEW_SAMPLES = 4
-"""Paths of a pixel of the live image; a recording has as many as its scenario says."""
+"""Paths per pixel of the live image; a recording uses the number in its scenario."""
 
 LIVE_EFFECTS = tuple(name for name in SEVERITIES if issubclass(EFFECTS[name], ImageEffect))
-"""Effects that change while the simulation runs: those of the image. The capsule's cameras and the
-organ are what they were made; their effects are chosen with a new drive."""
+"""Image effects, which can change while the simulation runs. Effects of the capsule's cameras and
+of the organ are chosen with a new drive."""
 
 
 class LookPanel:
-    """How the live image, and later the recording, looks."""
+    """Render settings of the live image and of later recordings."""
 
     def __init__(self, page: Page) -> None:
         self._page, self._session = page, page.session
@@ -54,7 +54,7 @@ class LookPanel:
             page.images.shadows.is_allowed = not shadows.value
 
     def update(self, view: View) -> None:
-        """Shows nothing: the live image does."""
+        """Do nothing: the live image shows the settings."""
 
     def _slider(self, name: str) -> Any:
         given = getattr(self._session.scenario.effects, name)
@@ -68,7 +68,7 @@ class LookPanel:
         scenario = self._session.scenario
         render = replace(scenario.render, light=self._light.value, imaging=self._imaging.value)
         chosen = {name: int(slider.value) for name, slider in self._severities.items()}
-        exact = {  # an effect with exact parameters stays until its slider is moved
+        exact = {  # an effect with exact parameters is kept until its slider is moved
             name: severity
             for name, severity in chosen.items()
             if severity or isinstance(getattr(scenario.effects, name), int)

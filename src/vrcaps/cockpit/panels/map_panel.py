@@ -1,4 +1,4 @@
-"""Map panel: the unrolled wall, what of it was seen, and where the capsule is."""
+"""Map panel: the unrolled wall, its seen part, and the capsule's position."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 _SIZE_PX = (120, 360)
 """Rows around the gut and columns along it."""
 _UNSEEN = 0.3
-"""Brightness of what was not seen yet."""
+"""Brightness of the unseen wall."""
 _SECONDS_PER_UPDATE = 0.5
 _CAPSULE = (40, 140, 255)
 _DOT = 3
 
 
 class MapPanel:
-    """The wall unrolled: oral end at the left, angles from −π at the bottom to π at the top."""
+    """Unrolled wall: oral end at the left, angles from −π at the bottom to π at the top."""
 
     def __init__(self, page: Page) -> None:
         self._page, self._model, self._shown = page, page.session.model, 0.0
@@ -40,7 +40,7 @@ class MapPanel:
             self._text = gui.add_markdown("")
 
     def update(self, view: View) -> None:
-        """Marks what was seen; draws twice a second."""
+        """Mark the seen part; draw twice a second."""
         now = wall_clock.monotonic()
         if now - self._shown < _SECONDS_PER_UPDATE:
             return
@@ -56,7 +56,7 @@ class MapPanel:
         self._text.content = f"seen: **{100.0 * seen.fraction:.1f} %** of the wall (bright)"
 
     def _place(self, view: View) -> tuple[int, int]:
-        """Row and column where the capsule is, by the nearest place of the centerline."""
+        """Row and column of the capsule, by the nearest point of the centerline."""
         line = self._model.organ.centerline
         place = view.state.T_world_capsule[None, :3, 3]
         point = transform_points(invert(view.T_world_patient), place)[0]

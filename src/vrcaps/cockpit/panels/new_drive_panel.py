@@ -1,4 +1,4 @@
-"""New drive panel: another organ, patient, capsule, lesions or contents, in the same page."""
+"""New drive panel: choice of organ, patient, capsule, lesions or contents, in the same page."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _SAME = "as it is"
 
 
 class NewDrivePanel:
-    """Ends the drive, which is kept, and begins another one with what is chosen here."""
+    """Controls that end the drive, which is saved, and start another one with the choices made."""
 
     def __init__(self, page: Page) -> None:
         self._page, self._session = page, page.session
@@ -57,7 +57,7 @@ class NewDrivePanel:
         button.on_click(page.for_driver(self._begin))
 
     def update(self, view: View) -> None:
-        """Shows nothing: the drive does."""
+        """Do nothing: the drive shows the choices."""
 
     def _slider(self, name: str, given: Any, hint: str) -> Any:
         first = given if isinstance(given, int) else 0
@@ -71,7 +71,7 @@ class NewDrivePanel:
         self._page.begin(chosen_scenario(self._session.scenario, self._choice(file)))
 
     def _choice(self, file: str) -> Choice:
-        """What was changed in the page; an exact figure stays until its slider is moved."""
+        """Changes made in the page; an exact value is kept until its slider is moved."""
         moved = {
             name: int(slider.value)
             for name, slider in self._sliders.items()

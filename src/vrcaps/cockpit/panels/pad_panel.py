@@ -1,4 +1,4 @@
-"""Pad panel: what the gamepad's sticks and buttons do, and how they are assigned."""
+"""Pad panel: functions of the gamepad's sticks and buttons, and their assignment."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _NONE = "No gamepad yet: press one of its buttons, so that the browser sees it."
 
 
 class PadPanel:
-    """The driver's gamepad. Its browser keeps the layout, by the pad's name."""
+    """Driver's gamepad. Its browser stores the layout, by the pad's name."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -31,7 +31,7 @@ class PadPanel:
         standard.on_click(page.for_driver(lambda: self._ask(STANDARD)))
 
     def update(self, view: View) -> None:
-        """Shows the layout when it has changed."""
+        """Show the layout if it has changed."""
         pad = self._page.pad
         if pad is not self._shown:
             self._shown = pad
@@ -46,7 +46,7 @@ class PadPanel:
 
 
 def _text(pad: DriverInput) -> str:
-    """Name and layout of a pad, and what is waited for."""
+    """Name and layout of a pad, and the control that waits for assignment."""
     layout = pad.layout or {}
     rows = {label: layout.get(name, "–") for name, label in CONTROLS.items()}
     waiting = CONTROLS.get(pad.listening)

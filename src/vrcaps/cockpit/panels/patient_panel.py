@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class PatientPanel:
-    """Turns the patient, inflates or empties the gut, rinses it, and starts phase III."""
+    """Controls that turn the patient, inflate or deflate the gut, rinse it, and start phase III."""
 
     def __init__(self, page: Page) -> None:
         session = page.session
@@ -32,4 +32,4 @@ class PatientPanel:
         inflate.on_click(page.for_driver(lambda: session.insufflate(float(factor.value))))
 
     def update(self, view: View) -> None:
-        """Shows nothing: the scene does."""
+        """Do nothing: the scene shows the patient."""

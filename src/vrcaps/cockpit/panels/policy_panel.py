@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 _TAKE, _BACK = "Let the policy drive", "Take the magnet back"
 _FIRST = "navigator"
-"""The policy that is offered first: it leads to a place."""
+"""Preselected policy: it navigates to a position."""
 
 
 class PolicyPanel:
-    """Which policy may drive, and who does."""
+    """Choice of the driving policy."""
 
     def __init__(self, page: Page) -> None:
         self._page, self._session, self._shown = page, page.session, ""
@@ -37,7 +37,7 @@ class PolicyPanel:
         gui.add_command(_TAKE, hotkey="T").on_trigger(page.for_driver(self._toggle))
 
     def update(self, view: View) -> None:
-        """Tells when a policy has begun or has handed back."""
+        """Report when a policy has started or has handed back."""
         drives = self._session.operator.policy
         if drives == self._shown:
             return

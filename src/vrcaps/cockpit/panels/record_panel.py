@@ -1,4 +1,4 @@
-"""Record panel: makes an ordinary episode of what was driven so far."""
+"""Record panel: records an episode of the drive so far."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class RecordPanel:
-    """Records the drive, beside the simulation, which goes on."""
+    """Controls that record the drive while the simulation continues."""
 
     def __init__(self, page: Page) -> None:
         self._page, self._session = page, page.session
@@ -26,10 +26,10 @@ class RecordPanel:
         button.on_click(page.handler(lambda event: self._record()))
 
     def update(self, view: View) -> None:
-        """Shows nothing: recording tells its progress itself."""
+        """Do nothing: recording reports its own progress."""
 
     def _record(self) -> None:
-        """Called in a thread of the page's library, which it keeps until the episode is there."""
+        """Record; blocks a thread of the page's library until the episode is complete."""
         if not self._page.is_busy.acquire(blocking=False):
             self._page.tell("A recording is under way, or another drive is being made.")
             return

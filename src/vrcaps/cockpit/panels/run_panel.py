@@ -14,12 +14,12 @@ SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
 """Simulated time per real time."""
 
 _SECONDS_PER_STATUS = 0.25
-"""Real time between changes of the line on top: each makes the browser draw the page anew."""
+"""Real time between changes of the status line: each makes the browser redraw the page."""
 _NO_SNAPSHOT = "none yet"
 
 
 class RunPanel:
-    """Run controls, and what the simulation says of itself."""
+    """Run controls, and the status of the simulation."""
 
     def __init__(self, page: Page) -> None:
         self._page, self._session = page, page.session
@@ -59,7 +59,7 @@ class RunPanel:
             self._session.clock.speed = SPEEDS[speed.value]
 
     def update(self, view: View) -> None:
-        """Shows time, speed, and what the magnet does."""
+        """Show time, speed, and the state of the magnet."""
         standing = "**paused**" if view.is_paused else f"{view.achieved_speed:.2f} × real time"
         magnet = view.limit or "free"
         hold = view.lost or "holds"
@@ -79,7 +79,7 @@ class RunPanel:
         if self._pause.label != label:
             self._pause.label = label
         names = self._session.snapshots or (_NO_SNAPSHOT,)
-        if self._names.options != names:  # going back forgets later ones
+        if self._names.options != names:  # a rewind removes later ones
             self._names.options = names
 
     def _toggle(self) -> None:

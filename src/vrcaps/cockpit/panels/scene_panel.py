@@ -1,4 +1,4 @@
-"""Scene panel: organ, capsule, magnet, arm and patient in three dimensions."""
+"""Scene panel: 3D view of organ, capsule, magnet, arm and patient."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ if TYPE_CHECKING:
 _SECONDS_PER_WALL = 0.5
 """Real time between updates of the wall and its colors."""
 _SECONDS_PER_PATCH = 0.2
-"""Real time between updates of what the capsule touches."""
+"""Real time between updates of the contact patches."""
 _SEE_THROUGH = 0.3
-"""Opacity of the capsule where one looks at what it touches."""
+"""Opacity of the capsule when contact is colored."""
 _ARM_COLOR, _PATH_COLOR = (225, 228, 232), (255, 190, 40)
 
 
 class ScenePanel:
-    """The scene, and how it is drawn."""
+    """3D scene, and its display settings."""
 
     def __init__(self, page: Page) -> None:
         program = page.session.rollout.program
@@ -64,7 +64,7 @@ class ScenePanel:
         self._arm_frames = self._add_arm()
 
     def update(self, view: View) -> None:
-        """Moves everything to where it is, as often as browsers can draw it."""
+        """Move all nodes, as often as browsers can draw them."""
         now = wall_clock.monotonic()
         if now - self._moved < self._page.pace.interval:
             return
@@ -95,7 +95,7 @@ class ScenePanel:
         return self._model.vertices_world if moved is None else moved
 
     def _draw_wall(self, view: View) -> None:
-        """Draws the wall anew where its colors have changed; else moves it."""
+        """Redraw the wall if its colors have changed; otherwise move it."""
         points = self._points(view)
         if self._coloring is None or self._coloring.name != self._color.value:
             world = self._session.rollout.world
@@ -115,7 +115,7 @@ class ScenePanel:
             self._organ.move(points)
 
     def _add_controls(self) -> None:
-        """How the scene is drawn."""
+        """Add the display settings."""
         gui = self._page.server.gui
         with gui.add_folder("Scene", expand_by_default=False):
             names = coloring_names(self._model.organ, is_live=True)
@@ -128,7 +128,7 @@ class ScenePanel:
             self._legend = gui.add_markdown("")
 
     def _add_arm(self) -> dict[int, Any]:
-        """Nodes of the arm's links by their frame; empty without an arm."""
+        """Add nodes of the arm's links, by frame; empty without an arm."""
         actuator = self._program.controller.actuator
         if not isinstance(actuator, RobotActuator):
             return {}

@@ -30,7 +30,7 @@ def is_temporary(name: str) -> bool:
 
 @contextmanager
 def temporary_beside(path: Path) -> Iterator[Path]:
-    """Yield an empty, uniquely named temporary file in the folder of `path`; removed after the block.
+    """Yield an empty temporary file with a unique name next to `path`; removed after the block.
 
     The process holds a lock on the file, which ends with the process. By it, `remove_stale`
     distinguishes the file of a killed process from that of a running one. The first temporary file

@@ -3,7 +3,7 @@
 Masks lie in a folder next to that of their images, under the same names: ``masks`` or ``mask``
 next to ``images`` or ``image``, as in Kvasir-SEG and BKAI-IGH NeoPolyp, or ``bleeding_mask``
 next to ``bleeding``, as in WCEBleedGen. A mask holds 255 (or its JPEG approximation) for
-lesions, or class indices. Other folders of images are classes, as in HyperKvasir and Kvasir-Capsule.
+lesions, or class indices. Other folders of images are classes, as in HyperKvasir, Kvasir-Capsule.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Lesions: real shapes and patterns put into an organ's wall, each an instance with a grade.
+"""Lesions: shapes and patterns added to an organ's wall, each an instance with a grade.
 
-A kind of lesion is one file that defines a subclass of `Lesion` with a `kind`, and one line here
-that imports it. The union of kinds, texts, the library, help and the tables in the docs follow.
+A kind of lesion is a file that defines a subclass of `Lesion` with a `kind`, and one line here
+that imports it. The union of kinds, text forms, library, help and tables in the docs follow.
 """
 
 from functools import reduce

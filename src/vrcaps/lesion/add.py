@@ -31,13 +31,13 @@ _NUM_TRIES = 12
 
 @dataclass(frozen=True)
 class LesionPair:
-    """An organ with lesions and the same without.
+    """Organ with lesions and its clean twin.
 
     Both have the same faces, texture coordinates and gut coordinates; vertices and texels
-    differ only in the lesions' footprints.
+    differ only in the footprints of lesions.
 
     Attributes:
-        organ: With the lesions; `instance` numbers them from 1, `metadata["lesions"]` lists them.
+        organ: Organ with lesions; `instance` numbers them from 1, `metadata["lesions"]` lists them.
         clean: The clean twin; `instance` is 0.
     """
 
@@ -54,17 +54,17 @@ def add_lesions(
 ) -> LesionPair:
     """Place, shape and paint lesions on an organ's wall.
 
-    Each focal lesion is checked to fit before any work. Circumferential lesions are placed first,
-    then focal ones, so that a polyp may lie in colitis; focal lesions keep apart.
+    Each focal lesion is checked to fit first. Circumferential lesions are placed first,
+    then focal ones, so that a polyp may lie in colitis; focal lesions do not overlap.
 
     Args:
-        organ: Without lesions. Where it has an appearance, that is painted.
-        lesions: What to add; number k becomes instance k, counted from 1.
-        rng: Draws locations left open and all irregularity.
+        organ: Organ without lesions. Its appearance, if any, is painted.
+        lesions: Lesions to add; lesion k becomes instance k, counted from 1.
+        rng: Draws unspecified locations and all irregularity.
         down: Direction of gravity in the patient frame, for blood; supine by default.
 
     Raises:
-        InputError: If a lesion fits nowhere or a location is not on the wall.
+        InputError: If a lesion does not fit anywhere or a location is not on the wall.
         UnknownNameError: If the organ has no such segment.
     """
     if len(lesions) > _MAX_LESIONS:
@@ -82,12 +82,12 @@ def add_lesions(
 
 
 def lesion_rng(seed: int) -> np.random.Generator:
-    """Source of a patient's lesions, for `add_lesions`."""
+    """Random generator of a patient's lesions, for `add_lesions`."""
     return vrcaps.rng.stream(seed, "lesions")
 
 
 class _Work:
-    """The wall and its textures as lesions are added."""
+    """Wall and textures during the addition of lesions."""
 
     def __init__(self, organ: OrganSurface, down: Float[np.ndarray, " 3"]) -> None:
         self.organ = organ
@@ -102,15 +102,15 @@ class _Work:
         self.records: dict[int, dict[str, Any]] = {}
 
     def add(self, lesion: Lesion, instance: int, rng: np.random.Generator) -> None:
-        """Add one lesion, at another location or in another form if it cuts the wall.
+        """Add one lesion; retry at another location or in another form if the wall self-intersects.
 
         Args:
-            lesion: What to add.
-            instance: Its number.
+            lesion: Lesion to add.
+            instance: Instance ID.
             rng: Draws its location and irregularities.
 
         Raises:
-            InputError: If it fits nowhere.
+            InputError: If it does not fit anywhere.
         """
         organ = as_organ(self.wall, self.organ, self.wall.moved)
         context = PlacementContext(organ, self.wall, self.down, self.num_vertices, self.focal)
@@ -143,7 +143,7 @@ class _Work:
         self._record(lesion, instance, organ, found.vertex)
 
     def _paint(self, lesion: Lesion, instance: int, patch: Patch, shown: paint.FormSamples) -> None:
-        """On a chart of its own, or in place."""
+        """Paint on a separate chart, or in place."""
         assert self.clean is not None and self.lesioned is not None
         if lesion.extent == "focal":
             self.charts.append(paint.paint_chart(self.clean, self.lesioned, patch, shown, instance))
@@ -168,7 +168,7 @@ class _Work:
         }
 
     def finished(self) -> LesionPair:
-        """Both organs, textures enlarged by the charts."""
+        """Both organs, with textures enlarged by the charts."""
         records = [self.records[k] for k in sorted(self.records)]
         lesioned = as_organ(self.wall, self.organ, self.wall.moved)
         clean = as_organ(self.wall, self.organ, self.wall.clean)
@@ -198,7 +198,7 @@ class _Work:
 
 
 def _formed(patch: Patch, form: Form, *, is_focal: bool) -> Patch:
-    """The patch refined until its triangles resolve a form and its border."""
+    """Patch refined until its triangles resolve a form and its border."""
 
     def is_long(patch: Patch, ends: np.ndarray) -> np.ndarray:
         wall = samples(patch)
@@ -219,7 +219,7 @@ def _formed(patch: Patch, form: Form, *, is_focal: bool) -> Patch:
 def _with_lesion(
     wall: Patch, piece: ExtractedPatch, patch: Patch, shown: paint.FormSamples, instance: int
 ) -> Patch:
-    """The wall with the patch inserted, its vertices displaced."""
+    """Wall with the patch inserted and its vertices displaced."""
     inside = shown.form.signed_distance(shown.wall) > 0.0
     label = np.where(inside, instance, patch.instance).astype(np.uint16)
     moved = shown.form.displaced(shown.wall)
@@ -227,7 +227,7 @@ def _with_lesion(
 
 
 def _cuts_wall(wall: Patch, instance: int) -> bool:
-    """Whether a lesion made the wall cut through itself."""
+    """Whether a lesion caused a self-intersection of the wall."""
     own = (wall.instance == instance) & (wall.moved != wall.clean).any(axis=1)
     if not own.any():
         return False
@@ -245,7 +245,7 @@ def _cuts_wall(wall: Patch, instance: int) -> bool:
 
 
 def _charted(patch: Patch, shown: paint.FormSamples, instance: int) -> Patch:
-    """The patch with the footprint's faces on a chart of their own."""
+    """Patch with the footprint's faces on a separate chart."""
     own = (shown.form.signed_distance(shown.wall) > 0.0)[patch.faces].any(axis=1)
     uv = patch.uv.copy()
     uv[own, :, 2:] = shown.form.chart(shown.wall)[patch.faces[own]]

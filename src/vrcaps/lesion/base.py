@@ -1,8 +1,8 @@
-"""Lesion interface: a specification makes a form, a form displaces and paints the wall.
+"""Lesion interface: a specification creates a form, a form displaces and paints the wall.
 
 A specification (`Polyp`, `Colitis`, …) is plain data: class, grade, size, location. Its form is
-the specification with its irregularities drawn. A form works on samples of wall (`WallSamples`), be
-they vertices of the refined wall or texels, so that shape, mask and color agree.
+the specification with random irregularities. A form is evaluated at samples of the wall
+(`WallSamples`), vertices of the refined wall or texels, so that shape, mask and color agree.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Location:
-    """Location of a lesion on the wall; what is not given is drawn at random.
+    """Location of a lesion on the wall; unspecified values are drawn at random.
 
     Attributes:
         segment: Name of a segment (label) of the organ.
-        arc_length: Along the centerline from the oral end [m].
+        arc_length: Position along the centerline from the oral end [m].
         theta: Angle around the centerline [rad], −π to π.
     """
 
@@ -42,11 +42,11 @@ class WallSamples:
     """Points of the wall around a lesion.
 
     Attributes:
-        xy: Coordinates in the wall [m]. Of a focal lesion: geodesic log map about its center. Of a
-            circumferential one: arc length and 0. Of a flow: distance along its path, distance
-            from the path, and distance along the wall from the pool's hollow.
+        xy: Wall coordinates [m]. Focal lesion: geodesic log map about its center. Circumferential
+            lesion: arc length and 0. Flow: distance along its path, distance from the path, and
+            distance along the wall from the pool's hollow.
         rest: Position without the lesion [m], patient frame.
-        normal: Unit normal into the lumen there.
+        normal: Unit normal into the lumen at that position.
         inward: Offset to the centerline [m].
     """
 
@@ -58,15 +58,15 @@ class WallSamples:
 
 @dataclass(frozen=True)
 class LesionSite:
-    """The site of a placed lesion, as its form needs it.
+    """Site of a placed lesion, as required by its form.
 
     Attributes:
-        center: Of a focal lesion its center; else any point of the footprint [m], patient frame.
+        center: Center of a focal lesion, else any point of the footprint [m], patient frame.
         axes: Columns are x and y of the log map at the center and the normal into the lumen.
         down: Unit vector of gravity, patient frame.
-        arc_length_range: Of a circumferential lesion: first and last arc length [m].
-        bottom: Of a flow: where it ends [m], patient frame.
-        reach: Of a flow: how far from its bottom a pool may reach [m].
+        arc_length_range: Circumferential lesion: first and last arc length [m].
+        bottom: Flow: end point [m], patient frame.
+        reach: Flow: maximum distance of the pool from its bottom [m].
     """
 
     center: Float[np.ndarray, " 3"]
@@ -85,7 +85,7 @@ class AppearanceSample:
         color: Linear reflectance, red, green, blue.
         roughness: Perceptual roughness, 0 to 1.
         height: Relief towards the lumen [m].
-        plain: Linear reflectance of the mucosa around, its vessels smoothed away.
+        plain: Linear reflectance of the surrounding mucosa, with vessels smoothed away.
     """
 
     color: Float[np.ndarray, "n 3"]
@@ -95,11 +95,11 @@ class AppearanceSample:
 
 
 class Form(Protocol):
-    """One lesion with its irregularities drawn.
+    """Lesion with its irregularities drawn.
 
     Attributes:
-        edge_length: Of the triangles that draw its shape [m].
-        border_length: Of the triangles on the border of its footprint [m].
+        edge_length: Edge length of the triangles that represent its shape [m].
+        border_length: Edge length of the triangles on the border of its footprint [m].
     """
 
     edge_length: float
@@ -110,40 +110,40 @@ class Form(Protocol):
         ...
 
     def displaced(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
-        """Positions with the lesion [m]; at rest outside the footprint."""
+        """Positions with the lesion [m]; unchanged outside the footprint."""
         ...
 
     def chart(self, wall: WallSamples) -> Float[np.ndarray, "n 2"]:
-        """Flat map [m] of the lesion's surface, true in scale near enough to paint on."""
+        """Flat map [m] of the lesion's surface, with low enough distortion for painting."""
         ...
 
     def paint(
         self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: AppearanceSample
     ) -> AppearanceSample:
-        """The appearance with the lesion.
+        """Return the appearance with the lesion.
 
         Args:
             wall: Samples within the footprint.
-            points: Their positions with the lesion, relative to the site's center [m].
-            clean: Their appearance without it.
+            points: Positions of the samples with the lesion, relative to the site's center [m].
+            clean: Appearance of the samples without it.
         """
         ...
 
 
 LESIONS: dict[str, type[Lesion]] = {}
-"""Kinds of lesions by name; a subclass of `Lesion` that declares its `kind` enters itself."""
+"""Kinds of lesions by name; each subclass of `Lesion` that declares its `kind` is registered."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lesion:
-    """A lesion's specification; each kind is a subclass that declares its `kind`.
+    """Specification of a lesion; each kind is a subclass that declares its `kind`.
 
-    Limits of a number stand in its type, as in ``Annotated[float, Range(...)]``; they are checked
-    here, parsed from texts by `parse_lesion`, and listed by the command line and the docs.
+    The type of a number states its limits, as in ``Annotated[float, Range(...)]``; they are
+    checked here, parsed by `parse_lesion`, and listed by the command line and the docs.
 
     Attributes:
-        location: Where it is; drawn at random where left open.
-        variant: Another lesion of the same specification for each number.
+        location: Location on the wall; unspecified values are drawn at random.
+        variant: Seed of the random variation; each value gives another lesion.
     """
 
     location: Location = field(default_factory=Location)
@@ -152,13 +152,13 @@ class Lesion:
     kind: ClassVar[str]
     """Name of the kind in texts, scenarios and records."""
     grade_field: ClassVar[str] = ""
-    """Field that a name like `polyp-Ip` gives after its hyphen."""
+    """Field given after the hyphen in a name like `polyp-Ip`."""
     grade_scale: ClassVar[str] = ""
     """Name of the clinical scale of its grades."""
     grade_meanings: ClassVar[Mapping[str, str]] = {}
-    """What a grade means, where its name does not say it."""
+    """Meaning of a grade, if its name does not state it."""
     notes: ClassVar[Mapping[str, str]] = {}
-    """What its type does not say of a setting; under the empty name, what holds for the kind."""
+    """Notes on settings beyond their types; the empty name holds notes on the kind."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -171,56 +171,56 @@ class Lesion:
 
     @classmethod
     def library(cls) -> dict[str, Lesion]:
-        """Named lesions of this kind; each name begins with the kind and a hyphen."""
+        """Named lesions of this kind; each name starts with the kind and a hyphen."""
         return {}
 
     @property
     def extent(self) -> Literal["focal", "circumferential", "flow"]:
-        """How it lies: about a center, all around the lumen, or where blood flows."""
+        """Extent: about a center, around the whole lumen, or along a flow of blood."""
         return "focal"
 
     @property
     def grade(self) -> str:
-        """Its grade, type or subtype in words; empty for kinds without any."""
+        """Grade, type or subtype in words; empty for kinds without grades."""
         return str(getattr(self, self.grade_field)) if self.grade_field else ""
 
     @property
     def footprint_radius(self) -> float:
-        """Of a focal lesion: radius of the wall that it takes [m]."""
+        """Focal lesion: radius of its footprint on the wall [m]."""
         raise NotImplementedError
 
     @property
     def head_radius(self) -> float:
-        """Of a focal lesion: radius of what stands on the wall, or behind it [m]."""
+        """Focal lesion: radius of its part in front of the wall, or behind it [m]."""
         return self.footprint_radius
 
     @property
     def protrusion(self) -> float:
-        """How far it stands into the lumen [m]; negative for a pouch out of it."""
+        """Height into the lumen [m]; negative for an outward pouch."""
         return 0.0
 
     @property
     def flow(self) -> BloodFlow:
-        """Of a flow: its dimensions."""
+        """Flow: its dimensions."""
         raise NotImplementedError
 
     def form(self, site: LesionSite, rng: np.random.Generator) -> Form:
-        """Draw its irregularities."""
+        """Draw the irregularities."""
         raise NotImplementedError
 
     def arc_length_range(self, organ: OrganSurface, middle: float | None) -> tuple[float, float]:
-        """Of a circumferential lesion: first and last arc length [m].
+        """Circumferential lesion: first and last arc length [m].
 
         Args:
-            organ: The organ.
-            middle: Arc length of its location [m]; None where that is open.
+            organ: Organ.
+            middle: Arc length of its location [m]; None if unspecified.
         """
         raise NotImplementedError
 
 
 @dataclass(frozen=True, kw_only=True)
 class SizedLesion(Lesion):
-    """A focal lesion that has a diameter.
+    """Focal lesion with a diameter.
 
     Attributes:
         size: Diameter [m].
@@ -240,8 +240,8 @@ def mix(
     """Linear blend from `a` (weight 0) to `b` (weight 1).
 
     Args:
-        a: Colors.
-        b: Colors, or one color.
-        weight: Of `b`, 0 to 1.
+        a: First colors.
+        b: Second colors, or one color.
+        weight: Weight of `b`, 0 to 1.
     """
     return a + (b - a) * weight[:, None]

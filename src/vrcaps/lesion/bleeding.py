@@ -1,4 +1,4 @@
-"""Bleeding: from petechiae to blood that runs down the wall and pools in the hollows."""
+"""Bleeding: from petechiae to blood that runs down the wall and collects in hollows."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _STAIN = 0.05 * MM
-"""Least thickness of blood within its outline."""
+"""Minimum thickness of blood within its outline."""
 
 _OPEN = 8.0 * MM
-"""Radius of the lumen that a pool leaves open, so that a capsule passes."""
+"""Radius of the lumen kept free of a pool, so that a capsule can pass."""
 
 _SHORE = 2.0 * MM
-"""Distance along the wall beyond the hollow's vertices in which the pool's edge lies [m]."""
+"""Distance along the wall beyond the hollow's vertices that contains the pool's edge [m]."""
 
 
 BLEEDING_SEVERITIES = {
@@ -41,7 +41,7 @@ BLEEDING_SEVERITIES = {
     3: BloodFlow(3.0 * MM, 90.0 * MM, 2.0 * MM, 0.4 * MM, 2.5 * MM, 0.4 * MM),
     4: BloodFlow(6.0 * MM, 160.0 * MM, 4.5 * MM, 0.6 * MM, 6.0 * MM, 1.2 * MM),
 }
-"""This project's own scale: 1 petechiae under the mucosa, 2 oozing with a trickle, 3 a flow
+"""Project-specific scale: 1 petechiae under the mucosa, 2 oozing with a trickle, 3 a flow
 that collects in the nearest hollow, 4 a broad flow, a deep pool and clots."""
 
 
@@ -77,7 +77,7 @@ class Bleeding(Lesion):
 
     @property
     def extent(self) -> Literal["focal", "flow"]:
-        """Petechiae stay where they are."""
+        """Petechiae are focal, all other grades flow."""
         return "focal" if self.severity == 1 else "flow"
 
     @property
@@ -92,18 +92,18 @@ class Bleeding(Lesion):
 
     @property
     def flow(self) -> BloodFlow:
-        """Its dimensions."""
+        """Dimensions of the flow."""
         return BLEEDING_SEVERITIES[self.severity]
 
     def form(self, site: LesionSite, rng: np.random.Generator) -> Form:
-        """Draw its irregularities."""
+        """Draw the irregularities."""
         if self.severity == 1:
             return PetechiaeForm(site, self.flow.source, rng)
         return BleedingForm(self.flow, site, rng)
 
 
 class PetechiaeForm(FocalForm):
-    """Bleeding points under the mucosa, denser towards the middle."""
+    """Bleeding points under the mucosa, denser towards the center."""
 
     def __init__(self, site: LesionSite, radius: float, rng: np.random.Generator) -> None:
         super().__init__(site, radius, rng, waviness=0.2)
@@ -112,7 +112,7 @@ class PetechiaeForm(FocalForm):
     def paint(
         self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: AppearanceSample
     ) -> AppearanceSample:
-        """Red points of about a millimeter in a blush."""
+        """Paint red points of about a millimeter on a blush."""
         crowd = 1.0 - self.normalized_radius(wall) ** 2
         blush = smoothstep(crowd + 0.3 * self._blush(points))
         color = clean.color * (1.0 - blush[:, None] * (0.03, 0.30, 0.30))
@@ -124,7 +124,7 @@ class PetechiaeForm(FocalForm):
 
 
 class BleedingForm:
-    """Blood from a source along its path down, and the pool that it makes."""
+    """Blood from a source along its path down, and the resulting pool."""
 
     edge_length = 1.2 * MM
 
@@ -135,7 +135,7 @@ class BleedingForm:
         self._clots, self._age = low_pass(4.0 * MM, rng), fbm(9.0 * MM, rng)
 
     def _pool(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
-        """Depth of the pool [m], negative above it, outside its hollow or far from its bottom."""
+        """Depth of the pool [m]; negative above it, outside its hollow or far from its bottom."""
         if self.flow.pool == 0.0 or self.site.bottom is None:
             return np.full(len(wall.xy), -1.0)
         under = (wall.rest - self.site.bottom) @ self.site.down + self.flow.pool
@@ -144,7 +144,7 @@ class BleedingForm:
         return np.minimum(np.minimum(under, self.site.reach - away), shore)
 
     def _dry(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
-        """Distance within the source's and the flow's outline [m]."""
+        """Distance within the outline of source and flow [m]."""
         wave = 1.0 + 0.22 * self._edge(wall.rest)
         source = self.flow.source * wave - np.linalg.norm(wall.rest - self.site.center, axis=1)
         swelling = 1.0 - np.exp(-wall.xy[:, 0] / (12.0 * MM)) * 0.45
@@ -164,8 +164,8 @@ class BleedingForm:
     def displaced(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
         """Positions of the blood's surface [m].
 
-        The pool's is level: each point under it moves there towards the centerline, so that
-        walls that lean over it do not fold, but never as far as to block the lumen.
+        The surface of the pool is level: each point below it moves there towards the centerline, so
+        that overhanging walls do not fold, but stops before the lumen is blocked.
         """
         film, pool = self._film(wall)[:, None] * wall.normal, self._pool(wall)
         reach = np.maximum(np.linalg.norm(wall.inward, axis=1), 1e-9)
@@ -178,13 +178,13 @@ class BleedingForm:
         return surface + clots[:, None] * inward + (1.0 - wet)[:, None] * film
 
     def chart(self, wall: WallSamples) -> Float[np.ndarray, "n 2"]:
-        """Not used: it is painted in place."""
+        """Unused: blood is painted in place."""
         return wall.xy
 
     def paint(
         self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: AppearanceSample
     ) -> AppearanceSample:
-        """Blood over the mucosa: fresh at the source, darker and clotted farther down."""
+        """Paint blood over the mucosa: fresh at the source, darker and clotted farther down."""
         pool = np.maximum(self._pool(wall), 0.0)
         within = np.clip(self._dry(wall) / (0.9 * self.flow.width), 0.0, 1.0)
         film = self._film(wall) * within * (0.8 + 0.35 * np.tanh(self._ripple(points)))

@@ -16,24 +16,24 @@ FRESH = np.array([0.084, 0.0078, 0.0080])
 """Linear reflectance of a thick layer of fresh blood."""
 
 OLD = np.array([0.025, 0.0050, 0.0050])
-"""Of a thick layer of clotted blood."""
+"""Linear reflectance of a thick layer of clotted blood."""
 
 FIBRIN = np.array([0.39, 0.30, 0.21])
-"""Of fibrin and slough on an ulcer."""
+"""Linear reflectance of fibrin and slough on an ulcer."""
 
 _EXTINCTION = np.array([0.8, 9.0, 8.5]) / MM
-"""Optical density per length of a film of whole blood, in and out: red, green, blue. Hemoglobin
+"""Two-way optical density per length of a film of whole blood: red, green, blue. Hemoglobin
 at 150 g/l absorbs green and blue about ten times as much as red (Prahl 1999, tabulated
-extinction); the scale is fitted by eye to thin films in endoscopic images."""
+extinction); the scale is fitted visually to thin films in endoscopic images."""
 
 
 @dataclass(frozen=True)
 class BloodFlow:
-    """Dimensions of a severity.
+    """Dimensions of a bleeding severity.
 
     Attributes:
         source: Radius of the bleeding source [m].
-        run: Longest path of blood from it [m].
+        run: Maximum path length of blood from it [m].
         width: Half-width of the flow [m].
         film: Thickness of the flow [m].
         pool: Depth of the pool at the end [m].
@@ -53,12 +53,12 @@ def under_blood(
     thickness: Float[np.ndarray, " n"],
     age: Float[np.ndarray, " n"] | float = 0.0,
 ) -> Float[np.ndarray, "n 3"]:
-    """Reflectance of a wall under a film of blood, by how much light comes through.
+    """Reflectance of a wall under a film of blood, from its transmittance.
 
     Args:
         color: Linear reflectance without the film.
-        thickness: Of the film [m].
-        age: 0 fresh to 1 clotted.
+        thickness: Thickness of the film [m].
+        age: Age of the blood, 0 (fresh) to 1 (clotted).
     """
     body = FRESH + (OLD - FRESH) * np.broadcast_to(age, len(color))[:, None]
     return body + (color - body) * np.exp(-thickness[:, None] * _EXTINCTION)

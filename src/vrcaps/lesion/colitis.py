@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from vrcaps.organ.surface import OrganSurface
 
 _EXTENTS = {"E1": ("rectum", 15 * CM), "E2": ("descending", 60 * CM), "E3": ("ascending", np.inf)}
-"""Montreal classes (Silverberg et al. 2005): proctitis, left-sided, extensive. The first segment
-affected, or the length from the anal end where an organ has no such segment [m]."""
+"""Montreal classes (Silverberg et al. 2005): proctitis, left-sided, extensive. First affected
+segment, and the length from the anal end for organs without this segment [m]."""
 
 _FADE = 12.0 * MM
-"""Distance from healthy to fully inflamed at the ends."""
+"""Width of the transition from healthy to fully inflamed at the ends."""
 
 _FILM = 0.35 * MM
-"""Thickness of blood where the field that spreads it exceeds its threshold by one deviation."""
+"""Thickness of blood where the field that distributes it exceeds its threshold by one deviation."""
 
 
 _MUCOPUS_DEPTH = 1.1
@@ -44,19 +44,19 @@ _MUCOPUS_DEPTH = 1.1
 
 @dataclass(frozen=True)
 class Activity:
-    """What a Mayo endoscopic subscore looks like (Schroeder, Tremaine and Ilstrup 1987).
+    """Appearance of a Mayo endoscopic subscore (Schroeder, Tremaine and Ilstrup 1987).
 
     Attributes:
-        obscured: How far the vessels have faded, 0 to 1.
-        tint: Reflectance of inflamed over that of plain mucosa: red, green, blue.
-        patchiness: Fraction of the redness that comes in patches.
+        obscured: Degree to which the vessels have faded, 0 to 1.
+        tint: Reflectance ratio of inflamed to plain mucosa: red, green, blue.
+        patchiness: Fraction of the redness in patches.
         granularity: RMS height of the granular relief [m].
-        stipple: Spread of the optical density of granules, alike in all colors.
-        petechiae: Threshold of the field that sets bleeding points, in deviations.
+        stipple: Standard deviation of the optical density of granules, equal in all colors.
+        petechiae: Threshold of the field that places bleeding points, in deviations.
         erosions: Threshold for small erosions.
         ulcers: Threshold for wide ulcers.
         blood: Threshold for films of blood.
-        mucopus: Threshold for films of mucus and pus, bile-stained, on top of it all.
+        mucopus: Threshold for bile-stained films of mucus and pus over everything else.
     """
 
     obscured: float
@@ -103,9 +103,9 @@ ACTIVITIES = {
     ),
 }
 """By Mayo subscore: 1 erythema, decreased vascular pattern; 2 marked erythema, no vascular
-pattern, friability, erosions; 3 spontaneous bleeding, ulceration. Tints are those at which frames
-have the mean color of real ones (`benchmarks/fit_appearance.py`); of 2 these few are paler and
-less yellow than of 1, by other cameras as much as by disease."""
+pattern, friability, erosions; 3 spontaneous bleeding, ulceration. Tints are chosen so that frames
+have the mean color of real ones (`benchmarks/fit_appearance.py`); the few real frames of subscore 2
+are paler and less yellow than those of 1, due to other cameras as much as to disease."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,8 +114,8 @@ class Colitis(Lesion):
 
     Attributes:
         mayo: Mayo endoscopic subscore.
-        spread: How far it goes up from the anal end: E1 (rectum), E2 (left colon), E3 (beyond),
-            or a length [m]. A length with a location lies about that location instead.
+        spread: Extent up from the anal end: E1 (rectum), E2 (left colon), E3 (beyond),
+            or a length [m]. A length with a location is centered on that location instead.
     """
 
     mayo: Literal[1, 2, 3] = 2
@@ -142,7 +142,7 @@ class Colitis(Lesion):
 
     @property
     def extent(self) -> Literal["circumferential"]:
-        """It goes all around the lumen."""
+        """Colitis affects the whole circumference."""
         return "circumferential"
 
     @property
@@ -165,12 +165,12 @@ class Colitis(Lesion):
         return middle - 0.5 * self.spread, middle + 0.5 * self.spread
 
     def form(self, site: LesionSite, rng: np.random.Generator) -> ColitisForm:
-        """Draw its irregularities."""
+        """Draw the irregularities."""
         return ColitisForm(self, site, rng)
 
 
 class ColitisForm:
-    """Colitis with its irregularities drawn: a change of surface, not of shape."""
+    """Colitis with its irregularities drawn: the surface changes, not the shape."""
 
     edge_length = np.inf
     border_length = 0.35 * MM
@@ -191,17 +191,17 @@ class ColitisForm:
         return np.minimum(wall.xy[:, 0] - low, high - wall.xy[:, 0]) + ragged
 
     def displaced(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
-        """Positions at rest."""
+        """Positions, unchanged."""
         return wall.rest
 
     def chart(self, wall: WallSamples) -> Float[np.ndarray, "n 2"]:
-        """Not used: it is painted in place."""
+        """Unused: colitis is painted in place."""
         return wall.xy
 
     def paint(
         self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: AppearanceSample
     ) -> AppearanceSample:
-        """Redness, granules, bleeding points, erosions, ulcers, blood."""
+        """Paint redness, granules, bleeding points, erosions, ulcers and blood."""
         is_like, inside = self.activity, smoothstep(self.signed_distance(wall) / _FADE)
         mottle, granules = self._mottle(points), np.tanh(1.3 * self._granules(points))
         patch = smoothstep(0.5 + 0.4 * self._patches(points) + 0.15 * mottle)
@@ -230,7 +230,7 @@ class ColitisForm:
         )
 
     def _ulcerated(self, color, height, points, mottle):
-        """Fibrin in the breaks of the mucosa, their surroundings redder."""
+        """Paint fibrin in mucosal breaks and redder surroundings."""
         sloughy = np.zeros(len(points))
         for field, threshold, deep in (
             (self._erosions, self.activity.erosions, 0.04 * MM),

@@ -1,4 +1,4 @@
-"""Forms of focal lesions: flat ones, and solids of revolution made irregular."""
+"""Forms of focal lesions: flat ones, and irregular surfaces of revolution."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _BORDER_FRACTION = 0.0125
-"""Edge of the triangles on the footprint's border, in its radii: the mask, which keeps to whole
-triangles, then covers what the footprint covers to 0.5 %."""
+"""Edge length of the triangles on the footprint's border, in footprint radii: the mask consists of
+whole triangles and then matches the footprint to 0.5 %."""
 _SIZING_ROUNDS = 3
-"""Rounds in which a profile is fitted to a size; each leaves a tenth of the error."""
+"""Iterations to fit a profile to a size; each leaves a tenth of the error."""
 
 
 class FocalForm:
-    """A flat lesion with a wavy outline; subclasses say how it stands and looks.
+    """Flat lesion with a wavy outline; subclasses define its height and appearance.
 
     Attributes:
-        site: Where it lies.
+        site: Site of the lesion.
         radius: Mean radius of its footprint [m].
-        edge_length: Of the triangles that draw its shape [m].
-        border_length: Of the triangles on its border [m].
+        edge_length: Edge length of the triangles that represent its shape [m].
+        border_length: Edge length of the triangles on its border [m].
     """
 
     def __init__(
@@ -65,12 +65,12 @@ class FocalForm:
         return np.zeros(len(wall.xy))
 
     def displaced(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
-        """Positions [m]: the wall lifted along its normals."""
+        """Positions [m]: the wall raised along its normals."""
         lift = np.where(self.normalized_radius(wall) < 1.0, self.height(wall), 0.0)
         return wall.rest + lift[:, None] * wall.normal
 
     def chart(self, wall: WallSamples) -> Float[np.ndarray, "n 2"]:
-        """The log map itself [m]."""
+        """Log map itself [m]."""
         return wall.xy
 
     def blended(
@@ -81,13 +81,13 @@ class FocalForm:
         *,
         softness: float,
     ) -> AppearanceSample:
-        """A color, roughness and height inside the outline, fading out towards it.
+        """Blend color, roughness and height inside the outline with the surroundings.
 
         Args:
-            wall: Samples.
-            clean: Their look outside.
+            wall: Wall samples.
+            clean: Appearance outside.
             look: Color (n, 3), roughness and height (n,) inside.
-            softness: Width of the fade, in radii.
+            softness: Width of the transition, in radii.
         """
         inside = smoothstep(self.signed_distance(wall) / (softness * self.radius))
         color, roughness, height = look
@@ -100,21 +100,20 @@ class FocalForm:
 
 
 class ProfileForm(FocalForm):
-    """A profile turned around the normal of the wall: a polyp, a mass, a pouch.
+    """Surface of revolution of a profile around the wall normal: polyp, mass or pouch.
 
     Args:
-        site: Where it lies.
+        site: Site of the lesion.
         control: Control points of the profile's cubic B-spline, from the rim of the footprint to
             the top: distance from the axis and height [m].
-        rng: Draws its irregularities.
-        waviness: Of its outline.
-        upright: Whether it stands on a plane, or follows the wall's curvature.
-        lobes: RMS height and distance of its lobes [m].
-        lean: How far it stands aside at the head's middle, in heights squared over the whole
+        rng: Draws the irregularities.
+        waviness: Waviness of the outline.
+        upright: Whether it stands on a plane instead of following the wall's curvature.
+        lobes: RMS height and spacing of its lobes [m].
+        lean: Sideways offset at the middle of the head, in squared heights over the total
             height, patient frame.
-        size: Largest diameter across the axis [m], of a head on a stalk that of the head: the
-            profile is made so much wider or narrower that its irregularities leave it this wide.
-            None takes the profile as it is.
+        size: Maximum diameter across the axis [m]; for a head on a stalk, that of the head. The
+            profile is scaled in width so that the irregular shape has this size. None: unchanged.
     """
 
     def __init__(
@@ -150,7 +149,7 @@ class ProfileForm(FocalForm):
         self._neck = _neck(self._r)
 
     def _diameter_across(self) -> float:
-        """Largest diameter across the axis [m], above the neck, on a flat wall."""
+        """Maximum diameter across the axis [m], above the neck, on a flat wall."""
         radial, angle = np.meshgrid(
             np.linspace(0.0, 1.0 - 1e-6, 80), np.linspace(-np.pi, np.pi, 73)[:-1]
         )
@@ -166,7 +165,7 @@ class ProfileForm(FocalForm):
         )
 
     def displaced(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
-        """Positions [m] on the turned profile, with lobes."""
+        """Positions [m] on the surface of revolution, with lobes."""
         rho, direction, stretch = self.polar(wall)
         radial = np.minimum(rho / (stretch * self.radius), 1.0)
         r = np.interp(radial, self._radial, self._r) * stretch
@@ -178,7 +177,7 @@ class ProfileForm(FocalForm):
         axis = mix(wall.normal, np.broadcast_to(self.site.axes[:, 2], wall.normal.shape), standing)
         axis /= np.linalg.norm(axis, axis=1, keepdims=True)
         points = base + (r - rho)[:, None] * outward + z[:, None] * axis
-        # The stalk bends; the head is moved as a whole, or it would be sheared wider.
+        # The stalk bends; the head is moved rigidly, because shear would widen it.
         neck = max(float(self._z[self._neck]), 1e-9)
         aside = self._z[self._r.argmax()] ** 2 / max(float(np.abs(self._z).max()), 1e-9)
         points += aside * np.clip(z / neck, 0.0, 1.0)[:, None] ** 2 * self._lean
@@ -188,7 +187,7 @@ class ProfileForm(FocalForm):
         return np.where((radial < 1.0)[:, None], points, wall.rest)
 
     def _facing(self, radial, outward, axis) -> Float[np.ndarray, "n 3"]:
-        """Unit normals of the turned profile."""
+        """Unit normals of the surface of revolution."""
         slope_r = np.interp(radial, self._radial, np.gradient(self._r, self._radial))
         slope_z = np.interp(radial, self._radial, np.gradient(self._z, self._radial))
         norm = np.maximum(np.hypot(slope_r, slope_z), 1e-12)
@@ -203,7 +202,7 @@ class ProfileForm(FocalForm):
 
 
 def _neck(r: Float[np.ndarray, " n"]) -> int:
-    """Sample of a profile, from the top, where a head is on its stalk; the last without a stalk."""
+    """Profile sample, from the top, where the head meets its stalk; the last without a stalk."""
     below = np.flatnonzero((r < 0.5 * r.max()) & (np.arange(len(r)) > r.argmax()))
     return int(below[0]) if len(below) else len(r) - 1
 

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 NUM_FIELDS = 6
-"""Columns of `Patch.fields`: arc length, distance from the centerline, offset to it, and of a piece
-its distance along the wall from the middle [m]."""
+"""Columns of `Patch.fields`: arc length, distance from the centerline, offset to it, and for an
+extracted piece the distance along the wall from its center [m]."""
 
 _PER_VERTEX = (
     "clean",
@@ -35,7 +35,7 @@ _PER_VERTEX = (
 
 
 def whole_wall(organ: OrganSurface) -> Patch:
-    """All of an organ's wall, before any lesion."""
+    """Entire wall of an organ, before any lesion."""
     points, _, _ = interpolate(organ.centerline, organ.arc_length)
     vertices = np.asarray(organ.vertices, float)
     normals = vertex_normals(vertices, organ.faces)
@@ -62,8 +62,8 @@ def within(wall: Patch, sources: Int[np.ndarray, " k"], reach: float) -> Float[n
 
     Args:
         wall: The wall.
-        sources: Numbers of vertices.
-        reach: Largest distance [m].
+        sources: Indices of vertices.
+        reach: Maximum distance [m].
     """
     graph = edge_graph(wall.moved, wall.faces).tocsr()
     return scipy.sparse.csgraph.dijkstra(graph, indices=sources, min_only=True, limit=reach)
@@ -74,9 +74,9 @@ class ExtractedPatch:
     """A mesh patch extracted from a wall.
 
     Attributes:
-        patch: The piece.
-        vertices: Number in the whole of each of its first vertices.
-        faces: Which faces of the whole it replaces.
+        patch: Extracted piece.
+        vertices: Index in the full wall of each of its first vertices.
+        faces: Mask of the faces of the full wall that it replaces.
     """
 
     patch: Patch
@@ -85,11 +85,11 @@ class ExtractedPatch:
 
 
 def extract(wall: Patch, away: Float[np.ndarray, " n"]) -> ExtractedPatch:
-    """The faces that have a corner within reach.
+    """Extract the faces with a corner within reach.
 
     Args:
-        wall: The whole.
-        away: Distance of each vertex from the middle [m], infinite beyond reach.
+        wall: Full wall.
+        away: Distance of each vertex from the center [m], infinite beyond reach.
     """
     near = np.isfinite(away)
     chosen = np.asarray(near[wall.faces].any(axis=1))
@@ -104,12 +104,12 @@ def extract(wall: Patch, away: Float[np.ndarray, " n"]) -> ExtractedPatch:
 
 
 def insert(wall: Patch, piece: ExtractedPatch, patch: Patch) -> Patch:
-    """The wall with a refined patch inserted; vertices that were there keep their numbers.
+    """Insert a refined patch into the wall; existing vertices keep their indices.
 
     Args:
-        wall: The whole.
-        piece: What was extracted.
-        patch: The same, refined.
+        wall: Full wall.
+        piece: Extracted piece.
+        patch: Refined patch of the piece.
     """
     old = len(piece.vertices)
     number = np.concatenate([piece.vertices, len(wall.moved) + np.arange(len(patch.moved) - old)])
@@ -131,16 +131,16 @@ def insert(wall: Patch, piece: ExtractedPatch, patch: Patch) -> Patch:
 
 
 def _is_end(wall: Patch) -> Bool[np.ndarray, " n"]:
-    """Vertices at the organ's own open ends: no cut."""
+    """Vertices at the open ends of the organ, as opposed to a cut."""
     return rim(wall.faces, len(wall.moved))
 
 
 def as_organ(wall: Patch, organ: OrganSurface, vertices: Float[np.ndarray, "n 3"]) -> OrganSurface:
-    """An organ of the wall's faces with the vertices given; textures still those of `organ`.
+    """Organ with the wall's faces and the given vertices; textures are still those of `organ`.
 
     Args:
-        wall: The wall.
-        organ: Gives what the wall does not hold.
+        wall: Wall.
+        organ: Source of all other data.
         vertices: Positions [m].
     """
     return replace(

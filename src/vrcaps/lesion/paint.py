@@ -1,8 +1,8 @@
-"""Texture painting of lesions: large ones in place, focal ones on charts of their own.
+"""Texture painting of lesions: large ones in place, focal ones on separate charts.
 
-A chart is a piece of texture added beside the wall's own, fine enough for a lesion's pattern and
-free of the stretch that its shape would give it. It takes over exactly at the border of the
-faces of the footprint, where it holds the same values as the texture it leaves. The clean twin
+A chart is an additional texture region next to the wall's own, with enough resolution for a
+lesion's pattern and without the stretch caused by its shape. It starts exactly at the border of the
+footprint's faces, where it holds the same values as the original texture. The clean twin
 has the same charts, filled from the clean texture.
 """
 
@@ -39,7 +39,7 @@ _BYTES = np.arange(256) / 255.0
 
 @dataclass(frozen=True)
 class Textures:
-    """An appearance, and the same with its vessels smoothed away.
+    """Appearance, and a version with its vessels smoothed away.
 
     Attributes:
         appearance: The textures.
@@ -50,13 +50,13 @@ class Textures:
     plain: Float[np.ndarray, "k l 3"]
 
     def copy(self) -> Textures:
-        """The same in memory of its own, to be painted on."""
+        """Independent copy for painting."""
         look = self.appearance
         images = {name: getattr(look, name).copy() for name in ("albedo", "roughness", "height")}
         return replace(self, appearance=replace(look, **images))
 
     def look(self, uv: Float[np.ndarray, "n 2"]) -> AppearanceSample:
-        """The appearance at texture coordinates."""
+        """Appearance at texture coordinates."""
         return AppearanceSample(
             color=sample(self.appearance.albedo, uv, LINEAR),
             roughness=sample(self.appearance.roughness, uv, _BYTES),
@@ -67,10 +67,10 @@ class Textures:
 
 @dataclass(frozen=True)
 class FormSamples:
-    """A form on the vertices of a piece of wall.
+    """Form of a lesion at the vertices of a piece of wall.
 
     Attributes:
-        form: The lesion.
+        form: Form of the lesion.
         wall: The vertices at rest.
         points: Positions with the lesion, relative to its center [m].
     """
@@ -82,14 +82,14 @@ class FormSamples:
 
 @dataclass(frozen=True)
 class Chart:
-    """A piece of texture of one lesion, before it is packed into the whole.
+    """Texture region of one lesion, before it is packed into the atlas.
 
     Attributes:
-        instance: Number of the lesion.
-        origin: Chart position [m] of the middle of the top-left texel.
+        instance: Lesion ID.
+        origin: Chart position [m] of the center of the top-left texel.
         density: Texels per meter.
         clean: Albedo, roughness and height without the lesion.
-        lesioned: The same with it.
+        lesioned: Albedo, roughness and height with the lesion.
     """
 
     instance: int
@@ -100,7 +100,7 @@ class Chart:
 
 
 def smoothed(appearance: Appearance) -> Textures:
-    """Textures with their plain color: means over blocks, of texels that are not blank."""
+    """Textures with their plain color: block means over texels that are not blank."""
     albedo = appearance.albedo
     height, width = (max(1, side // _BLUR) for side in albedo.shape[:2])
     rows = np.linspace(0, albedo.shape[0], height * 4, endpoint=False).astype(int)
@@ -118,13 +118,13 @@ def smoothed(appearance: Appearance) -> Textures:
 def paint_in_place(
     textures: Textures, patch: Patch, shown: FormSamples, faces: Int[np.ndarray, " k"]
 ) -> None:
-    """Paint a lesion on the texels of some faces of the wall's own chart.
+    """Paint a lesion on the texels of some faces of the wall's own texture.
 
     Args:
-        textures: To paint on.
+        textures: Textures to paint on.
         patch: Wall around the lesion.
         shown: The lesion's form on it.
-        faces: Of the patch, to paint on.
+        faces: Faces of the patch to paint on.
     """
     look = textures.appearance
     images = (look.albedo, look.roughness, look.height)
@@ -135,7 +135,7 @@ def paint_in_place(
     )
     corners = _corner_values(patch, shown, faces)
     rows, columns = texels.row % sides[1], texels.column % sides[0]
-    # As before any is painted: where coordinates wrap, a texel may come twice.
+    # Read before painting: where coordinates wrap, a texel may occur twice.
     albedo = look.albedo[rows, columns]
     roughness, height = look.roughness.copy(), look.height.copy()
     for first in range(0, len(texels), _CHUNK):
@@ -159,14 +159,14 @@ def paint_chart(
     shown: FormSamples,
     instance: int,
 ) -> Chart:
-    """A lesion's own chart, from the textures that its surroundings have.
+    """Separate chart of a lesion, from the textures of its surroundings.
 
     Args:
         clean: Textures without lesions.
-        lesioned: Textures with the lesions so far.
+        lesioned: Textures with the previous lesions.
         patch: Wall around the lesion.
         shown: The lesion's form on it.
-        instance: Number of the lesion.
+        instance: Lesion ID.
     """
     faces = np.flatnonzero(patch.chart_id == instance)
     corners = patch.uv[faces, :, 2:]
@@ -190,7 +190,7 @@ def paint_chart(
 
 
 def _nearest(covered: Bool[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
-    """Row and column of the covered texel nearest to each."""
+    """Row and column of the nearest covered texel to each texel."""
     found = scipy.ndimage.distance_transform_edt(
         ~covered, return_distances=False, return_indices=True
     )
@@ -209,7 +209,7 @@ def _blank(height: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 def _corner_values(
     patch: Patch, shown: FormSamples, faces: Int[np.ndarray, " k"]
 ) -> Float[np.ndarray, "k 3 c"]:
-    """All that a form's painting asks of the wall, at the corners of faces."""
+    """Wall data required by a form's painting, at the corners of faces."""
     wall = shown.wall
     columns = (wall.rest, wall.normal, wall.inward, shown.points, wall.xy)
     return np.concatenate(columns, axis=1)[patch.faces[faces]]
@@ -224,10 +224,10 @@ def _painted(
     """Appearance of texels with a lesion.
 
     Args:
-        before: Without it.
+        before: Appearance without it.
         shown: The lesion's form.
-        corners: What `_corner_values` gives.
-        texels: Where.
+        corners: Result of `_corner_values`.
+        texels: Texels to paint.
     """
     rest, normal, inward, points, xy = np.split(
         texels.blend_corners(corners), (3, 6, 9, 12), axis=1
@@ -245,11 +245,11 @@ def _store(images, look: AppearanceSample, row: np.ndarray, column: np.ndarray) 
 
 @dataclass(frozen=True)
 class Atlas:
-    """Where everything lies in the enlarged textures.
+    """Layout of the enlarged textures.
 
     Attributes:
-        extra: Columns and rows by which the wall's own texture is continued, right and on top.
-        size: Width and height of the whole [texels].
+        extra: Columns and rows by which the wall's texture is extended, right and on top.
+        size: Total width and height [texels].
         origins: Column and row of each chart's top-left texel.
     """
 
@@ -259,15 +259,15 @@ class Atlas:
 
 
 def pack(base: Appearance, uv: Float[np.ndarray, "m 3 2"], charts: list[Chart]) -> Atlas:
-    """Positions of all charts beside the wall's own texture: right of a tall, above a wide one.
+    """Pack all charts next to the wall's texture: right of a tall, above a wide one.
 
-    Where the wall's coordinates run beyond 1 its texture is continued as far, for it can no
-    longer wrap.
+    Where the wall's coordinates exceed 1, its texture is repeated as far as needed, because it can
+    no longer wrap.
 
     Args:
-        base: The wall's own textures.
+        base: Original textures of the wall.
         uv: Texture coordinates of the wall.
-        charts: Of the lesions.
+        charts: Charts of the lesions.
 
     Raises:
         InputError: If they do not fit.
@@ -303,13 +303,13 @@ def _pair(values: Int[np.ndarray, " 2"]) -> tuple[int, int]:
 
 
 def assemble(base: Appearance, charts: list[Chart], atlas: Atlas, *, lesioned: bool) -> Appearance:
-    """The enlarged textures.
+    """Assemble the enlarged textures.
 
     Args:
-        base: The wall's own textures.
-        charts: Of the lesions.
-        atlas: Where the charts lie.
-        lesioned: Whether with the lesions or without.
+        base: Original textures of the wall.
+        charts: Charts of the lesions.
+        atlas: Layout of the charts.
+        lesioned: Whether to include the lesions.
     """
     height, width = base.albedo.shape[:2]
     top, (columns, rows) = atlas.extra[1], atlas.size
@@ -337,10 +337,10 @@ def final_uv(
     """Texture coordinates in the enlarged textures.
 
     Args:
-        wall: The wall.
-        base: Its own textures.
-        charts: Of the lesions.
-        atlas: Where the charts lie.
+        wall: Wall.
+        base: Its original textures.
+        charts: Charts of the lesions.
+        atlas: Layout of the charts.
     """
     columns, rows = atlas.size
     height, width = base.albedo.shape[:2]

@@ -1,4 +1,4 @@
-"""Placement of lesions: as stated, or drawn until they fit."""
+"""Placement of lesions: at a given location, or drawn until they fit."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ if TYPE_CHECKING:
 _NUM_TRIES = 60
 _GAP = 2.0 * MM  # between the footprints of two lesions
 _MAX_FILL = 0.8  # fraction of the free distance across the lumen that a lesion may take
-_BESIDE = 1.05  # free distance beside what stands in the lumen, in its radii
-_WIDEST = 1.3  # footprint's radius in radii of the lumen up to which the log map holds
+_BESIDE = 1.05  # clearance around a protrusion in the lumen, in its radii
+_WIDEST = 1.3  # maximum footprint radius for a valid log map, in radii of the lumen
 _BEHIND = 0.3 * MM
-_BULGE = 1.5  # of the diameter between folds, beyond which no lumen reaches from wall to wall
-_SIZE_STEP = 0.5 * MM  # of the largest size that fits
-_UNEVEN = 0.35  # height of the wall around a pouch, in radii of its footprint
+_BULGE = 1.5  # of the diameter between folds, an upper bound of the lumen from wall to wall
+_SIZE_STEP = 0.5 * MM  # step of the maximum size that fits
+_UNEVEN = 0.35  # maximum wall unevenness around a pouch, in radii of its footprint
 
 
 @dataclass(frozen=True)
 class PlacedLesion:
-    """A lesion and the wall vertex at its middle.
+    """Lesion and the wall vertex at its center.
 
     Attributes:
-        lesion: Its specification.
-        vertex: Number in the organ it was placed in.
+        lesion: Specification of the lesion.
+        vertex: Vertex index in the organ before the lesion.
         center: Position [m].
     """
 
@@ -55,19 +55,19 @@ def place_focal(
     *,
     num_vertices: int,
 ) -> PlacedLesion:
-    """Find the wall for a focal lesion: at its location, or anywhere that it fits.
+    """Find a wall position for a focal lesion: at its location, or anywhere that it fits.
 
     Args:
-        organ: Without it.
-        wall: The organ's, for clearance.
-        lesion: What to place.
-        others: Spots placed before, which it must not touch.
-        rng: Draws what the location leaves open.
-        num_vertices: How many of the first vertices are evenly spread over the wall.
+        organ: Organ without it.
+        wall: Wall of the organ, for clearance.
+        lesion: Lesion to place.
+        others: Lesions placed earlier, which it must not touch.
+        rng: Draws the unspecified values of the location.
+        num_vertices: Number of leading vertices that are evenly distributed over the wall.
 
     Raises:
-        InputError: If it does not fit there, or nowhere in so many tries; states the largest of
-            its kind that does.
+        InputError: If it does not fit there, or in none of the tries; the message gives the largest
+            size of its kind that does.
         UnknownNameError: If the organ has no such segment.
     """
     vertices, reason = [], ""
@@ -88,13 +88,13 @@ def place_focal(
 def require_locations(
     organ: OrganSurface, wall: Wall, lesions: Sequence[Lesion], rngs: Sequence[np.random.Generator]
 ) -> None:
-    """Check that each focal lesion fits in a healthy organ, before any is made.
+    """Check that each focal lesion fits in a healthy organ, before any is added.
 
     Args:
-        organ: Without lesions.
-        wall: The organ's, for clearance.
-        lesions: What to place.
-        rngs: Source of each, left as it is.
+        organ: Organ without lesions.
+        wall: Wall of the organ, for clearance.
+        lesions: Lesions to place.
+        rngs: Random generator of each; its state is unchanged.
 
     Raises:
         InputError: As `place_focal`.
@@ -113,7 +113,7 @@ def _largest_size(
     others: list[PlacedLesion],
     vertices: list[int],
 ) -> float:
-    """Largest size [m] of a lesion of that kind that fits at one of some vertices; 0 if none."""
+    """Maximum size [m] of a lesion of that kind that fits at one of some vertices; 0 if none."""
 
     def fits(smaller: Lesion) -> bool:
         return any(not _misfit(organ, wall, smaller, others, vertex) for vertex in vertices)
@@ -122,26 +122,26 @@ def _largest_size(
 
 
 def _smaller(lesion: Lesion) -> Iterator[SizedLesion]:
-    """The same lesion in all sizes below its own that its kind allows, the largest first."""
+    """Same lesion in all smaller sizes allowed by its kind, in descending order."""
     if not isinstance(lesion, SizedLesion):
         return
     for step in range(math.floor(lesion.size / _SIZE_STEP), 0, -1):
         try:
             smaller = replace(lesion, size=step * _SIZE_STEP)
-        except InputError:  # smaller than any of its kind
+        except InputError:  # below the minimum of its kind
             return
         yield smaller
 
 
 def require_possible(lesions: Sequence[Lesion], diameter: float) -> None:
-    """Check that focal lesions are not larger than any place in a lumen that is not yet made.
+    """Check focal lesions against the maximum width of a lumen before it is generated.
 
     Args:
-        lesions: What to place.
-        diameter: Of the lumen at its widest [m], by the parameters it is made of.
+        lesions: Lesions to place.
+        diameter: Maximum diameter of the lumen [m], from its generation parameters.
 
     Raises:
-        InputError: If one is; states the largest size that may fit.
+        InputError: If one is too large; the message gives the maximum size that may fit.
     """
 
     def is_possible(lesion: Lesion) -> bool:
@@ -164,13 +164,13 @@ def require_possible(lesions: Sequence[Lesion], diameter: float) -> None:
 def candidates(
     organ: OrganSurface, location: Location, rng: np.random.Generator, num_vertices: int
 ) -> Iterator[int]:
-    """Vertices that a location allows: one where it is fully stated, else many, drawn.
+    """Vertices allowed by a location: one if it is fully specified, else many random ones.
 
     Args:
-        organ: The organ.
-        location: What is stated.
-        rng: Draws the rest.
-        num_vertices: How many of the first vertices may be drawn.
+        organ: Organ.
+        location: Specified values.
+        rng: Draws the other values.
+        num_vertices: Number of leading vertices to choose from.
     """
     allowed = _allowed(organ, location)
     allowed = allowed[allowed < num_vertices]
@@ -185,7 +185,7 @@ def candidates(
 
 
 def _allowed(organ: OrganSurface, location: Location) -> Int[np.ndarray, " k"]:
-    """Vertices of the location's segment, and near its arc length if that is stated.
+    """Vertices of the location's segment, and near its arc length if specified.
 
     Raises:
         InputError: If the arc length is beyond the organ's end or outside the segment.
@@ -211,7 +211,7 @@ def _allowed(organ: OrganSurface, location: Location) -> Int[np.ndarray, " k"]:
 def _misfit(
     organ: OrganSurface, wall: Wall, lesion: Lesion, others: list[PlacedLesion], vertex: int
 ) -> str:
-    """Why a focal lesion does not fit at a vertex; empty if it does."""
+    """Reason why a focal lesion does not fit at a vertex; empty if it does."""
     arc_length, reach = float(organ.arc_length[vertex]), lesion.footprint_radius
     line = organ.centerline
     if not reach < arc_length < line.length - reach:
@@ -236,7 +236,7 @@ def _misfit(
 
 
 def _no_space(organ: OrganSurface, wall: Wall, lesion: Lesion, vertex: int) -> str:
-    """Why there is no space over the wall for a focal lesion, or behind it; empty if there is."""
+    """Reason for a lack of space over or behind the wall for a focal lesion; empty if it fits."""
     center, normal = organ.vertices[vertex], organ.normals[vertex]
     arc_length, reach = float(organ.arc_length[vertex]), lesion.footprint_radius
     side = "in the lumen" if lesion.protrusion >= 0.0 else "behind the wall"
@@ -265,7 +265,7 @@ def _unevenness(
     normal: Float[np.ndarray, " 3"],
     reach: float,
 ) -> float:
-    """Largest distance [m] of the wall around a point from the tangent plane there."""
+    """Maximum distance [m] of the wall around a point from the tangent plane there."""
     offset = organ.vertices - center
     near = np.linalg.norm(offset, axis=1) < 1.2 * reach
     return float(np.abs(offset[near] @ normal).max())
@@ -274,7 +274,7 @@ def _unevenness(
 def _free_distance(
     wall: Wall, center: Float[np.ndarray, " 3"], direction: Float[np.ndarray, " 3"]
 ) -> float:
-    """Distance [m] from the wall to the next wall, along the normal and 25° around it."""
+    """Distance [m] to the opposite wall, along the normal and 25° around it."""
     side, other = _across(direction)
     tilts = [0.0 * side] + [0.47 * d for d in (side, -side, other, -other)]
     rays = np.array([direction + tilt for tilt in tilts])
@@ -287,7 +287,7 @@ def _free_distance(
 def _free_beside(
     wall: Wall, center: Float[np.ndarray, " 3"], top: Float[np.ndarray, " 3"]
 ) -> float:
-    """Distance [m] to the wall around the top of what stands at a point, `top` high."""
+    """Distance [m] to the wall around the top of a protrusion of height `top` at a point."""
     side, other = _across(top)
     angle = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)[:, None]
     ring = np.cos(angle) * side + np.sin(angle) * other
@@ -299,14 +299,14 @@ def _free_beside(
 def _across(
     direction: Float[np.ndarray, " 3"],
 ) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
-    """Two unit vectors square to a direction and to each other."""
+    """Two unit vectors orthogonal to a direction and to each other."""
     side = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
     other = np.cross(direction, side)
     return side / np.linalg.norm(side), other / np.linalg.norm(other)
 
 
 def describe(lesion: Lesion) -> str:
-    """A lesion in a few words."""
+    """Short description of a lesion."""
     words = [lesion.kind, lesion.grade]
     size = getattr(lesion, "size", None)
     if size is not None:

@@ -1,4 +1,4 @@
-"""Polyps: real shapes of the Paris classification, five kinds of surface."""
+"""Polyps: shapes of the Paris classification with five kinds of surface."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ SHAPES = ("Ip", "Is", "IIa", "IIb", "IIc")
 pedunculated, sessile, slightly elevated, flat, slightly depressed."""
 
 PATTERNS = ("tubular", "villous", "serrated", "hyperplastic", "inflammatory")
-"""Kinds of surface, after the histology they go with."""
+"""Kinds of surface, named after the associated histology."""
 
 # Profiles from the rim of the footprint to the top, as control points of a cubic B-spline:
-# distance from the axis and height, in radii of the head. Height over width as the Paris workshop
-# draws them: Is stands higher than a closed forceps (2.5 mm), IIa lower, IIc sinks into the wall.
+# distance from the axis and height, in radii of the head. Height over width as in the drawings of
+# the Paris workshop: Is is higher than a closed forceps (2.5 mm), IIa lower, IIc is depressed.
 # fmt: off
 _PROFILES = {
     "Ip": (
@@ -58,7 +58,7 @@ _HIGHEST = {"IIa": 2.5 * MM, "IIc": 2.0 * MM}
 
 @dataclass(frozen=True)
 class Surface:
-    """How a kind of polyp's surface differs from the mucosa around it.
+    """Differences of a kind of polyp's surface from the surrounding mucosa.
 
     Attributes:
         tint: Fraction of the surrounding mucosa's reflectance: red, green, blue.
@@ -79,7 +79,7 @@ class Surface:
     roughness: float = 0.0
 
 
-# Fitted by eye to endoscopic images under white light: adenomas redder and darker than their
+# Fitted visually to endoscopic images under white light: adenomas redder and darker than their
 # surroundings, serrated and hyperplastic ones paler (NICE types 2 and 1), inflammatory ones red.
 SURFACES: dict[str, Surface] = {
     "tubular": Surface((0.98, 0.78, 0.78), 0.016, 0.6, 0.45 * MM, 0.012 * MM, 0.14),
@@ -92,11 +92,11 @@ SURFACES: dict[str, Surface] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Polyp(SizedLesion):
-    """A polyp.
+    """Polyp.
 
     Attributes:
         shape: Paris type.
-        size: Largest diameter across, of Ip that of the head [m], 2 to 30 mm.
+        size: Maximum diameter, for Ip that of the head [m], 2 to 30 mm.
         pattern: Kind of surface, see `SURFACES`.
     """
 
@@ -123,7 +123,7 @@ class Polyp(SizedLesion):
 
     @property
     def footprint_radius(self) -> float:
-        """Radius of the wall it takes [m]."""
+        """Radius of its footprint on the wall [m]."""
         return 0.5 * self.size * _PROFILES[self.shape][0][0]
 
     @property
@@ -137,12 +137,12 @@ class Polyp(SizedLesion):
         return float(_control(self.shape, self.size)[:, 1].max())
 
     def form(self, site: LesionSite, rng: np.random.Generator) -> PolypForm:
-        """Draw its irregularities."""
+        """Draw the irregularities."""
         return PolypForm(self, site, rng)
 
 
 class PolypForm(ProfileForm):
-    """A polyp with its irregularities drawn."""
+    """Polyp with its irregularities drawn."""
 
     def __init__(self, polyp: Polyp, site: LesionSite, rng: np.random.Generator) -> None:
         self.polyp, surface = polyp, SURFACES[polyp.pattern]
@@ -166,7 +166,7 @@ class PolypForm(ProfileForm):
     def paint(
         self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: AppearanceSample
     ) -> AppearanceSample:
-        """The kind's color, mottled, over the mucosa without its vessels; its pattern."""
+        """Paint the kind's mottled color over the mucosa without its vessels, and its pattern."""
         surface = SURFACES[self.polyp.pattern]
         color = mix(clean.color, clean.plain, np.full(len(points), 0.85)) * surface.tint
         pattern, mottle = self._pattern(points), self._mottle(points)
@@ -179,7 +179,7 @@ class PolypForm(ProfileForm):
         return self.blended(wall, clean, look, softness=0.12)
 
     def _decorated(self, color, points, mottle, roughness):
-        """Fine vessels, mucus and exudate, as the kind has them."""
+        """Paint fine vessels, mucus and exudate, according to the kind."""
         kind = self.polyp.pattern
         if kind in ("tubular", "villous", "inflammatory"):
             vessel = np.exp(-((self._vessels(points) / 0.10) ** 2)) * 0.35

@@ -1,4 +1,4 @@
-"""Prevalence of lesions: how many of which kind a patient has, drawn from a table."""
+"""Prevalence of lesions: number and kinds per patient, drawn from a table."""
 
 from __future__ import annotations
 
@@ -21,11 +21,10 @@ class Prevalence:
     """One row of a table.
 
     Attributes:
-        lesion: As `parse_lesion` reads it.
+        lesion: Text for `parse_lesion`.
         mean: Mean number per patient (Poisson).
-        sizes: Range that its size is drawn from, evenly in its logarithm [m]; None keeps the
-            lesion's own.
-        segments: Relative frequency by segment; empty for anywhere.
+        sizes: Log-uniform range of its size [m]; None keeps the lesion's own.
+        segments: Relative frequency by segment; empty for any position.
     """
 
     lesion: str
@@ -67,8 +66,8 @@ COLON_PREVALENCE: tuple[Prevalence, ...] = (
     Prevalence("ulcer-aphthous", 0.02, (3 * MM, 6 * MM)),
     Prevalence("stricture", 0.003),
 )
-"""A screening population in round numbers, of the order that colonoscopy trials report (an adenoma
-in one of three, a diverticulum in one of three, a cancer in 0.6 %). Give your own for a study."""
+"""Screening population in round numbers, similar to those of colonoscopy trials (an adenoma
+in one of three, a diverticulum in one of three, a cancer in 0.6 %). Supply your own for a study."""
 
 
 def draw_lesions(
@@ -78,14 +77,14 @@ def draw_lesions(
     table: Sequence[Prevalence] = COLON_PREVALENCE,
     exaggerate: float = 1.0,
 ) -> tuple[Lesion, ...]:
-    """A patient's lesions; where in their segments is left open.
+    """Draw a patient's lesions; their position within the segments is left open.
 
     Args:
-        organ: Whose segments to use; where it lacks one, the lesion may be anywhere. None: the
-            table's segments are taken as they are.
+        organ: Organ with the segments; lesions of a missing segment may be anywhere. None uses the
+            table's segments unchanged.
         rng: Draws kinds, numbers, sizes, segments.
-        table: How frequent each lesion is.
-        exaggerate: Factor on all means, for rare disease to be seen at all.
+        table: Frequency of each lesion.
+        exaggerate: Factor on all means, to make rare disease more frequent.
     """
     names = None if organ is None else {organ.label_names[k] for k in np.unique(organ.label)}
     lesions: list[Lesion] = []

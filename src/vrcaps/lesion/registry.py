@@ -1,4 +1,4 @@
-"""Lesions by name: the library, and lesions as short texts."""
+"""Registry of lesions by name: the library, and lesions as short texts."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from vrcaps.lesion.settings import settings_of
 def lesion_library() -> dict[str, Lesion]:
     """Named lesions of all kinds: those of the VR-Caps paper.
 
-    They are polyp-<shape>-<pattern>, colitis-<Mayo>-<01 to 20> and bleeding-<severity>-<01 to 10>.
+    Names are polyp-<shape>-<pattern>, colitis-<Mayo>-<01 to 20> and bleeding-<severity>-<01 to 10>.
     """
     return {name: lesion for cls in LESIONS.values() for name, lesion in cls.library().items()}
 
 
 def parse_lesion(text: str) -> Lesion:
-    """A lesion from a short text.
+    """Parse a lesion from a short text.
 
-    A name, then whatever differs from its defaults: ``polyp-Ip``, ``colitis-2``,
+    The text is a name, then all non-default values: ``polyp-Ip``, ``colitis-2``,
     ``ulcer-deep:size=15mm``, ``polyp-Is-villous:segment=sigmoid,theta=90deg``,
     ``bleeding-3:arc_length=80cm``. The name is a kind, with its grade after a hyphen, or one
     of `lesion_library`. Lengths have a unit.
@@ -48,7 +48,7 @@ def parse_lesion(text: str) -> Lesion:
 
 
 def _named(name: str) -> tuple[type[Lesion], dict[str, Any]]:
-    """Kind and values that a name stands for."""
+    """Kind and values of a name."""
     kind, _, grade = name.partition("-")
     if kind not in LESIONS:
         raise UnknownNameError("lesion", name, [*LESIONS, *_first_names()])
@@ -70,12 +70,12 @@ def _named(name: str) -> tuple[type[Lesion], dict[str, Any]]:
 
 
 def _first_names() -> list[str]:
-    """A name of each kind in the library, for messages."""
+    """First library name of each kind, for messages."""
     return [next(iter(cls.library())) for cls in LESIONS.values() if cls.library()]
 
 
 def describe_kind(cls: type[Lesion]) -> tuple[str, str]:
-    """Grades and settings of a kind in words, as Markdown, for the command line and the docs."""
+    """Grades and settings of a kind as Markdown text, for the command line and the docs."""
     settings = settings_of(cls)
     grades = ", ".join(
         " ".join(filter(None, (f"`{word}`", cls.grade_meanings.get(str(word), ""))))

@@ -11,19 +11,19 @@ from vrcaps.limits import Range, range_of
 from vrcaps.units import DEG, MM, parse_length
 
 LENGTH = Range(unit="m")
-"""Marks a number as a length of any size: ``Annotated[float, LENGTH]``."""
+"""Annotation of a length of any size: ``Annotated[float, LENGTH]``."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """One field of a specification.
+    """Field of a specification.
 
     Attributes:
-        name: Of the field.
-        words: Values that it takes by name.
-        limits: Of a number; its unit "m" makes it a length. None if there are none.
-        is_text: Whether it takes any text.
-        is_integer: Whether it takes whole numbers only.
+        name: Name of the field.
+        words: Allowed named values.
+        limits: Limits of a number, a length for the unit "m". None if there are none.
+        is_text: Whether it accepts any text.
+        is_integer: Whether it accepts integers only.
     """
 
     name: str
@@ -34,14 +34,14 @@ class Setting:
 
     @property
     def is_length(self) -> bool:
-        """Whether it takes a length."""
+        """Whether it is a length."""
         return self.limits is not None and self.limits.unit == "m"
 
     def parse(self, text: str) -> Any:
-        """Value of a text as the command line has it.
+        """Parse a value from the command line.
 
         Raises:
-            InputError: If the text is no value of this setting.
+            InputError: If the text is not a value of this setting.
         """
         for word in self.words:
             if text == str(word):
@@ -63,7 +63,7 @@ class Setting:
             raise InputError(f"{self.name} is {text!r}. Allowed: a number.") from None
 
     def check(self, value: Any, kind: str) -> None:
-        """Check a value of a lesion of some kind.
+        """Check a value for a lesion kind.
 
         Raises:
             InputError: If it is not allowed.
@@ -81,7 +81,7 @@ class Setting:
 
     @property
     def allowed(self) -> str:
-        """Allowed values in words; empty if any number or text is."""
+        """Allowed values in words; empty if any number or text is allowed."""
         parts = [str(word) for word in self.words]
         if self.limits is not None and self.limits != LENGTH:
             scale = MM if self.is_length else 1.0
@@ -92,7 +92,7 @@ class Setting:
 
 @cache
 def settings_of(cls: type) -> dict[str, Setting]:
-    """Settings of a dataclass by name, but for fields that hold another dataclass."""
+    """Settings of a dataclass by name, except fields that hold another dataclass."""
     hints = get_type_hints(cls, include_extras=True)
     found = {}
     for name in (f.name for f in fields(cls)):

@@ -1,4 +1,4 @@
-"""Lesion sites: wall extracted around a location, with coordinates to draw a lesion in."""
+"""Lesion sites: wall extracted around a location, with coordinates for the lesion's shape."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ if TYPE_CHECKING:
 
     from vrcaps.lesion.blood import BloodFlow
 
-_WAVY = 1.3  # largest outline of a focal lesion, in mean radii
+_WAVY = 1.3  # maximum outline radius of a focal lesion, in mean radii
 _STEP = 1.0 * MM  # along a flow of blood
 _MIN_SLOPE = 0.10  # sine of the slope on which blood stops
 _POOL_REACH = 40.0 * MM
-_MARGIN = 6.0 * MM  # of wall around a flow and its pool
+_MARGIN = 6.0 * MM  # margin of wall around a flow and its pool
 
 
 @dataclass(frozen=True)
 class PlacementContext:
-    """The wall and the lesions that a new lesion is placed among.
+    """Wall and existing lesions for the placement of a new lesion.
 
-    Attributes:
+    organ: Organ with the previous lesions.
         organ: With the lesions before it.
-        wall: The same, under work.
+        wall: Same wall during modification.
         down: Unit vector of gravity, patient frame.
-        num_vertices: How many of the first vertices are the organ's own, evenly spread.
-        focal: Focal lesions that are there.
+        num_vertices: Number of leading vertices that are the organ's own, evenly distributed.
+        focal: Existing focal lesions.
     """
 
     organ: OrganSurface
@@ -52,19 +52,19 @@ class PlacementContext:
     focal: list[PlacedLesion]
 
     def core(self) -> Wall:
-        """The wall for ray and distance queries."""
+        """Wall for ray and distance queries."""
         return wall_of(self.organ.vertices, self.organ.faces)
 
 
 @dataclass(frozen=True)
 class SitePatch:
-    """A lesion's site and the mesh patch around it.
+    """Site of a lesion and the mesh patch around it.
 
     Attributes:
-        site: As its form needs to know it.
+        site: Site data required by its form.
         piece: Wall extracted around it.
         patch: The piece with coordinates (`WallSamples.xy`) as its last fields.
-        vertex: Vertex of the organ in its middle.
+        vertex: Vertex of the organ at its center.
     """
 
     site: LesionSite
@@ -74,15 +74,15 @@ class SitePatch:
 
 
 def focal_site(lesion: Lesion, context: PlacementContext, rng: np.random.Generator) -> SitePatch:
-    """Wall about a center, with its geodesic log map.
+    """Wall around a center, with its geodesic log map.
 
     Args:
-        lesion: What to place.
-        context: The wall and the lesions on it.
-        rng: Draws what the location leaves open.
+        lesion: Lesion to place.
+        context: Wall and existing lesions.
+        rng: Draws the unspecified values of the location.
 
     Raises:
-        InputError: If the lesion fits nowhere.
+        InputError: If the lesion does not fit anywhere.
     """
     placed = place_focal(
         context.organ,
@@ -108,12 +108,12 @@ def circumferential_site(
     """Wall between two arc lengths.
 
     Args:
-        lesion: What to place.
-        context: The wall and the lesions on it.
-        rng: Draws what the location leaves open.
+        lesion: Lesion to place.
+        context: Wall and existing lesions.
+        rng: Draws the unspecified values of the location.
 
     Raises:
-        InputError: If no wall is there.
+        InputError: If there is no wall in the range.
     """
     organ = context.organ
     low, high, vertex = _find_range(lesion, context, rng)
@@ -128,7 +128,7 @@ def circumferential_site(
 def _find_range(
     lesion: Lesion, context: PlacementContext, rng: np.random.Generator
 ) -> tuple[float, float, int]:
-    """First and last arc length [m], and a vertex in the middle of them."""
+    """First and last arc length [m], and a vertex in the middle of the range."""
     organ, location = context.organ, lesion.location
     middle, reason = None, None
     drawn = candidates(organ, location, rng, context.num_vertices)
@@ -149,12 +149,12 @@ def _find_range(
 
 
 def flow_site(lesion: Lesion, context: PlacementContext, rng: np.random.Generator) -> SitePatch:
-    """Wall along the path of blood from its source to where it collects.
+    """Wall along the path of blood from its source to the point where it collects.
 
     Args:
-        lesion: What to place.
-        context: The wall and the lesions on it.
-        rng: Draws what the location leaves open, and meanders.
+        lesion: Lesion to place.
+        context: Wall and existing lesions.
+        rng: Draws the unspecified values of the location, and meanders.
     """
     organ, core = context.organ, context.core()
     best: tuple[int, np.ndarray] | None = None
@@ -206,7 +206,7 @@ def _along_path(
 
 
 def _hollow(context: PlacementContext, bottom: int, deep: float) -> Int[np.ndarray, " k"]:
-    """Vertices under a pool's level that are joined to its bottom below that level."""
+    """Vertices below a pool's level that are connected to its bottom below that level."""
     vertices = context.wall.moved
     under = (vertices - vertices[bottom]) @ context.down > -deep
     near = np.linalg.norm(vertices - vertices[bottom], axis=1) < _POOL_REACH
@@ -223,13 +223,13 @@ def trace_down(
     length: float,
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "k 3"]:
-    """Meandering path of a drop down the wall, a millimeter a step; ends where the wall is level.
+    """Meandering path of a drop down the wall in steps of 1 mm; ends where the wall is level.
 
     Args:
         core: The wall.
         start: Source of the blood [m].
         down: Unit vector of gravity.
-        length: Longest path [m].
+        length: Maximum path length [m].
         rng: Draws the meanders.
     """
     points, sway = [np.asarray(start, float)], 0.0
@@ -255,11 +255,11 @@ SITES: dict[str, Callable[[Lesion, PlacementContext, np.random.Generator], SiteP
     "circumferential": circumferential_site,
     "flow": flow_site,
 }
-"""How each extent finds its wall."""
+"""Site function of each extent."""
 
 
 def _even_length(radius: float) -> float:
-    """Longest edge [m] on which the log map of a focal lesion is true."""
+    """Maximum edge length [m] for an accurate log map of a focal lesion."""
     return float(np.clip(radius / 9.0, 0.12 * MM, 1.0 * MM))
 
 
@@ -268,7 +268,7 @@ def _with_columns(patch: Patch, columns: Float[np.ndarray, "n k"]) -> Patch:
 
 
 def _evenly_refined(patch: Patch, reach: float, longest: float) -> Patch:
-    """The piece with short edges as far from its middle, along the wall, as `reach`."""
+    """Piece with short edges up to the distance `reach` from its center along the wall."""
 
     def is_long(patch: Patch, ends: np.ndarray) -> np.ndarray:
         near = patch.fields[ends, NUM_FIELDS - 1].min(axis=1) < reach
@@ -279,7 +279,7 @@ def _evenly_refined(patch: Patch, reach: float, longest: float) -> Patch:
 
 
 def samples(patch: Patch) -> WallSamples:
-    """The vertices of a piece that has coordinates."""
+    """Vertices of a piece with coordinates, as samples."""
     return WallSamples(
         xy=patch.fields[:, NUM_FIELDS:],
         rest=patch.moved,

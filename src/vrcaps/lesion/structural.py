@@ -45,7 +45,7 @@ _POUCH = (
 
 @dataclass(frozen=True, kw_only=True)
 class Tumor(SizedLesion):
-    """An ulcerated mass with a rolled edge, as a cancer has (Borrmann type 2).
+    """Ulcerated mass with a rolled edge, like a cancer of Borrmann type 2.
 
     Attributes:
         size: Diameter [m], 10 to 50 mm.
@@ -61,12 +61,12 @@ class Tumor(SizedLesion):
         return 0.4 * self.size
 
     def form(self, site: LesionSite, rng: np.random.Generator) -> TumorForm:
-        """Draw its irregularities."""
+        """Draw the irregularities."""
         return TumorForm(self, site, rng)
 
 
 class TumorForm(ProfileForm):
-    """A lobed ring of tumor around a bleeding, necrotic crater."""
+    """Lobed ring of tumor around a bleeding, necrotic crater."""
 
     def __init__(self, tumor: Tumor, site: LesionSite, rng: np.random.Generator) -> None:
         size = tumor.size
@@ -84,7 +84,7 @@ class TumorForm(ProfileForm):
     def paint(
         self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: AppearanceSample
     ) -> AppearanceSample:
-        """Dark red, friable; slough and blood in the crater."""
+        """Paint dark red, friable tissue, and slough and blood in the crater."""
         radial, fine = self.normalized_radius(wall), np.tanh(self._grain(points))
         color = clean.plain * (0.90, 0.50, 0.46)
         color = color * np.exp(0.16 * fine + 0.10 * self._blood(points))[:, None]
@@ -100,7 +100,7 @@ class TumorForm(ProfileForm):
 
 @dataclass(frozen=True, kw_only=True)
 class Diverticulum(SizedLesion):
-    """A pouch out of the lumen through a gap in its muscle.
+    """Outward pouch of the lumen through a gap in its muscle.
 
     Attributes:
         size: Diameter of its mouth [m], 2 to 15 mm.
@@ -113,7 +113,7 @@ class Diverticulum(SizedLesion):
 
     @property
     def footprint_radius(self) -> float:
-        """Radius of the wall that turns into it [m]."""
+        """Radius of the wall that becomes the pouch [m]."""
         return 0.5 * self.size * _POUCH[0][0]
 
     @property
@@ -127,12 +127,12 @@ class Diverticulum(SizedLesion):
         return 0.5 * self.size * min(z for _, z in _POUCH)
 
     def form(self, site: LesionSite, rng: np.random.Generator) -> DiverticulumForm:
-        """Draw its irregularities."""
+        """Draw the irregularities."""
         return DiverticulumForm(self, site, rng)
 
 
 class DiverticulumForm(ProfileForm):
-    """A pouch lined by thin mucosa."""
+    """Pouch lined by thin mucosa."""
 
     def __init__(self, pouch: Diverticulum, site: LesionSite, rng: np.random.Generator) -> None:
         size = pouch.size
@@ -148,7 +148,7 @@ class DiverticulumForm(ProfileForm):
     def paint(
         self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: AppearanceSample
     ) -> AppearanceSample:
-        """A little redder and darker inside."""
+        """Paint a slightly redder and darker interior."""
         inside = smoothstep((0.75 - self.normalized_radius(wall)) / 0.3)
         color = clean.color * (1.0 - inside[:, None] * (0.12, 0.25, 0.25))
         return self.blended(wall, clean, (color, clean.roughness, clean.height), softness=0.2)
@@ -156,11 +156,11 @@ class DiverticulumForm(ProfileForm):
 
 @dataclass(frozen=True, kw_only=True)
 class Stricture(Lesion):
-    """A scarred narrowing all around the lumen.
+    """Scarred narrowing of the whole circumference.
 
     Attributes:
-        length: Along the lumen [m], 5 to 100 mm.
-        narrowing: Fraction of the lumen's diameter that it takes, 0.2 to 0.85.
+        length: Length along the lumen [m], 5 to 100 mm.
+        narrowing: Reduction of the lumen's diameter as a fraction, 0.2 to 0.85.
     """
 
     length: Annotated[float, Range(5.0 * MM, 100.0 * MM, unit="m")] = 25.0 * MM
@@ -171,7 +171,7 @@ class Stricture(Lesion):
 
     @property
     def extent(self) -> Literal["circumferential"]:
-        """It goes all around the lumen."""
+        """A stricture affects the whole circumference."""
         return "circumferential"
 
     def arc_length_range(self, organ: OrganSurface, middle: float | None) -> tuple[float, float]:
@@ -190,12 +190,12 @@ class Stricture(Lesion):
         return low, high
 
     def form(self, site: LesionSite, rng: np.random.Generator) -> StrictureForm:
-        """Draw its irregularities."""
+        """Draw the irregularities."""
         return StrictureForm(self, site, rng)
 
 
 class StrictureForm:
-    """Wall drawn towards the centerline, folds lost, scarred."""
+    """Wall contracted towards the centerline, scarred and without folds."""
 
     edge_length = 1.2 * MM
     border_length = 0.35 * MM
@@ -211,23 +211,23 @@ class StrictureForm:
         return np.minimum(wall.xy[:, 0] - low, high - wall.xy[:, 0]) + ragged
 
     def _tightness(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
-        """0 at its ends, 1 in the middle."""
+        """Degree of narrowing, from 0 at the ends to 1 in the middle."""
         return smoothstep(self.signed_distance(wall) / (0.42 * self.stricture.length))
 
     def displaced(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
-        """Positions drawn inwards [m]."""
+        """Contracted positions [m]."""
         tight = self.stricture.narrowing * self._tightness(wall)
         tight = tight * (1.0 + 0.06 * self._uneven(wall.rest))
         return wall.rest + np.clip(tight, 0.0, 0.9)[:, None] * wall.inward
 
     def chart(self, wall: WallSamples) -> Float[np.ndarray, "n 2"]:
-        """Not used: it is painted in place."""
+        """Unused: the stricture is painted in place."""
         return wall.xy
 
     def paint(
         self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: AppearanceSample
     ) -> AppearanceSample:
-        """Pale scar without vessels, red at the edges of the scar."""
+        """Paint a pale scar without vessels, with red edges."""
         tight = self._tightness(wall)
         scar = smoothstep(0.5 + 0.6 * self._scar(points)) * tight
         color = mix(clean.color, clean.plain, tight)

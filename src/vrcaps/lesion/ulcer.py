@@ -29,15 +29,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class MucosalBreak:
-    """How a kind of break looks.
+    """Parameters of a kind of mucosal break.
 
     Attributes:
-        base: Fraction of the radius that lies open.
+        base: Radius of the open base as a fraction of the total radius.
         deep: Depth [m].
         rim: Height of its swollen rim [m].
-        halo: Redness around it.
-        waviness: Of its outline.
-        blood: Chance of a clot of blood on its base, 0 to 1.
+        halo: Redness around the break.
+        waviness: Waviness of the outline.
+        blood: Probability of a blood clot on its base, 0 to 1.
     """
 
     base: float
@@ -66,15 +66,15 @@ _SLOUGH = np.array([0.36, 0.245, 0.08])
 """Linear reflectance of necrotic slough, yellow with bile."""
 
 _GRANULATION = np.array([0.35, 0.12, 0.082])
-"""Of granulation tissue, where the slough has come off."""
+"""Linear reflectance of granulation tissue, without slough."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Erosion(SizedLesion):
-    """A superficial break of the mucosa.
+    """Superficial break of the mucosa.
 
     Attributes:
-        size: Diameter with its red surroundings [m], 1 to 10 mm.
+        size: Diameter including the red surroundings [m], 1 to 10 mm.
     """
 
     size: Annotated[float, Range(1.0 * MM, 10.0 * MM, unit="m")] = 4.0 * MM
@@ -82,17 +82,17 @@ class Erosion(SizedLesion):
     kind: ClassVar[str] = "erosion"
 
     def form(self, site: LesionSite, rng: np.random.Generator) -> MucosalBreakForm:
-        """Draw its irregularities."""
+        """Draw the irregularities."""
         return MucosalBreakForm(MUCOSAL_BREAKS["erosion"], site, 0.5 * self.size, rng)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ulcer(SizedLesion):
-    """An ulcer.
+    """Ulcer.
 
     Attributes:
         type: Aphthous or deep.
-        size: Diameter with its red surroundings [m]: aphthous 2 to 10 mm, deep 5 to 40 mm.
+        size: Diameter including the red surroundings [m]: aphthous 2 to 10 mm, deep 5 to 40 mm.
     """
 
     type: Literal["aphthous", "deep"] = "deep"
@@ -108,12 +108,12 @@ class Ulcer(SizedLesion):
         size.check(self.size, f"{self.type} ulcer")
 
     def form(self, site: LesionSite, rng: np.random.Generator) -> MucosalBreakForm:
-        """Draw its irregularities."""
+        """Draw the irregularities."""
         return MucosalBreakForm(MUCOSAL_BREAKS[self.type], site, 0.5 * self.size, rng)
 
 
 class MucosalBreakForm(FocalForm):
-    """A crater with a rim, fibrin on its base, redness around."""
+    """Crater with a rim, fibrin on its base, and redness around it."""
 
     def __init__(
         self, kind: MucosalBreak, site: LesionSite, radius: float, rng: np.random.Generator
@@ -128,12 +128,12 @@ class MucosalBreakForm(FocalForm):
         self._uneven = 0.03 * self._deep  # RMS height of its base
 
     def _open(self, wall: WallSamples, points: Float[np.ndarray, "n 3"]):
-        """From 0 outside the break to 1 on its base."""
+        """Openness, from 0 outside the break to 1 on its base."""
         ragged = self.normalized_radius(wall) + 0.06 * self._slough(points)
         return smoothstep((self.kind.base - ragged) / 0.14 + 0.5)
 
     def height(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
-        """Sunk base, raised rim."""
+        """Height [m] of the depressed base and the raised rim."""
         radial = self.normalized_radius(wall)
         base = smoothstep((self.kind.base - radial) / 0.22 + 0.5)
         rim = np.exp(-(((radial - self.kind.base - 0.12) / 0.14) ** 2))
@@ -142,7 +142,7 @@ class MucosalBreakForm(FocalForm):
     def paint(
         self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: AppearanceSample
     ) -> AppearanceSample:
-        """Fibrin, slough, granulation and blood on the base, a red halo around it."""
+        """Paint fibrin, slough, granulation and blood on the base, and a red halo around it."""
         radial, base = self.normalized_radius(wall), self._open(wall, points)
         fine = self._grain(points)
         halo = self.kind.halo * smoothstep((1.0 - radial) / 0.5)

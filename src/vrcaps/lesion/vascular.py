@@ -1,4 +1,4 @@
-"""Angioectasia and lymphangiectasia: widened vessels of blood and of lymph."""
+"""Angioectasia and lymphangiectasia: dilated blood and lymph vessels."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Angioectasia(SizedLesion):
-    """A flat, bright red knot of widened capillaries with fern-like edges.
+    """Flat, bright red lesion of dilated capillaries with fern-like edges.
 
     Attributes:
         size: Diameter [m], 1 to 15 mm.
@@ -37,12 +37,12 @@ class Angioectasia(SizedLesion):
     kind: ClassVar[str] = "angioectasia"
 
     def form(self, site: LesionSite, rng: np.random.Generator) -> AngioectasiaForm:
-        """Draw its vessels."""
+        """Draw the vessels."""
         return AngioectasiaForm(site, 0.5 * self.size, rng)
 
 
 class AngioectasiaForm(FocalForm):
-    """Winding capillaries, merging in the middle."""
+    """Winding capillaries that merge in the center."""
 
     def __init__(self, site: LesionSite, radius: float, rng: np.random.Generator) -> None:
         super().__init__(site, radius, rng, waviness=0.3)
@@ -52,7 +52,7 @@ class AngioectasiaForm(FocalForm):
     def paint(
         self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: AppearanceSample
     ) -> AppearanceSample:
-        """Bright red where capillaries run, a blush between them."""
+        """Paint bright red capillaries and a blush between them."""
         crowd = np.clip(1.0 - self.normalized_radius(wall) + 0.12 * self._blotch(points), 0.0, 1.0)
         width = 0.10 + 0.75 * crowd**1.5
         winding = np.minimum(*(np.abs(field(points)) for field in self._vessels))
@@ -65,7 +65,7 @@ class AngioectasiaForm(FocalForm):
 
 @dataclass(frozen=True, kw_only=True)
 class Lymphangiectasia(SizedLesion):
-    """White to yellow tips over widened lymph vessels, in a cluster or scattered.
+    """White to yellow tips over dilated lymph vessels, clustered or scattered.
 
     Attributes:
         size: Diameter of the cluster [m], 2 to 30 mm.
@@ -81,7 +81,7 @@ class Lymphangiectasia(SizedLesion):
         return 0.8 * MM
 
     def form(self, site: LesionSite, rng: np.random.Generator) -> LymphangiectasiaForm:
-        """Draw its tips."""
+        """Draw the tips."""
         return LymphangiectasiaForm(site, 0.5 * self.size, rng)
 
 
@@ -100,14 +100,14 @@ class LymphangiectasiaForm(FocalForm):
         return smoothstep((self._tips(points) + crowd - 0.75) / 0.8)
 
     def height(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
-        """The tips stand half a millimeter over the wall."""
+        """Height of the tips, half a millimeter over the wall [m]."""
         fade = smoothstep((1.0 - self.normalized_radius(wall)) / 0.2)
         return 0.5 * MM * self._raised(wall, wall.rest - self.site.center) * fade
 
     def paint(
         self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: AppearanceSample
     ) -> AppearanceSample:
-        """Chyle shines white through the tips."""
+        """Paint white chyle that shines through the tips."""
         tip = self._raised(wall, wall.rest - self.site.center)
         color = mix(clean.color, np.array([0.66, 0.66, 0.58]), 0.85 * tip)
         return self.blended(wall, clean, (color, clean.roughness, clean.height), softness=0.15)

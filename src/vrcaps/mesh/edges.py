@@ -1,4 +1,4 @@
-"""Edges of triangle meshes and small operations on faces that keep all attributes in step."""
+"""Edges of triangle meshes, and operations on faces that keep all attributes consistent."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class Edges:
 
     Attributes:
         ends: First and last vertex of each half-edge.
-        order: Half-edge numbers sorted so that those of one edge lie together.
-        first: Where each edge begins in `order`.
+        order: Half-edge indices sorted so that those of one edge are adjacent.
+        first: Start of each edge in `order`.
         counts: Number of half-edges (faces) of each edge.
     """
 
@@ -32,18 +32,18 @@ class Edges:
     counts: Int[np.ndarray, " e"]
 
     def with_count(self, count: int) -> Int[np.ndarray, "k count"]:
-        """Half-edges of each edge that has exactly this many."""
+        """Half-edges of each edge with exactly this number of them."""
         first = self.first[self.counts == count]
         return self.order[first[:, None] + np.arange(count)]
 
     def nonmanifold(self) -> list[Int[np.ndarray, " k"]]:
-        """Half-edges of each edge that has more than two."""
+        """Half-edges of each edge with more than two."""
         many = np.nonzero(self.counts > 2)[0]
         return [self.order[self.first[e] : self.first[e] + self.counts[e]] for e in many]
 
 
 def directed_edges(faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "h 2"]:
-    """First and last vertex of each half-edge; on a closed surface each edge comes twice."""
+    """First and last vertex of each half-edge; on a closed surface each edge occurs twice."""
     return faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
 
 
@@ -59,12 +59,12 @@ def find_edges(faces: Int[np.ndarray, "m 3"]) -> Edges:
 
 
 def keep_faces(mesh: Mesh, keep: Bool[np.ndarray, " m"]) -> Mesh:
-    """The mesh with some of its faces; vertices stay."""
+    """Mesh with some of its faces; vertices are kept."""
     return replace(mesh, faces=mesh.faces[keep], uv=None if mesh.uv is None else mesh.uv[keep])
 
 
 def flip_faces(mesh: Mesh, is_flipped: Bool[np.ndarray, " m"]) -> Mesh:
-    """The mesh with the winding of some faces reversed."""
+    """Mesh with the winding of some faces reversed."""
     faces = np.where(is_flipped[:, None], mesh.faces[:, ::-1], mesh.faces)
     if mesh.uv is None:
         return replace(mesh, faces=faces)
@@ -76,13 +76,13 @@ def flip_faces(mesh: Mesh, is_flipped: Bool[np.ndarray, " m"]) -> Mesh:
 def split_face(
     mesh: Mesh, face: int, side: int, at: tuple[int, float]
 ) -> tuple[Int[np.ndarray, "2 3"], Float[np.ndarray, "2 3 2"] | None]:
-    """Two faces from one, and their uv, by a vertex on its edge that leaves corner `side`.
+    """Split a face and its uv in two at a vertex on the edge that leaves corner `side`.
 
     Args:
         mesh: The mesh.
-        face: Number of the face.
+        face: Index of the face.
         side: Corner that the split edge leaves.
-        at: The vertex, and how far along the edge it lies, 0 to 1.
+        at: Vertex index, and its position along the edge, 0 to 1.
     """
     vertex, fraction = at
     turn = [side, (side + 1) % 3, (side + 2) % 3]
@@ -96,7 +96,7 @@ def split_face(
 
 
 def take_vertices(mesh: Mesh, source: Int[np.ndarray, " k"], faces: Int[np.ndarray, "m 3"]) -> Mesh:
-    """The mesh with vertices drawn from the old ones by number, and faces over the new ones."""
+    """Mesh with vertices gathered from the old ones by index, and faces over the new ones."""
     label = None if mesh.label is None else mesh.label[source]
     instance = None if mesh.instance is None else mesh.instance[source]
     vertices = mesh.vertices[source]
@@ -104,7 +104,7 @@ def take_vertices(mesh: Mesh, source: Int[np.ndarray, " k"], faces: Int[np.ndarr
 
 
 def drop_unused_vertices(mesh: Mesh) -> Mesh:
-    """The mesh without vertices that no face uses; the others keep their order."""
+    """Mesh without unused vertices; the others keep their order."""
     is_used = np.zeros(len(mesh.vertices), bool)
     is_used[mesh.faces] = True
     if is_used.all():
@@ -124,7 +124,7 @@ def face_areas(mesh: Mesh) -> Float[np.ndarray, " m"]:
 
 
 def signed_volume(mesh: Mesh) -> float:
-    """Volume inside a closed surface [m³]; negative where its normals point inwards."""
+    """Volume inside a closed surface [m³]; negative if its normals point inwards."""
     origin = mesh.vertices.mean(axis=0)
     centers = mesh.vertices[mesh.faces].mean(axis=1) - origin
     return float(np.einsum("ij,ij->", centers, area_vectors(mesh)) / 3.0)

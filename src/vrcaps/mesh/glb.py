@@ -1,4 +1,4 @@
-"""The GLB container (binary glTF 2.0, Khronos 2021): one JSON document, one binary chunk."""
+"""GLB container (binary glTF 2.0, Khronos 2021): one JSON document, one binary chunk."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _CHUNK = struct.Struct("<I4s")
 
 
 class Glb:
-    """Buffer views and accessors of one GLB file as they are added."""
+    """Buffer views and accessors of a GLB file under construction."""
 
     def __init__(self) -> None:
         self._chunks: list[bytes] = []
@@ -33,7 +33,7 @@ class Glb:
         self._accessors: list[dict] = []
 
     def add_vertices(self, values: np.ndarray, kind: str, *, has_bounds: bool = False) -> int:
-        """Add a vertex attribute; integers become 16-bit, padded to the 4 bytes glTF asks for."""
+        """Add a vertex attribute; integers become 16-bit, padded to 4 bytes as glTF requires."""
         view: dict = {"target": _ARRAY_BUFFER}
         accessor = {"componentType": _FLOAT, "count": len(values), "type": kind}
         if np.issubdtype(values.dtype, np.integer):
@@ -56,14 +56,14 @@ class Glb:
         return self._add_accessor(accessor, view)
 
     def add_array(self, values: np.ndarray, *, deflated: bool = False) -> dict[str, Any]:
-        """Add an array in its own type, which accessors may not have; `array_of` reads it."""
+        """Add an array in its own type, which accessors may not support; `array_of` reads it."""
         little = values.astype(values.dtype.newbyteorder("<"), copy=False)
         data = zlib.compress(little.tobytes()) if deflated else little.tobytes()
         entry = {"bufferView": self.add_bytes(data, {}), "dtype": little.dtype.str}
         return entry | {"shape": list(values.shape)} | ({"deflated": True} if deflated else {})
 
     def add_bytes(self, data: bytes, view: dict) -> int:
-        """Add a buffer view, for example an encoded image; gives its number."""
+        """Add a buffer view, for example an encoded image; return its index."""
         self._views.append({"buffer": 0, "byteOffset": self._size, "byteLength": len(data), **view})
         padding = b"\0" * (-len(data) % 4)
         self._chunks += [data, padding]
@@ -71,7 +71,7 @@ class Glb:
         return len(self._views) - 1
 
     def pack(self, document: dict) -> list[bytes]:
-        """The whole file, in pieces."""
+        """Return the whole file, in pieces."""
         document = {
             **document,
             "buffers": [{"byteLength": self._size}],
@@ -90,10 +90,10 @@ class Glb:
 
 
 def read_document(path: Path) -> dict[str, Any]:
-    """The JSON document of a GLB file.
+    """JSON document of a GLB file.
 
     Raises:
-        ValueError, struct.error: If the file is no GLB.
+        ValueError, struct.error: If the file is not a GLB.
     """
     with path.open("rb") as file:
         magic, version, _ = _HEADER.unpack(file.read(_HEADER.size))
@@ -107,10 +107,10 @@ def read_document(path: Path) -> dict[str, Any]:
 
 
 def read_glb(path: Path) -> tuple[dict[str, Any], memoryview]:
-    """The JSON document and the binary chunk of a GLB file.
+    """JSON document and binary chunk of a GLB file.
 
     Raises:
-        ValueError, struct.error: If the file is no GLB or is cut short.
+        ValueError, struct.error: If the file is not a GLB or is truncated.
     """
     document, binary = read_chunks(path)
     if binary is None:
@@ -119,10 +119,10 @@ def read_glb(path: Path) -> tuple[dict[str, Any], memoryview]:
 
 
 def read_chunks(path: Path) -> tuple[dict[str, Any], memoryview | None]:
-    """The JSON document of a GLB file, and its binary chunk if it has one.
+    """JSON document of a GLB file, and its binary chunk if it has one.
 
     Raises:
-        ValueError, struct.error: If the file is no GLB or is cut short.
+        ValueError, struct.error: If the file is not a GLB or is truncated.
     """
     document = read_document(path)
     data = memoryview(path.read_bytes())
@@ -139,7 +139,7 @@ def read_chunks(path: Path) -> tuple[dict[str, Any], memoryview | None]:
 
 
 def vertices_of(document: dict[str, Any], binary: memoryview, accessor: int) -> np.ndarray:
-    """A vertex attribute that `Glb.add_vertices` wrote, as float32 or uint16, [n] or [n k]."""
+    """Vertex attribute written by `Glb.add_vertices`, as float32 or uint16, [n] or [n k]."""
     entry = document["accessors"][accessor]
     data = view_of(document, binary, entry["bufferView"])
     if entry["componentType"] == _UINT16:
@@ -149,17 +149,17 @@ def vertices_of(document: dict[str, Any], binary: memoryview, accessor: int) -> 
 
 
 def view_of(document: dict[str, Any], binary: memoryview, view: int) -> memoryview:
-    """The bytes of a buffer view."""
+    """Bytes of a buffer view."""
     entry = document["bufferViews"][view]
     return binary[entry["byteOffset"] :][: entry["byteLength"]]
 
 
 def array_of(document: dict[str, Any], binary: memoryview, entry: dict[str, Any]) -> np.ndarray:
-    """An array that `Glb.add_array` wrote."""
+    """Array written by `Glb.add_array`."""
     data = view_of(document, binary, entry["bufferView"])
     if entry.get("deflated"):
         size = math.prod(entry["shape"]) * np.dtype(entry["dtype"]).itemsize
         data = zlib.decompressobj().decompress(data, size)
     return (
         np.frombuffer(data, entry["dtype"]).reshape(entry["shape"]).copy()
-    )  # of its own, aligned and writable
+    )  # a copy, aligned and writable

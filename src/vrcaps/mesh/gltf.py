@@ -31,21 +31,21 @@ _MOST_VALUES = 50_000_000  # vertices and triangles of a scene, some 100 times a
 
 
 def read_gltf(path: Path) -> Mesh:
-    """Every mesh of the default scene in the frame of the scene, as one mesh.
+    """Read all meshes of the default scene as one mesh, in the frame of the scene.
 
     Raises:
         OSError, ValueError, LookupError, TypeError, struct.error: If the file is damaged, or its
             mesh is compressed.
-        InputError: If labels or lesion numbers are out of range.
+        InputError: If labels or lesion IDs are out of range.
     """
     require_safe_gltf(path)
-    # What overflows is found in the vertices, see `read_mesh`.
+    # Overflow is detected in the vertices, see `read_mesh`.
     with np.errstate(over="ignore", invalid="ignore"):
         return _concatenate(_all_parts(read_gltf_file(path)))
 
 
 def _all_parts(file: GltfFile) -> list[Mesh]:
-    """Each primitive of the default scene, once for each time that it is in it."""
+    """Each primitive of the default scene, once per occurrence."""
     places = dict(_world_transforms(file))
     parts, count = [], 0
     for node, transform in places.items():
@@ -65,7 +65,7 @@ def _all_parts(file: GltfFile) -> list[Mesh]:
 
 
 def _world_transforms(file: GltfFile) -> Iterator[tuple[int, np.ndarray]]:
-    """Number and transform into the scene of each node of the default scene, parents first."""
+    """Index and transform into the scene of each node of the default scene, parents first."""
     document = file.document
     if document.get("scenes"):
         roots = file.entry("scenes", document.get("scene", 0)).get("nodes", [])
@@ -92,14 +92,14 @@ def _parts(
     primitive: dict[str, Any],
     places: tuple[np.ndarray, dict[int, np.ndarray]],
 ) -> Iterator[Mesh]:
-    """Copies of one primitive in the scene: one, or one for each instance of the node.
+    """Copies of one primitive in the scene: one, or one per instance of the node.
 
     Args:
-        file: The file.
-        node: The node.
-        mesh: Its mesh.
-        primitive: One of the mesh's.
-        places: Transform of the node into the scene, and those of all nodes by number.
+        file: glTF file.
+        node: Node with the mesh.
+        mesh: Mesh of the node.
+        primitive: Primitive of the mesh.
+        places: Transform of the node into the scene, and those of all nodes by index.
     """
     if primitive.get("mode", _TRIANGLES) in _NO_SURFACE:
         return
@@ -111,7 +111,7 @@ def _parts(
         raise ValueError(f"an index is out of range, allowed are 0 to {len(points) - 1}")
     uv = _attribute(file, attributes, "TEXCOORD_0", len(points))
     if uv is not None:
-        uv[:, 1] = 1.0 - uv[:, 1]  # glTF counts rows of a texture from the top
+        uv[:, 1] = 1.0 - uv[:, 1]  # glTF counts texture rows from the top
         uv = uv.astype(float)[faces]
     label = _attribute(file, attributes, "_LABEL", len(points))
     instance = _attribute(file, attributes, "_INSTANCE", len(points))
@@ -125,7 +125,7 @@ def _parts(
 
 
 def _require_data(file: GltfFile, primitive: dict[str, Any]) -> None:
-    """Check that positions are in the file, not in a compressed form of them alone."""
+    """Check that the file holds uncompressed positions."""
     entry = file.entry("accessors", primitive["attributes"]["POSITION"])
     if DRACO in primitive.get("extensions", {}) and "bufferView" not in entry:
         raise ValueError(compression_text(DRACO))
@@ -134,7 +134,7 @@ def _require_data(file: GltfFile, primitive: dict[str, Any]) -> None:
 def _morphed(
     file: GltfFile, node: dict[str, Any], mesh: dict[str, Any], primitive: dict[str, Any]
 ) -> Float[np.ndarray, "n 3"]:
-    """Positions in the frame of the node, moved by the morph targets at their default weights."""
+    """Positions in the frame of the node, displaced by the morph targets at default weights."""
     points = file.array(primitive["attributes"]["POSITION"]).astype(float)
     targets = primitive.get("targets", [])
     weights = node.get("weights", mesh.get("weights", [0.0] * len(targets)))
@@ -165,7 +165,7 @@ def _faces(file: GltfFile, primitive: dict[str, Any], count: int) -> Int[np.ndar
 def _attribute(
     file: GltfFile, attributes: dict[str, Any], key: str, count: int
 ) -> np.ndarray[Any, Any] | None:
-    """Value of each vertex, if the primitive has them."""
+    """Value per vertex, if the primitive has the attribute."""
     if key not in attributes:
         return None
     values = file.array(attributes[key])
@@ -181,8 +181,8 @@ def _moved(
     points: Float[np.ndarray, "n 3"],
     places: tuple[np.ndarray, dict[int, np.ndarray]],
 ) -> Iterator[tuple[Float[np.ndarray, "n 3"], bool]]:
-    """Positions in the scene, and whether they are mirrored; once for each instance."""
-    if "skin" in node:  # the transform of its own node does not count
+    """Positions in the scene, and whether they are mirrored; one item per instance."""
+    if "skin" in node:  # the transform of its own node is ignored
         yield _skinned(file, file.entry("skins", node["skin"]), attributes, points, places[1])
         return
     for transform in places[0] @ _instances(file, node):

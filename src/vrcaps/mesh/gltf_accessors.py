@@ -25,7 +25,7 @@ _MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 class GltfFile:
     """A glTF document with the bytes of its buffers.
 
-    Attributes:
+    document: JSON document.
         document: The JSON document.
         buffers: Bytes of each buffer; None for one without data (a fallback of meshopt).
     """
@@ -34,10 +34,10 @@ class GltfFile:
     buffers: tuple[memoryview | None, ...]
 
     def entry(self, kind: str, index: Any) -> dict[str, Any]:
-        """Object of a list of the document, for example of `accessors`.
+        """Item of a list of the document, for example of `accessors`.
 
         Raises:
-            ValueError: If there is none of that number.
+            ValueError: If the index does not exist.
         """
         entries = self.document.get(kind, [])
         if type(index) is not int or not 0 <= index < len(entries):
@@ -66,7 +66,7 @@ class GltfFile:
         return values[:, 0] if width == 1 else values
 
     def _with_sparse(self, values: np.ndarray, sparse: dict[str, Any]) -> np.ndarray:
-        """A copy with some rows replaced."""
+        """Copy of an array with some rows replaced."""
         count, indices = sparse["count"], sparse["indices"]
         if type(count) is not int or not 0 <= count <= len(values):
             raise ValueError(f"sparse.count is {count!r}, allowed are 0 to {len(values)}")
@@ -80,7 +80,7 @@ class GltfFile:
     def _rows(
         self, entry: dict[str, Any], count: int, dtype: np.dtype, width: int
     ) -> np.ndarray[Any, Any]:
-        """Rows of numbers that start at a byte of a buffer view."""
+        """Rows of numbers from a byte offset of a buffer view."""
         view = self.entry("bufferViews", entry["bufferView"])
         data, offset = self._view(view), entry.get("byteOffset", 0)
         size = width * dtype.itemsize
@@ -106,10 +106,10 @@ class GltfFile:
 
 
 def read_gltf_file(path: Path) -> GltfFile:
-    """Document and buffers of a GLB or glTF file that `require_safe_gltf` accepts.
+    """Document and buffers of a GLB or glTF file accepted by `require_safe_gltf`.
 
     Raises:
-        OSError, ValueError, struct.error: If the file or one that it names cannot be read.
+        OSError, ValueError, struct.error: If the file or a referenced file cannot be read.
     """
     binary: memoryview | None = None
     if path.suffix.lower() == ".glb":
@@ -136,7 +136,7 @@ def _buffer(entry: dict[str, Any], folder: Path, binary: memoryview | None) -> m
 
 
 def local_transform(node: dict[str, Any]) -> np.ndarray[Any, Any]:
-    """Transform of a node in that of its parent, [4 4]."""
+    """Transform of a node relative to its parent, [4 4]."""
     if "matrix" in node:
         return np.array(node["matrix"], float).reshape(4, 4).T
     return translation_rotation_scale(

@@ -1,4 +1,4 @@
-"""Checks of a glTF document before its data are read: paths, sizes, required extensions."""
+"""Checks of a glTF document before reading its data: paths, sizes, required extensions."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ _LISTS = ("accessors", "buffers", "bufferViews", "images", "meshes", "nodes", "s
 DRACO = "KHR_draco_mesh_compression"
 _COMPRESSIONS = (DRACO, "EXT_meshopt_compression", "KHR_meshopt_compression")
 _KNOWN = ("KHR_mesh_quantization", "EXT_mesh_gpu_instancing")
-_NOT_GEOMETRY = (  # beginnings of the names of extensions that leave the surface as it is
+_NOT_GEOMETRY = (  # prefixes of extensions that do not change the surface
     *("KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_xmp", "KHR_animation_"),
     *("EXT_texture_", "EXT_lights_", "MSFT_texture_", "ADOBE_materials_"),
 )
 
 
 def require_safe_gltf(path: Path) -> None:
-    """Check the paths, sizes and required extensions that a GLB or glTF file states.
+    """Check the paths, sizes and required extensions declared in a GLB or glTF file.
 
     Raises:
         ValueError, struct.error: If it names a file outside its folder, a size beyond its own or
-            an extension that is not supported, or is no glTF of UTF-8 text.
+            an unsupported extension, or is not a glTF file of UTF-8 text.
     """
     is_binary = path.suffix.lower() == ".glb"
     document = read_document(path) if is_binary else json.loads(path.read_text("utf-8-sig"))
@@ -57,7 +57,7 @@ def _require_extensions(names: list[str]) -> None:
 
 
 def compression_text(extension: str) -> str:
-    """Reason why a compressed mesh is refused, and the way out."""
+    """Error text for a compressed mesh, with the remedy."""
     return (
         f"its mesh is compressed ({extension}), which is not supported; "
         "export it without compression, or as PLY"
@@ -65,7 +65,7 @@ def compression_text(extension: str) -> str:
 
 
 def _external_size(uri: Any, folder: Path) -> int:
-    """Bytes of a file that a glTF file names, 0 for data in the document itself."""
+    """Size in bytes of an external file of a glTF file, 0 for data in the document itself."""
     if uri is None or (isinstance(uri, str) and uri.startswith("data:")):
         return 0
     if not isinstance(uri, str) or "\0" in uri:

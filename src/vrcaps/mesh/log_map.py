@@ -1,4 +1,4 @@
-"""Geodesic log map: how far, and in which direction, each point of the wall is from a center."""
+"""Geodesic log map: distance and direction of each wall point from a center."""
 
 from __future__ import annotations
 
@@ -16,33 +16,33 @@ if TYPE_CHECKING:
 
 
 class ThinTrianglesError(InputError):
-    """A piece of wall whose triangles are needles, on which there is no log map."""
+    """Error for a piece of wall with needle triangles, on which there is no log map."""
 
 
-_BEYOND = 1.05  # radii up to which distances are made exact
+_BEYOND = 1.05  # radii up to which distances are exact
 
 
 def log_map(
     patch: Patch, center: int, *, radius: float, edge_length: float
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "3 3"]]:
-    """Geodesic log map of a piece of wall about a vertex, and axes there.
+    """Geodesic log map of a piece of wall about a vertex, and axes at that vertex.
 
     Directions by the vector heat method (Sharp, Soliman and Crane 2019, ACM Trans. Graph. 38:24),
     distances within the radius along geodesics by edge flips (Sharp and Crane 2020, ACM Trans.
     Graph. 39:249).
 
     Args:
-        patch: The piece.
-        center: Number of the vertex.
-        radius: Within which distances are exact [m].
-        edge_length: Of the triangles around it [m].
+        patch: Piece of wall.
+        center: Index of the vertex.
+        radius: Radius within which distances are exact [m].
+        edge_length: Edge length of the triangles around it [m].
 
     Returns:
         Log map of every vertex [m]; columns x, y and normal, patient frame.
 
     Raises:
         MissingExtraError: If potpourri3d is not installed.
-        ThinTrianglesError: If the triangles there are needles.
+        ThinTrianglesError: If triangles in the patch are needles.
     """
     solver, xy = _vector_heat(patch, center, edge_length)
     x, y, normal = (np.asarray(axis)[center] for axis in solver.get_tangent_frames())
@@ -57,17 +57,17 @@ def log_map(
 def _vector_heat(
     patch: Patch, center: int, edge_length: float
 ) -> tuple[Any, Float[np.ndarray, "n 2"]]:
-    """Solver that has tangent frames, and log map of every vertex [m]."""
+    """Solver with tangent frames, and log map of every vertex [m]."""
     pp3d = import_extra("potpourri3d", "lesions")
     corners = patch.moved[patch.faces]
     mean_edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean()
-    # Heat flows for t = coefficient · (mean edge)²; fine meshes of other lesions would stop it.
+    # Diffusion time t = coefficient · (mean edge)²; fine meshes of other lesions would stop it.
     time = (edge_length / mean_edge) ** 2
     for is_delaunay, factor in ((True, 1.0), (False, 1.0), (True, 6.0)):
         try:
             solver = pp3d.MeshVectorHeatSolver(patch.moved, patch.faces, factor * time, is_delaunay)
             xy = np.asarray(solver.compute_log_map(center))
-        except RuntimeError:  # its matrix is singular where triangles are needles
+        except RuntimeError:  # its matrix is singular if triangles are needles
             continue
         if np.isfinite(xy).all():
             return solver, xy

@@ -1,4 +1,4 @@
-"""A bare triangle mesh, and the normals of its vertices."""
+"""Plain triangle mesh, and the normals of its vertices."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Mesh:
-    """A bare triangle mesh as a file holds it, in meters.
+    """Plain triangle mesh as stored in a file, in meters.
 
     Attributes:
         vertices: Positions [m].
-        faces: Vertex numbers of each triangle.
+        faces: Vertex indices of each triangle.
         uv: Texture coordinates of each corner of each face, or None.
         label: Class of each vertex, or None.
-        instance: Lesion number of each vertex, or None.
+        instance: Lesion ID of each vertex, or None.
     """
 
     vertices: Float[np.ndarray, "n 3"]
@@ -36,7 +36,7 @@ class Mesh:
 def vertex_normals(
     vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Unit vertex normals: the area-weighted mean of the normals of the faces around it."""
+    """Unit vertex normals: the area-weighted mean of the normals of adjacent faces."""
     area_normals = triangle_normals(vertices[faces])
     normals = np.zeros_like(vertices)
     for axis in range(3):
@@ -49,5 +49,5 @@ def vertex_normals(
 
 
 def wall_of(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> Wall:
-    """Wall of a surface, ready for queries in the frame of its vertices [m]."""
+    """Wall of a surface, for queries in the frame of its vertices [m]."""
     return Wall(np.ascontiguousarray(vertices, float), np.ascontiguousarray(faces, np.int64))

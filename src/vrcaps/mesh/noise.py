@@ -1,6 +1,6 @@
-"""Gaussian random fields in space with a chosen power spectrum, and random angular harmonics.
+"""Gaussian random fields in space with a given power spectrum, and random angular harmonics.
 
-A field is sampled from a periodic volume, so it is as fast on texels as on vertices.
+A field is sampled from a periodic volume, so it is equally fast for texels and vertices.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ _PER_WAVE = 8.0  # voxels per wavelength
 
 
 def fbm(wavelength: float, rng: np.random.Generator) -> Field:
-    """Fractal (fBm) noise with most of its power near and above `wavelength` [m]; variance 1."""
+    """Fractal (fBm) noise with most of its power around and above `wavelength` [m]; variance 1."""
     return _field(wavelength, lambda k: np.where(k < 0.35, 0.0, 1.0 / (0.15 + k**3.2)), rng)
 
 
 def low_pass(wavelength: float, rng: np.random.Generator) -> Field:
-    """Low-pass noise: smooth hills and hollows about `wavelength` [m] apart; variance 1."""
+    """Low-pass noise: smooth bumps and hollows about `wavelength` [m] apart; variance 1."""
     return _field(wavelength, lambda k: np.exp(-(((k - 0.8) / 0.4) ** 2)), rng)
 
 
@@ -39,8 +39,8 @@ def angular_harmonics(count: int, rng: np.random.Generator) -> Callable[[np.ndar
     """Random angular harmonics: a smooth function of an angle [rad], about ±1.
 
     Args:
-        count: Number of harmonics, from the second on.
-        rng: Draws their amplitudes and phases.
+        count: Number of harmonics, starting at the second.
+        rng: Draws the amplitudes and phases.
     """
     order = np.arange(2, 2 + count)
     weight = rng.normal(size=(2, count)) / order
@@ -54,7 +54,7 @@ def angular_harmonics(count: int, rng: np.random.Generator) -> Callable[[np.ndar
 
 
 def _field(wavelength: float, spectrum: Callable, rng: np.random.Generator) -> Field:
-    """Gaussian noise whose power spectrum is a function of wave number times wavelength."""
+    """Gaussian noise with a power spectrum given as a function of wave number times wavelength."""
     axis = np.fft.fftfreq(_SIDE) * _PER_WAVE
     k = np.sqrt(
         axis[:, None, None] ** 2

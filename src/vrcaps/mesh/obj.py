@@ -18,10 +18,10 @@ _CONTINUED = re.compile(r"\\[ \t]*(\r\n|\n|\r)")
 
 
 def read_obj(path: Path) -> Mesh:
-    """Mesh of all objects and groups of a file, in its own unit; materials are not read.
+    """Mesh of all objects and groups of a file, in its own unit; materials are ignored.
 
     Raises:
-        ValueError, IndexError: If a line is not OBJ.
+        ValueError, IndexError: If a line is not valid OBJ.
     """
     vertices, uvs = [], []
     counts, corners, uv_corners = [], [], []
@@ -50,7 +50,7 @@ def read_obj(path: Path) -> Mesh:
 
 
 def _index(word: str, count: int) -> int:
-    """Zero-based index of a one-based or, where negative, backward OBJ index."""
+    """Zero-based index of a one-based or, if negative, relative OBJ index."""
     index = int(word)
     if index == 0:
         raise ValueError("index 0, but OBJ counts from 1")

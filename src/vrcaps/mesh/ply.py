@@ -24,7 +24,7 @@ _DTYPES = {
 }
 _BYTE_ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 _FIRST_LINE = re.compile(rb"ply[ \t]*(\r\n|\n|\r)")
-_END = rb"[\r\n][ \t]*end_header[ \t]*%b"  # and the line end of the file: the body begins
+_END = rb"[\r\n][ \t]*end_header[ \t]*%b"  # and the line ending of the file: the body starts
 _VERTEX_UV = (("texture_u", "texture_v"), ("u", "v"), ("s", "t"))
 
 
@@ -32,12 +32,12 @@ _VERTEX_UV = (("texture_u", "texture_v"), ("u", "v"), ("s", "t"))
 class _Property:
     name: str
     dtype: np.dtype
-    count_dtype: np.dtype | None  # of the length of a list; None for a single number
+    count_dtype: np.dtype | None  # of the length of a list; None for a scalar
 
 
 @dataclass(frozen=True)
 class _Lists:
-    """A list property of every row: `values` holds the rows one after the other."""
+    """List property of all rows; `values` is the concatenation of the lists."""
 
     counts: Int[np.ndarray, " n"]
     values: np.ndarray
@@ -51,8 +51,8 @@ def read_ply(path: Path) -> Mesh:
     they have none, of the faces. A vertex between faces of two labels gets the more frequent one.
 
     Raises:
-        ValueError, KeyError, IndexError: If the file is not a whole PLY with vertices.
-        InputError: If a label or index is not a whole number in the range of its type.
+        ValueError, KeyError, IndexError: If the file is not a complete PLY with vertices.
+        InputError: If a label or index is not an integer in the range of its type.
     """
     elements = _read_elements(path.read_bytes())
     vertex, face = elements["vertex"], elements.get("face", {})
@@ -85,15 +85,15 @@ def _labels(columns: dict) -> np.ndarray | None:
 def _vertex_labels(
     label: Int[np.ndarray, " m"], polygons: _Lists, indices: Int[np.ndarray, " k"], count: int
 ) -> np.ndarray:
-    """Most frequent label of the faces around each vertex; 0 where there is none."""
+    """Most frequent label of the faces around each vertex; 0 if there are none."""
     if len(indices) and not 0 <= indices.min() <= indices.max() < count:
-        return np.zeros(count, np.uint8)  # refused with the faces, see `read_mesh`
+        return np.zeros(count, np.uint8)  # rejected with the faces, see `read_mesh`
     size = int(label.max(initial=0)) + 1
     of_corner = np.repeat(label, polygons.counts).astype(np.int64)
     found, times = np.unique(indices * size + of_corner, return_counts=True)
     order = np.argsort(times, kind="stable")
     most = np.zeros(count, np.uint8)
-    most[found[order] // size] = found[order] % size  # of several the last, the most frequent
+    most[found[order] // size] = found[order] % size  # the last one wins: the most frequent
     return most
 
 
@@ -120,7 +120,7 @@ def _read_elements(data: bytes) -> dict[str, dict]:
         raise ValueError("no PLY header")
     is_ascii, order = header[0][1] == "ascii", _BYTE_ORDERS[header[0][1]]
     stream = data[end.end() :]
-    if is_ascii:  # from here on as a binary file of doubles
+    if is_ascii:  # continue as with a binary file of doubles
         stream = np.array(stream.split(), "<f8").tobytes()
     elements: dict[str, dict] = {}
     position = 0
@@ -147,7 +147,7 @@ def _parse_header(
 def _read_rows(
     stream: bytes, position: int, count: int, properties: list[_Property]
 ) -> tuple[dict, int]:
-    """Columns of `count` rows at a byte position, and the position after them."""
+    """Columns of `count` rows at a byte offset, and the offset after them."""
     if count == 0:
         empty = np.zeros(0)
         lists = _Lists(np.zeros(0, np.int64), empty)
@@ -201,7 +201,7 @@ def _list_size(stream: bytes, position: int, dtype: np.dtype) -> int:
 def _read_ragged_rows(
     stream: bytes, position: int, count: int, properties: list[_Property]
 ) -> tuple[dict, int]:
-    """Rows whose lists differ in length, one by one."""
+    """Read rows whose lists differ in length, one by one."""
     counts: dict[str, list[int]] = {prop.name: [] for prop in properties}
     values: dict[str, list[np.ndarray]] = {prop.name: [] for prop in properties}
     for _ in range(count):

@@ -1,4 +1,4 @@
-"""Which texels a face covers, and values of textures at texture coordinates."""
+"""Rasterization of faces to texels, and texture sampling."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class Texels:
     """Texels under faces, each once.
 
     Attributes:
-        column: From the left; may lie outside the texture where coordinates wrap.
+        column: From the left; may lie outside the texture if coordinates wrap.
         row: From the top.
-        face: Which face covers it.
-        weights: Barycentric coordinates in that face, of its nearest edge just outside it.
+        face: Index of the face that covers it.
+        weights: Barycentric coordinates in that face, of its nearest edge if just outside it.
     """
 
     column: Int[np.ndarray, " n"]
@@ -33,22 +33,22 @@ class Texels:
         return len(self.face)
 
     def take(self, chosen: slice) -> Texels:
-        """Some of them."""
+        """Select some of the texels."""
         return Texels(
             self.column[chosen], self.row[chosen], self.face[chosen], self.weights[chosen]
         )
 
     def blend_corners(self, values: Float[np.ndarray, "m 3 c"]) -> Float[np.ndarray, "k c"]:
-        """Values of faces' corners at the texels."""
+        """Interpolate values of face corners at the texels."""
         return np.einsum("kc,kcd->kd", self.weights, values[self.face])
 
 
 def covered_texels(corners: Float[np.ndarray, "m 3 2"], *, margin: float = 1.0) -> Texels:
-    """Texels whose centers lie in a face or within `margin` texels of one.
+    """Texels whose centers lie within a face or within `margin` texels of one.
 
     Args:
-        corners: Column and row of each face's corners; whole numbers are texel centers.
-        margin: [texels]. A texel near several faces goes to the one it is deepest in.
+        corners: Column and row of each face's corners; integers are texel centers.
+        margin: Margin [texels]. A texel near several faces is assigned to the one it is deepest in.
     """
     found = _core.covered_texels(np.ascontiguousarray(corners, np.float64), margin)
     return Texels(*found)
@@ -57,12 +57,12 @@ def covered_texels(corners: Float[np.ndarray, "m 3 2"], *, margin: float = 1.0) 
 def sample(
     texture: np.ndarray, uv: Float[np.ndarray, "n 2"], decode: Float[np.ndarray, " 256"] | None
 ) -> np.ndarray:
-    """Texture values at coordinates, bilinear, wrapping; row 0 is v = 1.
+    """Sample a texture at coordinates, bilinearly with wrapping; row 0 is v = 1.
 
     Args:
-        texture: (h, w) or (h, w, c).
+        texture: Texture, (h, w) or (h, w, c).
         uv: Texture coordinates.
-        decode: Value of each byte, where the texture is of bytes.
+        decode: Value of each byte, if the texture holds bytes.
     """
     height, width = texture.shape[:2]
     x, y = uv[:, 0] * width - 0.5, (1.0 - uv[:, 1]) * height - 0.5

@@ -1,4 +1,4 @@
-"""Mesh files into `Mesh`, in meters: PLY, OBJ, STL, GLB and glTF; the unit is stated."""
+"""Mesh file reader for PLY, OBJ, STL, GLB and glTF; the unit is given, the result in meters."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from vrcaps.units import parse_length
 if TYPE_CHECKING:
     from pathlib import Path
 
-# What the parsers raise on files that are cut short or are something else.
+# Exceptions of the parsers on files that are truncated or of another type.
 _PARSE_ERRORS = (
     *(ValueError, LookupError, TypeError, AttributeError, OverflowError),
     *(EOFError, OSError, struct.error, RecursionError, MemoryError),
 )
-_FEWEST_STEPS = 1000  # of 32-bit coordinates across a mesh
+_FEWEST_STEPS = 1000  # minimum number of 32-bit coordinate steps across a mesh
 
 
 def read_mesh(path: Path, *, unit: str) -> Mesh:
-    """Mesh of a file, in meters, as the file holds it (nothing merged or split, see `repair`).
+    """Read a mesh file, in meters, without merging or splitting (see `repair`).
 
     Texture coordinates may be per corner (PLY `texcoord` lists, OBJ `vt`) or per vertex.
     Labels are read from the property `label` of vertices or faces (PLY) or from `_LABEL` (glTF),
-    lesion numbers from `_INSTANCE` (glTF). Of a glTF scene every mesh is read in the frame of the
+    lesion IDs from `_INSTANCE` (glTF). All meshes of a glTF scene are read in the frame of the
     scene, with instances, skins, and morph targets at their default weights.
 
     Args:
@@ -42,9 +42,9 @@ def read_mesh(path: Path, *, unit: str) -> Mesh:
 
     Raises:
         InputError: If the unit is unknown, or the file is missing, corrupt, compressed, empty, or
-            has vertices that are not finite, face indices or labels out of range, or 32-bit
-            coordinates so far from the origin that its shape is lost.
-        UnknownNameError: If the file's extension is none of those above.
+            has non-finite vertices, face indices or labels out of range, or 32-bit coordinates so
+            far from the origin that its shape is lost.
+        UnknownNameError: If the file's extension is not one of these.
     """
     scale = parse_length(unit)
     extension = path.suffix.lower().removeprefix(".")
@@ -62,7 +62,7 @@ def read_mesh(path: Path, *, unit: str) -> Mesh:
 
 
 def read_label_names(path: Path) -> tuple[str, ...]:
-    """Names of the labels in a GLB file that `write_organ` made; empty for any other mesh file."""
+    """Names of the labels in a GLB file written by `write_organ`; empty for any other mesh file."""
     if path.suffix.lower() != ".glb":
         return ()
     meshes = read_document(path).get("meshes") or [{}]
@@ -73,7 +73,7 @@ def read_label_names(path: Path) -> tuple[str, ...]:
 
 
 def _reason(error: BaseException) -> str:
-    """Text of a parser's exception on one line, without a full stop."""
+    """Text of a parser's exception on one line, without a trailing period."""
     if isinstance(error, KeyError):
         return f"it has no {error}"
     return " ".join(str(error).split())[:240].rstrip(".") or type(error).__name__
@@ -100,10 +100,10 @@ def _check_mesh(mesh: Mesh, path: Path) -> None:
 
 
 def _check_resolution(mesh: Mesh, path: Path) -> None:
-    """Check that coordinates of 32 bits are fine enough for the size of a mesh.
+    """Check that 32-bit coordinates are precise enough for the size of a mesh.
 
     Raises:
-        InputError: If the mesh lies so far from the origin that its shape is lost.
+        InputError: If the mesh is so far from the origin that its shape is lost.
     """
     far, size = np.abs(mesh.vertices).max(), np.ptp(mesh.vertices, axis=0).max()
     step = 2.0**-23 * far

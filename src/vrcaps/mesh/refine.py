@@ -1,7 +1,7 @@
 """Conforming mesh refinement: longest edges are bisected, new vertices lie on the curved wall.
 
 Rivara 1984, "Algorithms for refining triangular grids suitable for adaptive and multigrid
-techniques", Int. J. Numer. Meth. Eng. 20:745. Angles stay above half the smallest of the start.
+techniques", Int. J. Numer. Meth. Eng. 20:745. Angles stay above half the initial minimum.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 _MAX_ROUNDS = 60
-_SHORTEST = 0.01 * MM  # of an edge that is still split
+_SHORTEST = 0.01 * MM  # minimum length of an edge that is still split
 
 
 @dataclass(frozen=True)
 class Patch:
-    """Mesh patch under refinement; vertices and faces have numbers of their own.
+    """Mesh patch under refinement, with its own vertex and face indices.
 
     Attributes:
         clean: Positions without lesions [m].
@@ -34,12 +34,12 @@ class Patch:
         normals: Unit normals of the moved wall.
         clean_normals: Unit normals of the clean wall.
         theta: Angle around the centerline [rad].
-        fields: Whatever else is linear along edges, one row per vertex.
+        fields: Other quantities that are linear along edges, one row per vertex.
         label: Segment of each vertex.
-        instance: Lesion number of each vertex.
-        faces: Vertex numbers.
+        instance: Lesion ID of each vertex.
+        faces: Vertex indices.
         uv: Texture coordinates of each corner.
-        chart_id: Chart that each face's coordinates are in.
+        chart_id: Chart of each face's coordinates.
         is_rim: Whether a vertex lies on the cut through the wall.
     """
 
@@ -62,14 +62,14 @@ def refine(
     is_long: Callable[[Patch, Int[np.ndarray, "e 2"]], Bool[np.ndarray, " e"]],
     positions: Callable[[Patch], Float[np.ndarray, "n k"]],
 ) -> Patch:
-    """Bisect until no edge away from the rim is too long; edges of the rim stay whole.
+    """Bisect edges until none away from the rim is too long; rim edges are not split.
 
     Args:
-        patch: To refine.
-        is_long: Which edges to split.
-        positions: Positions by which edges are compared, the longest of a face being split first:
-            at rest, or at rest and with the lesion. With it alone a short edge may span a bulge,
-            and its neighbors would be split for ever.
+        patch: Patch to refine.
+        is_long: Function that selects the edges to split.
+        positions: Positions for comparing edge lengths, the longest edge of a face being split
+            first: at rest, or at rest and with the lesion. With it alone, a short edge may span
+            a bulge, and its neighbors would be split endlessly.
     """
     for _ in range(_MAX_ROUNDS):
         ends, of_face = _edges(patch.faces)
@@ -102,7 +102,7 @@ def _closed(
     of_face: Int[np.ndarray, "m 3"],
     longest: Int[np.ndarray, " m"],
 ) -> Bool[np.ndarray, " e"]:
-    """Marks with the longest edge of every marked face."""
+    """Marks extended by the longest edge of every marked face."""
     marked = marked.copy()
     while True:
         wanted = longest[marked[of_face].any(axis=1)]
@@ -158,7 +158,7 @@ def _split(
 
 
 def _with_midpoints(patch: Patch, ends: Int[np.ndarray, "k 2"]) -> Patch:
-    """The patch with a vertex in the middle of each edge given, not yet in any face."""
+    """Patch with a vertex at the middle of each given edge, not yet in any face."""
     a, b = ends.T
     clean, clean_normals = _curved_middle(patch.clean, patch.clean_normals, ends)
     moved, normals = _curved_middle(patch.moved, patch.normals, ends)
@@ -186,7 +186,7 @@ def _curved_middle(
 ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
     """Middle of the cubic edge of a PN triangle (Vlachos et al. 2001), and the mean normal.
 
-    Their quadratic normals, applied to halves of halves, would swing ever more.
+    Their quadratic normals would oscillate increasingly under repeated bisection.
     """
     (p, q), (n, m) = (points[ends[:, k]] for k in (0, 1)), (normals[ends[:, k]] for k in (0, 1))
     d = q - p
@@ -197,7 +197,7 @@ def _curved_middle(
 
 
 def rim(faces: Int[np.ndarray, "m 3"], num_vertices: int) -> Bool[np.ndarray, " n"]:
-    """Vertices at edges of a single face."""
+    """Vertices at boundary edges, which have a single face."""
     edges = find_edges(faces)
     single = edges.with_count(1)
     flags = np.zeros(num_vertices, bool)
@@ -206,6 +206,6 @@ def rim(faces: Int[np.ndarray, "m 3"], num_vertices: int) -> Bool[np.ndarray, " 
 
 
 def renewed_normals(patch: Patch) -> Patch:
-    """The patch with the normals of its moved faces, except on its rim."""
+    """Patch with normals recomputed from its moved faces, except on its rim."""
     normals = vertex_normals(patch.moved, patch.faces)
     return replace(patch, normals=np.where(patch.is_rim[:, None], patch.normals, normals))

@@ -1,4 +1,4 @@
-"""Where a triangle surface cuts through itself."""
+"""Self-intersections of a triangle mesh."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 _FLAT = 1e-12
-"""Heights over a plane below this share of the mesh's size are rounding."""
+"""Heights over a plane below this fraction of the mesh's size are rounding errors."""
 _CHUNK = 200_000
-"""Pairs that a thread tests at once."""
+"""Maximum number of pairs per thread task."""
 
 
 def self_intersections(
     vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
 ) -> Int[np.ndarray, "k 2"]:
-    """Pairs of triangles that cut each other, the lower number first.
+    """Return pairs of intersecting triangles, the lower index first.
 
-    Two triangles cut where an edge of one runs from one side of the other to its far side
-    through its inside or border, or where they overlap in one plane. Touching is not cutting,
-    neither is meeting at vertices; vertices in the same place count as one. Neighbors across
+    Two triangles intersect if an edge of one runs from one side of the other to its far side
+    through its inside or border, or if they overlap in one plane. Touching does not count, nor
+    does meeting at vertices; vertices at the same position count as one. Neighbors across
     an edge are never reported, neighbors at a vertex are.
 
     Args:
         vertices: Positions [m].
-        faces: Vertex numbers; triangles without area cut nothing.
+        faces: Vertex indices; triangles without area are ignored.
     """
     if not len(faces):
         return np.zeros((0, 2), int)
@@ -58,14 +58,14 @@ def cluster_intersections(
     faces: Int[np.ndarray, "m 3"],
     pairs: Int[np.ndarray, "k 2"],
 ) -> Float[np.ndarray, "p 3"]:
-    """Middle of each place where a surface cuts itself [m], the one with most pairs first.
+    """Center of each self-intersection [m], the one with most pairs first.
 
-    Pairs belong to one place if their triangles meet.
+    Pairs belong to one intersection if their triangles meet.
 
     Args:
         vertices: Positions [m].
-        faces: Vertex numbers.
-        pairs: What `self_intersections` finds.
+        faces: Vertex indices.
+        pairs: Result of `self_intersections`.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -78,7 +78,7 @@ def cluster_intersections(
     graph = coo_array((np.ones(len(ends[0])), ends), shape=(num, num))
     place = connected_components(graph, directed=False)[1][joined[:, 0]]
     _, place, count = np.unique(place, return_inverse=True, return_counts=True)
-    # The smaller triangle of each pair tells better where they cut.
+    # The smaller triangle of each pair locates the intersection better.
     corners = vertices[faces[pairs]]
     extent = np.ptp(corners, axis=2).max(axis=2)
     middle = corners[np.arange(len(pairs)), extent.argmin(axis=1)].mean(axis=1)
@@ -87,7 +87,7 @@ def cluster_intersections(
 
 
 def _same_places(vertices: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"]:
-    """For each vertex the first one in the same place."""
+    """Index of the first vertex at the same position, for each vertex."""
     order = np.lexsort(vertices.T)
     is_new = np.append(True, (np.diff(vertices[order], axis=0) != 0.0).any(axis=1))
     same = np.empty(len(vertices), int)
@@ -98,7 +98,7 @@ def _same_places(vertices: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"]:
 def _touching_boxes(
     low: Float[np.ndarray, "3 n"], high: Float[np.ndarray, "3 n"]
 ) -> Int[np.ndarray, "k 2"]:
-    """Pairs i < j of boxes that overlap: a tree of boxes in Morton order walked level by level."""
+    """Pairs i < j of overlapping boxes: level-by-level traversal of a tree in Morton order."""
     num = low.shape[1]
     depth = max(num - 1, 1).bit_length()
     order = np.argsort(_morton(low + high), kind="stable")
@@ -123,7 +123,7 @@ def _touching_boxes(
 
 
 def _morton(points: Float[np.ndarray, "3 n"]) -> Int[np.ndarray, " n"]:
-    """Place of points on a curve that stays near to itself: the bits of x, y and z in turn."""
+    """Morton code of points: interleaved bits of x, y and z."""
     low = points.min(axis=1, keepdims=True)
     extent = max(float(np.ptp(points, axis=1).max()), np.finfo(float).tiny)
     cell = (1023.0 * (points - low) / extent).astype(np.int64)
@@ -134,7 +134,7 @@ def _morton(points: Float[np.ndarray, "3 n"]) -> Int[np.ndarray, " n"]:
 def _num_shared(
     faces: Int[np.ndarray, "m 3"], pairs: Int[np.ndarray, "k 2"]
 ) -> Int[np.ndarray, " k"]:
-    """Number of vertices that both triangles of each pair have."""
+    """Number of vertices shared by the triangles of each pair."""
     one, other = faces.T[:, pairs.T].swapaxes(0, 1)
     same = [one[a] == other[b] for a in range(3) for b in range(3)]
     return np.count_nonzero(same, axis=0)
@@ -147,9 +147,9 @@ def _is_cut(
     shared: Int[np.ndarray, " k"],
     tolerance: float,
 ) -> Bool[np.ndarray, " k"]:
-    """Which pairs of triangles cut each other; heights within the tolerance [m] are none.
+    """Whether the triangles of each pair intersect; heights within the tolerance [m] count as zero.
 
-    Triangles that share a vertex, and no more of which lies on the other's plane, are apart.
+    Triangles that share a vertex and have no other vertex on the other's plane do not intersect.
     """
     kept, sides = np.arange(len(pairs)), np.zeros((2, len(pairs), 3), np.int8)
     for k in range(2):
@@ -171,7 +171,7 @@ def _sides(
     normal: Float[np.ndarray, "k 3"],
     tolerance: float,
 ) -> Int[np.ndarray, "k 3"]:
-    """On which side of a plane each corner lies: −1, 0 or 1."""
+    """Side of a plane for each corner: −1, 0 or 1."""
     height = np.einsum("nij,nj->ni", corners - origin, normal)
     return (height > tolerance).astype(np.int8) - (height < -tolerance)
 
@@ -181,10 +181,10 @@ def _any_edge_through(
     other: Float[np.ndarray, "k 3 3"],
     side: Int[np.ndarray, "k 3"],
 ) -> Bool[np.ndarray, " k"]:
-    """Whether an edge of the first triangle passes through the second, pair by pair.
+    """Whether an edge of the first triangle passes through the second, for each pair.
 
     An edge p q with its ends on both sides of the plane of a b c passes through if the volumes
-    of p q a b, p q b c and p q c a have one sign. `side` tells on which side each corner lies.
+    of p q a b, p q b c and p q c a have one sign. `side` gives the side of each corner.
     """
     is_through = np.zeros(len(one), bool)
     for k in range(3):
@@ -205,7 +205,7 @@ def _overlap(
     normal: Float[np.ndarray, "k 3"],
     tolerance: float,
 ) -> Bool[np.ndarray, " k"]:
-    """Whether triangles in one plane share an area: none of their edges separates them."""
+    """Whether coplanar triangles share an area, i.e. none of their edges separates them."""
     is_apart = np.zeros(len(one), bool)
     for triangle in (one, other):
         for k in range(3):

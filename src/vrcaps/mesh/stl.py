@@ -1,4 +1,4 @@
-"""STL files, text or binary, with the liberties that exporters take."""
+"""STL files, text or binary, including common deviations of exporters."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ _HEAD = 84
 
 
 def read_stl(path: Path) -> Mesh:
-    """Mesh of a file, in its own unit: each triangle has three vertices of its own.
+    """Mesh of a file, in its own unit: each triangle has three separate vertices.
 
     Text may be in capitals, have several solids, no `endsolid` and a byte order mark. A binary
     file may start with the word `solid`, and less than one facet may follow its last.
 
     Raises:
-        ValueError: If it is neither, or cut short.
+        ValueError: If it is neither, or truncated.
     """
     data = path.read_bytes()
     size = _HEAD + _FACET.itemsize * int.from_bytes(data[_HEAD - 4 : _HEAD], "little")

@@ -1,4 +1,4 @@
-"""Text of mesh files by its byte order mark, as editors and exporters write it."""
+"""Decoding of text mesh files by their byte order mark."""
 
 from __future__ import annotations
 
@@ -12,6 +12,6 @@ _MARKS = (
 
 
 def decoded(data: bytes) -> str:
-    """Text in UTF-8, or in UTF-16 with a byte order mark; what is neither is replaced."""
+    """Decode UTF-8, or UTF-16 with a byte order mark; invalid bytes are replaced."""
     encoding = next((name for mark, name in _MARKS if data.startswith(mark)), "utf-8")
     return data.decode(encoding, "replace")

@@ -1,4 +1,4 @@
-"""Triangles of polygons, fans and strips that are stored as lists of corners."""
+"""Triangulation of polygons, fans and strips stored as lists of corners."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def triangulate_fans(counts: Int[np.ndarray, " n"]) -> Int[np.ndarray, "m 3"]:
-    """Triangles of polygons stored one after the other, as a fan about each first corner.
+    """Triangles of concatenated polygons, as a fan about each first corner.
 
     Args:
         counts: Number of corners of each polygon; one with fewer than 3 gives no triangle.
@@ -24,7 +24,7 @@ def triangulate_fans(counts: Int[np.ndarray, " n"]) -> Int[np.ndarray, "m 3"]:
 
 
 def triangulate_strips(counts: Int[np.ndarray, " n"]) -> Int[np.ndarray, "m 3"]:
-    """Triangles of strips stored one after the other; every second one is turned to agree.
+    """Triangles of concatenated strips; every second one is flipped for consistent orientation.
 
     Args:
         counts: Number of corners of each strip; one with fewer than 3 gives no triangle.
@@ -38,7 +38,7 @@ def triangulate_strips(counts: Int[np.ndarray, " n"]) -> Int[np.ndarray, "m 3"]:
 
 
 def _steps(counts: Int[np.ndarray, " n"]) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-    """First corner of the list that each triangle is in, and its number there."""
+    """First corner of each triangle's list, and the triangle's index in it."""
     counts = np.asarray(counts, np.int64)
     num_triangles = np.maximum(counts - 2, 0)
     first = np.repeat(np.cumsum(counts) - counts, num_triangles)

@@ -1,4 +1,4 @@
-"""Repair of the wall surfaces that come from files and from CT."""
+"""Repair of wall surfaces from mesh files and CT."""
 
 from __future__ import annotations
 

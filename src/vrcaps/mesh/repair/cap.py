@@ -1,4 +1,4 @@
-"""Holes and open lumen ends: finding them and closing them with well-shaped triangles."""
+"""Holes and open lumen ends: detect them and close them with well-shaped triangles."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Loop:
-    """A closed border of an oriented surface.
+    """Closed border of an oriented surface.
 
     Attributes:
-        vertices: Vertex numbers in the order in which a cap runs along the border.
+        vertices: Vertex indices in the direction of a cap along the border.
         halves: The cap runs from vertex k to k+1 against this half-edge of the surface.
         center: Mean of the border's vertices [m].
         perimeter: Length of the border [m].
@@ -40,7 +40,7 @@ class Loop:
 
     @property
     def diameter(self) -> float:
-        """Diameter of the circle of the same perimeter [m]."""
+        """Diameter of the circle with the same perimeter [m]."""
         return self.perimeter / math.pi
 
 
@@ -84,7 +84,7 @@ def _make_loop(
 
 
 def enclosed_volume(mesh: Mesh, loops: list[Loop]) -> float:
-    """Signed volume [m³] with every border closed by a fan; negative: normals inwards."""
+    """Signed volume [m³] with every border closed by a fan; negative if normals point inwards."""
     return signed_volume(mesh) + sum(loop.fan_volume for loop in loops)
 
 
@@ -94,10 +94,10 @@ def mean_diameter(mesh: Mesh, loops: list[Loop]) -> float:
 
 
 def close_loops(mesh: Mesh, loops: list[Loop]) -> Mesh:
-    """Close borders by membranes of triangles about as large as those along each border.
+    """Close borders by membranes with triangles about as large as those along each border.
 
     Texture coordinates are interpolated from those along the border; a cap has the border's most
-    frequent label. The mesh is copied once, however many the borders.
+    frequent label. The mesh is copied once, regardless of the number of borders.
     """
     if not loops:
         return mesh
@@ -125,10 +125,9 @@ def close_loops(mesh: Mesh, loops: list[Loop]) -> Mesh:
 def _make_cap(mesh: Mesh, loop: Loop) -> tuple[Int[np.ndarray, "t 3"], Float[np.ndarray, "k c"]]:
     """Triangles over a border, and its inner vertices with their texture coordinates, if any.
 
-    The border's vertices are numbered from 0, the inner ones go on. Rings of vertices shrink
-    towards the middle, neighbors are zipped together, and the inner vertices settle where each is
-    the mean of its neighbors (a discrete membrane), so that the cap follows a border that is not
-    flat.
+    The border's vertices are numbered from 0, followed by the inner ones. Rings of vertices shrink
+    towards the center, adjacent rings are zipped together, and each inner vertex moves to the mean
+    of its neighbors (a discrete membrane), so that the cap follows a non-planar border.
     """
     count = len(loop.vertices)
     rings, start = [np.arange(count)], count
@@ -157,7 +156,7 @@ def _ring_sizes(count: int) -> list[int]:
 
 
 def _loop_positions(mesh: Mesh, loop: Loop) -> Float[np.ndarray, " n"]:
-    """Share of the perimeter before each vertex, 0 to 1."""
+    """Fraction of the perimeter before each vertex, 0 to 1."""
     points = mesh.vertices[loop.vertices]
     steps = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
     return (np.cumsum(steps) - steps) / steps.sum()
@@ -166,7 +165,7 @@ def _loop_positions(mesh: Mesh, loop: Loop) -> Float[np.ndarray, " n"]:
 def _zip_rings(
     outer: Int[np.ndarray, " n"], inner: Int[np.ndarray, " k"], positions: Float[np.ndarray, " p"]
 ) -> Int[np.ndarray, "t 3"]:
-    """Triangles between two rings; each step goes on to whichever next vertex comes first.
+    """Triangles between two rings; each step advances to the nearer next vertex.
 
     Only the border's vertices are unevenly spaced, at `positions` along it.
     """
@@ -193,12 +192,12 @@ def _zip_rings(
 def _membrane(
     faces: Int[np.ndarray, "t 3"], known: Float[np.ndarray, "n c"], count: int
 ) -> Float[np.ndarray, "k c"]:
-    """Values at new vertices so that each is the mean of its neighbors', given the border's.
+    """Values at new vertices, each the mean of its neighbors', given those at the border.
 
     Args:
         faces: The cap: vertices of the border, then the new ones.
         known: Values at the border.
-        count: Of new vertices.
+        count: Number of new vertices.
     """
     if count == 0:
         return np.zeros((0, known.shape[1]))
@@ -216,7 +215,7 @@ def _membrane(
 
 
 def _border_uv(mesh: Mesh, loop: Loop) -> Float[np.ndarray, "n 2"]:
-    """Texture coordinates of the surface at each border vertex, from the face beside it."""
+    """Texture coordinates of the surface at each border vertex, from the adjacent face."""
     assert mesh.uv is not None
     end = loop.halves + np.where(loop.halves % 3 < 2, 1, -2)
     return mesh.uv.reshape(-1, 2)[end]

@@ -28,13 +28,13 @@ if TYPE_CHECKING:
 
     from vrcaps.mesh.mesh import Mesh
 
-_PART_AREA = 1e-3  # of the whole; below this a stray component is not worth its own mention
-_LINING_AREA = 0.2  # of the outer surface, from which one inside it is the lumen, not a body in it
-_LINING_SIZE = 0.7  # of the same, the diagonals of the bounding boxes compared
-_WITHIN = 0.8  # of the vertices that must lie within; those at flush ends may not
+_PART_AREA = 1e-3  # of the whole; smaller stray components are not reported individually
+_LINING_AREA = 0.2  # of the outer surface; a larger inner one is the lumen, not a body in it
+_LINING_SIZE = 0.7  # same for the diagonals of the bounding boxes
+_WITHIN = 0.8  # of the vertices that must lie inside; those at flush ends may not
 _SAMPLES = 500
-_SHEET = 1.3  # thickness over that of a plate of the same volume and area; a tube has 2
-_FACING = 0.9  # of a wall's places, from one side of which the ray meets the surface once more
+_SHEET = 1.3  # thickness relative to a plate of the same volume and area; a tube has 2
+_FACING = 0.9  # of wall samples with one further intersection of the ray on one side
 
 
 def keep_lumen_component(
@@ -42,9 +42,9 @@ def keep_lumen_component(
 ) -> tuple[Mesh, Int[np.ndarray, " n"], list[Repair]]:
     """Keep the connected part around the lumen: the largest or, in a thick wall, the inner one.
 
-    Args:
+    mesh: Surface without non-manifold vertices.
         mesh: A surface without non-manifold vertices.
-        origin: A number for each vertex, to be carried along.
+        origin: Index for each vertex, to be carried along.
     """
     ends = find_edges(mesh.faces).ends
     size = len(mesh.vertices)
@@ -81,7 +81,7 @@ def keep_lumen_component(
 def _around_lumen(
     mesh: Mesh, face_part: Int[np.ndarray, " m"], areas: Float[np.ndarray, " p"]
 ) -> tuple[int, list[int]]:
-    """Number of the part around the lumen, and of those around it, the outermost first."""
+    """Index of the part around the lumen, and of the parts around it, the outermost first."""
     order = np.argsort(-areas)
     chosen, outer = int(order[0]), []
     surface = None
@@ -103,7 +103,7 @@ def _size(mesh: Mesh) -> float:
 
 
 def _lies_within(inner: Mesh, outer: Mesh) -> bool:
-    """Whether a surface lies within another one, the open ends of which count as closed."""
+    """Whether a surface lies within another one, whose open ends count as closed."""
     outer, _ = orient_consistently(outer)
     outer = close_loops(outer, find_loops(outer))
     if signed_volume(outer) > 0.0:
@@ -126,12 +126,12 @@ def _sample(rows: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "k 3"]:
 def require_lumen_surface(mesh: Mesh) -> None:
     """Check that one closed surface encloses a lumen, not the tissue of a wall around it.
 
-    Such a wall, its inner and outer side joined at the ends, is a plate: the way through it is
-    twice its volume over its area (4 times in a round lumen), and from one of its two sides, that
-    of the lumen, a ray meets the surface once more.
+    The inner and outer side of such a wall are joined at the ends, and it is a plate: the distance
+    through it is twice its volume over its area (4 times in a round lumen), and from one of its two
+    sides, that of the lumen, a ray intersects the surface once more.
 
     Args:
-        mesh: A closed wall, faces counter-clockwise seen from what they enclose.
+        mesh: Closed wall, faces counter-clockwise seen from the enclosed side.
 
     Raises:
         InputError: If it is a wall with a thickness.

@@ -1,4 +1,4 @@
-"""Non-manifold edges and vertices, and windings."""
+"""Non-manifold edges and vertices, and face orientation."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 _FIN_AREA = 0.01  # of the whole; an open patch smaller than this is a fin, not wall
-_NUDGE = 1e-3  # of the way to a vertex's neighbors; parts sheets that were cut
+_NUDGE = 1e-3  # fraction of the way to a vertex's neighbors; separates cut sheets
 _MAX_PASSES = 10
 _MOST_WORK = 300_000  # of pairing the faces of nonmanifold edges, in steps of some 20 µs
 
 
 def split_nonmanifold(mesh: Mesh) -> tuple[Mesh, Int[np.ndarray, " n"], list[Repair]]:
-    """Cut the surface apart where more than two sheets meet (Guéziec et al. 2001).
+    """Split the surface where more than two sheets meet (Guéziec et al. 2001).
 
     At an edge of more than two faces those that best continue each other stay joined; a
-    vertex is copied once for every fan of faces that then hangs together around it.
+    vertex is duplicated for every fan of faces that remains connected around it.
 
     Returns:
-        The mesh, the old number of each of its vertices, and what was done.
+        The mesh, the old index of each of its vertices, and the repairs.
     """
     edges = find_edges(mesh.faces)
     on_edge = edges.ends[[int(halves[0]) for halves in edges.nonmanifold()] or np.zeros(0, int)]
@@ -61,7 +61,7 @@ def split_nonmanifold(mesh: Mesh) -> tuple[Mesh, Int[np.ndarray, " n"], list[Rep
 
 
 def _cut(mesh: Mesh) -> tuple[Mesh, Int[np.ndarray, " n"], dict[int, int]]:
-    """Mesh with a vertex for each fan of joined faces, their old numbers, and joined halves."""
+    """Mesh with a vertex for each fan of joined faces, their old indices, and joined half-edges."""
     edges = find_edges(mesh.faces)
     joined, partner = edges.with_count(2), {}
     nonmanifold = edges.nonmanifold()
@@ -85,9 +85,9 @@ def _cut(mesh: Mesh) -> tuple[Mesh, Int[np.ndarray, " n"], dict[int, int]]:
 def _bisect_double_edges(
     mesh: Mesh, double: list[Int[np.ndarray, " k"]], partner: dict[int, int]
 ) -> Mesh:
-    """Give all but one of the pairs of faces that share both ends of an edge a middle vertex.
+    """Insert a middle vertex in all but one of the pairs of faces that share both ends of an edge.
 
-    Pairs that touch a face already split wait for the next pass.
+    Pairs that touch a face that is already split wait for the next pass.
     """
     keep = np.ones(len(mesh.faces), bool)
     vertices, sources, faces, uvs = [], [], [], []
@@ -123,7 +123,7 @@ def _edge_ends(mesh: Mesh, half: int) -> Float[np.ndarray, "2 3"]:
 
 
 def separate_copies(mesh: Mesh, origin: Int[np.ndarray, " n"]) -> Mesh:
-    """Move vertices that are copies of one another 0.1 % towards their own neighbors."""
+    """Move duplicated vertices 0.1 % towards their own neighbors."""
     _, number, counts = np.unique(origin, return_inverse=True, return_counts=True)
     copies = counts[number] > 1
     if not copies.any():
@@ -139,11 +139,11 @@ def separate_copies(mesh: Mesh, origin: Int[np.ndarray, " n"]) -> Mesh:
 
 
 def orient_consistently(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
-    """Give all faces of a connected manifold the same sense, turning as few as can be.
+    """Orient all faces of a connected manifold consistently, flipping as few as possible.
 
-    Each face stands twice in a graph, as it is and turned; neighbors that agree join like
-    with like, the others join crosswise. Both halves of a face in one component mean that
-    the surface has one side only.
+    Each face has two nodes in a graph, original and flipped; neighbors that agree connect
+    equal states, the others opposite ones. If both nodes of a face are in one component,
+    the surface is one-sided.
 
     Raises:
         InputError: If the surface is not orientable.
@@ -178,7 +178,7 @@ def orient_consistently(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
 
 
 def _is_fin(mesh: Mesh, edges: Edges) -> Bool[np.ndarray, " m"]:
-    """Faces of small patches with a free border, patches being bounded by nonmanifold edges."""
+    """Faces of small patches with a free border; patches are bounded by nonmanifold edges."""
     pairs = edges.with_count(2) // 3
     size = len(mesh.faces)
     graph = scipy.sparse.coo_matrix(
@@ -199,14 +199,14 @@ def _pair_faces(
 ) -> Int[np.ndarray, "j 2"]:
     """Pairs of half-edges of nonmanifold edges that stay joined.
 
-    Where sheets touch along a run of edges, the pairs at its ends are known by the fans of
-    faces around them (`fan` of each corner); from there the choice spreads along the run.
+    Where sheets touch along a run of edges, the pairs at its ends are known from the fans of
+    faces around them (`fan` of each corner); from there the choice propagates along the run.
 
     Raises:
         InputError: If there are so many that this would take minutes.
     """
     fans, pairs, is_stuck, work = _Fans(fan), [], False, 0
-    # Edges with the corners at their ends, and the fans of these when they gave no choice.
+    # Edges with the corners at their ends, and their fans at the last undecided attempt.
     waiting = [(halves, _end_corners(mesh, halves), b"") for halves in nonmanifold]
     while waiting:
         later = []
@@ -226,7 +226,7 @@ def _pair_faces(
             if num_shared == 0 and not is_stuck:
                 later.append((halves, corners, around))
                 continue
-            is_stuck = False  # one choice without a fan to go by is enough to go on from
+            is_stuck = False  # one choice without support of a fan is enough to continue
             pairs.append(best)
             for one, other in _end_corners(mesh, best).transpose(0, 2, 1).reshape(-1, 2):
                 fans.join(one, other)
@@ -236,19 +236,19 @@ def _pair_faces(
 
 
 class _Fans:
-    """The fan of faces that each corner belongs to, as fans are joined."""
+    """Fan of faces of each corner (union-find)."""
 
     def __init__(self, fan: Int[np.ndarray, " h"]) -> None:
         self._fan = fan
         self._joined: dict[int, int] = {}
 
     def of(self, corners: Int[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
-        """Number of each corner's fan."""
+        """Fan index of each corner."""
         found = [self._root(fan) for fan in self._fan[corners].ravel().tolist()]
         return np.array(found).reshape(corners.shape)
 
     def join(self, one: int, other: int) -> None:
-        """Make one fan of those of two corners."""
+        """Merge the fans of two corners."""
         root, merged = self._root(int(self._fan[one])), self._root(int(self._fan[other]))
         if root != merged:
             self._joined[merged] = root
@@ -268,11 +268,11 @@ def _best_pairs(
     is_fin: Bool[np.ndarray, " m"],
     fans: _Fans,
 ) -> tuple[Int[np.ndarray, "j 2"], int]:
-    """Pairs of half-edges of one nonmanifold edge, and how many ends of pairs share a fan.
+    """Pairs of half-edges of one nonmanifold edge, and the number of their ends with a common fan.
 
-    Sheets must not cross, so only neighbors in the order around the edge are joined; of
-    the ways to do so, the one that joins most faces that hang together around an end of the
-    edge anyway, then the one that bends the sheets least. Fins are left out if that leaves
+    Sheets must not cross, so only neighbors in the order around the edge are joined; among
+    these pairings, the one that joins most faces already connected around an end of the
+    edge is chosen, then the one that bends the sheets least. Fins are left out if that leaves
     two faces.
     """
     wall = halves[~is_fin[halves // 3]]
@@ -297,7 +297,7 @@ def _end_corners(mesh: Mesh, halves: Int[np.ndarray, "*k"]) -> Int[np.ndarray, "
 def _sort_around_edge(
     mesh: Mesh, halves: Int[np.ndarray, " k"]
 ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """Half-edges of one edge in the order of their faces around it, and the angles [rad]."""
+    """Half-edges of one edge sorted by the angle of their faces around it, and the angles [rad]."""
     start, end = _edge_ends(mesh, halves[0])
     apex = mesh.vertices[mesh.faces[halves // 3, (halves % 3 + 2) % 3]]
     axis = (end - start) / np.linalg.norm(end - start)
@@ -311,7 +311,7 @@ def _sort_around_edge(
 def _join_corners(
     ends: Int[np.ndarray, "h 2"], pairs: Int[np.ndarray, "k 2"]
 ) -> Int[np.ndarray, " h"]:
-    """Group number of each face corner, where faces joined along an edge share its ends."""
+    """Group index of each face corner; faces joined along an edge share its ends."""
     following = pairs + np.where(pairs % 3 < 2, 1, -2)
     same = ends[pairs[:, 0], 0] == ends[pairs[:, 1], 0]
     rows = np.concatenate([pairs[:, 0], following[:, 0]])
@@ -328,7 +328,7 @@ def _join_corners(
 
 
 def _conflict_place(mesh: Mesh, edges: Edges, disagrees: Bool[np.ndarray, " k"]) -> str:
-    """Where a walk over the surface first comes back to a face the other way round."""
+    """Position where a walk over the surface first returns to a face in opposite orientation."""
     pairs = edges.with_count(2)
     left, right = pairs.T // 3
     size = len(mesh.faces)

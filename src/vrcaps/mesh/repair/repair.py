@@ -1,4 +1,4 @@
-"""From any triangle soup to one closed wall whose normals point into the lumen."""
+"""Repair of a triangle soup into one closed wall whose normals point into the lumen."""
 
 from __future__ import annotations
 
@@ -28,27 +28,26 @@ if TYPE_CHECKING:
     from vrcaps.mesh.mesh import Mesh
 
 _END_DIAMETER = 0.25  # of the mean diameter; a wider border is an open end, not a hole
-_MOSTLY_OPEN = 0.7  # area of all borders over that of the wall, beyond which nothing is enclosed
+_MOSTLY_OPEN = 0.7  # maximum area of all borders over that of the wall
 _FLAT = 1e-3  # volume over area and size, below which there is no lumen
 
 
 def repair(mesh: Mesh, *, open_ends: Literal["cap", "keep"] = "cap") -> tuple[Mesh, RepairReport]:
-    """Repair a mesh until it is one oriented surface around a lumen, and report how.
+    """Repair a mesh until it is one oriented surface around a lumen, and report the changes.
 
-    Merged vertices, removed triangles and the rest keep texture coordinates and labels in
-    step; lesion numbers are dropped. Of a wall with a thickness the inner surface is kept. A border
-    wider than a quarter of the mean diameter is an open end of the lumen; narrower ones are holes
-    and always filled.
+    All operations keep texture coordinates and labels consistent; lesion IDs are dropped. Of a
+    wall with a thickness the inner surface is kept. A border wider than 1/4 of the mean diameter
+    is an open end of the lumen; narrower ones are holes and always filled.
 
     Args:
         mesh: Triangles with finite vertices [m].
         open_ends: Whether lumen ends are capped or left open.
 
     Returns:
-        The wall, faces counter-clockwise seen from the lumen, and what was done.
+        The wall, faces counter-clockwise seen from the lumen, and a report of the repairs.
 
     Raises:
-        InputError: If the surface has one side only, encloses no lumen, or cannot be closed.
+        InputError: If the surface is one-sided, encloses no lumen, or cannot be closed.
     """
     if open_ends not in ("cap", "keep"):
         raise InputError(f"open_ends is {open_ends!r}. Allowed: 'cap', 'keep'.")
@@ -86,7 +85,7 @@ def _check_lumen(mesh: Mesh, loops: list[Loop]) -> float:
     """Signed volume [m³] that the surface encloses once its borders are closed.
 
     Raises:
-        InputError: If that is next to nothing, or the surface is more border than wall.
+        InputError: If that is nearly zero, or the surface is more border than wall.
     """
     area = float(face_areas(mesh).sum())
     if not 0.0 < area < np.inf:
@@ -112,7 +111,7 @@ def _check_lumen(mesh: Mesh, loops: list[Loop]) -> float:
 def _close_loops(
     mesh: Mesh, loops: list[Loop], *, keep_ends: bool
 ) -> tuple[Mesh, list[Loop], list[Repair]]:
-    """Close the borders, or those that are no lumen ends; also gives the ends left open."""
+    """Close all borders, or all except lumen ends; return the ends left open."""
     end_diameter = _END_DIAMETER * mean_diameter(mesh, loops)
     ends = [loop for loop in loops if loop.diameter > end_diameter]
     holes = [loop for loop in loops if loop.diameter <= end_diameter]
@@ -132,7 +131,7 @@ def _close_loops(
 
 
 def _check_result(mesh: Mesh, *, num_ends: int) -> None:
-    """Every edge has two faces that run along it in opposite directions, but for open ends."""
+    """Check that each edge has two faces in opposite directions, except at open ends."""
     edges = find_edges(mesh.faces)
     nonmanifold = edges.nonmanifold()
     if nonmanifold:

@@ -1,4 +1,4 @@
-"""What a repair did, for programs and for people."""
+"""Repair report, machine- and human-readable."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ _MAX_PLACES = 4
 
 @dataclass(frozen=True)
 class Repair:
-    """One kind of defect that was repaired.
+    """Repaired defects of one kind.
 
     Attributes:
-        kind: Name of the defect, e.g. `hole`.
-        count: How many there were.
-        action: What was done, in words.
-        places: Where [m], in the mesh's frame; one row each, or empty where it was everywhere.
+        kind: Kind of defect, e.g. `hole`.
+        count: Number of defects.
+        action: Description of the repair.
+        places: Positions [m], in the mesh's frame; one row each, or empty for the whole mesh.
     """
 
     kind: str
@@ -32,18 +32,18 @@ class Repair:
     places: Float[np.ndarray, "k 3"] = field(default_factory=lambda: np.zeros((0, 3)))
 
     def line(self) -> str:
-        """The repair in one line, with the first few places."""
+        """One-line summary, with the first few positions."""
         text = f"{self.count} × {self.kind}: {self.action}"
         return text if len(self.places) == 0 else f"{text}, {format_points(self.places)}"
 
 
 @dataclass(frozen=True)
 class RepairReport:
-    """Everything a repair changed; empty for a clean mesh.
+    """All changes of a repair; empty for a clean mesh.
 
     Attributes:
-        repairs: In the order they were made.
-        open_ends: Middle of each lumen end left open on request [m].
+        repairs: Repairs in the order of execution.
+        open_ends: Center of each lumen end left open on request [m].
     """
 
     repairs: tuple[Repair, ...]
@@ -54,7 +54,7 @@ class RepairReport:
         return sum(repair.count for repair in self.repairs if repair.kind == kind)
 
     def lines(self) -> list[str]:
-        """One line for each kind of repair, and one for the ends left open."""
+        """Return one line for each kind of repair, and one for the ends left open."""
         lines = [repair.line() for repair in self.repairs]
         if len(self.open_ends):
             left = Repair("open end", len(self.open_ends), "left open", self.open_ends)
@@ -63,12 +63,12 @@ class RepairReport:
 
 
 def format_point(point: Float[np.ndarray, " 3"]) -> str:
-    """A position [m] for people: ``(1.2, -3.4, 5.6) mm``."""
+    """Human-readable position [m]: ``(1.2, -3.4, 5.6) mm``."""
     x, y, z = np.asarray(point) / MM
     return f"({x:.1f}, {y:.1f}, {z:.1f}) mm"
 
 
 def format_points(points: Float[np.ndarray, "k 3"]) -> str:
-    """The first few positions [m] for people: ``at (1.2, -3.4, 5.6) mm, …``."""
+    """Human-readable list of the first few positions [m]: ``at (1.2, -3.4, 5.6) mm, …``."""
     places = ", ".join(format_point(point) for point in points[:_MAX_PLACES])
     return f"at {places}" + (", …" if len(points) > _MAX_PLACES else "")

@@ -55,14 +55,14 @@ def merge_vertices(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
 
 
 def _require_apart(points: Float[np.ndarray, "n 3"], tolerance: float) -> None:
-    """Check that merging takes no more memory than a mesh does.
+    """Check that merging needs no more memory than the mesh.
 
     Raises:
-        InputError: If thousands of different vertices crowd within a millionth of the mesh.
+        InputError: If thousands of different vertices are within a millionth of the mesh.
     """
     if not tolerance > 0.0:
         return
-    steps = np.minimum((points - points.min(axis=0)) / tolerance, 1 << 20)  # 10⁶ at most
+    steps = np.minimum((points - points.min(axis=0)) / tolerance, 1 << 20)  # at most 10⁶
     cells = steps.astype(np.int64)
     counts = np.unique(cells @ [1 << 42, 1 << 21, 1], return_counts=True)[1]
     if (counts.astype(float) ** 2).sum() > len(points) + _MOST_PAIRS:
@@ -73,7 +73,7 @@ def _require_apart(points: Float[np.ndarray, "n 3"], tolerance: float) -> None:
 
 
 def remove_degenerate_faces(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
-    """Remove triangles without area and leave no gap.
+    """Remove triangles without area, leaving no gap.
 
     A needle's short edge is collapsed; a triangle whose apex lies on its longest edge is
     merged into the neighbor across that edge, which is split at the apex.
@@ -106,7 +106,7 @@ def remove_degenerate_faces(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
 
 
 def remove_duplicate_faces(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
-    """Keep one of the triangles that have the same three vertices, in any order."""
+    """Keep one of the triangles with the same three vertices, in any order."""
     corners = np.sort(mesh.faces, axis=1)
     _, first = np.unique(corners, axis=0, return_index=True)
     is_first = np.zeros(len(corners), bool)
@@ -119,7 +119,7 @@ def remove_duplicate_faces(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
 
 
 def _group(pairs: Int[np.ndarray, "k 2"], count: int) -> Int[np.ndarray, " n"]:
-    """Group number of each of `count` items, where pairs belong together."""
+    """Group index of each of `count` items, connected by pairs."""
     graph = scipy.sparse.coo_matrix(
         (np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), (count, count)
     )
@@ -127,7 +127,7 @@ def _group(pairs: Int[np.ndarray, "k 2"], count: int) -> Int[np.ndarray, " n"]:
 
 
 def _merge_groups(mesh: Mesh, group: Int[np.ndarray, " n"]) -> Mesh:
-    """One vertex (the first) for each group; vertices keep their order."""
+    """Merge each group to one vertex (the first); vertices keep their order."""
     _, first, number = np.unique(group, return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.empty(len(order), np.int64)
@@ -151,9 +151,9 @@ def _edge_lengths(mesh: Mesh) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarra
 def _split_neighbors(
     mesh: Mesh, thin: Int[np.ndarray, " k"], longest: Int[np.ndarray, " k"]
 ) -> tuple[Mesh, Float[np.ndarray, "j 3"]]:
-    """Drop each thin face and split the face across its longest edge at the thin one's apex.
+    """Remove each thin face and split the face across its longest edge at the thin one's apex.
 
-    Faces that share a neighbor with one already split wait for the next pass.
+    Faces that share a neighbor with one that is already split wait for the next pass.
     """
     edges = find_edges(mesh.faces)
     edge_of = np.empty(len(edges.order), np.int64)
@@ -185,7 +185,7 @@ def _split_neighbors(
 
 
 def _share_along(mesh: Mesh, half: int, vertex: int) -> float:
-    """How far along a half-edge a vertex lies, 0 to 1."""
+    """Relative position of a vertex along a half-edge, 0 to 1."""
     face, side = divmod(int(half), 3)
     start, end = mesh.vertices[mesh.faces[face, [side, (side + 1) % 3]]]
     share = np.dot(mesh.vertices[vertex] - start, end - start) / np.dot(end - start, end - start)

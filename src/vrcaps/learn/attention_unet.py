@@ -36,7 +36,7 @@ def _attention_class() -> Any:
     nn, functional = torch.nn, torch.nn.functional
 
     class SpatialAttention(nn.Module):
-        """Adds to each position the features of similar positions; initially the identity."""
+        """Attention of each position to similar positions; initially the identity."""
 
         def __init__(self, features: int) -> None:
             super().__init__()

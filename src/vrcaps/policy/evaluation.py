@@ -76,7 +76,7 @@ def success_measures(
 
     Args:
         curves: Curves of the episode.
-        progress: Progress of the task at its end: maximum fraction of the way, the lesions or the
+        progress: Progress of the task at its end: maximum fraction of the path, the lesions or the
             wall.
         is_success: Whether the task was completed.
 

@@ -31,8 +31,8 @@ class Requirements:
     """Requirements of a policy on its environment; empty fields require nothing.
 
     Attributes:
-        settings: Keyword arguments of `env_settings` that it was made for, such as `observations`;
-            an evaluation uses them as defaults.
+        settings: Keyword arguments of `env_settings` that it is designed for, such as
+            `observations`; an evaluation uses them as defaults.
         observations: Names of the observations that it reads.
         actuations: Kinds of actuation that it supports; one is needed.
     """
@@ -68,7 +68,7 @@ class Requirements:
 
 @runtime_checkable
 class Policy(Protocol):
-    """Chooses an action for each world of a vector environment.
+    """Policy that chooses an action for each world of a vector environment.
 
     It may use observations only, or `env.episode.simulation`, which is not available to a real
     capsule. Its randomness depends on the seeds of its episodes alone, so that an episode does not

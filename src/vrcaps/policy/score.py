@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Score:
-    """Runs the same episodes with any policy and averages each metric over them."""
+    """Mean metrics of any policy over the same episodes."""
 
     def __init__(self, settings: EnvSettings, num_episodes: int, seed: int) -> None:
         """Create the environment; worlds are created on the first call.

@@ -205,12 +205,12 @@ def _read_checkpoint(out: Path, learner: Ppo) -> Progress:
         return Progress(
             stated["num_rounds"], learner.num_rounds, tuple(stated["rows"]), stated["best"]
         )
-    except Exception as error:  # what PyTorch raises for damaged states has no common base
+    except Exception as error:  # errors of PyTorch for damaged states have no common base
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"{path} is damaged ({reason}). Give a new folder.") from error
 
 
 def _write_checkpoint(out: Path, learner: Ppo, progress: Progress) -> None:
     stated = {"num_rounds": progress.num_rounds, "rows": progress.rows, "best": progress.best}
-    write_csv(out / PROGRESS, progress.rows)  # first: what is killed after the last is whole
+    write_csv(out / PROGRESS, progress.rows)  # first, so that the checkpoint completes the state
     write_arrays(out / CHECKPOINT, {**learner.state(), "progress": np.array(json.dumps(stated))})

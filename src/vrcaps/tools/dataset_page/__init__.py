@@ -1,1 +1,1 @@
-"""HTML page of a dataset's contents: counts, histograms, sample frames."""
+"""HTML page of a data set's contents: counts, histograms, sample frames."""

@@ -1,4 +1,4 @@
-"""Histograms of a dataset by split: depth, brightness, speed of the capsule."""
+"""Histograms of a data set by split: depth, brightness, speed of the capsule."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""HTML page of a dataset: one self-contained file."""
+"""HTML page of a data set: one self-contained file."""
 
 from __future__ import annotations
 
@@ -59,11 +59,11 @@ figcaption { color: #555; font-size: 11px; line-height: 1.3; overflow-wrap: anyw
 def write_page(
     path: Path, settings: DatasetSettings, rows: Sequence[Row], sample: Sample, planned: int
 ) -> None:
-    """Write the page atomically; the same dataset gives the same bytes.
+    """Write the page atomically; the same data set gives the same bytes.
 
     Args:
         path: File to write or replace.
-        settings: Settings of the dataset.
+        settings: Settings of the data set.
         rows: Its recordings.
         sample: Sample of its frames.
         planned: Number of recordings in its plan.

@@ -1,4 +1,4 @@
-"""Evenly spread sample of a dataset's frames and their contents, of fixed size."""
+"""Evenly spread sample of a data set's frames and their contents, of fixed size."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Shot:
 
 @dataclass(frozen=True)
 class Sample:
-    """Sample of a dataset.
+    """Sample of a data set.
 
     Attributes:
         shots: Frames, in the order of their recordings.
@@ -74,7 +74,7 @@ def sample(dataset: Dataset, num_shots: int = NUM_SHOTS) -> Sample:
     """Sample frames that are spread evenly over recordings, time and cameras.
 
     Args:
-        dataset: Open dataset with at least one recording.
+        dataset: Open data set with at least one recording.
         num_shots: Number of frames; fewer if there are not so many.
 
     Raises:

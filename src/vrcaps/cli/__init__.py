@@ -1,4 +1,4 @@
-"""The command line: one dataclass per verb, each in its own file."""
+"""Command line: one dataclass per verb, each in its own module."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _TASKS = {
     "super-resolution": "images of more pixels",
     "sfm": "depth and motion without labels",
 }
-"""Tasks of learners; `tests/cli` holds them against the registry, which loads more."""
+"""Tasks of networks; `tests/cli` compares them with the registry, whose import takes longer."""
 
 _VERBS = {
     "demo": ("vrcaps.cli.demo", "Demo", "Record a labeled run through a generated colon."),
@@ -97,7 +97,7 @@ _GROUPS = {
 }
 
 _NOUNS = {"export": "format", "predict": "task", "evaluate": "task or policy"}
-"""Nouns of what follows the verb of a group, for messages."""
+"""Terms for the word after the verb of a group, for messages."""
 
 
 class _Command(Protocol):
@@ -107,11 +107,11 @@ class _Command(Protocol):
 def main(args: Sequence[str] | None = None) -> None:
     """Run the command `vrcaps`.
 
-    A mistake of the user's ends in one line on stderr and exit status 2, Ctrl-C in one line
-    and status 130; no traceback for either.
+    User errors end in one line on stderr and exit status 2, Ctrl-C in one line and status 130;
+    neither prints a traceback.
 
     Args:
-        args: Arguments after the program's name; None takes those of the process.
+        args: Arguments after the program's name; None means those of the process.
     """
     configure_streams()
     try:
@@ -121,7 +121,7 @@ def main(args: Sequence[str] | None = None) -> None:
 
 
 def _run(args: Sequence[str]) -> None:
-    """Run a command; what goes wrong is one line."""
+    """Run a command; errors become one line."""
     try:
         _parse(args).run()
     except VrcapsError as error:
@@ -139,12 +139,12 @@ def _run(args: Sequence[str]) -> None:
 def _parse(args: Sequence[str]) -> _Command:
     """Parse a command line; only the module of its verb is imported.
 
-    Without a verb, or with a group of verbs only, print the help.
+    Without a verb, or with a group of verbs only, the help is printed.
 
     Raises:
         UnknownNameError: If there is no such verb.
-        InputError: If an option is unknown or a value is impossible.
-        SystemExit: If help was printed, or something is missing.
+        InputError: If an option is unknown or a value is invalid.
+        SystemExit: If help was printed, or an argument is missing.
     """
     named = list(takewhile(lambda arg: not arg.startswith("-"), args))
     check_verb(named, _VERBS, _NOUNS)
@@ -156,7 +156,7 @@ def _parse(args: Sequence[str]) -> _Command:
         with redirect_stderr(said):
             return _app(args)
     except SystemExit as stop:
-        # What a dataclass says of its values would be boxed, under a name that is tyro's own.
+        # tyro would put a dataclass's help on its values into a box with its own title.
         error = stop.__context__
         while error is not None and not isinstance(error, VrcapsError):
             error = error.__context__
@@ -190,7 +190,7 @@ def _app(args: Sequence[str]) -> Any:
 
 
 def _help(verb: Sequence[str]) -> str:
-    """Help of a verb or a group of verbs; of the program for none."""
+    """Help of a verb or a group of verbs; of the program without one."""
     text = io.StringIO()
     with redirect_stdout(text), suppress(SystemExit):
         _app([*verb, "--help"])
@@ -208,7 +208,7 @@ def _verbs(words: Sequence[str]) -> dict[str, tuple[str, str, str]]:
 
 
 def _not_chosen() -> None:
-    """Stands for a verb that another was chosen over."""
+    """Placeholder of the verbs that were not chosen."""
 
 
 def _stop(message: str, status: int) -> None:

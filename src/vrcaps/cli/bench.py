@@ -8,21 +8,21 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class _Measurement:
-    """What all of them are told."""
+    """Options shared by all benchmarks."""
 
     out: Path | None = None
-    """Markdown page to write a section of; by default only prints."""
+    """Markdown page to write the results to, as a section; by default they are only printed."""
 
     quick: bool = False
-    """Only try whether everything runs; the figures mean nothing."""
+    """Only check that everything runs; the values are meaningless."""
 
 
 @dataclass(frozen=True)
 class Render(_Measurement):
-    """Measure how fast images are made.
+    """Measure rendering speed.
 
-    Subjects take turns in one process, so that ratios hold on a busy machine too. Prints each
-    promise of the project with what was measured; some minutes.
+    Subjects alternate in one process, so ratios remain valid on a busy machine. Prints the speed
+    claims of the project with the measured values; takes some minutes.
 
     For example:
       vrcaps bench render
@@ -30,7 +30,7 @@ class Render(_Measurement):
     """
 
     only: tuple[str, ...] = ()
-    """Which comparisons: frame, pixels, triangles, refit, heads; by default all."""
+    """Comparisons to run: frame, pixels, triangles, refit, heads; by default all."""
 
     def run(self) -> None:
         """Measure and report."""
@@ -41,7 +41,7 @@ class Render(_Measurement):
 
 @dataclass(frozen=True)
 class Record(_Measurement):
-    """Measure how fast labeled frames reach the disk, in how much memory, and what takes time.
+    """Measure the speed and memory use of recording labeled frames to disk, and the time per stage.
 
     For example:
       vrcaps bench record
@@ -57,7 +57,7 @@ class Record(_Measurement):
 
 @dataclass(frozen=True)
 class World(_Measurement):
-    """Measure how fast the physics steps: contact, the muscle's wave, whole frames, elements.
+    """Measure the speed of the physics: contact, motility, whole frames, finite elements.
 
     For example:
       vrcaps bench world

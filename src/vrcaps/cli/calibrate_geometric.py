@@ -1,4 +1,4 @@
-"""`vrcaps calibrate geometric`: a lens model from photographs of a chessboard."""
+"""`vrcaps calibrate geometric`: fit a lens model to photographs of a chessboard."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CalibrateGeometric:
-    """Fit a lens model to photographs of a chessboard, and write a capsule that record takes.
+    """Fit a lens model to photographs of a chessboard, and write a capsule file for record.
 
     Take 8 or more photographs through the capsule's own dome: the board near, tilted to different
     sides by 20° to 45°, and in every part of the image up to its rim. The board must be flat and
-    seen whole. A board seen mirrored is found too: its corners form the same grid.
+    completely visible. Mirrored images of a board also work, since its corners form the same grid.
 
     For example:
       vrcaps calibrate geometric photos/ --board 7x8 --square 2mm --out my-capsule.toml
@@ -36,38 +36,38 @@ class CalibrateGeometric:
     """
 
     photos: Positional[tuple[Path, ...]]
-    """Pictures (JPEG, PNG, BMP, TIFF, WebP), videos, or folders of them; all of one size, as the
+    """Images (JPEG, PNG, BMP, TIFF, WebP), videos, or folders of them; all of one size, as the
     capsule delivers them: not cropped, not resized."""
 
     board: str
     """Squares along the board's sides, such as 7x8; not inner corners."""
 
     square: str
-    """Side of a square with its unit, such as 2mm. Only distances follow from it, not the lens."""
+    """Side of a square with its unit, such as 2mm. It affects only distances, not the lens."""
 
     out: Path
-    """Capsule file to write, ending in .toml; the residuals are drawn beside it as PNG."""
+    """Capsule file to write, ending in .toml; a PNG of the residuals is written next to it."""
 
     lens: Literal["kannala-brandt", "pinhole", "scaramuzza"] = "kannala-brandt"
     """Lens model: kannala-brandt or scaramuzza for wide lenses, pinhole up to about 120°."""
 
     terms: int | None = None
-    """Distortion coefficients to fit, from the lowest order; all by default."""
+    """Number of distortion coefficients to fit, from the lowest order; by default all."""
 
     capsule: str = "mirocam"
-    """Capsule that gives body, LEDs and all else: a name of the catalog or a file."""
+    """Capsule to take the body, LEDs and all other values from: a name of the catalog or a file."""
 
     camera: str | None = None
-    """Its camera to replace; by default its first."""
+    """Camera of the capsule to replace; by default the first."""
 
     overwrite: bool = False
     """Replace the file if it exists."""
 
     video_frames: int = 20
-    """Frames to look at in each video."""
+    """Number of frames to use from each video."""
 
     def run(self) -> None:
-        """Find the board, fit, report and write."""
+        """Detect the board, fit, report and write."""
         require_existing(self.photos, "pictures or videos, or folders of them")
         from vrcaps.capsule.catalog import read_device
         from vrcaps.capsule.device_file import write_device
@@ -165,7 +165,7 @@ def _lens_table(fit: Calibration):
 
 
 def _facts(fit: Calibration, circle: ImageCircle | None) -> list[str]:
-    """What the numbers mean, and what to do where they are poor."""
+    """Explain the values, and suggest improvements where they are poor."""
     import numpy as np
 
     from vrcaps.tools.camera_calibration.fit import sees_image

@@ -1,4 +1,4 @@
-"""`vrcaps calibrate photometric`: vignetting, color and noise of a camera from its frames."""
+"""`vrcaps calibrate photometric`: estimate vignetting, color and noise of a camera."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CalibratePhotometric:
-    """Estimate what a real camera does to its images, from a folder of its frames.
+    """Estimate the photometric properties of a real camera from a folder of its frames.
 
-    Found are the image circle, vignetting, color, brightness, noise and JPEG quality. Circle,
-    color of the LEDs and exposure go into a capsule file; vignetting, noise and JPEG into a
-    scenario beside it. Twenty frames of different places or more give good figures.
+    Estimates the image circle, vignetting, color, brightness, noise and JPEG quality. Circle, color
+    of the LEDs and exposure are written to a capsule file; vignetting, noise and JPEG to a scenario
+    next to it. Use twenty or more frames of different positions for good results.
 
-    Frames alone do not tell the camera from the scene. Record a run with the same capsule, no
-    effects, in a like organ, and give its frames as --reference: then color, brightness and
-    vignetting are what differs. Without it vignetting counts the wall's own shading, and color
-    and brightness stay as they are.
+    Frames alone do not separate the camera from the scene. Record a run with the same capsule, no
+    effects, in a similar organ, and pass its frames as --reference: color, brightness and
+    vignetting are then estimated from the differences. Without a reference, vignetting includes the
+    wall's own shading, and color and brightness do not change.
 
     For example:
       vrcaps calibrate photometric frames/ --capsule mirocam --out my-capsule.toml
@@ -38,28 +38,28 @@ class CalibratePhotometric:
     """
 
     frames: Positional[tuple[Path, ...]]
-    """Pictures (JPEG, PNG, BMP, TIFF, WebP), videos, or folders of them; of one camera, one size,
+    """Images (JPEG, PNG, BMP, TIFF, WebP), videos, or folders of them; of one camera, one size,
     not cropped."""
 
     out: Path
-    """Capsule file to write, ending in .toml. Beside it: NAME-effects.toml, a scenario, and
-    NAME.png, which shows what was found."""
+    """Capsule file to write, ending in .toml. NAME-effects.toml, a scenario, and NAME.png, a figure
+    of the results, are written next to it."""
 
     capsule: str = "mirocam"
-    """Capsule to change: a name of the catalog or a file, such as vrcaps calibrate
-    geometric writes."""
+    """Capsule to change: a name of the catalog or a file, such as the output of vrcaps calibrate
+    geometric."""
 
     camera: str | None = None
-    """Its camera that took the frames; by default its first."""
+    """Camera of the capsule that took the frames; by default the first."""
 
     reference: tuple[Path, ...] = ()
-    """Frames recorded with this capsule in a like organ."""
+    """Frames recorded with this capsule in a similar organ."""
 
     overwrite: bool = False
     """Replace the files if they exist."""
 
     video_frames: int = 20
-    """Frames to look at in each video."""
+    """Number of frames to use from each video."""
 
     def run(self) -> None:
         """Estimate, report and write."""

@@ -15,9 +15,9 @@ EXIT_FAULTS = 1
 
 @dataclass(frozen=True)
 class Check:
-    """Verify an episode: every file there, whole, and consistent with poses, cameras and organ.
+    """Verify an episode: all files exist, are intact, and match the poses, cameras and organ.
 
-    Prints one line a fault and exits with status 1 if there is any.
+    Prints one line per fault and exits with status 1 if there are any.
 
     For example:
       vrcaps check runs/demo

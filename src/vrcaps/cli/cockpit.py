@@ -22,18 +22,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Cockpit:
-    """Drive a capsule by magnet from a browser, and keep what was driven.
+    """Drive a capsule by magnet from a browser, and save the drive.
 
-    The page shows organ, capsule, magnet and arm, and what the capsule's camera sees. Drag the
+    The page shows organ, capsule, magnet and arm, and the image of the capsule's camera. Drag the
     magnet, hold keys or use a gamepad. The flags are those of vrcaps record; without any, a robot
-    arm's magnet leads the capsule magnetic through a stomach.
+    arm's magnet steers the capsule magnetic through a stomach.
 
-    What is driven is kept in a folder, each second: commands.csv, and drive.json, which records the
+    The drive is saved to a folder every second: commands.csv, and drive.json, which records the
     drive as an episode: vrcaps record FOLDER/drive.json --out EPISODE.
 
-    Only the address that is printed opens the page: it holds a token, without which nothing is
-    served, and which the browser keeps as a cookie. The page is served to this machine only. From
-    elsewhere, forward the port (ssh -L 8080:localhost:8080 MACHINE), or give --host 0.0.0.0.
+    The page opens only with the printed address: it contains a token, which every request needs and
+    the browser stores as a cookie. The server listens on this machine only. From elsewhere, forward
+    the port (ssh -L 8080:localhost:8080 MACHINE), or use --host 0.0.0.0.
 
     For example:
       vrcaps cockpit
@@ -46,38 +46,38 @@ class Cockpit:
     """Scenario file (TOML, JSON), or the episode.json of an episode."""
 
     out: Path | None = None
-    """New or empty folder for what is driven; by default runs/drive-DATE-TIME."""
+    """New or empty folder for the drive; by default runs/drive-DATE-TIME."""
 
     host: str = "127.0.0.1"
-    """Address to listen at; 0.0.0.0 lets other machines in, too."""
+    """Address to listen on; 0.0.0.0 also admits other machines."""
 
     port: int = 8080
-    """Port to listen at."""
+    """Port to listen on."""
 
     policy: UseAppendAction[tuple[str, ...]] = ()
-    """A policy that the page offers beside the baselines: the file of a trained one, or an import
-    path package.module:Class; repeat for more."""
+    """Policy to offer in the page besides the baselines: a trained policy's file, or an import path
+    package.module:Class; repeat for more."""
 
     organ: OmitArgPrefixes[OrganFlags] = field(default_factory=OrganFlags)  # pyright: ignore
-    """The patient: the organ, its lesions and what is in its lumen."""
+    """The patient: the organ, its lesions and the contents of its lumen."""
 
     motion: OmitArgPrefixes[MotionFlags] = field(default_factory=MotionFlags)  # pyright: ignore
-    """The capsule and how it moves."""
+    """The capsule and its motion."""
 
     images: OmitArgPrefixes[ImageFlags] = field(default_factory=ImageFlags)  # pyright: ignore
-    """What is written when the drive is recorded, and everything random by one seed."""
+    """Output of a recording of the drive, and the seed of all randomness."""
 
     set: UseAppendAction[tuple[str, ...]] = ()
     """Change any value of the scenario: PATH=VALUE; vrcaps record --list-settings prints all."""
 
     threads: int | None = None
-    """Threads to use; by default all cores."""
+    """Number of threads; by default all cores."""
 
     def run(self) -> None:
         """Serve the page until Ctrl-C.
 
         Raises:
-            InputError: If the scenario is not possible, the folder not empty or the port in use.
+            InputError: If the scenario is invalid, the folder not empty or the port in use.
         """
         use_threads(self.threads)
         from vrcaps.cockpit.cockpit import open_cockpit, require_viser
@@ -102,10 +102,10 @@ class Cockpit:
         console.print(f"Record it with: vrcaps record {out / 'drive.json'} --out EPISODE")
 
     def resolved(self) -> Scenario:
-        """The scenario of file and flags; a stomach and a capsule with a magnet by default.
+        """Scenario of file and flags; by default a stomach and a magnetic capsule.
 
         Raises:
-            InputError: If a value is impossible, or recorded commands are given.
+            InputError: If a value is invalid, or recorded commands are given.
         """
         flags = {**vars(self.organ), **vars(self.motion)}
         if flags["steer"] is not None:
@@ -116,7 +116,7 @@ class Cockpit:
         organ, motion, steps = self.organ, self.motion, ()
         stated = self._stated_motion()
         if flags["motion"] is None and stated.get("kind") != "dynamics":
-            # The flags are checked against the motion that is driven, see `cockpit_scenario`.
+            # The flags are checked against the motion of the drive, see `cockpit_scenario`.
             start = stated.get("start") if flags["start"] is None else flags["start"]
             motion = replace(motion, motion="dynamics", start=start)
             steps = ("motion.substep=0.0002",)
@@ -128,7 +128,7 @@ class Cockpit:
         return asked.resolved()
 
     def _stated_motion(self) -> dict[str, Any]:
-        """The motion of the scenario file as plain values; empty without one."""
+        """Motion of the scenario file as plain values; empty without one."""
         from vrcaps.scenario.scenario import read_plain_scenario
 
         plain = {} if self.scenario is None else read_plain_scenario(self.scenario)

@@ -1,4 +1,4 @@
-"""Console of the verbs, and their progress: bars on a terminal, lines in a log file."""
+"""Console of the CLI, and progress: bars on a terminal, lines in a log file."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from rich.console import Console
 if TYPE_CHECKING:
     from rich.progress import Progress, ProgressColumn
 
-# Wrapping is left to the terminal, so that a path can be copied whole; tables still fit its width.
+# Wrapping is left to the terminal, so that paths can be copied in one piece; tables fit its width.
 console = Console(highlight=False, markup=False, soft_wrap=True)
 
 
 PERIOD = 30.0
-"""Least time between lines of progress where there is no terminal [s]."""
+"""Minimum time between progress lines without a terminal [s]."""
 
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
-    """A progress bar on stderr, driven by the number done and the total; lines in a log file.
+    """Progress bar on stderr, updated with the number done and the total; lines in a log file.
 
     Args:
-        title: What is being done.
+        title: Description of the task.
     """
     from rich.progress import MofNCompleteColumn
 
@@ -44,11 +44,11 @@ def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
 def progress_bars(
     counted: str, timed: str
 ) -> Iterator[tuple[Callable[[int, int], None], Callable[[float, float], None]]]:
-    """A bar of things done, and one of simulated time that shows when it is first driven.
+    """Bar of counted items, and one of simulated time that appears when it is first updated.
 
     Args:
-        counted: What is being done, driven by the number done and the total.
-        timed: What is being simulated, driven by the time so far and the whole [s].
+        counted: Description of the items, updated with the number done and the total.
+        timed: Description of the simulation, updated with the current and the total time [s].
     """
     from rich.progress import TextColumn
 
@@ -71,7 +71,7 @@ def progress_bars(
 
 
 class _Lines:
-    """Lines of progress on stderr, at most one in each period, where stderr is no terminal."""
+    """Progress lines on stderr, at most one per period, if stderr is not a terminal."""
 
     def __init__(self, title: str, clock: Callable[[], float] = time.monotonic) -> None:
         self._title, self._clock = title, clock
@@ -88,7 +88,7 @@ class _Lines:
 
 
 def _progress(amount: ProgressColumn) -> Progress:
-    """Bars on stderr that vanish when all is done; none in a log file."""
+    """Bars on stderr that disappear at the end; none in a log file."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     errors = Console(stderr=True)

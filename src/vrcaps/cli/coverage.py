@@ -1,4 +1,4 @@
-"""`vrcaps coverage`: how much of the organ an episode shows."""
+"""`vrcaps coverage`: coverage of an organ by an episode."""
 
 from __future__ import annotations
 
@@ -25,12 +25,13 @@ TABLE, MESH, FIGURE = "coverage.parquet", "coverage.glb", "coverage.png"
 class Coverage:
     """Measure and draw how much of the organ an episode shows, over time and by segment.
 
-    Four levels: `frustum` counts vertices in the field of view through walls, as VR-Caps does;
-    `visible` the area that some pixel sees first; `resolved` what it sees close and steeply enough
-    to show detail; `readable` what is well exposed and sharp, too, under no liquid.
+    There are four levels: `frustum` counts vertices in the field of view, even through walls, as
+    VR-Caps does; `visible` the area that is the nearest surface in some pixel; `resolved` the
+    visible area that is close and steep enough to show detail; `readable` the resolved area that is
+    also well exposed, sharp and not under liquid.
 
-    Writes a table over time (coverage.parquet), the organ with coverage at each vertex
-    (coverage.glb) and a picture (coverage.png).
+    Writes a table over time (coverage.parquet), the organ with the coverage of each vertex
+    (coverage.glb) and a figure (coverage.png).
 
     For example:
       vrcaps record --out runs/colon --frames 300 --coverage
@@ -42,16 +43,16 @@ class Coverage:
     """Folder of the episode, recorded with --coverage."""
 
     out: Path | None = None
-    """Folder to write into; by default `coverage` in the episode's folder."""
+    """Output folder; by default `coverage` in the episode's folder."""
 
     max_depth: float = CoverageCriteria.max_depth / MM
-    """Farthest depth of a vertex at `frustum` [mm]."""
+    """Maximum depth of a vertex at `frustum` [mm]."""
 
     min_pixels: float = CoverageCriteria.min_pixel_density * MM**2
-    """Fewest pixels on a square millimeter of the wall at `resolved`."""
+    """Minimum number of pixels per square millimeter of the wall at `resolved`."""
 
     max_incidence: float = math.degrees(CoverageCriteria.max_incidence)
-    """Largest angle between the wall's normal and the ray at `resolved` [deg]."""
+    """Maximum angle between the wall's normal and the ray at `resolved` [deg]."""
 
     def run(self) -> None:
         """Measure, write and report."""

@@ -1,4 +1,4 @@
-"""`vrcaps dataset`: make a data set from a plan, check it."""
+"""`vrcaps dataset`: make a data set from a plan, verify it."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ _MB, _GB, _MINUTE, _HOUR = 1e6, 1e9, 60.0, 3600.0
 class Make:
     """Make a data set from a plan: many recordings, split by patient.
 
-    A plan is a scenario file with a table [dataset]; anywhere else a distribution may stand in the
-    place of a value: { choice = [...] }, { uniform = [low, high] }, { log-uniform = [low, high] },
-    { normal = [mean, deviation] }, { integer = [low, high] }; { each = [...] } makes a recording
-    with every one. lesions = { prevalence = 1.0 } draws lesions as in a screening population.
+    A plan is a scenario file with a table [dataset]. Any other value may be replaced by a
+    distribution: { choice = [...] }, { uniform = [low, high] }, { log-uniform = [low, high] },
+    { normal = [mean, deviation] }, { integer = [low, high] }; { each = [...] } makes one recording
+    per value. lesions = { prevalence = 1.0 } samples lesions as in a screening population.
 
-    What is interrupted goes on where it stopped when the same command is repeated; the data set
-    then has the same bytes. A recording that fails is noted and does not stop the rest.
+    To resume an interrupted run, repeat the command; the data set then has the same bytes. A
+    recording that fails is reported and does not stop the others.
 
     For example:
       vrcaps dataset make cohort.toml --out runs/cohort --dry-run
@@ -42,29 +42,29 @@ class Make:
     """
 
     plan: Positional[Path]
-    """The plan (TOML or JSON)."""
+    """Plan file (TOML or JSON)."""
 
     out: str
     """Folder or URL of the data set: new, or an unfinished one of the same plan."""
 
     units: str | None = None
-    """Only these units, FIRST:END without END, such as 0:100 for the first hundred: a slice for
-    each machine."""
+    """Range of units to make, FIRST:END without END, such as 0:100 for the first hundred: a slice
+    for each machine."""
 
     workers: int | None = None
-    """Recordings made at once; by default one for each processor. 0 records in this process."""
+    """Number of parallel recordings; by default one per processor. 0 records in this process."""
 
     ray: str | None = None
-    """Ray cluster that records: local starts one here, auto joins this machine's, or HOST:PORT."""
+    """Ray cluster to record on: local starts one here, auto joins this machine's, or HOST:PORT."""
 
     dry_run: bool = False
-    """Say what will be made, how long it takes here and how much room it needs, and stop."""
+    """Print the recordings to make and estimates of duration and disk space, then exit."""
 
     def run(self) -> None:
         """Make and report.
 
         Raises:
-            InputError: If the plan or the target is not possible, or recordings failed.
+            InputError: If the plan or the target is invalid, or recordings failed.
         """
         require_file(self.plan, "a plan (TOML or JSON), such as examples/cohort.toml")
         from vrcaps.data.make import make_dataset
@@ -99,10 +99,10 @@ class Make:
 
 @dataclass(frozen=True)
 class Check:
-    """Verify a data set: every file and label, splits without shared patients, no doubles.
+    """Verify a data set: all files and labels, no patient in two splits, no duplicates.
 
-    Compares every file with its checksum, looks at every label image as `vrcaps check` does for an
-    episode, and says which recordings hold the same images. Prints one line a fault.
+    Compares every file with its checksum, checks every label image as `vrcaps check` does for an
+    episode, and reports recordings with identical images. Prints one line per fault.
 
     For example:
       vrcaps dataset check runs/cohort
@@ -116,13 +116,13 @@ class Check:
     """Compare checksums only."""
 
     workers: int | None = None
-    """Processes; by default one for each processor. 0 checks in this one."""
+    """Number of processes; by default one per processor. 0 checks in this process."""
 
     def run(self) -> None:
         """Check and report.
 
         Raises:
-            InputError: If something is wrong.
+            InputError: If there are faults.
         """
         require_folder(self.dataset, "a data set: the --out of `vrcaps dataset make`")
         from vrcaps.data.check_dataset import check_dataset
@@ -160,10 +160,10 @@ def _workers(given: int | None) -> int:
 
 
 def _runner(workers: int | None, ray: str | None) -> Runner:
-    """What runs the units.
+    """Runner of the units.
 
     Raises:
-        InputError: If there is no such thing.
+        InputError: If there is no such runner.
     """
     from vrcaps.data.runners.in_process import InProcess
     from vrcaps.data.runners.pool import Pool
@@ -177,7 +177,7 @@ def _runner(workers: int | None, ray: str | None) -> Runner:
 
 
 def _slice(text: str | None, count: int) -> range | None:
-    """Numbers of a slice such as ``0:100``; None for all."""
+    """Indices of a slice such as ``0:100``; None for all."""
     if text is None:
         return None
     first, colon, last = text.partition(":")
@@ -191,16 +191,16 @@ def _slice(text: str | None, count: int) -> range | None:
 
 
 def _estimate(plan: Plan, units: Units, numbers: Sequence[int], out: str) -> None:
-    """Say what will be made.
+    """Print an estimate of a run.
 
     Args:
-        plan: What to make.
+        plan: Plan of the data set.
         units: Its units.
-        numbers: Those to be made.
+        numbers: Indices of the units to make.
         out: Folder or URL of the data set.
 
     Raises:
-        InputError: If that is another data set's, or has no room.
+        InputError: If the target holds another data set, or lacks space.
     """
     from vrcaps.data.check_plan import check_plan
     from vrcaps.data.estimate import estimate
@@ -242,7 +242,7 @@ def _estimate(plan: Plan, units: Units, numbers: Sequence[int], out: str) -> Non
 
 
 def time_text(seconds: float) -> str:
-    """A duration in the unit that suits it."""
+    """Format a duration in a suitable unit."""
     if seconds < 2.0 * _MINUTE:
         return f"{seconds:.0f} seconds"
     if seconds < 2.0 * _HOUR:
@@ -251,5 +251,5 @@ def time_text(seconds: float) -> str:
 
 
 def size_text(num_bytes: float) -> str:
-    """A size in the unit that suits it."""
+    """Format a size in a suitable unit."""
     return f"{num_bytes / _MB:,.1f} MB" if num_bytes < _GB else f"{num_bytes / _GB:,.1f} GB"

@@ -1,4 +1,4 @@
-"""`vrcaps dataset card`, `vrcaps dataset show`: say what a data set holds."""
+"""`vrcaps dataset card`, `vrcaps dataset show`: describe the contents of a data set."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _WHAT = "a data set: the --out of `vrcaps dataset make`"
 
 @dataclass(frozen=True)
 class Card:
-    """Write the data card of a data set anew: its README.md, as `dataset make` does at its end.
+    """Rewrite the data card of a data set: its README.md, as at the end of `dataset make`.
 
-    The card says what the data set holds, how it was made, how to read it and what its limits are;
-    its header is the one that the Hugging Face Hub reads. What is in the file before is replaced.
-    License and description are those of the plan.
+    The card describes contents and limits of the data set, how it was made, and how to read it; its
+    header is in the format of the Hugging Face Hub. An existing file is replaced. License and
+    description are taken from the plan.
 
     For example:
       vrcaps dataset card runs/cohort
@@ -50,11 +50,11 @@ class Card:
 
 @dataclass(frozen=True)
 class Show:
-    """Show what a data set holds: a page, and a short table here.
+    """Show the contents of a data set: as an HTML page, and as a short table in the terminal.
 
-    The page is one file that opens in any browser: counts by split, organ, capsule, segment and
-    lesion; histograms of depth, brightness and speed; frames with their channels; a mosaic. It
-    looks at 240 images that are spread evenly over the recordings, however many there are.
+    The page is one self-contained file: counts by split, organ, capsule, segment and lesion;
+    histograms of depth, brightness and speed; frames with their channels; a mosaic. It samples 240
+    images that are spread evenly over all recordings.
 
     For example:
       vrcaps dataset show runs/cohort
@@ -65,13 +65,13 @@ class Show:
     """Folder or URL of the data set."""
 
     out: Path | None = None
-    """The page; by default beside the data set, or here for one elsewhere, with its name."""
+    """Page to write; by default NAME.html next to a local data set, here for a remote one."""
 
     def run(self) -> None:
         """Write the page and print the table.
 
         Raises:
-            InputError: If there is no data set, or nothing in it.
+            InputError: If there is no data set, or it is empty.
         """
         require_folder(self.dataset, _WHAT)
         from vrcaps.data import open as open_dataset
@@ -98,7 +98,7 @@ class Show:
 
 
 def _page_beside(dataset: str) -> Path:
-    """The page's place: beside a local data set, here for a remote one."""
+    """Default path of the page: next to a local data set, here for a remote one."""
     if "://" in dataset and not dataset.startswith("file://"):
         return Path(dataset.rstrip("/").rpartition("/")[2] + ".html")
     folder = Path(dataset.removeprefix("file://")).resolve()

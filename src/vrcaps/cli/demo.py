@@ -1,4 +1,4 @@
-"""`vrcaps demo`: a first labeled run, with nothing to choose."""
+"""`vrcaps demo`: a first labeled run with default settings."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from vrcaps.cli.recording import run_recording
 
 @dataclass(frozen=True)
 class Demo:
-    """Record a labeled run through the generated colon and say which picture to open.
+    """Record a labeled run through the generated colon, and name the image to open.
 
     For example:
       vrcaps demo
     """
 
     out: Path | None = None
-    """Folder of the episode; by default runs/demo, or the first of runs/demo-2, … that is free."""
+    """Folder of the episode; by default runs/demo, or the first free one of runs/demo-2, …"""
 
     def run(self) -> None:
         """Record and report."""
@@ -31,6 +31,6 @@ class Demo:
 
 
 def _free_folder(wanted: Path) -> Path:
-    """The folder itself, or with the first number behind it under which there is none."""
+    """Path itself, or with the first suffix number under which no folder exists."""
     numbered = (wanted.with_name(f"{wanted.name}-{number}") for number in count(2))
     return next(folder for folder in chain([wanted], numbered) if not folder.exists())

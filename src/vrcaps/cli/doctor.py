@@ -1,4 +1,4 @@
-"""`vrcaps doctor`: what is installed and what this machine offers."""
+"""`vrcaps doctor`: report on the installation and the machine."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from vrcaps.cli.console import console
 class Doctor:
     """Print the version, the CPU features and threads in use, the catalog, and the extras.
 
-    An extra that is not installed comes with the command that installs it.
+    For an extra that is not installed, the command to install it is printed.
 
     For example:
       vrcaps doctor
@@ -47,7 +47,7 @@ def _machine() -> list[tuple[str, str]]:
 
 
 def _extras() -> list[tuple[str, str]]:
-    """One row an extra: the versions of its packages, or how to install what is missing."""
+    """One row per extra: the versions of its packages, or how to install the missing ones."""
     from packaging.requirements import Requirement
 
     packages: dict[str, list[str]] = {}

@@ -1,4 +1,4 @@
-"""`vrcaps evaluate`: judge policies."""
+"""`vrcaps evaluate`: evaluate policies."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Judge policies over many seeds and episodes, side by side on all cores, under full physics.
+    """Evaluate policies over many seeds and episodes, in parallel on all cores, with full physics.
 
     A policy is a baseline (random, centerline, look-around, next-best-view, navigator), a trained
-    policy's file, or an import path package.module:Class. The folder then holds, for each policy
-    and capsule, episodes.csv (a row for each episode), curves.parquet (coverage, force and pose
-    over time) and median.mp4 (a video of the median run); and over all of them index.html with
-    summary.png and summary.csv. Interrupted, the same command goes on.
+    policy's file, or an import path package.module:Class. The output folder contains, for each
+    policy and capsule, episodes.csv (one row per episode), curves.parquet (coverage, force and pose
+    over time) and median.mp4 (a video of the median run); and for all of them index.html with
+    summary.png and summary.csv. To resume an interrupted evaluation, repeat the command.
 
-    To score estimates from images instead, give their task first: vrcaps evaluate depth, masks,
+    To score predictions from images instead, give their task first: vrcaps evaluate depth, masks,
     classes, super-resolution or sfm (each has its own --help).
 
-    Coverage is counted at the levels that need no images: frustum, visible, resolved. For
+    Coverage is evaluated at the levels that need no images: frustum, visible, resolved. For
     `readable`, record an episode with --coverage.
 
     For example:
@@ -42,14 +42,14 @@ class Evaluate:
     """
 
     policies: Positional[tuple[str, ...]]
-    """Policies: names of baselines, files of trained ones, import paths."""
+    """Policies: names of baselines, files of trained policies, import paths."""
 
     out: Path
-    """Folder: new, empty, or of the same evaluation, which goes on."""
+    """Output folder: new, empty, or of the same evaluation, which is resumed."""
 
     task: str = "coverage"
-    """Task of the policies: coverage (see the whole wall), navigate (reach a place along the gut)
-    or inspect (look at each lesion)."""
+    """Task of the policies: coverage (see the whole wall), navigate (reach a position along the
+    gut) or inspect (look at each lesion)."""
 
     organs: tuple[str, ...] = ()
     """Organs: a name with its seeds, such as stomach:0-19, or a mesh with its unit, such as
@@ -60,29 +60,29 @@ class Evaluate:
     """
 
     actuation: str = ""
-    """How the capsule is moved; by default as the policy was trained, as suits the task, or by a
-    wrench that balances gravity."""
+    """Actuation of the capsule; by default that of the policy's training, one that suits the task,
+    or a wrench that balances gravity."""
 
     seeds: int = 80
-    """Seeds 0, 1, …; they go through the organs in turn."""
+    """Number of seeds, 0, 1, …; they cycle through the organs."""
 
     episodes: int = 5
-    """Episodes of each seed, each from another start."""
+    """Number of episodes per seed, each from another start."""
 
     time: float | None = None
-    """Time of an episode [s]; by default 60, to navigate 1200, to inspect 180."""
+    """Duration of an episode [s]; by default 60, for navigate 1200, for inspect 180."""
 
     dynamics: Literal["physics", "quasi-static"] = "physics"
-    """Full simulation, or without inertia and fast."""
+    """Full simulation, or a fast one without inertia."""
 
     worlds: int = 20
-    """Episodes side by side."""
+    """Number of episodes simulated in parallel."""
 
     video: bool = True
-    """Whether videos of median runs are made."""
+    """Whether to write videos of the median runs."""
 
     def run(self) -> None:
-        """Judge, draw and report."""
+        """Evaluate, draw and report."""
         from vrcaps.tools.evaluation.page import VIDEO, write_page
         from vrcaps.tools.evaluation.run_video import write_run_video
 
@@ -100,7 +100,7 @@ class Evaluate:
         console.print(f"Written: {', '.join(map(str, written))}")
 
     def _judge(self) -> list[Subject]:
-        """All episodes of all policies with all capsules; mistakes are told before any runs."""
+        """Run all episodes of all policies with all capsules; errors are raised before any run."""
         from vrcaps.policy.evaluate import Plan, evaluate
         from vrcaps.policy.evaluation import Evaluation
         from vrcaps.policy.policy import read_policy
@@ -131,7 +131,7 @@ class Evaluate:
         return subjects
 
     def _settings(self, policy: Policy, capsule: str) -> EnvSettings:
-        """Settings of the environment that one policy is judged in: to the end of the time."""
+        """Environment settings for the evaluation of one policy: up to the end of the time."""
         from vrcaps.env.actuation.wrench import Wrench
         from vrcaps.env.organs import check_names
         from vrcaps.env.settings import env_settings
@@ -161,7 +161,7 @@ class Evaluate:
         return settings
 
     def _stated(self, label: str, settings: EnvSettings) -> dict[str, Any]:
-        """What is judged, for the folder; seeds and episodes may be added to later."""
+        """Description of the evaluation in the folder; seeds and episodes may be added later."""
         from vrcaps import __version__
         from vrcaps.policy.training import plain_environment
 
@@ -173,7 +173,7 @@ class Evaluate:
 
 
 def _short(name: str) -> str:
-    """A policy's or capsule's name as part of a folder's name."""
+    """Policy or capsule name as part of a folder name."""
     if ":" in name:
         return name.replace(":", "-")
     path = Path(name)

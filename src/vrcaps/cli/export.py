@@ -1,4 +1,4 @@
-"""`vrcaps export FORMAT`: write episodes and data sets in the layouts of others."""
+"""`vrcaps export FORMAT`: write episodes and data sets in other layouts."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from vrcaps.recording.frame_sequence import SPLITS
 
 @dataclass(frozen=True, kw_only=True)
 class Export:
-    """What the exports to all formats have in common."""
+    """Options shared by the exports to all formats."""
 
     source: Positional[str]
     """Folder or URL of an episode or of a data set."""
 
     out: Path
-    """Folder to make; it appears when all is written."""
+    """Folder to create; it appears when the export is complete."""
 
     camera: str | None = None
-    """Only this camera; by default all of the capsule."""
+    """Camera to export; by default all of the capsule."""
 
     split: str | None = None
-    """Only this split of a data set: train, val or test."""
+    """Split of a data set to export: train, val or test."""
 
     rectify: float | None = None
-    """Resample to a pinhole with this angle from left to right [degrees], below 180; depth, flow
-    and masks follow. The middle keeps its resolution."""
+    """Resample to a pinhole with this horizontal field of view [degrees], below 180; depth, flow
+    and masks follow. The resolution at the center is kept."""
 
     part: ClassVar[type[Format]]
 
@@ -44,7 +44,7 @@ class Export:
         """Export and report.
 
         Raises:
-            InputError: If the format cannot hold what was recorded.
+            InputError: If the format does not support the recording.
         """
         require_folder(self.source, "an episode or a data set")
         from vrcaps.data.sequences import sequences_of
@@ -64,7 +64,7 @@ class Export:
 
 
 def __getattr__(kind: str) -> Any:
-    """The command that exports to a format: what all have in common, and the format's options."""
+    """Export command of a format: shared options and those of the format."""
     if kind not in FORMATS:
         raise AttributeError(kind)
     examples = f"  vrcaps export {kind} runs/colon --out runs/colon-{kind}"

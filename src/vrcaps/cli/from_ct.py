@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FromCt:
-    """Make organs from a CT scan: by the gas in the gut, or by a label map or mask.
+    """Make organs from a CT scan: from the gas in the gut, or from a label map or mask.
 
-    Gas: the largest piece of gas that the body encloses, or the one at --seed-mm, or all of
-    them. Labels: those of --labels on the scan's grid, or of SCAN itself if it is a label map;
-    by number, or by TotalSegmentator's names (version 2: stomach, duodenum, small_bowel, colon).
-    Every organ is written as GLB in the patient frame (LPS, meters), with a picture.
+    Gas: the largest piece of gas inside the body, or the one at --seed-mm, or all of them. Labels:
+    those of --labels on the scan's grid, or of SCAN itself if it is a label map; by ID, or by
+    TotalSegmentator's names (version 2: stomach, duodenum, small_bowel, colon). Every organ is
+    written as GLB in the patient frame (LPS, meters), with an overview figure.
 
     For example:
       vrcaps organ from-ct dicom/ --out colon.glb
@@ -46,31 +46,31 @@ class FromCt:
     """Folder of DICOM slices, or a NIfTI, NRRD or MetaImage file."""
 
     out: Path = Path("organ.glb")
-    """File to write; with several organs, their names or numbers are added to it."""
+    """File to write; with several organs, their names or numbers are appended to the name."""
 
     series: str | None = None
-    """Which DICOM series of a folder that holds several: its number in the list, or its UID."""
+    """DICOM series of a folder with several: its number in the list, or its UID."""
 
     labels: Path | None = None
     """Label map or mask on the scan's grid."""
 
     label: tuple[str, ...] = ()
-    """Labels to make organs of, by number or name; a mask's is 1."""
+    """Labels to make organs from, by ID or name; that of a mask is 1."""
 
     seed_mm: tuple[float, float, float] | None = None
-    """A point in the gas of the lumen: x, y, z in the patient frame (LPS) [mm]."""
+    """Point in the gas of the lumen: x, y, z in the patient frame (LPS) [mm]."""
 
     all_pieces: bool = False
-    """Make an organ of every piece of gas, not of the largest only."""
+    """Make an organ of every piece of gas instead of only the largest."""
 
     threshold: int = -800
-    """Hounsfield units below which a voxel is all gas; lower it where loops leak together."""
+    """Hounsfield units below which a voxel is entirely gas; lower it if loops leak together."""
 
     tagged_fluid: Literal["supine", "prone", "left-lateral", "right-lateral"] | None = None
-    """Count tagged fluid as lumen (electronic cleansing), the patient having lain like this."""
+    """Posture of the patient; counts tagged fluid as lumen (electronic cleansing)."""
 
     bridge_mm: float = 0.0
-    """Widest collapsed stretch of gut to open to a channel; wider ones are only reported."""
+    """Maximum gap between pieces to open to a channel; wider gaps are only reported."""
 
     edge_mm: float = 1.6
     """Mean edge length of the triangles."""
@@ -79,16 +79,16 @@ class FromCt:
     """Blur of the scan beforehand [voxels]; by default 0.5 for gas, 0.7 for labels."""
 
     pass_band: float = 0.1
-    """Smoothing of the wall: lower is smoother, 2 is none."""
+    """Pass band of the wall's smoothing: lower is smoother, 2 is none."""
 
     open_ends: Literal["cap", "keep"] = "cap"
-    """Whether the lumen is closed or left open where the scan cuts it."""
+    """Close the lumen (cap) or leave it open (keep) where the scan cuts it."""
 
     anatomy: Literal["any", "colon"] = "any"
-    """A whole colon gets its segments; its lower end is the anal one."""
+    """Anatomy: a whole colon is divided into segments, and its lower end is the anal one."""
 
     reverse: bool = False
-    """Take the other end of the lumen for the oral one."""
+    """Use the other end of the lumen as the oral one."""
 
     def run(self) -> None:
         """Read, make, write and report."""
@@ -109,7 +109,7 @@ class FromCt:
             _write(path, organ)
 
     def _check_settings(self) -> None:
-        """Find mistakes before a scan is read, which takes up to a minute."""
+        """Check the settings before reading a scan, which takes up to a minute."""
         for path in (self.scan, self.labels):
             if path is not None and not path.exists():
                 raise InputError(f"No scan at {path}. Give a DICOM folder or a NIfTI file.")
@@ -181,7 +181,7 @@ class FromCt:
             yield path, organ
 
     def _path(self, which: str, num: int) -> Path:
-        """File of one organ of several."""
+        """File of one of several organs."""
         return self.out if num == 1 else self.out.with_name(f"{self.out.stem}-{which}.glb")
 
 
@@ -194,13 +194,13 @@ def _read(path: Path, series: str | None, *, is_label_map: bool) -> Volume:
 
 @contextmanager
 def _steps(title: str) -> Iterator[Callable[[str], None]]:
-    """A line on the terminal that says what is being done."""
+    """Status line on the terminal that shows the current step."""
     with console.status(title) as status:
         yield lambda step: status.update(f"{title}: {step}")
 
 
 def _list_pieces(pieces: tuple[GasPiece, ...]) -> None:
-    """Print the gas found, largest first."""
+    """Print the pieces of gas, largest first."""
     from rich.table import Table
 
     table = Table("gas", "volume", "inside it (LPS, mm)", "HU", box=None, padding=(0, 2, 0, 0))

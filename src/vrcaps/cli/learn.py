@@ -1,4 +1,4 @@
-"""`vrcaps train TASK`, `vrcaps evaluate TASK`, `vrcaps predict TASK`: learners on images."""
+"""`vrcaps train TASK`, `vrcaps evaluate TASK`, `vrcaps predict TASK`: networks on images."""
 
 from __future__ import annotations
 
@@ -20,50 +20,50 @@ if TYPE_CHECKING:
     from vrcaps.recording.frame_sequence import FrameSequence
 
 _TOLD = 20
-"""Most near-duplicates that are named."""
+"""Maximum number of near-duplicates to list."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Train:
-    """What training of all tasks has in common."""
+    """Options shared by the training of all tasks."""
 
     data: UseAppendAction[tuple[str, ...]]
     """Folder or URL of an episode or data set, or KIND:FOLDER for a layout of `vrcaps export`, such
     as c3vd:/data/c3vd; repeat for more."""
 
     validation: UseAppendAction[tuple[str, ...]] = ()
-    """Where weights are chosen by, likewise; by default the data's own split, or a part of it."""
+    """Data to select checkpoints on, as above; by default the data's val split, or a part of it."""
 
     out: Path
-    """Folder: new, empty, or of the same training, which goes on."""
+    """Output folder: new, empty, or of the same training, which is resumed."""
 
     preset: Literal["default", "paper", "ci"] = "default"
-    """Where settings of training come from: ours, the paper's, or one that takes a minute."""
+    """Preset of all settings: ours, the paper's, or one that takes a minute."""
 
     start: str = ""
-    """imagenet, scratch, a file of weights to go on from, such as those learned on other data, or
-    the name of published ones; of those of another task the encoder is taken; by default what the
-    preset says."""
+    """Initial weights: imagenet, scratch, a checkpoint to fine-tune, such as one pre-trained on
+    other data, or the name of published weights; from those of another task only the encoder is
+    used. By default that of the preset."""
 
     set: UseAppendAction[tuple[str, ...]] = ()
     """Change any setting of training: NAME=VALUE, such as steps=5000, batch=16, rate=1e-4,
-    fraction=0.1 or seed=3; repeat for more. settings.json holds all of them."""
+    fraction=0.1 or seed=3; repeat for more. settings.json contains all of them."""
 
     duplicates: Literal["drop", "keep", "refuse"] = "drop"
-    """What to do with real images that are to be learned from, but are near-duplicates of images to
-    validate or test with: leave them out, keep them, or stop."""
+    """How to handle real training images that are near-duplicates of validation or test images:
+    drop them, keep them, or refuse to train."""
 
     device: str = "auto"
-    """cpu, cuda, mps, or auto for the fastest there is."""
+    """cpu, cuda, mps, or auto for the fastest available."""
 
     threads: int = 1
-    """Threads of PyTorch on a CPU; more are slower on a machine with other work."""
+    """Threads of PyTorch on a CPU; more are slower on a busy machine."""
 
     tensorboard: bool = False
-    """Write files for TensorBoard into the folder's tensorboard."""
+    """Write TensorBoard logs to the subfolder tensorboard."""
 
     force: bool = False
-    """Go on with a training that another version of vrcaps or of a package began."""
+    """Resume a training that was started with another version of vrcaps or of a package."""
 
     part: ClassVar[type[AnyLearner]]
 
@@ -71,7 +71,7 @@ class _Train:
         """Train and report.
 
         Raises:
-            InputError: If the data cannot be learned from.
+            InputError: If the data are not suitable for training.
         """
         require_sources((*self.data, *self.validation))
         from vrcaps.formats.sources import read_sources
@@ -121,7 +121,7 @@ class _Train:
     def _without_duplicates(
         self, samples: Samples, held_out: Samples, tested: list[FrameSequence]
     ) -> Samples:
-        """Frames to learn from that are not among those to validate or test with."""
+        """Training frames without near-duplicates of validation or test frames."""
         from vrcaps.learn.duplicates import without_duplicates
         from vrcaps.learn.samples import Samples
 
@@ -149,23 +149,23 @@ class _Train:
 
 @dataclass(frozen=True, kw_only=True)
 class _Evaluate:
-    """What evaluation of all tasks has in common."""
+    """Options shared by the evaluation of all tasks."""
 
     weights: str = ""
     """File of trained weights, or the name of published ones (`vrcaps weights list`); by default
     those published for the task."""
 
     data: UseAppendAction[tuple[str, ...]]
-    """Frames with truth, as for `vrcaps train`; repeat for more."""
+    """Frames with ground truth, as for `vrcaps train`; repeat for more."""
 
     split: str = ""
-    """Only this split of data that has splits: train, val or test."""
+    """Split to use of data with splits: train, val or test."""
 
     out: Path | None = None
-    """Folder for scores.csv, evaluation.json (what a model card states) and a picture."""
+    """Output folder for scores.csv, evaluation.json (input of a model card) and a figure."""
 
     device: str = "auto"
-    """cpu, cuda, mps, or auto for the fastest there is."""
+    """cpu, cuda, mps, or auto for the fastest available."""
 
     task: ClassVar[str]
 
@@ -173,7 +173,7 @@ class _Evaluate:
         """Evaluate and report.
 
         Raises:
-            InputError: If weights or data do not fit.
+            InputError: If weights and data do not match.
         """
         require_sources(self.data)
         from vrcaps.files import file_sha256, write_csv
@@ -211,7 +211,7 @@ class _Evaluate:
 
 @dataclass(frozen=True, kw_only=True)
 class _Predict:
-    """What estimates of all tasks have in common."""
+    """Options shared by the prediction of all tasks."""
 
     weights: str = ""
     """File of trained weights, or the name of published ones (`vrcaps weights list`); by default
@@ -221,27 +221,27 @@ class _Predict:
     """Images: a folder of them, an episode, a data set, or KIND:FOLDER."""
 
     out: Path
-    """Folder to make."""
+    """Folder to create."""
 
     capsule: str = ""
-    """Capsule or endoscope whose first camera took the images, where they are of a plain folder: a
-    name of the catalog, such as colonoscope, or a file. Its images have the size of these. Depth
-    and sfm need its lens."""
+    """Capsule or endoscope whose first camera took the images of a plain folder: a name of the
+    catalog, such as colonoscope, or a file. Its image size must match. depth and sfm need its
+    lens."""
 
     fov: float | None = None
-    """Angle from the left to the right edge of the picture [degrees], for images of an unknown
-    lens: an ideal equidistant lens is assumed. Absolute depth is then no better than this guess."""
+    """Horizontal field of view [degrees] for images of an unknown lens: an ideal equidistant lens
+    is assumed. Absolute depth is then no better than this guess."""
 
     device: str = "auto"
-    """cpu, cuda, mps, or auto for the fastest there is."""
+    """cpu, cuda, mps, or auto for the fastest available."""
 
     task: ClassVar[str]
 
     def run(self) -> None:
-        """Estimate, write and report.
+        """Predict, write and report.
 
         Raises:
-            InputError: If weights or images do not fit.
+            InputError: If weights and images do not match.
         """
         require_sources((self.images,))
         from vrcaps.files import require_new_folder
@@ -281,13 +281,13 @@ _EXAMPLES = {
   vrcaps predict {0} --weights runs/{0}/best.safetensors --images runs/colon --out runs/mine""",
 }
 _LENS = " --fov 140"
-"""What an example of a task adds that needs a lens."""
+"""Addition to the example of a task that needs a lens."""
 _UNPUBLISHED = ("sfm",)
 """Tasks without published weights, whose examples name a file."""
 
 
 def _examples(verb: str, task: str) -> str:
-    """Lines of the help."""
+    """Example lines of the help."""
     lens = _LENS if "ray" in LEARNERS[task].input_names else ""
     lines = _EXAMPLES[verb].format(task, lens).split("\n")
     if verb != "train" and task in _UNPUBLISHED:
@@ -296,7 +296,7 @@ def _examples(verb: str, task: str) -> str:
 
 
 def __getattr__(name: str) -> Any:
-    """The command of a verb and a task, such as `train_depth`."""
+    """Command of a verb and a task, such as `train_depth`."""
     verb, _, task = name.partition("_")
     if verb not in _EXAMPLES or task not in LEARNERS:
         raise AttributeError(name)

@@ -1,4 +1,4 @@
-"""Lesions as the command line shows them."""
+"""Lesions in the output of the command line."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from vrcaps.units import CM, MM
 
 
 def lesion_lines(records: Sequence[dict[str, Any]], length: float) -> list[str]:
-    """One line for each lesion of an organ.
+    """One line per lesion of an organ.
 
     Args:
-        records: Of `OrganSurface.metadata` or `episode.json`.
-        length: Of the centerline [m].
+        records: Lesions of `OrganSurface.metadata` or `episode.json`.
+        length: Length of the centerline [m].
     """
     lines = []
     for record in records:

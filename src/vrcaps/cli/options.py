@@ -1,4 +1,4 @@
-"""Mistakes in the words of a command line, said on one line before any verb is imported."""
+"""One-line errors for the words of a command line, before any verb is imported."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from vrcaps.errors import InputError, UnknownNameError
 _BOX = re.compile(r"[╭╮╰╯│─]+")
 _OPTION = re.compile(r"^ *(?:-\w, )?(--[a-z][\w.-]*)", re.MULTILINE)
 _ALIKE = 0.8
-"""Likeness from which the name of a policy is taken for a misspelled task."""
+"""Minimum similarity at which the name of a policy is taken for a misspelled task."""
 _HELP = "Known options: vrcaps {verb} --help."
 
 
 def check_verb(words: Sequence[str], verbs: Iterable[str], nouns: dict[str, str]) -> None:
-    """Check the name of a verb, and that of what follows it in a group.
+    """Check the name of a verb, and of the word after it in a group.
 
     Args:
         words: Arguments before the first option.
         verbs: All verbs, such as ``record`` or ``export coco``.
-        nouns: What follows a verb of each group, such as ``format`` for ``export``.
+        nouns: Term for the word after the verb of each group, such as ``format`` for ``export``.
 
     Raises:
         UnknownNameError: If there is no such verb.
@@ -36,17 +36,17 @@ def check_verb(words: Sequence[str], verbs: Iterable[str], nouns: dict[str, str]
     is_leaf = any(path == [words[0]] for path in known)
     if len(words) < 2 or not inner or words[1] in inner:
         return
-    # Of `evaluate`, anything else may be a policy.
+    # After `evaluate`, any other word may be a policy.
     if not is_leaf or get_close_matches(words[1], inner, 1, _ALIKE):
         raise UnknownNameError(nouns.get(words[0], f"{words[0]} command"), words[1], inner)
 
 
 def option_error(said: str, help_text: Callable[[], str], verb: str) -> InputError | None:
-    """What a parser says of wrong options, on one line; None if it is something else.
+    """Convert a parser's message on wrong options to one line; None for any other message.
 
     Args:
-        said: What the parser wrote.
-        help_text: Makes the help of the verb, which names all options.
+        said: Message of the parser.
+        help_text: Returns the help of the verb, which lists all options.
         verb: Words of the verb.
     """
     text = " ".join(_BOX.sub(" ", said).split())

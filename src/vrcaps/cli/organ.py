@@ -1,4 +1,4 @@
-"""`vrcaps organ`: generate an organ, look at an organ file."""
+"""`vrcaps organ`: generate an organ, inspect an organ file."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ _PICTURES = (".png", ".jpg", ".pdf", ".svg")
 class Inspect:
     """Measure an organ and draw it: outside, inside each segment, unrolled, diameter, lesions.
 
-    Of a mesh file, which is repaired first as a recording would (every repair is listed), of an
-    organ file that vrcaps wrote, or of a generated organ.
+    The organ is a mesh file, which is first repaired as for a recording (every repair is listed),
+    an organ file written by vrcaps, or a generated organ.
 
     For example:
       vrcaps organ inspect colon.ply --unit mm
@@ -47,22 +47,22 @@ class Inspect:
     needs none."""
 
     open_ends: Literal["cap", "keep"] = "cap"
-    """Whether a mesh file's open ends of the lumen are capped or kept."""
+    """Cap or keep the open ends of a mesh file's lumen."""
 
     reverse: bool = False
-    """The narrower end of a mesh file's lumen is the oral one."""
+    """Use the narrower end of a mesh file's lumen as the oral one."""
 
     seed: int | None = None
-    """Patient of a generated organ; 0 by default."""
+    """Patient seed of a generated organ; by default 0."""
 
     distension: Distension | None = None
-    """How full a generated organ is."""
+    """Distension of a generated organ."""
 
     mucosa: str | None = None
-    """Give a mesh file this mucosa of `vrcaps organ list` in the picture."""
+    """Mucosa of `vrcaps organ list` to apply to a mesh file in the figure."""
 
     picture: Path | None = None
-    """Picture to write; by default <name>-overview.png in the working directory."""
+    """Figure to write; by default <name>-overview.png in the working directory."""
 
     def run(self) -> None:
         """Inspect and report."""
@@ -108,7 +108,7 @@ class Inspect:
 
 @dataclass(frozen=True)
 class Make:
-    """Generate an organ and write it as a GLB file, textures included; draw a picture.
+    """Generate an organ, write it as a GLB file with textures, and draw a figure.
 
     For example:
       vrcaps organ make colon --seed 3 --out colon-3.glb
@@ -118,34 +118,34 @@ class Make:
     """
 
     name: Positional[str]
-    """An organ of `vrcaps organ list`, such as stomach; full-tract is all three as one wall."""
+    """Organ of `vrcaps organ list`, such as stomach; full-tract is all three as one wall."""
 
     seed: int = 0
-    """A different patient for each."""
+    """Patient seed; each seed is a different patient."""
 
     distension: Distension | None = None
-    """How full it is; by default the colon is inflated, all else normal."""
+    """Distension; by default the colon is inflated, all others are normal."""
 
     mucosa: str | None = None
-    """Look of the wall: colon, stomach or small-bowel, or the folder of a texture that
-    vrcaps organ texture wrote; by default the organ's own."""
+    """Appearance of the wall: colon, stomach or small-bowel, or the folder of a texture written by
+    vrcaps organ texture; by default the organ's own."""
 
     out: Path | None = None
     """File to write; by default <name>-<seed>.glb in the working directory. In meters."""
 
     lesion: Annotated[tuple[str, ...], UseAppendAction] = ()
-    """Put this into the organ; give it again for more: a name and what differs from its defaults,
-    such as bleeding-3:segment=jejunum or polyp-IIa-serrated. vrcaps organ list has them all."""
+    """Lesion to put into the organ; repeat for more: a name and values that differ from its
+    defaults, such as bleeding-3:segment=jejunum or polyp-IIa-serrated. See vrcaps organ list."""
 
     lesions: str | None = None
-    """A file of lesions (TOML or JSON), or prevalence: as many as a patient of a screening has."""
+    """File of lesions (TOML or JSON), or prevalence: as many as a screening patient has."""
 
     posture: str = "supine"
-    """How the patient lies: supine, prone, left-lateral, right-lateral or standing; blood runs
+    """Posture of the patient: supine, prone, left-lateral, right-lateral or standing; blood runs
     down from its source."""
 
     clean_twin: bool = False
-    """Write the clean twin too, as <out>-clean.glb."""
+    """Also write the clean twin, as <out>-clean.glb."""
 
     def run(self) -> None:
         """Generate and report."""
@@ -163,7 +163,7 @@ class Make:
         files = {out: organ}
         if clean is not None:
             files[out.with_name(f"{out.stem}-clean.glb")] = clean
-        with ThreadPoolExecutor(1) as beside:  # the files are written while the picture is drawn
+        with ThreadPoolExecutor(1) as beside:  # the files are written while the figure is drawn
             written = {path: beside.submit(write_organ, path, own) for path, own in files.items()}
             report_organ(organ, out.with_name(f"{out.stem}-overview.png"))
             for path, done in written.items():
@@ -171,7 +171,7 @@ class Make:
                 console.print(f"Wrote {path} (unit: m).")
 
     def _patient(self) -> tuple[OrganSurface, OrganSurface | None]:
-        """The organ, with its lesions if there are any, and the clean twin if that is wanted."""
+        """Organ with its lesions, if any, and the clean twin if requested."""
         from vrcaps.scenario.build import make_organ, resolve
         from vrcaps.scenario.scenario import OrganGenerated, Scenario
 
@@ -182,7 +182,7 @@ class Make:
 
 
 def report_organ(organ: OrganSurface, picture: Path) -> None:
-    """Print the facts as a table, and the repairs of a mesh file, and write the picture."""
+    """Print the measures as a table, and the repairs of a mesh file, and write the figure."""
     from rich.table import Table
 
     from vrcaps.organ.measure import measure_organ

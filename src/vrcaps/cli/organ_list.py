@@ -1,4 +1,4 @@
-"""`vrcaps organ list`: the organs, lesions, mucosae and capsules that go by name."""
+"""`vrcaps organ list`: the organs, lesions, mucosae and capsules of the catalog."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from vrcaps.cli.console import console
 
 @dataclass(frozen=True)
 class List:
-    """List the built-in organs and all that goes with them, and what to type next.
+    """List the built-in organs, lesions, mucosae, effects and capsules, and next commands.
 
     For example:
       vrcaps organ list
@@ -63,7 +63,7 @@ def _words(names: tuple[str, ...]) -> str:
 
 
 def _lesions() -> list[tuple[str, str]]:
-    """Each kind with its grades as `--lesion` takes them, and its settings."""
+    """Each kind with its grades in the form of `--lesion`, and its settings."""
     from vrcaps.lesion import LESIONS
     from vrcaps.lesion.registry import describe_kind
     from vrcaps.lesion.settings import settings_of
@@ -81,7 +81,7 @@ def _lesions() -> list[tuple[str, str]]:
 
 
 def _library() -> list[tuple[str, str]]:
-    """The library's names by kind: as many as there are, from first to last."""
+    """Names of the library by kind: their count, first and last."""
     from vrcaps.lesion import LESIONS
 
     libraries = {kind: list(cls.library()) for kind, cls in LESIONS.items()}

@@ -1,4 +1,4 @@
-"""Commands that one dataclass and the options of a part make together."""
+"""Commands combined from a dataclass and the options of a part."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Any
 
 
 def command_of(base: type, part: type, examples: str) -> Any:
-    """A command with the flags of `base` and, as further flags, the fields of `part`.
+    """Create a command with the flags of `base` and, as further flags, the fields of `part`.
 
     Args:
         base: Dataclass of the command; its class attribute `part` is set.
-        part: Frozen dataclass whose docstring tells what it is and its attributes.
-        examples: Lines of the help.
+        part: Frozen dataclass whose docstring describes it and its attributes.
+        examples: Example lines of the help.
     """
     meaning, attributes, options = inspect.cleandoc(part.__doc__ or "").partition("Attributes:")
     doc = f"{meaning.rstrip()}\n\nFor example:\n{examples}\n\n{attributes}{options}"
@@ -22,6 +22,6 @@ def command_of(base: type, part: type, examples: str) -> Any:
 
 
 def part_of(command: Any) -> Any:
-    """The part that a command's flags describe."""
+    """Part described by a command's flags."""
     names = inspect.signature(command.part).parameters
     return command.part(**{name: getattr(command, name) for name in names})

@@ -1,4 +1,4 @@
-"""Checks of paths that need no package: a wrong path is reported before anything is loaded."""
+"""Checks of paths without further imports: a wrong path is reported before anything is loaded."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from vrcaps.formats.registry import FORMATS
 
 
 def require_folder(folder: str | Path, what: str) -> None:
-    """Check that a folder exists; a URL is taken as it is.
+    """Check that a folder exists; a URL is not checked.
 
     Args:
         folder: Folder or URL.
-        what: What it should be, with its article, such as ``an episode``.
+        what: Expected content, with its article, such as ``an episode``.
 
     Raises:
         InputError: If there is no such folder, or it is a file.

@@ -1,4 +1,4 @@
-"""`vrcaps reconstruct`: the wall that a run saw, by fusion of its frames or by stitching."""
+"""`vrcaps reconstruct`: reconstruct the wall from a run, by fusion of its frames or stitching."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Reconstruct:
-    """Make a surface of what a run saw, and compare it with the true wall.
+    """Reconstruct the wall from a recording, and compare it with the true wall.
 
     --method fusion fuses depth and poses of the whole run. Both are those of the recording, or
-    estimates: depth from --weights, or --depth, the folder that `vrcaps predict depth` wrote; poses
-    from --odometry, which matches features of the images, or --poses, a trajectory in TUM's form.
-    With --weights and --odometry the images are all that is used.
+    estimates: depth from --weights, or --depth, the output folder of `vrcaps predict depth`; poses
+    from --odometry, which matches features of the images, or --poses, a trajectory in TUM format.
+    With --weights and --odometry, only the images are used.
 
     --method stitching follows algorithm 1 of the VR-Caps paper: highlights are inpainted, the
-    images stitched into one without any poses, its depth made a surface, and that registered to the
-    true wall. Depth then also comes from --shading.
+    images stitched into one without poses, its depth converted to a surface, and the surface
+    registered to the true wall. Depth may then also come from --shading.
 
-    The folder holds mesh.ply, the wall in the colors of the images; and for an episode errors.csv,
-    errors.ply and errors.png, its distances from the true wall at rest. Odometry adds poses.txt,
-    in TUM's form, in the frame of the first camera. Stitching adds highlights.png, matches.png and
-    matches.csv, mosaic.png, depth.png and registration.csv.
+    The output folder contains mesh.ply, the wall in the colors of the images; for an episode also
+    errors.csv, errors.ply and errors.png, the distances from the true wall at rest. Odometry adds
+    poses.txt, in TUM format, in the frame of the first camera. Stitching adds highlights.png,
+    matches.png and matches.csv, mosaic.png, depth.png and registration.csv.
 
     For example:
       vrcaps reconstruct runs/colon --out runs/colon-mesh
@@ -53,23 +53,23 @@ class Reconstruct:
     """Folder or URL of an episode, or KIND:FOLDER for a layout of `vrcaps export`."""
 
     out: Path
-    """Folder to make."""
+    """Folder to create."""
 
     method: Literal["fusion", "stitching"] = "fusion"
-    """How: from depth and poses of all frames, or from one image that is stitched of them."""
+    """Reconstruction from depth and poses of all frames, or from one stitched image."""
 
     camera: str = ""
     """Camera to use; by default the first."""
 
     depth: Path | None = None
-    """Folder of estimated depth that `vrcaps predict depth` wrote."""
+    """Folder of estimated depth from `vrcaps predict depth`."""
 
     weights: str = ""
     """Estimate depth by a network: a file of weights of `vrcaps train depth` or `sfm`, or the name
     of published ones, such as depth."""
 
     shading: bool = False
-    """Take depth of the stitched image from its shading, as if its albedo were one."""
+    """Estimate depth of the stitched image from its shading, assuming a uniform albedo."""
 
     poses: Path | None = None
     """File of estimated poses, rows `timestamp tx ty tz qx qy qz qw`, camera to world."""
@@ -78,30 +78,30 @@ class Reconstruct:
     """Estimate poses from the images and their depth."""
 
     align: Literal["none", "se3", "sim3"] | None = None
-    """What is fitted to the true poses first, for estimates in a frame or scale of their own; by
-    default nothing for --poses, and se3 for --odometry where true poses are known. With --odometry,
-    sim3 scales depth, too."""
+    """Alignment to the true poses, for estimates in another frame or scale: none, SE(3) or Sim(3).
+    By default none for --poses, and se3 for --odometry if true poses are known. With --odometry,
+    sim3 also scales depth."""
 
     voxel_mm: float = 1.0
     """Side of a voxel of fusion [mm]."""
 
     max_distance_mm: float = 80.0
-    """Distance beyond which depth is left out of fusion [mm]."""
+    """Distance beyond which depth is ignored in fusion [mm]."""
 
     field_of_view_deg: float = 90.0
-    """Field of view of the images that are stitched [deg]; less if the lens sees less."""
+    """Field of view of the images to stitch [deg]; less if the lens has less."""
 
     every: int = 1
-    """Every how many frames is used."""
+    """Use every n-th frame."""
 
     min_views: int = 2
-    """Views in which a place must have been seen to count in fusion."""
+    """Minimum number of views of a voxel in fusion."""
 
     def run(self) -> None:
         """Reconstruct, compare and report.
 
         Raises:
-            InputError: If depth or poses are missing or do not fit.
+            InputError: If depth or poses are missing or do not match.
         """
         self._check()
         from vrcaps.formats.sources import read_source
@@ -134,7 +134,7 @@ class Reconstruct:
         )
 
     def _check(self) -> None:
-        """Check that flags of depth go with the method and with each other, and that paths exist.
+        """Check that the depth flags match the method and each other, and that paths exist.
 
         Raises:
             InputError: If they do not.
@@ -181,7 +181,7 @@ class Reconstruct:
             return fuse(used, settings, progress=progress)
 
     def _tracked(self, sequence: FrameSequence, out: Path) -> FrameSequence:
-        """The frames whose poses odometry finds, with these."""
+        """Frames whose poses odometry could estimate, with these poses."""
         from vrcaps.formats.tum import trajectory_text
         from vrcaps.metrics.trajectory import absolute_trajectory_error
         from vrcaps.recording.frame_sequence import CAMERA_POSE

@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Record:
-    """Move a capsule through an organ and write what its cameras see, every pixel labeled.
+    """Move a capsule through an organ and record its cameras' images, every pixel labeled.
 
     The result is an episode: images by camera and channel, a table of poses, the organ as GLB, a
-    contact sheet and a preview. An interrupted run resumes when the same command is repeated.
+    contact sheet and a preview. To resume an interrupted run, repeat the command.
 
-    A scenario file states a whole recording; flags and --set change single values of it. Every
+    A scenario file describes a whole recording; flags and --set change single values of it. Every
     value of the scenario has a path: vrcaps record --list-settings prints all of them with their
     types, units and defaults.
 
@@ -53,32 +53,32 @@ class Record:
     """Folder of the episode: new, empty, or an interrupted run of the same recording."""
 
     organ: OmitArgPrefixes[OrganFlags] = field(default_factory=OrganFlags)  # pyright: ignore
-    """The patient: the organ, its lesions and what is in its lumen."""
+    """The patient: the organ, its lesions and the contents of its lumen."""
 
     motion: OmitArgPrefixes[MotionFlags] = field(default_factory=MotionFlags)  # pyright: ignore
-    """The capsule and how it moves."""
+    """The capsule and its motion."""
 
     images: OmitArgPrefixes[ImageFlags] = field(default_factory=ImageFlags)  # pyright: ignore
-    """What is written: images, sensors, and everything random by one seed."""
+    """Output: images, sensors, and the seed of all randomness."""
 
     set: UseAppendAction[tuple[str, ...]] = ()
     """Change any value of the scenario: PATH=VALUE, such as motion.tilt=0.1; repeat for more."""
 
     coverage: bool = False
-    """Measure how much of the organ the images show, as vrcaps coverage does; adds the channels
-    that this needs."""
+    """Measure how much of the organ the images show, as vrcaps coverage does; adds the required
+    channels."""
 
     list_settings: bool = False
-    """Print all values that --set can change, and stop."""
+    """Print all values that --set can change, then exit."""
 
     threads: int | None = None
-    """Threads to use; by default all cores. The files do not depend on it."""
+    """Number of threads; by default all cores. The files do not depend on it."""
 
     def run(self) -> None:
         """Record and report.
 
         Raises:
-            InputError: If there is no folder to record into or the scenario is not possible.
+            InputError: If there is no output folder or the scenario is invalid.
         """
         if self.list_settings:
             for line in setting_lines():
@@ -93,10 +93,10 @@ class Record:
             Coverage(self.out).run()
 
     def resolved(self) -> Scenario:
-        """The scenario of the file with the changes of the flags.
+        """Scenario of the file with the changes of the flags.
 
         Raises:
-            InputError: If a value is impossible, a path is unknown, or flags contradict.
+            InputError: If a value is invalid, a path is unknown, or flags contradict.
         """
         from vrcaps.scenario.scenario import read_plain_scenario, scenario_from_plain
 
@@ -114,7 +114,7 @@ class Record:
         return _with_coverage_channels(scenario) if self.coverage else scenario
 
     def _lesions(self, scenario: Scenario) -> list[Any]:
-        """Plain form of the scenario's lesions and those of the flags; empty without new ones."""
+        """Plain values of the scenario's lesions and those of the flags; empty without new ones."""
         from vrcaps.lesion import AnyLesion
         from vrcaps.scenario.scenario import OrganGenerated
         from vrcaps.serialization import to_plain

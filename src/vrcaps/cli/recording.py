@@ -1,4 +1,4 @@
-"""What `record` and `demo` share: run the recorder with a progress bar, say what came of it."""
+"""Run the recorder with a progress bar and print a summary; used by `record` and `demo`."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ def run_recording(scenario: Scenario, out: Path, *, threads: int | None = None) 
     """Record a scenario and print a summary.
 
     Args:
-        scenario: What to record.
+        scenario: Scenario to record.
         out: Folder of the episode.
-        threads: Threads to use; None leaves it to the core.
+        threads: Number of threads; None leaves it to the core.
 
     Raises:
-        InputError: If the number of threads or the scenario is not possible.
+        InputError: If the number of threads or the scenario is invalid.
     """
     use_threads(threads)
     from vrcaps.recording.recorder import record
@@ -42,7 +42,7 @@ def run_recording(scenario: Scenario, out: Path, *, threads: int | None = None) 
 
 
 def use_threads(threads: int | None) -> None:
-    """Limit the core and the denoiser to a number of threads; only before its first parallel work.
+    """Limit the threads of core and denoiser; only before the first parallel work.
 
     Raises:
         InputError: If the number is not positive.
@@ -55,7 +55,7 @@ def use_threads(threads: int | None) -> None:
 
 
 def _summarize(out: Path, times: list[float], seconds: float) -> None:
-    """Where the episode is, what is in it, how fast it went, what to open."""
+    """Print the path of the episode, its contents, the speed, and files to open."""
     from vrcaps.recording.episode import read_episode
 
     episode = read_episode(out)

@@ -1,4 +1,4 @@
-"""Flags that set values of a scenario: types and help come from the scenario's own tree."""
+"""Flags that set values of a scenario; types and help come from the scenario's own tree."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ _MOTIONS = Literal["fly-through", "random-views", "replay", "dynamics"]
 
 
 def _flags(name: str, doc: str, *flags: str, **others: tuple[Any, Any, str]) -> Any:
-    """A group of flags: those of `_PATHS` by name, with type and help from the scenario's tree.
+    """Group of flags: those of `_PATHS` by name, with type and help from the scenario's tree.
 
     Args:
         name: Name of the class.
         doc: Heading of the group in the help.
         flags: Keys of `_PATHS`.
-        others: Type, default and help of flags that are texts of their own.
+        others: Type, default and help of flags with their own text.
     """
     known = {setting.path: setting for setting in reversed([*settings()])}
     entries = []
@@ -137,14 +137,14 @@ ImageFlags = _flags(
 
 
 def changes(flags: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Path and plain value of all that the flags change in a scenario, in order.
+    """Path and plain value of all changes of the flags to a scenario, in order.
 
     Args:
         flags: Values of all groups of flags by name.
 
     Raises:
         InputError: If a text cannot be read.
-        UnknownNameError: If there is no effect of a name.
+        UnknownNameError: If an effect is unknown.
     """
     yield from _patient_changes(flags)
     if flags["motion"] is not None:

@@ -1,4 +1,4 @@
-"""Standard streams as they may be: closed, broken, full, or unable to show some characters."""
+"""Handling of standard streams that are closed, broken, full, or lack characters."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 import sys
 
 EXIT_BROKEN_PIPE = 141
-"""Status of a program that SIGPIPE ends, in a shell."""
+"""Exit status of a program ended by SIGPIPE, in a shell."""
 
 
 def configure_streams() -> None:
@@ -14,7 +14,7 @@ def configure_streams() -> None:
     for name in ("stdin", "stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:
-            # Held open: a file that is opened later must not take the place of the closed one.
+            # Kept open: a file that is opened later must not get the closed stream's descriptor.
             mode = "r" if name == "stdin" else "w"
             setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
         elif name != "stdin" and hasattr(stream, "reconfigure"):
@@ -22,10 +22,10 @@ def configure_streams() -> None:
 
 
 def flush_output() -> None:
-    """Write what is left of the output.
+    """Flush the remaining output.
 
     Raises:
-        SystemExit: If nobody reads it, or it cannot be written.
+        SystemExit: If there is no reader, or the output cannot be written.
     """
     try:
         sys.stdout.flush()
@@ -38,7 +38,7 @@ def flush_output() -> None:
 
 
 def discard_output() -> None:
-    """Send what is left of the output nowhere, so that the interpreter can end."""
+    """Discard the remaining output, so that the interpreter can exit."""
     null = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, sys.stdout.fileno())
     os.close(null)

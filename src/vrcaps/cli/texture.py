@@ -1,4 +1,4 @@
-"""`vrcaps organ texture`: a mucosa from photographs."""
+"""`vrcaps organ texture`: mucosa textures from photographs."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 class Texture:
     """Make a mucosa texture for organs from endoscopic photographs or videos.
 
-    Border, highlights and darkness are masked, the shading is removed, the most uniform region
-    of each photograph is found, and the best regions are quilted into a large texture that
-    continues over its edges. Vessels are removed and placed anew. No photograph tells its
-    scale: give --mm-per-pixel or --field-width-mm.
+    Border, highlights and darkness are masked, shading is removed, the most uniform region of each
+    photograph is selected, and the best regions are quilted into a large tileable texture. Vessels
+    are removed and placed again on top. The scale cannot be estimated from photographs: give
+    --mm-per-pixel or --field-width-mm.
 
     For example:
       vrcaps organ texture frames/ --field-width-mm 30 --out my-mucosa
@@ -34,43 +34,43 @@ class Texture:
     """
 
     photos: Positional[tuple[Path, ...]]
-    """Pictures (JPEG, PNG, BMP, TIFF, WebP), videos, or folders of them."""
+    """Images (JPEG, PNG, BMP, TIFF, WebP), videos, or folders of them."""
 
     out: Path
-    """Folder to write: albedo, roughness and height as PNG, mucosa.json, report.png."""
+    """Output folder: albedo, roughness and height as PNG, mucosa.json, report.png."""
 
     mm_per_pixel: float | None = None
     """Size of a photograph's pixel on the wall [mm]."""
 
     field_width_mm: float | None = None
-    """Or: the width of wall that the visible field shows [mm]; about 30 near the wall."""
+    """Or: the width of wall in the visible field [mm]; about 30 near the wall."""
 
     size: int = 2048
-    """Side of the texture [texels]; a texel is as large as a pixel of the best photograph."""
+    """Side of the texture [texels]; a texel has the size of a pixel of the best photograph."""
 
     flat: bool = False
-    """The pictures are textures already: no border, highlights or shading to remove."""
+    """The images are already textures: no border, highlights or shading to remove."""
 
     box: tuple[int, int, int, int] | None = None
-    """Take the region from here: left, top, width, height [px]. With one photograph."""
+    """Region to use: left, top, width, height [px]. For a single photograph."""
 
     max_photos: int = 4
-    """Most photographs whose regions are mixed; the most uniform ones are taken."""
+    """Maximum number of photographs whose regions are mixed; the most uniform ones are used."""
 
     video_frames: int = 8
-    """Frames to look at in each video."""
+    """Number of frames to use from each video."""
 
     no_vessels: bool = False
-    """Leave vessels where they are in the photographs, and place none."""
+    """Keep vessels as they are in the photographs, and place none."""
 
     vessels: OmitArgPrefixes[VesselPlacement] = field(default_factory=VesselPlacement)
     """Position, rotation and size of vessels."""
 
     luminance: float = 0.30
-    """Mean reflectance of the mucosa; a camera's automatic exposure hides it."""
+    """Mean reflectance of the mucosa; it cannot be measured because of automatic exposure."""
 
     seed: int = 0
-    """The same gives the same files."""
+    """Random seed; the same seed gives the same files."""
 
     def run(self) -> None:
         """Make, write and report."""

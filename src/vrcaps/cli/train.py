@@ -1,4 +1,4 @@
-"""`vrcaps train`: learn a policy."""
+"""`vrcaps train`: train a policy."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Coverage:
-    """Learn to see the whole wall of an organ as fast as possible, by PPO.
+    """Train a policy to see the whole wall of an organ as fast as possible, by PPO.
 
-    The folder then holds best.npz and policy.npz, the policies of the best evaluation and of the
-    last round; progress.csv; settings.json. Interrupted or killed, the same command goes on and
-    ends in the same policies.
+    The output folder contains best.npz and policy.npz, the policies of the best evaluation and of
+    the last round; progress.csv; settings.json. To resume an interrupted training, repeat the
+    command; it ends in the same policies.
 
     For example:
       vrcaps train coverage --out runs/coverage
@@ -35,48 +35,48 @@ class Coverage:
     """
 
     out: Path
-    """Folder: new, empty, or of the same training, which goes on."""
+    """Output folder: new, empty, or of the same training, which is resumed."""
 
     preset: Literal["default", "paper", "ci"] = "default"
-    """Where all other settings come from: ours, the paper's, or one that takes seconds."""
+    """Preset of all other settings: ours, the paper's, or one that takes seconds."""
 
     organ: UseAppendAction[tuple[str, ...]] = ()
     """Organ to train in: a name with its seeds, such as stomach:0-15, or a mesh with its unit,
     such as mine.ply:mm; repeat for more."""
 
     actions: int | None = None
-    """Actions in all worlds together after which training ends. A training that is done goes on in
-    its folder if more are given."""
+    """Total number of environment steps in all worlds. A larger number continues a finished
+    training in its folder."""
 
     start: Path | None = None
-    """What to start from: the folder of a training (policy, value function and optimizer), or a
-    policy's file (policy only), of the same observations, actions and layers."""
+    """Initial state: the folder of a training (policy, value function and optimizer), or a policy's
+    file (policy only), with the same observations, actions and layers."""
 
     envs: int | None = None
-    """Worlds side by side."""
+    """Number of parallel worlds."""
 
     seed: int = 0
-    """Seed of all that is random: the first weights of the network, the episodes, and the order of
-    learning. Seeds of organs are those of --organ."""
+    """Random seed: initial weights of the network, episodes, and order of updates. Seeds of organs
+    are those of --organ."""
 
     set: UseAppendAction[tuple[str, ...]] = ()
     """Change any setting: PATH=VALUE, such as env.episode_time=60 or learner.epochs=4; repeat for
-    more. settings.json holds all of them."""
+    more. settings.json contains all of them."""
 
     threads: int = 1
-    """Threads of PyTorch; more are slower for a network so small. Worlds use all cores."""
+    """Threads of PyTorch; more are slower for such a small network. Worlds use all cores."""
 
     tensorboard: bool = False
-    """Write files for TensorBoard into the folder's tensorboard."""
+    """Write TensorBoard logs to the subfolder tensorboard."""
 
     force: bool = False
-    """Go on with a training that another version of vrcaps or of a package began."""
+    """Resume a training that was started with another version of vrcaps or of a package."""
 
     def run(self) -> None:
         """Train and report.
 
         Raises:
-            InputError: If the folder or the start does not fit the settings.
+            InputError: If the folder or the start does not match the settings.
         """
         if self.start is not None:
             require_existing((self.start,), "the folder of a training, or a policy's file")
@@ -102,11 +102,11 @@ class Coverage:
         console.print(f"Written: {self.out / BEST} after {progress.num_rounds} rounds.")
 
     def settings(self) -> TrainingSettings:
-        """The preset with the changes of the flags.
+        """Preset with the changes of the flags.
 
         Raises:
-            InputError: If a value is impossible.
-            UnknownNameError: If there is no setting of a name.
+            InputError: If a value is invalid.
+            UnknownNameError: If a setting is unknown.
         """
         from vrcaps.policy.presets import PRESETS, changed_settings
         from vrcaps.scenario.settings import parse_change
@@ -123,7 +123,7 @@ class Coverage:
 
 
 def _line(progress: Progress) -> str:
-    """What the last round was like, and its evaluation if it had one; empty before the first."""
+    """Summary of the last round, and its evaluation if any; empty before the first."""
     if not progress.rows:
         return ""
     row = progress.rows[-1]

@@ -1,4 +1,4 @@
-"""`vrcaps view`: look through recorded episodes in a browser."""
+"""`vrcaps view`: browse recorded episodes in a browser."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from vrcaps.cli.paths import require_folder
 
 @dataclass(frozen=True)
 class View:
-    """Look through an episode in a browser: every image, and the capsule's path in the organ.
+    """Browse an episode in a browser: all images, and the capsule's path in the organ.
 
-    Two episodes are shown side by side at the same time. An estimated path is drawn beside the
-    true one, with its error. Only the address that is printed opens the page: it holds a token.
+    Two episodes are shown side by side at the same time. An estimated path is drawn with the true
+    one, and its error is plotted. The page opens only with the printed address, which contains a
+    token.
 
     For example:
       vrcaps view runs/demo
@@ -32,17 +33,17 @@ class View:
     """TUM file of an estimated path of the first episode's capsule [m], at its frames' times."""
 
     host: str = "127.0.0.1"
-    """Address to listen at; 0.0.0.0 lets other machines in, too."""
+    """Address to listen on; 0.0.0.0 also admits other machines."""
 
     port: int = 8080
-    """Port to listen at."""
+    """Port to listen on."""
 
     def run(self) -> None:
         """Serve the page until Ctrl-C.
 
         Raises:
-            InputError: If an episode cannot be read, the estimate is of other times, or the port is
-                in use.
+            InputError: If an episode cannot be read, the times of the estimate do not match, or the
+                port is in use.
         """
         for episode in self.episodes:
             require_folder(episode, "an episode")

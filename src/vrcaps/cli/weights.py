@@ -1,4 +1,4 @@
-"""`vrcaps weights list`, `publish`, `export`: trained weights that go by name."""
+"""`vrcaps weights list`, `publish`, `export`: published weights, referenced by name."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from vrcaps.errors import InputError
 
 @dataclass(frozen=True)
 class List:
-    """List published weights: those of the checkout, or of the folder or URL VRCAPS_WEIGHTS.
+    """List published weights: those of the checkout, or of the folder or URL in VRCAPS_WEIGHTS.
 
     For example:
       vrcaps weights list
     """
 
     def run(self) -> None:
-        """Print a line for each.
+        """Print one line per entry.
 
         Raises:
             InputError: If there are none.
@@ -45,8 +45,8 @@ class List:
 class Publish:
     """Publish the best weights of a training: file, model card and checksum.
 
-    The card says what goes in and out, how they were made and what they score; what you write of
-    them stays when they are published again.
+    The card lists inputs, outputs, training data and scores. Your notes are kept when the weights
+    are published again.
 
     For example:
       vrcaps evaluate depth --weights runs/depth/best.safetensors --data runs/cohort --split test
@@ -56,19 +56,19 @@ class Publish:
     """
 
     training: Positional[Path]
-    """Folder that `vrcaps train` wrote."""
+    """Output folder of `vrcaps train`."""
 
     name: str = ""
-    """The task, for what its commands use by default, or the task, a dash and more."""
+    """Name of the task, to be the default of its commands, or the task, a dash and a suffix."""
 
     scores: UseAppendAction[tuple[Path, ...]] = ()
     """Folder that `vrcaps evaluate TASK --out` wrote for these weights; repeat for more."""
 
     notes: Path | None = None
-    """Markdown file with intended use and limits; without it, the notes of the card before."""
+    """Markdown file with intended use and limits; by default the notes of the previous card."""
 
     license: str = "Apache-2.0"
-    """License of the weights; data of others may ask for another."""
+    """License of the weights; third-party data may require another."""
 
     out: Path | None = None
     """Folder of published weights; by default that of the checkout."""
@@ -77,7 +77,7 @@ class Publish:
         """Publish and report.
 
         Raises:
-            InputError: If the folder is of no training, or something is missing.
+            InputError: If the folder is not one of a training, or a file is missing.
         """
         require_folder(self.training, "a training")
         for scored in self.scores:
@@ -105,11 +105,11 @@ class Publish:
 
 @dataclass(frozen=True)
 class Export:
-    """Write trained weights as ONNX, which runs without PyTorch, and compare the two.
+    """Export trained weights as ONNX, which runs without PyTorch, and compare the two.
 
-    Inputs and output are those of the model card; a batch may have any size, an image for
-    super-resolution too (with attention-unet, sides that its levels halve without a rest). Of sfm
-    the network of distances is written, not the one of motion.
+    Inputs and output are those of the model card. Batches may have any size; for super-resolution,
+    so may images (with attention-unet, side lengths divisible by 2 per level). For sfm, the network
+    of distances is exported, not the one of motion.
 
     For example:
       vrcaps weights export depth --out depth.onnx

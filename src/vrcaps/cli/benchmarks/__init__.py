@@ -1,1 +1,1 @@
-"""What `vrcaps bench` measures: rendering, recording to disk, and the physics."""
+"""Benchmarks of `vrcaps bench`: rendering, recording to disk, and the physics."""

@@ -1,6 +1,6 @@
-"""What the project promises about speed, each with the figure the promise was made from.
+"""Speed claims of the project, each with the measurement that it is based on.
 
-The reference figures were taken on 2 cores of an AMD EPYC with AVX-512, for one colon of 103,740
+The reference values were measured on 2 cores of an AMD EPYC with AVX-512, for one colon of 103,740
 triangles at 320 × 320 pixels with the camera inside.
 """
 

@@ -1,4 +1,4 @@
-"""How much is measured."""
+"""Extent of a measurement."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Extent:
-    """How much is measured.
+    """Extent of a measurement.
 
     Attributes:
-        num_triangles: Of the wall, about.
-        coarsest: Triangles of the smallest wall in the comparison of triangles, about.
-        num_subdivisions: How often that wall is cut into four times as many triangles.
-        sizes: Side lengths of square images [px], rising.
-        num_views: Views along the organ.
-        num_rounds: Rounds of turns.
+        num_triangles: Approximate number of triangles of the wall.
+        coarsest: Approximate number of triangles of the smallest wall in their comparison.
+        num_subdivisions: Number of subdivisions of that wall, by four each.
+        sizes: Side lengths of square images [px], ascending.
+        num_views: Number of views along the organ.
+        num_rounds: Number of rounds.
     """
 
     num_triangles: int = 100_000
@@ -28,4 +28,4 @@ class Extent:
 
 FULL = Extent()
 QUICK = Extent(num_triangles=30_000, coarsest=20_000, num_subdivisions=1, num_views=2, num_rounds=3)
-"""For a first look: the figures mean nothing."""
+"""Quick check; the values are meaningless."""

@@ -1,4 +1,4 @@
-"""Pages of measured tables: each section is put in by the command that measured it."""
+"""Markdown pages of measured tables: each section is written by the command that measured it."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ _STARTED = time.monotonic()
 
 
 def sources(name: str) -> str:
-    """Ten digits that name the sources of what measures a section, a name as in `write_section`."""
+    """Ten-digit digest of the sources that a section, named as in `write_section`, depends on."""
     first, *words = name.split()
     is_own = first == "vrcaps"
     return digest(Path(__file__).with_name(f"{words[1]}.py") if is_own else ROOT / first)
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table."""
+    """Format a Markdown table."""
     lines = (head, ["---"] * len(head), *rows)
     return "\n".join(
         "| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines
@@ -29,24 +29,24 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def read_sections(page: Path) -> dict[str, str]:
-    """Sections of a page by their names; what comes before them by an empty one."""
+    """Read the sections of a page by name; the text before them has an empty name."""
     parts = page.read_text(encoding="utf-8").split(_MARK) if page.exists() else [""]
     named = (part.split(" -->\n", 1) for part in parts[1:])
     return {"": parts[0], **{name: text.strip() for name, text in named}}
 
 
 def write_section(page: Path, name: str, text: str, *, command: str, title: str) -> None:
-    """Put a section into a page, in place of the one of that name.
+    """Write a section to a page, replacing the one of the same name.
 
-    Below the text stands the command, the sources that were measured and the time it took.
+    The command, the digest of the measured sources and the duration follow the section.
 
     Args:
-        page: Markdown file; made where there is none.
-        name: What measures it: `benchmarks/validate_light.py`, `vrcaps bench render`; words after a
-            script tell its sections apart.
+        page: Markdown file; created if it does not exist.
+        name: Script or command that measures it: `benchmarks/validate_light.py`,
+            `vrcaps bench render`; words after a script distinguish its sections.
         text: Markdown of the section.
-        command: What was run, as one types it.
-        title: What a page that is made begins with.
+        command: Command line that was run.
+        title: Title of a new page.
     """
     sections = read_sections(page)
     before = sections.pop("") or title
@@ -57,7 +57,7 @@ def write_section(page: Path, name: str, text: str, *, command: str, title: str)
 
 
 def write_page(page: Path, sections: dict[str, str]) -> None:
-    """Write a page of sections as `read_sections` gives them, in the order of their names."""
+    """Write a page of sections as returned by `read_sections`, sorted by name."""
     parts = [
         text.strip() if not name else f"{_MARK}{name} -->\n{text.strip()}"
         for name, text in sorted(sections.items())

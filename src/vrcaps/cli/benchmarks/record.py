@@ -1,4 +1,4 @@
-"""`vrcaps bench record`: how fast labeled frames reach the disk."""
+"""`vrcaps bench record`: speed of recording labeled frames to disk."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ def run(*, out: Path | None = None, quick: bool = False) -> Report:
 
     Args:
         out: Markdown file to write; None writes nothing.
-        quick: Measure little; the figures mean nothing.
+        quick: Measure little; the values are meaningless.
 
     Raises:
-        InputError: If `out` is no Markdown file, or a recording fails.
+        InputError: If `out` is not a Markdown file, or a recording fails.
     """
     check_out(out)
     report = measure(num_frames=12 if quick else 300, num_runs=1 if quick else 5)
@@ -36,7 +36,7 @@ def run(*, out: Path | None = None, quick: bool = False) -> Report:
 
 
 def measure(*, num_frames: int, num_runs: int) -> Report:
-    """Record the same scenario some times, each in a process and a folder of its own."""
+    """Record the same scenario several times, each in a separate process and folder."""
     with progress_bar("recording") as advance:
         runs, quick_runs = [], []
         for number in range(num_runs):
@@ -74,7 +74,7 @@ def measure(*, num_frames: int, num_runs: int) -> Report:
 
 
 def _recorded(num_frames: int, *words: str) -> dict[str, Any]:
-    """What one recording in a process of its own found; `words` are further arguments to it.
+    """Results of a recording in a separate process; `words` are further arguments to it.
 
     Raises:
         InputError: If it fails.

@@ -1,4 +1,4 @@
-"""The process that `vrcaps bench record` measures: records, then times each stage alone.
+"""Process measured by `vrcaps bench record`: records, then times each stage alone.
 
     python -m vrcaps.cli.benchmarks.recording_process FOLDER FRAMES [quick]
 
@@ -25,12 +25,12 @@ _MAX_STAGE_FRAMES = 60
 
 
 def main(folder: Path, num_frames: int, *, quick_light: bool = False) -> dict[str, Any]:
-    """Record into a folder and say how it went.
+    """Record into a folder and return measurements.
 
     Args:
         folder: An empty folder.
         num_frames: Frames to record.
-        quick_light: Direct light without shadows rather than the default.
+        quick_light: Whether to use direct light without shadows instead of the default.
     """
     started = time.perf_counter()
     from vrcaps.motion.fly_through import FlyThrough
@@ -63,7 +63,7 @@ def main(folder: Path, num_frames: int, *, quick_light: bool = False) -> dict[st
 
 
 def peak_memory_gb() -> float | None:
-    """Most memory that this process has held [GB = 1e9 bytes], or None where nobody counts."""
+    """Peak memory of this process [GB = 1e9 bytes], or None if it is not available."""
     try:
         import resource
     except ImportError:
@@ -73,7 +73,7 @@ def peak_memory_gb() -> float | None:
 
 
 def _stages(scenario: Scenario, folder: Path) -> dict[str, Any]:
-    """Camera, wall, and the time of each stage of a frame of its own [s]."""
+    """Camera, wall, and the time of each stage of a frame in isolation [s]."""
     from vrcaps.files import write_bytes
     from vrcaps.recording.image_files import write_images
     from vrcaps.render.channels import CHANNELS as DECLARED
@@ -130,7 +130,7 @@ def _stages(scenario: Scenario, folder: Path) -> dict[str, Any]:
 
 
 def _timed(stage: Callable[[int], None], frames: range) -> dict[str, float]:
-    """Mean time of a stage on the clock and of all threads [s]."""
+    """Mean wall-clock and CPU time of a stage [s]."""
     cpu, wall = time.process_time(), time.perf_counter()
     for i in frames:
         stage(i)

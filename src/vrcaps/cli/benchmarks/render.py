@@ -1,4 +1,4 @@
-"""`vrcaps bench render`: how fast images are made."""
+"""`vrcaps bench render`: rendering speed."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ def run(
 
     Args:
         out: Markdown file to write; None writes nothing.
-        quick: Measure little; the figures mean nothing.
-        only: Names of `STUDIES`; all by default.
+        quick: Measure little; the values are meaningless.
+        only: Names of `STUDIES`; by default all.
 
     Raises:
         UnknownNameError: If there is no such study.
-        InputError: If `out` is no Markdown file.
+        InputError: If `out` is not a Markdown file.
     """
     for name in only:
         if name not in STUDIES:
@@ -47,7 +47,7 @@ def run(
 
 
 def measure(extent: Extent, *, only: Sequence[str]) -> Report:
-    """Run studies one after the other, each in rounds of its own."""
+    """Run studies one after the other, each in its own rounds."""
     with console.status("generating the colon"):
         organ = make_organ(extent.num_triangles, seed=_SEED)
     stage = make_stage(organ, num_views=extent.num_views)
@@ -72,7 +72,7 @@ def _counter(advance: Callable[[int, int], None], total: int) -> Callable[[], No
 
 
 def setting(stage: Stage, extent: Extent) -> str:
-    """What is measured, in a few sentences."""
+    """Description of the measurement setup."""
     camera = stage.camera
     return (
         f"A generated colon of {stage.num_triangles} triangles, textured and wet; "

@@ -1,4 +1,4 @@
-"""What a benchmark found, as tables for people and Markdown."""
+"""Benchmark results as tables for the terminal and Markdown."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ median, the 10th and 90th percentile follow in brackets.
 
 @dataclass(frozen=True)
 class Row:
-    """One line of a table: a subject and what was measured, unit by column."""
+    """One line of a table: a subject and its measured values; units are in the columns."""
 
     name: str
     values: tuple[Spread | None, ...]
@@ -37,9 +37,9 @@ class Table:
     """One comparison.
 
     Attributes:
-        title: What is compared.
+        title: Title of the comparison.
         columns: Names of the measured columns, with their units.
-        rows: Subjects in the order of measuring.
+        rows: Subjects in the order of measurement.
     """
 
     title: str
@@ -49,16 +49,16 @@ class Table:
 
 @dataclass(frozen=True)
 class Claim:
-    """A promise of the project and what came of it.
+    """Claim of the project and its measured value.
 
     Attributes:
-        text: What is promised.
+        text: Claim.
         sense: Whether the measured value must be at most or at least the limit.
-        limit: The promised value.
-        unit: Of the value; empty for a ratio.
-        reference: Figure the promise was made from, and its source.
-        measured: The value, or None where it could not be measured.
-        reason: Why it could not be measured.
+        limit: Claimed value.
+        unit: Unit of the value; empty for a ratio.
+        reference: Measurement that the claim is based on, and its source.
+        measured: Measured value, or None if it could not be measured.
+        reason: Reason why it could not be measured.
     """
 
     text: str
@@ -71,7 +71,7 @@ class Claim:
 
     @property
     def verdict(self) -> str:
-        """Whether the median keeps the promise."""
+        """Whether the median meets the claim."""
         if self.measured is None:
             return "not measured"
         value = self.measured.median
@@ -81,16 +81,16 @@ class Claim:
 
 @dataclass(frozen=True)
 class Report:
-    """All that one run of a benchmark found.
+    """Results of one run of a benchmark.
 
     Attributes:
         title: Heading of its section.
-        command: What was run.
-        setting: What was measured on, in a sentence.
-        claims: Promises.
+        command: Command that was run.
+        setting: Description of the setup, in a sentence.
+        claims: Speed claims.
         tables: Comparisons.
-        skipped: Subjects left out, and why.
-        machine: Facts of the machine and versions.
+        skipped: Omitted subjects and the reasons.
+        machine: Properties of the machine, and versions.
     """
 
     title: str
@@ -119,7 +119,7 @@ def machine_facts() -> dict[str, str]:
 
 
 def _processor() -> str:
-    """Name of the processor, as Linux states it, or as Python knows it."""
+    """Name of the processor, as reported by Linux or Python."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -129,17 +129,17 @@ def _processor() -> str:
 
 
 def check_out(out: Path | None) -> None:
-    """Check where a report is to be written.
+    """Check the output file of a report.
 
     Raises:
-        InputError: If it is no Markdown file.
+        InputError: If it is not a Markdown file.
     """
     if out is not None and out.suffix != ".md":
         raise InputError(f"--out is {out}. Allowed: a file name that ends in .md.")
 
 
 def show_report(report: Report, out: Path | None, console: Console) -> None:
-    """Print claims and tables, and write them with all remarks where a file is given."""
+    """Print claims and tables, and write them with all remarks to a file if one is given."""
     from rich.table import Table as RichTable
 
     console.print(report.setting)
@@ -158,14 +158,14 @@ def show_report(report: Report, out: Path | None, console: Console) -> None:
 
 
 def write_report(report: Report, out: Path) -> None:
-    """Put a report into a Markdown page, in place of what the same command wrote before."""
+    """Write a report to a Markdown page, replacing the previous one of the same command."""
     command = report.command
     name = command.removeprefix("python ")
     write_section(out, name, to_markdown(report), command=command, title=PAGE_TITLE)
 
 
 def to_markdown(report: Report) -> str:
-    """The section of a page that shows a report."""
+    """Format a report as a section of a page."""
     lines = [f"## {report.title}", "", report.setting, ""]
     lines += [f"- {name}: {fact}" for name, fact in report.machine.items()]
     for title, header, rows in _sections(report):
@@ -197,7 +197,7 @@ def _sections(report: Report) -> list[tuple[str, list[str], list[list[str]]]]:
 
 
 def _shown(spread: Spread | None) -> str:
-    """A median and its percentiles to three digits."""
+    """Format a median and its percentiles to three digits."""
     if spread is None:
         return ""
     median, low, high = (_digits(value) for value in (spread.median, spread.p10, spread.p90))
@@ -205,7 +205,7 @@ def _shown(spread: Spread | None) -> str:
 
 
 def _digits(value: float) -> str:
-    """Three significant digits, without an exponent."""
+    """Format to three significant digits, without an exponent."""
     if value == 0.0 or abs(value) >= 100.0:
         return f"{value:.0f}"
     decimals = 2 if abs(value) < 10.0 else 1

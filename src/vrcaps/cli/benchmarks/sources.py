@@ -1,9 +1,9 @@
-"""The sources that a measured table depends on: what its command may import, and the core.
+"""Sources that a measured table depends on: modules that its command may import, and the core.
 
-A table is out of date when one of them has changed, and stays valid when others have, or when only
-what a comment or docstring says has. Imports are followed in the source text, so those within
-functions count, and so do modules that are named in a string, to be imported by their name or run
-in a process of their own.
+A table is outdated when one of them has changed. It stays valid when other files have changed, or
+only comments or docstrings. Imports are followed in the source text, so imports within functions
+count, and so do modules that are named in a string, to be imported by name or run in a separate
+process.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ PACKAGE = Path(__file__).resolve().parents[2]
 ROOT = PACKAGE.parents[1]
 
 _COMMANDS = PACKAGE / "cli" / "__init__.py"
-"""Loads the commands of the command line when they are run; those that import it run none."""
+"""Loads the commands of the command line on demand; importing it runs none of them."""
 
 
 def digest(command: Path) -> str:
-    """Ten digits that name the sources of a command.
+    """Ten-digit digest of the sources of a command.
 
-    The code of all modules that it may import from the package and from other folders of the
-    checkout, that of the core, and the package's TOML files.
+    Covers the code of all modules that it may import from the package and from other folders of the
+    checkout, the code of the core, and the package's TOML files.
 
     Args:
         command: Python file that measures.
@@ -40,7 +40,7 @@ def digest(command: Path) -> str:
 
 
 def reached(command: Path) -> set[Path]:
-    """A Python file, and all files of the checkout that it may import."""
+    """Python file, and all files of the checkout that it may import."""
     found, todo = set[Path](), [command.resolve()]
     while todo:
         path = todo.pop()
@@ -52,7 +52,7 @@ def reached(command: Path) -> set[Path]:
 
 @cache
 def _code(suffix: str, text: bytes) -> bytes:
-    """The text of a file; of Python and Rust without what is said about the code."""
+    """Text of a file; for Python and Rust without comments and docstrings."""
     if suffix == ".rs":
         lines = (line for line in text.splitlines() if not line.lstrip().startswith(b"//"))
         return b"\n".join(lines)
@@ -73,7 +73,7 @@ def _is_docstring(node: ast.AST) -> bool:
 
 
 def _folders(path: Path) -> tuple[Path, ...]:
-    """Where what a file imports is looked for: the package sees itself, a script all folders."""
+    """Search path of a file's imports: the package for its own files, all folders for a script."""
     if path.is_relative_to(PACKAGE):
         return (PACKAGE.parent,)
     entries = (Path(entry).resolve() for entry in sys.path if entry)
@@ -97,7 +97,7 @@ def _imported(path: Path, folders: tuple[Path, ...]) -> tuple[Path, ...]:
 
 
 def _walk(node: ast.AST) -> Iterator[ast.AST]:
-    """A node and all within it, but for what only a type checker reads."""
+    """Node and its descendants, without type-checking blocks."""
     yield node
     for child in ast.iter_child_nodes(node):
         if not (isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test)):
@@ -120,23 +120,23 @@ def _names(node: ast.AST, path: Path) -> Iterator[str]:
 
 
 def _named(text: str) -> Iterator[str]:
-    """Modules that a string names: `vrcaps.policy.random:Policy`, or all that begin so."""
+    """Modules named in a string: `vrcaps.policy.random:Policy`, or all with that prefix."""
     name = text.partition(":")[0]
     yield name
-    if name.endswith("."):  # of f"vrcaps.anatomy.{organ}"
+    if name.endswith("."):  # from f"vrcaps.anatomy.{organ}"
         folder = PACKAGE.parent.joinpath(*name.split("."))
         yield from (f"{name}{path.stem}" for path in folder.glob("*.py"))
 
 
 def _base(node: ast.ImportFrom, path: Path) -> str:
-    """The package or module that names are imported from."""
+    """Package or module that names are imported from."""
     folder = path.parents[node.level - 1] if node.level else path
     inside = folder.relative_to(PACKAGE.parent).parts if node.level else ()
     return ".".join([*inside, *([node.module] if node.module else [])])
 
 
 def _behind(package: str, name: str | None = None) -> Iterator[str]:
-    """Modules behind a name, or all names, that a package loads when they are first used."""
+    """Modules behind a name, or all names, that a package loads lazily."""
     stub = PACKAGE.parent.joinpath(*package.split("."), "__init__.pyi")
     if package.startswith("vrcaps") and stub.exists():
         for node in ast.parse(stub.read_bytes()).body:

@@ -1,4 +1,4 @@
-"""What the benchmarks look at: a generated colon, a capsule in it, views along its way."""
+"""Scene of the benchmarks: a generated colon, a capsule in it, views along the centerline."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ DEVICE = "mirocam"
 
 @dataclass(frozen=True)
 class Stage:
-    """A model and where its capsule is seen from.
+    """Model and views of its capsule.
 
     Attributes:
         model: Organ and device.
-        states: The capsule on the centerline, its axis along it, evenly spread over the organ.
+        states: Capsule on the centerline, its axis along it, evenly spread over the organ.
     """
 
     model: Model
@@ -43,7 +43,7 @@ class Stage:
 
     @property
     def num_triangles(self) -> int:
-        """Triangles of the wall."""
+        """Number of triangles of the wall."""
         return len(self.model.organ.faces)
 
     def Ts_world_camera(self) -> Float[np.ndarray, "views 4 4"]:
@@ -52,7 +52,7 @@ class Stage:
 
 
 def make_organ(num_triangles: int, *, seed: int) -> OrganSurface:
-    """A generated colon of about so many triangles, with its mucosa."""
+    """Generate a colon of about so many triangles, with its mucosa."""
     from vrcaps.anatomy.colon import ColonParameters, generate_colon
     from vrcaps.mucosa.bake import bake_appearance
 
@@ -80,7 +80,7 @@ def make_stage(organ: OrganSurface, device: Device | str = DEVICE, *, num_views:
 
 
 def with_moving_wall(stage: Stage) -> Stage:
-    """The same views of a wall that is elsewhere in each: waves of 0.5 mm across it."""
+    """Copy of a stage whose wall differs in each view: waves of 0.5 mm across it."""
     rest, organ = stage.model.vertices_world, stage.model.organ
     normals = vertex_normals(rest, organ.faces)
     phase = 2.0 * np.pi * organ.arc_length / (20 * MM)
@@ -92,7 +92,7 @@ def with_moving_wall(stage: Stage) -> Stage:
 
 
 def resized_camera(camera: Camera, size: int) -> Camera:
-    """The camera with an ideal fisheye of 170° across a square image of any size [px]."""
+    """Copy of a camera with an ideal fisheye of 170° across a square image of any size [px]."""
     middle, half_field = 0.5 * (size - 1), np.deg2rad(85.0)
     lens = LensEquidistant(
         focal=0.5 * size / half_field, cx=middle, cy=middle, max_angle=float(half_field)
@@ -101,7 +101,7 @@ def resized_camera(camera: Camera, size: int) -> Camera:
 
 
 def subdivide(organ: OrganSurface) -> OrganSurface:
-    """The same wall with each triangle cut into four at the middles of its edges."""
+    """Subdivide each triangle of a wall into four at the midpoints of its edges."""
     faces = np.asarray(organ.faces, np.int64)
     ends = faces[:, [[0, 1], [1, 2], [2, 0]]]
     edges, number = np.unique(np.sort(ends.reshape(-1, 2), axis=1), axis=0, return_inverse=True)

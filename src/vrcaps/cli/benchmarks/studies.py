@@ -1,4 +1,4 @@
-"""The comparisons of `vrcaps bench render`; each makes one table and judges its claims."""
+"""Comparisons of `vrcaps bench render`; each creates one table and evaluates its claims."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ COLUMNS = ("ms", "ms of processors")
 
 @dataclass(frozen=True)
 class Study:
-    """What one comparison found.
+    """Result of one comparison.
 
     Attributes:
-        table: All that was timed.
-        claims: Promises it can judge.
+        table: All timings.
+        claims: Claims that it evaluates.
     """
 
     table: Table
@@ -52,13 +52,13 @@ def drawn(
     cameras: Sequence[Camera] = (),
     settings: RenderSettings | None = None,
 ) -> Callable[[int], object]:
-    """Renders a view into arrays that are used again, as a loop over frames would.
+    """Function that renders a view into reused arrays, as a loop over frames would.
 
     Args:
-        stage: What to look at.
+        stage: Scene to render.
         channels: Channels to fill.
-        cameras: Cameras to render one after the other; the stage's own by default.
-        settings: How to render; None is direct light without shadows.
+        cameras: Cameras to render one after the other; by default the stage's own.
+        settings: Render settings; None is direct light without shadows.
     """
     renderer = Renderer(stage.model, settings or RenderSettings(light="direct", shadows=False))
     chosen = tuple(cameras) or (stage.camera,)
@@ -82,13 +82,13 @@ def _timed(
 
 
 def row(subject: Subject, times: Times, *more: Spread) -> Row:
-    """A line of a table: times on the clock and of all threads, and what else there is."""
+    """Row of a table: wall-clock and CPU times, and further measures."""
     both = (Spread.of(times.wall).scaled(_MS), Spread.of(times.cpu).scaled(_MS))
     return Row(subject.name, (*both, *more), subject.note)
 
 
 def frame(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
-    """A complete frame, parts of it and more than it."""
+    """Time a complete frame, parts of it and extensions of it."""
     subjects = [
         Subject(COMPLETE, drawn(stage), "color and all labels, direct light without shadows"),
         Subject("ray distance only", drawn(stage, channels=("ray_distance",)), "nothing shaded"),
@@ -119,7 +119,7 @@ def frame(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
 
 
 def pixels(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
-    """A complete frame in images of different sizes, seen through the same ideal fisheye."""
+    """Time a complete frame at different image sizes, with the same ideal fisheye."""
     subjects = [
         Subject(
             f"{size} × {size}",
@@ -150,7 +150,7 @@ def pixels(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
 
 
 def triangles(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
-    """A complete frame of ever finer meshes of the same wall."""
+    """Time a complete frame of increasingly fine meshes of the same wall."""
     organ = stage.model.organ
     if extent.coarsest != extent.num_triangles:
         organ = make_organ(extent.coarsest, seed=organ.metadata["seed"])
@@ -167,7 +167,7 @@ def triangles(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Stu
 
 
 def refit(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
-    """The hierarchy of a wall whose every vertex has moved, made fit again."""
+    """Time the refit of the hierarchy after every vertex of a wall has moved."""
     from vrcaps._core import Wall
 
     moving = with_moving_wall(stage)
@@ -189,7 +189,7 @@ def refit(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
 
 
 def heads(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
-    """Both heads of a capsule against one."""
+    """Time both heads of a capsule against one."""
     two = make_stage(stage.model.organ, "pillcam-colon2", num_views=extent.num_views)
     front, back = two.model.device.cameras
     subjects = [
@@ -212,4 +212,4 @@ STUDIES: dict[str, Callable[[Stage, Extent, Callable[[], None]], Study]] = {
     "refit": refit,
     "heads": heads,
 }
-"""Comparisons by name, in the order of running."""
+"""Comparisons by name, in the order of execution."""

@@ -1,4 +1,4 @@
-"""Timing that stands up to a busy machine: subjects take turns, ratios are made turn by turn."""
+"""Timing that is robust on a busy machine: subjects alternate, ratios are computed per round."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Subject:
-    """Something to be timed.
+    """Function to be timed.
 
     Attributes:
-        name: How it is called in tables.
-        frame: Makes the frame of view i; everything is computed when it returns.
-        note: What to know when reading its time.
+        name: Name in tables.
+        frame: Computes the frame of view i; all work is complete when it returns.
+        note: Note on its time.
     """
 
     name: str
@@ -30,7 +30,7 @@ class Subject:
 
 @dataclass(frozen=True)
 class Spread:
-    """Median of a measure over all rounds and how far it scatters."""
+    """Median of a measure over all rounds, and its spread."""
 
     median: float
     p10: float
@@ -38,11 +38,11 @@ class Spread:
 
     @classmethod
     def of(cls, values: Float[np.ndarray, " rounds"]) -> Spread:
-        """Spread of one value a round."""
+        """Spread of one value per round."""
         return cls(*(float(value) for value in np.percentile(values, (50.0, 10.0, 90.0))))
 
     def scaled(self, factor: float) -> Spread:
-        """The same in another unit."""
+        """Convert to another unit."""
         return Spread(self.median * factor, self.p10 * factor, self.p90 * factor)
 
 
@@ -51,9 +51,9 @@ class Times:
     """Mean time of a frame in each round.
 
     Attributes:
-        wall: On the clock [s].
-        cpu: Of all threads of the process together [s]; other programs do not disturb it, but
-            threads that wait by spinning count.
+        wall: Wall-clock time [s].
+        cpu: CPU time of all threads of the process [s]; other programs do not affect it, but
+            spinning threads count.
     """
 
     wall: Float[np.ndarray, " rounds"]
@@ -67,20 +67,20 @@ def interleave(
     num_rounds: int,
     progress: Callable[[], None] | None = None,
 ) -> dict[str, Times]:
-    """Time subjects in turns, so that a drift of the machine hits all of them alike.
+    """Time subjects in alternation, so that drift of the machine affects all of them equally.
 
-    In each round every subject has one turn: a frame that is not timed, to bring its data back
-    into the caches and its threads back to work, then one frame of each view. Each round starts
-    with another subject. One round before the first is not counted.
+    In each round every subject has one turn: an untimed frame, to warm its caches and threads, then
+    one frame of each view. Each round starts with another subject. An extra first round is not
+    counted.
 
     Args:
-        subjects: What to time; names differ.
-        num_views: Views of which a turn renders one frame each.
-        num_rounds: Rounds that count.
+        subjects: Subjects with distinct names.
+        num_views: Number of views; a turn renders one frame of each.
+        num_rounds: Number of counted rounds.
         progress: Called after each round.
 
     Returns:
-        Times by name, rounds in the same order for all.
+        Times by name, with rounds in the same order for all.
     """
     wall = np.empty((num_rounds + 1, len(subjects)))
     cpu = np.empty_like(wall)
@@ -105,5 +105,5 @@ def _turn(subject: Subject, num_views: int) -> tuple[float, float]:
 
 
 def ratio(above: Times, below: Times) -> Spread:
-    """Time of one subject over that of another, made round by round."""
+    """Ratio of the times of two subjects, computed per round."""
     return Spread.of(above.wall / below.wall)

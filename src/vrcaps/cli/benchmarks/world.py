@@ -1,4 +1,4 @@
-"""`vrcaps bench world`: how fast the physics steps."""
+"""`vrcaps bench world`: speed of the physics."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _LEAST_DOF = 20_000
 
 @dataclass(frozen=True)
 class Timed:
-    """Times of one call, in all its repetitions [s]."""
+    """Times of one call over its repetitions [s]."""
 
     wall: Float[np.ndarray, " n"]
     cpu: Float[np.ndarray, " n"]
@@ -66,10 +66,10 @@ def run(*, out: Path | None = None, quick: bool = False) -> Report:
 
     Args:
         out: Markdown file to write; None writes nothing.
-        quick: Measure little; the figures mean nothing.
+        quick: Measure little; the values are meaningless.
 
     Raises:
-        InputError: If `out` is no Markdown file.
+        InputError: If `out` is not a Markdown file.
     """
     check_out(out)
     num_triangles = QUICK.num_triangles if quick else FULL.num_triangles
@@ -79,12 +79,12 @@ def run(*, out: Path | None = None, quick: bool = False) -> Report:
 
 
 def measure(num_triangles: int, num_rounds: int) -> Report:
-    """Time substeps, the muscle's wave, whole frames and finite elements, one after the other."""
+    """Time substeps, motility, whole frames and finite elements, one after the other."""
     with console.status("generating the colon"):
         stage = make_stage(make_organ(num_triangles, seed=_SEED), num_views=8)
     parts = (_substeps, _wave, _frames, _finite_elements)
     found = []
-    for part in parts:  # without a spinner: its thread would take time from what is timed
+    for part in parts:  # without a spinner: its thread would disturb the timing
         console.print(f"timing {part.__name__.strip('_').replace('_', ' ')} …")
         found.append(part(stage, num_rounds))
     return Report(
@@ -114,7 +114,7 @@ def _timed(call: Callable[[], object], num_rounds: int) -> Timed:
 
 
 def _world(stage: Stage, place: int, tissue: Tissue, substep: float = SUBSTEP) -> World:
-    """A capsule that has come to rest."""
+    """World with a capsule at rest."""
     start = replace(stage.states[place], vertices_world=None)
     world = World(stage.model, tissue, start, substep=substep)
     for _ in range(10):

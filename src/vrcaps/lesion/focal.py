@@ -194,7 +194,7 @@ class ProfileForm(FocalForm):
         return (-slope_z / norm)[:, None] * outward + (slope_r / norm)[:, None] * axis
 
     def chart(self, wall: WallSamples) -> Float[np.ndarray, "n 2"]:
-        """The surface flattened with true lengths along the profile [m]."""
+        """Flattened surface with true lengths along the profile [m]."""
         rho, direction, stretch = self.polar(wall)
         rim = stretch * self.radius
         length = np.where(rho < rim, rho / rim * self._length, self._length + (rho - rim))

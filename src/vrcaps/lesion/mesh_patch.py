@@ -71,7 +71,7 @@ def within(wall: Patch, sources: Int[np.ndarray, " k"], reach: float) -> Float[n
 
 @dataclass(frozen=True)
 class ExtractedPatch:
-    """A mesh patch extracted from a wall.
+    """Mesh patch extracted from a wall.
 
     Attributes:
         patch: Extracted piece.

@@ -171,7 +171,7 @@ class Stricture(Lesion):
 
     @property
     def extent(self) -> Literal["circumferential"]:
-        """A stricture affects the whole circumference."""
+        """Strictures affect the whole circumference."""
         return "circumferential"
 
     def arc_length_range(self, organ: OrganSurface, middle: float | None) -> tuple[float, float]:

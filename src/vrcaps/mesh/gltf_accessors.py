@@ -23,7 +23,7 @@ _MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 
 @dataclass(frozen=True)
 class GltfFile:
-    """A glTF document with the bytes of its buffers.
+    """glTF document with the bytes of its buffers.
 
     document: JSON document.
         document: The JSON document.

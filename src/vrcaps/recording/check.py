@@ -41,7 +41,7 @@ _MIN_AGREEMENT = 0.99  # of these rays must agree; at silhouettes rounding decid
 
 @dataclass(frozen=True)
 class Problem:
-    """A fault of an episode.
+    """Fault of an episode.
 
     Attributes:
         where: File, or file and frame or column, relative to the episode.

@@ -263,7 +263,7 @@ class Episode:
 
     @lazy
     def organ(self) -> Mesh:
-        """The wall at rest in the world frame [m].
+        """Wall at rest in the world frame [m].
 
         Raises:
             InputError: If its file is missing or damaged.

@@ -9,7 +9,7 @@ Value = TypeVar("Value")
 
 
 class lazy(Generic[Value]):
-    """A property that is computed once, like `functools.cached_property`, but without its lock.
+    """Property that is computed once, like `functools.cached_property`, but without its lock.
 
     Before Python 3.12 that holds one lock for all objects of a class, so the tables of many
     episodes would be read one after the other. Concurrent threads may compute a value twice.

@@ -147,7 +147,7 @@ def _own_token() -> Iterator[None]:
         for name in names:
             os.environ.pop(name, None)
         os.environ |= before
-        Config.initialize("")  # first: stopping Ray threads would miss the token
+        Config.initialize("")  # first: Ray threads still shutting down would miss the token
         AuthenticationTokenLoader.instance().reset_cache()
 
 

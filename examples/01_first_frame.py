@@ -1,4 +1,4 @@
-"""Your first labeled frame: a colon, a capsule in it, and everything its camera sees.
+"""First labeled frame: a colon, a capsule in it, and all channels of its camera.
 
     python examples/01_first_frame.py
 
@@ -21,18 +21,18 @@ CHANNELS = ("rgb", "depth", "normal", "label")
 
 
 def main(out: Path, seed: int) -> None:
-    """Render one frame and save it as arrays and as a picture."""
-    # An organ is a surface in the patient frame, with its mucosa as textures. Each seed is
-    # another patient; the first time takes some seconds, then it is read from a cache.
+    """Render one frame and save it as arrays and as an image."""
+    # An organ is a surface in the patient frame, with its mucosa as textures. Each seed is another
+    # patient; the first generation takes some seconds, later ones are read from a cache.
     organ = vrcaps.generate_organ("colon", seed=seed)
 
-    # Organ and capsule make a model: what is fixed. A trajectory says where the capsule is.
+    # Organ and capsule form a model: the constant part. A trajectory gives the capsule's pose.
     model = vrcaps.Model(organ, vrcaps.read_device("mirocam"))
     rng = np.random.default_rng(seed)
     flight = vrcaps.fly_through(model, vrcaps.FlyThrough(whole=True), frames=100, fps=3.0, rng=rng)
 
-    # A renderer gives light and labels of a state of the world; the pipeline of a camera exposes
-    # the light as the capsule does.
+    # A renderer computes light and labels of a state of the world; a camera pipeline exposes the
+    # light as the capsule does.
     camera = vrcaps.CameraPipeline(vrcaps.Renderer(model), "front", channels=CHANNELS)
     frame = camera.capture(vrcaps.Step(60, flight.state(60)))
 

@@ -1,9 +1,9 @@
-"""Record a labeled run through a mesh of your own, then work with the arrays.
+"""Record a labeled run through a custom mesh, then work with the arrays.
 
     python examples/02_record_your_own_mesh.py --organ colon.ply --unit mm
 
-Without --organ a small phantom is made first: a bent, folded tube, stored in millimeters as a
-printer or a segmentation tool would. The same from the shell:
+Without --organ a small phantom is created first: a bent, folded tube, stored in millimeters as by a
+printer or a segmentation tool. The same from the shell:
 
     vrcaps record --organ colon.ply --unit mm --frames 30 --out runs/own-mesh
 """
@@ -44,7 +44,7 @@ def main(organ: Path | None, unit: str, frames: int, out: Path) -> None:
         organ, unit = out.parent / "phantom.stl", "mm"
         make_phantom(organ)
 
-    # A scenario is all that decides the recording; it is written into the episode.
+    # A scenario contains all settings of the recording; it is saved in the episode.
     scenario = vrcaps.Scenario(
         organ=vrcaps.OrganFile(str(organ), unit=unit),
         capsule="mirocam",

@@ -1,10 +1,10 @@
-"""Add a capsule of your own: one small file, and it can see.
+"""Add a custom capsule with one small file.
 
     python examples/03_add_a_capsule.py
 
 The file below describes a wide-angle capsule with four LEDs; `mirocam.toml` in the package's
-`capsule/devices` explains every key. Where a capsule's name is asked for, the path of such a
-file does as well:
+`capsule/devices` explains every key. The path of such a file can be used wherever a capsule's name
+is expected:
 
     vrcaps record --capsule runs/my-capsule/wide.toml --out runs/wide
 """
@@ -52,12 +52,12 @@ lobe_exponent = 1
 
 
 def main(out: Path, frames: int) -> None:
-    """Write the device file, look at its lens, record with it."""
+    """Write the device file, plot its lens, record with it."""
     out.mkdir(parents=True, exist_ok=True)
     path = out / "wide.toml"
     path.write_text(WIDE, encoding="utf-8")
 
-    # Reading checks the file: a lens that folds back or a camera without light is an error.
+    # Reading validates the file: a lens that folds back or a camera without light is an error.
     device = vrcaps.read_device(path)
     (camera,) = device.cameras
     rays = camera.lens.unproject(np.array([[127.5, 127.5], [127.5 + 120.0, 127.5]]))

@@ -1,16 +1,16 @@
-"""A passive transit: the small bowel's strongest contractions carry a capsule along.
+"""Passive transit: the small bowel's strongest contractions carry a capsule along.
 
     python examples/04_small_bowel_phase_three.py
 
-Phase III of the fasting gut: every slow wave contracts, the rings run on at 1 to 2 cm/s and take
-the capsule with them through contact alone; mucus damps it. It slides back where a ring has passed
-and the gut rises. Prints how far it got, how hard the wall held it and what friction cost, and
-records what the camera saw. Without the mucus, from the shell:
+Phase III of the fasting gut: every slow wave contracts, the rings propagate at 1 to 2 cm/s and
+carry the capsule with them through contact alone; mucus damps it. Where a ring has passed and the
+gut rises, the capsule slides back. Prints distance, contact force and friction work, and records
+the camera's images. Without the mucus, from the shell:
 
     vrcaps record --organ small-bowel --motion dynamics --start 0.3 \
         --set motion.motility=phase-three --frames 120 --fps 6 --out runs/phase-three
 
-A mesh of your own gets the muscle of the jejunum:
+A custom mesh gets the muscle of the jejunum:
 
     python examples/04_small_bowel_phase_three.py --organ bowel.ply --unit mm
 """
@@ -44,7 +44,7 @@ def main(out: Path, organ: Path | None, unit: str, frames: int, substep: float) 
     scenario = vrcaps.Scenario(organ=bowel, motion=motion, frames=frames, fps=6.0)
     vrcaps.record(scenario, out)
 
-    # The table of an episode has one row a frame; units are in the names of its columns.
+    # The table of an episode has one row per frame; units are in the names of its columns.
     episode = vrcaps.read_episode(out)
     run = episode.table.columns
     start = run["arc_length_m"][0]

@@ -1,10 +1,10 @@
-"""A capsule in an inflated stomach: it rolls to the lowest place as the patient turns.
+"""Capsule in an inflated stomach: it rolls to the lowest point as the patient turns.
 
     python examples/05_stomach_roll.py
 
 Dropped in the middle, the capsule falls onto the wall; then the patient turns from the back onto
-the left side, and onto the front. Prints where it lies and how high, and records what it saw. The
-same from the shell:
+the left side, and onto the front. Prints the capsule's position and height, and records its images.
+The same from the shell:
 
     vrcaps record --organ stomach --distension inflated --motion dynamics --start 0.4 \
         --set motion.settle=0.2 \
@@ -26,7 +26,7 @@ from vrcaps.world.schedule import PostureChange
 
 
 def main(out: Path, frames: int, fps: float, substep: float) -> None:
-    """Record the fall and the turns, and print where the capsule lies."""
+    """Record the fall and the turns, and print the capsule's position."""
     motion = vrcaps.Dynamics(
         start=0.4,
         posture_changes=(
@@ -39,8 +39,8 @@ def main(out: Path, frames: int, fps: float, substep: float) -> None:
     organ = vrcaps.OrganGenerated("stomach", distension="inflated")
     vrcaps.record(vrcaps.Scenario(organ=organ, motion=motion, frames=frames, fps=fps), out)
 
-    # Poses are in the world, where z is up. The patient's own pose is in the table as well, so the
-    # place in the patient (x left, y back, z head) follows.
+    # Poses are in the world, where z is up. The patient's pose is in the table as well, so the
+    # position in the patient (x left, y back, z head) can be computed.
     episode = vrcaps.read_episode(out)
     run = episode.table.columns
     world = episode.Ts_world_capsule[:, :3, 3]

@@ -1,11 +1,11 @@
-"""A pull through a narrow colon: how hard must one pull, and where?
+"""Pull through a narrow colon: force against distance.
 
     python examples/06_narrow_pull.py
 
-A colon from which most of the gas is let out grips the capsule all round. An elastic rod along the
-gut moves it on at 1 cm/s, as in a measurement with a force gauge. This drives a `World` step
-by step, as a controller of your own would. Prints force against distance, and writes it as a
-table (`pull.csv`) and a picture (`pull.png`) with views from the capsule on the way.
+A colon from which most of the gas is released grips the capsule all round. An elastic rod along the
+gut pulls it at 1 cm/s, as in a measurement with a force gauge. This steps a `World` directly, as a
+custom controller would. Prints force against distance, and writes it as a table (`pull.csv`) and a
+figure (`pull.png`) with views from the capsule on the way.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from vrcaps.world.world import World
 
 matplotlib.use("Agg")
 
-SPEED = 10.0 * MM  # of the hand that pulls [m/s]
-STIFFNESS, DAMPING = 50.0, 1.0  # of the rod [N/m], [N·s/m]
-STEP = 2e-3  # between two commands [s]; shorter than mass / damping, 3.3 ms
-DEFLATED, LET_OUT = 0.36, 1.0  # share of the lumen's width that is left; how long that takes [s]
+SPEED = 10.0 * MM  # speed of the hand that pulls [m/s]
+STIFFNESS, DAMPING = 50.0, 1.0  # stiffness and damping of the rod [N/m], [N·s/m]
+STEP = 2e-3  # time between two commands [s]; shorter than mass / damping, 3.3 ms
+DEFLATED, LET_OUT = 0.36, 1.0  # remaining fraction of the lumen's width; release time [s]
 
 
 def main(out: Path, distance: float, start: float, substep: float) -> None:
@@ -46,12 +46,12 @@ def main(out: Path, distance: float, start: float, substep: float) -> None:
     state = State(0.0, model.T_world_patient @ pose)
     world = World(model, Tissue(), state, substep=substep)
 
-    # The gas is let out while the rod holds the capsule; then the hand moves on.
+    # The gas is released while the rod holds the capsule; then the hand moves on.
     rows, views, here, hand = [], [], first, line.arc_length[first]
     count = round(distance / SPEED / STEP)
     for step in range(-round(LET_OUT / STEP), count):
         speed = SPEED if step >= 0 else 0.0
-        # The capsule is sought on the centerline near where it was, never on another loop.
+        # The search on the centerline stays near the previous position, never on another loop.
         window = slice(max(0, here - 15), here + 16)
         offset = world.T_world_capsule[:3, 3] - points[window]
         nearest = int(np.argmin(np.linalg.norm(offset, axis=1)))
@@ -82,7 +82,7 @@ def main(out: Path, distance: float, start: float, substep: float) -> None:
 def draw(
     path: Path, model: vrcaps.Model, table: np.ndarray, views: list[tuple[float, State]]
 ) -> None:
-    """Force and grip against distance, and above it what the capsule saw."""
+    """Plot force and grip against distance, with the capsule's views above."""
     from matplotlib.figure import Figure
 
     renderer = vrcaps.Renderer(model)

@@ -1,12 +1,12 @@
-"""A magnet on an arm leads a capsule through an inflated stomach, from the inlet to the pylorus.
+"""Magnet on an arm that leads a capsule through an inflated stomach, from inlet to pylorus.
 
     python examples/07_magnet_stomach.py
 
 The Panda holds a magnet above the patient's belly. It bears the capsule's weight, draws it gently
-against the upper wall and leads it along a way on that wall, which follows the centerline from
-just inside the cardia; where the capsule does not follow, it waits. The drive is simulated first,
-to see when the pylorus is reached; then just that is recorded. Writes what the capsule saw, and
-the way from the patient's front and side (`way.png`). The same from the shell:
+against the upper wall and leads it along a path on that wall, which follows the centerline from
+just inside the cardia; it waits where the capsule does not follow. The drive is first simulated
+to find when the pylorus is reached; then exactly that is recorded. Writes the capsule's images,
+and its path from the patient's front and side (`way.png`). The same from the shell:
 
     vrcaps record --organ stomach --distension inflated --capsule magnetic --motion dynamics \
         --set motion.magnet.arm=panda --set motion.magnet.wall=upper \
@@ -31,14 +31,14 @@ from vrcaps.units import CM, DEG
 
 matplotlib.use("Agg")
 
-LONGEST = 60.0  # time that the drive may take [s]
+LONGEST = 60.0  # maximum duration of the drive [s]
 STEERING = vrcaps.MagnetSteering(
     magnet="cylinder-76.2", arm="panda", standoff=3.0 * CM, wall="upper", speed=1.0 * CM, end=0.85
 )
 
 
 def main(out: Path, fps: float, substep: float, frames: int | None) -> None:
-    """Drive, record the drive, print and draw how it went."""
+    """Drive, record the drive, print and plot the result."""
     scenario = vrcaps.Scenario(
         organ=vrcaps.OrganGenerated("stomach", distension="inflated"),
         capsule="magnetic",
@@ -57,7 +57,7 @@ def main(out: Path, fps: float, substep: float, frames: int | None) -> None:
 
 
 def drive(scenario: vrcaps.Scenario) -> int:
-    """Simulates until the capsule is there; prints how it goes; the number of frames until then."""
+    """Simulate until the capsule arrives; print the progress; return the number of frames."""
     _, run = vrcaps.build(scenario)
     assert isinstance(run, Rollout)
     assert run.program is not None
@@ -80,11 +80,11 @@ def drive(scenario: vrcaps.Scenario) -> int:
         if follower.has_arrived:
             print("The pylorus is reached.")
             break
-    return min(frame + 2, len(run))  # the follower knows the next frame already
+    return min(frame + 2, len(run))  # the follower already knows the next frame
 
 
 def draw(episode: Episode, path: Path) -> None:
-    """The stomach's outline, the capsule's way and the magnet's, from the front and the side."""
+    """Plot the stomach's outline, the paths of capsule and magnet, from the front and the side."""
     import matplotlib.pyplot as plt
 
     run, organ = episode.table.columns, episode.organ

@@ -1,9 +1,9 @@
-"""A random controller in an environment: the shortest way to see a reward.
+"""Random controller in an environment: a minimal example with a reward.
 
     python examples/08_environment.py
 
-Prints how much of a stomach a capsule has seen that is pushed about at random, and writes what its
-camera sees last (`last.png`).
+Prints the coverage of a stomach by a capsule that is pushed about at random, and writes the last
+image of its camera (`last.png`).
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""A controller of your own, judged beside a baseline.
+"""Custom controller, compared with a baseline.
 
     python examples/09_own_controller.py
 
 A policy is a class with `reset` and `act`; it acts in many worlds at once. This one pushes the
-capsule to and fro along the stomach, towards the side where less was seen. Prints its coverage
-beside that of random actions, in the same worlds.
+capsule to and fro along the stomach, towards the side with more unseen wall. Prints its coverage
+and that of random actions, in the same worlds.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from vrcaps.policy.policy import Requirements, read_policy
 
 
 class Frontier:
-    """Pushes the capsule along its gut to the side where more of the wall is unseen."""
+    """Policy that pushes the capsule along its gut to the side with more unseen wall."""
 
     requires = Requirements(observations=("map",), actuations=("wrench",))
 
     def reset(self, numbers: np.ndarray, seeds: Sequence[int]) -> None:
-        """Remembers nothing."""
+        """Do nothing: the policy has no state."""
 
     def act(self, observations: dict[str, np.ndarray], env: CapsuleVectorEnv) -> np.ndarray:
         """Full force along the centerline, and a slow turn to look around."""
         simulation = env.episode.simulation
-        unseen = 1.0 - observations["map"][:, 0].mean(axis=2)  # by place along the gut
+        unseen = 1.0 - observations["map"][:, 0].mean(axis=2)  # by position along the gut
         rows = (np.arange(unseen.shape[1]) + 0.5) / unseen.shape[1]
         actions = np.zeros((len(unseen), 6), np.float32)
         for k, row in enumerate(unseen):
@@ -46,7 +46,7 @@ class Frontier:
 
 
 def main(out: Path, worlds: int, seconds: float) -> None:
-    """Judge both, print, write."""
+    """Evaluate both, print, write."""
     settings = env_settings(organs=("stomach",), observations=("map",), episode_time=seconds)
     lines = []
     for name, policy in (("frontier", Frontier()), ("random", read_policy("random"))):

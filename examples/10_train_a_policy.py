@@ -1,10 +1,10 @@
-"""Train a policy by PPO for a reward of your own, and judge it beside a baseline.
+"""Train a policy by PPO for a custom reward, and compare it with a baseline.
 
     python examples/10_train_a_policy.py
 
-Trains for some minutes in one stomach, for what is seen at the level `resolved`, and prints how
-much of it the policy and the centerline see in the same worlds. Interrupted, the same command goes
-on. `vrcaps train coverage` does the same from the command line.
+Trains for some minutes in one stomach, for coverage at the level `resolved`, and prints the
+coverage of the policy and of the centerline baseline in the same worlds. To resume an interrupted
+training, repeat the command. `vrcaps train coverage` does the same from the command line.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from vrcaps.scenario.scenario import OrganGenerated
 
 
 def main(out: Path, preset: TrainingSettings, actions: int) -> None:
-    """Train, judge, print."""
+    """Train, evaluate, print."""
     env = replace(
         preset.env,
         organs=(OrganGenerated("stomach", seed=0),),
@@ -39,7 +39,7 @@ def main(out: Path, preset: TrainingSettings, actions: int) -> None:
 
 
 def tell(progress: Progress) -> None:
-    """Print what the last round was like."""
+    """Print a summary of the last round."""
     if progress.rows:
         seen = 100.0 * progress.rows[-1].get("coverage_resolved", np.nan)
         print(f"round {progress.num_rounds} of {progress.total}: {seen:.1f} % resolved")

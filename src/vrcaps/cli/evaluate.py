@@ -79,7 +79,7 @@ class Evaluate:
     """Number of episodes simulated in parallel."""
 
     video: bool = True
-    """Whether to write videos of the median runs."""
+    """Write videos of the median runs."""
 
     def run(self) -> None:
         """Evaluate, draw and report."""

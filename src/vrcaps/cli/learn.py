@@ -50,7 +50,7 @@ class _Train:
     fraction=0.1 or seed=3; repeat for more. settings.json contains all of them."""
 
     duplicates: Literal["drop", "keep", "refuse"] = "drop"
-    """How to handle real training images that are near-duplicates of validation or test images:
+    """Handling of real training images that are near-duplicates of validation or test images:
     drop them, keep them, or refuse to train."""
 
     device: str = "auto"

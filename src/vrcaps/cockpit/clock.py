@@ -49,11 +49,11 @@ class Clock:
 
     @property
     def is_paused(self) -> bool:
-        """Whether the simulation is paused, or will be after the steps that were requested."""
+        """True if the simulation is paused, or will be after the steps that were requested."""
         return self._until < math.inf
 
     def holds(self, time: float) -> bool:
-        """Whether the simulation has to stop at a time [s]."""
+        """True if the simulation has to stop at a time [s]."""
         return time >= self._until
 
     def run(self, until: float = math.inf) -> None:

@@ -45,7 +45,7 @@ class Operator:
 
     @property
     def is_dragged(self) -> bool:
-        """Whether the magnet is moving to a dragged pose."""
+        """True if the magnet is moving to a dragged pose."""
         return self._target is not None
 
     @property

@@ -145,7 +145,7 @@ class PatchNode:
             self._drawn[name] = (corners, handle)
 
     def _shows(self, name: str, corners: np.ndarray, color: Color) -> bool:
-        """Whether a node already shows this, up to invisible differences."""
+        """True if a node already shows this, up to invisible differences."""
         before, handle = self._drawn.get(name, (np.empty((0, 3)), None))
         if handle is None or handle.color != color or before.shape != corners.shape:
             return False

@@ -40,12 +40,12 @@ class SeenWall:
 
     @property
     def vertices(self) -> Bool[np.ndarray, " n"]:
-        """Whether each vertex was seen."""
+        """Mask of the vertices that were seen."""
         return (self._flags[: len(self._model.organ.vertices)] & self._bit) > 0
 
     @property
     def faces(self) -> Bool[np.ndarray, " m"]:
-        """Whether the center of each triangle was seen."""
+        """Mask of the triangles whose center was seen."""
         last, count = self._points.first_of_lesions, len(self._model.organ.faces)
         return (self._flags[last - count : last] & self._bit) > 0
 

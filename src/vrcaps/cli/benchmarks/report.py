@@ -71,7 +71,7 @@ class Claim:
 
     @property
     def verdict(self) -> str:
-        """Whether the median meets the claim."""
+        """True if the median meets the claim."""
         if self.measured is None:
             return "not measured"
         value = self.measured.median

@@ -40,7 +40,7 @@ class Subject:
 
     @property
     def has_goal(self) -> bool:
-        """Whether the task has a goal, such as a position or a lesion, that ends the episode."""
+        """True if the task has a goal, such as a position or a lesion, that ends the episode."""
         return self.settings.task.kind != "coverage"
 
 

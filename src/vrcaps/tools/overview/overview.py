@@ -90,7 +90,7 @@ class _Picture:
 
     @property
     def is_short(self) -> bool:
-        """Whether the organ is so short that its unrolled wall does not fill a row."""
+        """True if the organ is so short that its unrolled wall does not fill a row."""
         return self._row_height(1) > 1.6 * _ROW_HEIGHT[1]
 
     def _row_height(self, rows: int) -> float:

@@ -89,7 +89,7 @@ class VignettingProfile:
 
     @property
     def is_clear(self) -> bool:
-        """Whether the frames darken towards the edge significantly."""
+        """True if the frames darken towards the edge significantly."""
         return self.k1 <= _MOST_RISE and 1.0 - self.rim > 2.0 * self.deviation
 
 

@@ -138,7 +138,7 @@ def homography_pair(
 
 
 def is_trusted(num_inliers: int, num_matches: int) -> bool:
-    """Whether a pair of images is accepted, by its number of inliers (Brown 2007, eq. 13)."""
+    """True if a pair of images is accepted, by its number of inliers (Brown 2007, eq. 13)."""
     return num_inliers > _LEAST_INLIERS + _INLIER_PART * num_matches
 
 

@@ -18,7 +18,7 @@ _OUTLINE_COLOR, _TABLE_COLOR = (150, 125, 112), (36, 40, 46)
 _TABLE_SIZE = (0.6, 1.95, 0.05)
 """Width, length and thickness [m]."""
 _LYING = 0.5
-"""Maximum vertical component of the feet-to-head direction of a patient who lies on a table."""
+"""Maximum |vertical component| of the feet-to-head direction of a patient who lies on a table."""
 
 
 class PatientNode:

@@ -18,7 +18,7 @@ _DARK = 45  # brightest channel of the dark lumen, where noise hides the wall
 _HIGHLIGHT = 245.0 / 255.0  # minimum of the brightest 5 %: certain highlights (Arnold 2010: T1)
 _SUSPECT = 210.0 / 255.0  # minimum value of pixels left out of the local color
 _GROWTH = 2.2  # minimum ratio of green and blue light in a highlight to its surroundings
-_PALING = 1.35  # minimum increase of the ratio of the least to the greatest channel
+_PALING = 1.35  # minimum ratio of least over greatest channel to that of the surroundings
 _WINDOW = 0.1  # side of the median's window, relative to the field
 _GROW = 1 / 140  # dilation by the glow around highlights, relative to the field
 

@@ -42,7 +42,7 @@ class WallOptions:
         pass_band: Fraction of the surface's spatial frequencies that smoothing keeps, up to 2;
             0.1 removes voxel steps and keeps a polyp.
         bridge: Maximum width of collapsed stretches to open to a channel [m]; 0 opens none.
-        open_ends: Whether the lumen is left open where the scan cuts it; otherwise it is closed.
+        open_ends: Close the lumen (`cap`) or leave it open (`keep`) where the scan cuts it.
         reverse: Whether the narrower end of the lumen is the oral one.
         anatomy: Anatomy of the lumen: a whole `colon` is divided into segments, and its lower end
             is the anal one.

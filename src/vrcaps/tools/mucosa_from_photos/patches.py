@@ -23,7 +23,7 @@ MAX_WIDTH = 1024
 """Maximum width of photographs [px]; wider ones are first halved, or more."""
 
 _VESSEL_REACH = 1024  # side of the square in which vessels are searched [px]
-_WORSE = 0.5  # maximum relative loss of evenness of a further photograph's region against the best
+_WORSE = 0.5  # maximum excess of unevenness of a further photograph's region over the best
 _SMALLER = 0.7  # minimum ratio of its side to that of the best
 _SLOW = 0.85  # fraction of the slow variation that is removed from a square
 _BLEMISH = 3.7  # minimum distance of a rare mark from the mean [standard deviations]

@@ -54,3 +54,8 @@ def test_reading_turns_any_error_into_one_line(error, text):
 def test_reading_keeps_errors_that_are_clear():
     with pytest.raises(UnknownNameError), reading("a.png"):
         raise UnknownNameError("channel", "smell", ["rgb"])
+
+
+def test_an_error_is_one_line_that_does_not_steer_the_terminal() -> None:
+    error = InputError("No file a\x1b[31m\nb\x9b1m\u202egnp.é.")
+    assert str(error) == r"No file a\x1b[31m\nb\x9b1m\u202egnp.é."

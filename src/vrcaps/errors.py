@@ -9,6 +9,8 @@ from typing import Any
 
 _SYSTEM = re.compile(r"\[(?:Errno|WinError) -?\d+\] ([^:'\[\]]+)(?:: '[^']*'(?: -> '[^']*')?)?")
 """Pattern of an operating system error: number, reason, paths."""
+_UNSEEN = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]")
+"""Characters that a terminal obeys, ends of lines, and changes of the direction of writing."""
 
 
 def reason_of(error: BaseException | str) -> str:
@@ -24,11 +26,16 @@ def reason_of(error: BaseException | str) -> str:
 class VrcapsError(Exception):
     """Base of all errors that vrcaps raises; the text is one line.
 
-    Of an operating system error it contains the reason only, see `reason_of`.
+    Of an operating system error it contains the reason only, see `reason_of`. Control characters,
+    which names of others may hold, are escaped.
     """
 
     def __init__(self, *args: object) -> None:
-        super().__init__(*(reason_of(one) if isinstance(one, str) else one for one in args))
+        super().__init__(*(_shown(reason_of(one)) if isinstance(one, str) else one for one in args))
+
+
+def _shown(text: str) -> str:
+    return _UNSEEN.sub(lambda found: repr(found[0])[1:-1], text)
 
 
 class InputError(VrcapsError, ValueError):

@@ -7,12 +7,18 @@ relative path that stays below its folder, even if links are followed.
 from __future__ import annotations
 
 import os
+import unicodedata
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
 from vrcaps.errors import InputError
 
-_LONGEST = 1000
+_LONGEST = 200
+"""Bytes of a name in UTF-8; formats write a name and an ending as one file, of 255 at most."""
+_UNSEEN = ("Cc", "Cs", "Zl", "Zp")
+"""Unicode categories of control characters, halves of pairs, and ends of lines and paragraphs."""
+_TURNING = ("LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI")
+"""Classes of characters that change the direction of writing, so that a name looks like another."""
 _SYSTEM_FILES = ("thumbs.db", "desktop.ini", "__macosx", "icon\r")
 """Files and folders, in lower case, that Windows and macOS add to a user's folders."""
 
@@ -34,8 +40,8 @@ def require_name(noun: str, name: Any) -> str:
         shown = repr(name)
         shown = shown if len(shown) <= 80 else f"{shown[:77]}..."
         raise InputError(
-            f"The name of a {noun} is {shown}. Allowed: a relative path without '..', backslashes "
-            "and control characters."
+            f"The name of a {noun} is {shown}. Allowed: a relative path of at most {_LONGEST} "
+            "bytes without '..', backslashes and control characters."
         )
     return name
 
@@ -44,7 +50,7 @@ def _is_relative(name: str) -> bool:
     windows = PureWindowsPath(name)
     parts = PurePosixPath(name).parts
     return (
-        0 < len(name) <= _LONGEST
+        0 < len(name.encode(errors="replace")) <= _LONGEST
         and bool(parts)
         and not windows.anchor
         and not windows.drive
@@ -54,9 +60,12 @@ def _is_relative(name: str) -> bool:
 
 
 def _is_control(character: str) -> bool:
-    """Return whether a character is a control character, a backslash, or a lone surrogate."""
-    code = ord(character)
-    return code < 32 or code == 127 or character == "\\" or 0xD800 <= code <= 0xDFFF
+    """Whether a character is a backslash, or one that a terminal does not show as text."""
+    return (
+        character == "\\"
+        or unicodedata.category(character) in _UNSEEN
+        or unicodedata.bidirectional(character) in _TURNING
+    )
 
 
 def inside(folder: Path, name: Any) -> Path:

@@ -182,3 +182,10 @@ def test_distortion_that_no_lens_has_is_one_clear_line(tmp_path):
         VslamLab().read(out)
     with pytest.raises(InputError, match=r"depth_factor is 0.5. Allowed: 1 or more"):
         VslamLab(depth_factor=0.5)
+
+
+@pytest.mark.parametrize("name", ["*", "%s", "#c", "!x", "{}", "@x"])
+def test_names_are_no_yaml(tmp_path, name):
+    sequence = replace(ellipsoid_sequence(FISHEYE, 40, 36, frames=2), name=name)
+    (read,) = Euroc().read(export(Euroc(), [sequence], tmp_path / "out"))
+    assert read.name == name

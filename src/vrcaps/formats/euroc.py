@@ -10,6 +10,7 @@ https://projects.asl.ethz.ch/datasets/doku.php?id=kmavvisualinertialdatasets.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -134,7 +135,7 @@ def _calibration_text(sequence: FrameSequence) -> str:
     values, distortion = kalibr_values(camera.lens, sequence.name, 4)
     model = "equidistant" if is_fisheye(camera.lens) else "radial-tangential"
     return f"""sensor_type: camera
-comment: {sequence.name}
+comment: {json.dumps(sequence.name)}
 T_BS:
   cols: 4
   rows: 4

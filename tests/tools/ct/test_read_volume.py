@@ -307,3 +307,39 @@ def test_no_gas_states_the_range_of_values() -> None:
     scan = Volume(values - np.int16(1024), scan.T_patient_index, "made")
     with pytest.raises(InputError, match=r"from -1000 to 40 HU\. Change --threshold"):
         choose_gas(find_gas(scan), scan)
+
+
+@pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
+def test_a_nifti_of_integers_that_is_cut_short_is_refused(tmp_path, suffix) -> None:
+    """ITK takes missing voxels for 0."""
+    path = tmp_path / f"scan{suffix}"
+    write_values(path, np.arange(4096, dtype=np.int16).reshape(16, 16, 16))
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(InputError, match=r"scan\.nii.*Copy the file again"):
+        read_volume(path)
+
+
+_META = (
+    "ObjectType = Image\nNDims = 3\nDimSize = 2 2 2\nElementType = MET_UCHAR\nElementDataFile = "
+)
+_NRRD = "NRRD0004\ntype: uchar\ndimension: 3\nsizes: 2 2 2\nencoding: raw\n"
+
+
+@pytest.mark.parametrize("name", ["../secret", "LIST\n../secret\n../secret\n"])
+@pytest.mark.parametrize(
+    ("suffix", "head", "end"),
+    [
+        (".mhd", _META, "\n"),
+        (".mha", _META, "\n"),
+        (".nrrd", f"{_NRRD}data file: ", "\n\n"),
+        (".nrrd", f"{_NRRD}datafile: ", "\n\n"),
+    ],
+)
+def test_a_header_names_no_file_outside_its_folder(tmp_path, suffix, head, end, name) -> None:
+    (tmp_path / "secret").write_bytes(bytes(8))
+    folder = tmp_path / "scans"
+    folder.mkdir()
+    path = folder / f"scan{suffix}"
+    path.write_text(head + name + end)
+    with pytest.raises(InputError, match=r"secret leads out of .*scans"):
+        read_volume(path)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError
+from vrcaps.errors import InputError, reading
+from vrcaps.names import inside
 from vrcaps.narrow import narrow
 from vrcaps.tools.ct.itk import grid_transform, import_sitk, itk_reason
 from vrcaps.tools.ct.nifti import require_finite_nifti
@@ -19,6 +21,14 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 FILE_TYPES = (".nii", ".nii.gz", ".nrrd", ".mha", ".mhd")
+_LONGEST_HEADER = 1 << 20
+_META = re.compile(rb"^[ \t]*ElementDataFile[ \t]*[=:]?[ \t]*(.*)", re.MULTILINE | re.DOTALL)
+_DATA_FILE = {
+    ".nrrd": re.compile(rb"^data ?file:(.*)", re.MULTILINE | re.DOTALL | re.IGNORECASE),
+    ".mha": _META,
+    ".mhd": _META,
+}
+"""Files of voxels that a header names: one, or a list of lines after the word LIST."""
 
 
 def read_volume(
@@ -71,7 +81,30 @@ def _require_bytes(path: Path, voxels: int) -> None:
         )
 
 
+def _require_data_inside(path: Path) -> None:
+    """Check that a header of NRRD or MetaImage names no file of voxels outside its folder.
+
+    Raises:
+        InputError: If it does, or the file cannot be read.
+    """
+    pattern = _DATA_FILE.get(path.suffix.lower())
+    if pattern is None:
+        return
+    with reading(path), path.open("rb") as file:
+        head = file.read(_LONGEST_HEADER)
+    if path.suffix.lower() == ".nrrd":
+        head = re.split(rb"\r?\n\r?\n", head, maxsplit=1)[0]
+    found = pattern.search(head)
+    first, *more = (found[1].strip() if found else b"LOCAL").splitlines() or [b""]
+    if first.upper() == b"LOCAL":
+        return
+    names = more if first.upper().startswith(b"LIST") else [first]
+    for name in filter(None, map(bytes.strip, names)):
+        inside(path.parent, name.decode(errors="surrogateescape"))
+
+
 def _read_file(path: Path, *, is_label_map: bool) -> Volume:
+    _require_data_inside(path)
     sitk = import_sitk()
     reader = sitk.ImageFileReader()
     reader.SetFileName(str(path))

@@ -218,6 +218,11 @@ def test_what_is_not_published_is_one_clear_line(run, place, monkeypatch):
     (place / INDEX).write_text('{"format": "other/1", "weights": []}')
     with pytest.raises(InputError, match=r"format is other/1\. Allowed: vrcaps-published/1"):
         find_weights("", TASK)
+    entry = {"name": TASK, "task": TASK, "file": f"{TASK}.safetensors", "bytes": 1, "summary": ""}
+    entry["sha256"] = "/../../../../x"
+    (place / INDEX).write_text(json.dumps({"format": "vrcaps-published/1", "weights": [entry]}))
+    with pytest.raises(InputError, match=r"sha256 is '/../../../../x'\. Allowed: 64 hexadecimal"):
+        find_weights("", TASK)
     monkeypatch.delenv(VARIABLE)
     monkeypatch.setattr("vrcaps.learn.published._CHECKOUT", place / "none")
     with pytest.raises(InputError, match=r"the installed package has none\. Set VRCAPS_WEIGHTS"):

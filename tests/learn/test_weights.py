@@ -9,6 +9,8 @@ import pytest
 pytest.importorskip("torch")
 
 import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
 
 from vrcaps.errors import InputError
 from vrcaps.learn.classes import ClassLearner
@@ -94,6 +96,26 @@ def test_numbers_are_finite(tmp_path, value):
         next(network.parameters()).view(-1)[3] = value
     write_weights(tmp_path / "w.safetensors", LEARNER, network, {})
     with pytest.raises(InputError, match="holds numbers that are not finite, in "):
+        read_weights(tmp_path / "w.safetensors")
+
+
+@pytest.mark.parametrize(
+    ("value", "dtype", "message"),
+    [
+        (1e300, torch.float64, "holds numbers that are not finite, in "),
+        (3, torch.int32, r"has numbers of type torch\.int32, not torch\.float32"),
+        (1j, torch.complex64, r"has numbers of type torch\.complex64, not torch\.float32"),
+    ],
+)
+def test_numbers_are_of_the_type_of_the_network(whole, tmp_path, value, dtype, message):
+    (tmp_path / "w.safetensors").write_bytes(whole)
+    with safe_open(tmp_path / "w.safetensors", "pt") as file:
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        metadata = file.metadata()
+    name = next(name for name, tensor in tensors.items() if tensor.is_floating_point())
+    tensors[name] = torch.full(tensors[name].shape, value, dtype=dtype)
+    save_file(tensors, tmp_path / "w.safetensors", metadata)
+    with pytest.raises(InputError, match=message):
         read_weights(tmp_path / "w.safetensors")
 
 

@@ -23,6 +23,7 @@ from vrcaps.serialization import from_plain, to_plain
 INDEX, VARIABLE, SUFFIX = "index.json", "VRCAPS_WEIGHTS", ".safetensors"
 _FORMAT = "vrcaps-published/1"
 _NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
+_SHA256 = re.compile(r"[0-9a-f]{64}")
 _CHECKOUT = Path(__file__).parents[3] / "weights"
 
 
@@ -49,6 +50,9 @@ class PublishedWeights:
     def __post_init__(self) -> None:
         check_name(self.name, self.task)
         require(self.file == self.name + SUFFIX, "file", self.file, self.name + SUFFIX)
+        # Part of a file's name in the cache.
+        is_checksum = _SHA256.fullmatch(self.sha256) is not None
+        require(is_checksum, "sha256", repr(self.sha256), "64 hexadecimal digits")
 
 
 @dataclass(frozen=True)

@@ -130,7 +130,9 @@ def _read_file(path: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
     safe_open, torch = import_extra("safetensors", "learn").safe_open, require_torch()
     with reading(path), safe_open(str(path), framework="pt") as file:
         stated = json.loads((file.metadata() or {}).get(_KEY, "{}"))
-        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        stored = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    # Narrowed before they are checked: 64-bit numbers may exceed those of 32 bits.
+    tensors = {k: v.float() if v.is_floating_point() else v for k, v in stored.items()}
     for name, tensor in tensors.items():
         if tensor.is_floating_point() and not torch.isfinite(tensor).all():
             raise InputError(f"{path} holds numbers that are not finite, in {name}.")
@@ -154,8 +156,9 @@ def _network_of(learner: AnyLearner, tensors: dict[str, Any]) -> Any:
             f"{len(wrong)} weights do not fit the network that it states, such as {name}: "
             f"{found.get(name, 'missing')}, not {expected.get(name, 'known')}"
         )
+    for name, value in tensors.items():
+        if value.is_floating_point() != outline[name].is_floating_point() or value.is_complex():
+            raise InputError(f"{name} has numbers of type {value.dtype}, not {outline[name].dtype}")
     network = learner.network(is_pretrained=False)
-    network.load_state_dict(
-        {k: v.float() if v.is_floating_point() else v for k, v in tensors.items()}
-    )
+    network.load_state_dict(tensors)
     return network

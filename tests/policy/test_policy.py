@@ -26,6 +26,7 @@ def odd_modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         f"class Exits:\n    {methods}\n    def __init__(self): raise SystemExit(3)\n"
     )
     (tmp_path / "odd_syntax.py").write_text("class Mine(:\n")
+    (tmp_path / "odd_lazy.py").write_text("def __getattr__(name): raise ImportError('later')\n")
     (tmp_path / "odd_exit.py").write_text("raise SystemExit\n")
     monkeypatch.syspath_prepend(tmp_path)
 
@@ -59,6 +60,7 @@ def test_a_policy_of_ones_own_by_its_import_path() -> None:
         ("odd_policies:Halves", InputError, "odd_policies:Halves is no policy"),
         ("odd_policies:Exits", InputError, "cannot be made without arguments: SystemExit: 3"),
         ("odd_syntax:Mine", InputError, "No policy at odd_syntax:Mine: SyntaxError: "),
+        ("odd_lazy:Mine", InputError, "No policy at odd_lazy:Mine: ImportError: later"),
         ("odd_exit:Mine", InputError, "No policy at odd_exit:Mine: SystemExit"),
     ],
 )

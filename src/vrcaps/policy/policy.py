@@ -150,12 +150,12 @@ def _imported(path: str) -> Policy:
     module_name, _, class_name = path.partition(":")
     try:
         module = importlib.import_module(module_name)
+        cls = getattr(module, class_name, None)  # a module may import what it is asked for
     except (Exception, SystemExit) as error:  # a module may raise anything
         raise InputError(
             f"No policy at {path}: {_reason(error)}. Give package.module:Class, importable from "
             "here."
         ) from error
-    cls = getattr(module, class_name, None)
     if cls is None:
         raise InputError(f"No policy at {path}: the module has no {class_name!r}.")
     # Checked before the call: a path may name any function, such as os:abort.

@@ -115,8 +115,13 @@ def test_real_organs(shared_data, name, unit, length_mm):
 
 @pytest.mark.slow
 def test_an_unlikely_width_asks_for_the_unit(tube_path, caplog):
-    read_organ(tube_path, unit="dm")
-    assert re.search(r"the lumen is 3\.96e\+03 mm wide. Is the unit mm, not dm\?", caplog.text)
+    read_organ(tube_path, unit="cm")
+    assert re.search(r"the lumen is 396 mm wide. Is the unit mm, not cm\?", caplog.text)
+    with pytest.raises(
+        InputError,
+        match=r"3\.96e\+03 mm wide\. Allowed: at most 1000 mm\. Is the unit mm, not dm\?",
+    ):
+        read_organ(tube_path, unit="dm")
 
 
 @pytest.mark.slow

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from vrcaps.organ.surface import OrganSurface
 
 _log = logging.getLogger(__name__)
+_WIDEST = 1.0
+"""Largest median width of a lumen [m]; the textures of a wider one would not fit into memory."""
 _UNCHANGED = (1.0, None, "cap", False, False)
 
 
@@ -91,7 +93,8 @@ def _organ_of_mesh_file(
     mesh, report = repair(mesh, open_ends=open_ends)
     require_lumen_surface(mesh)
     centerline = compute_centerline(mesh, reverse=reverse)
-    _warn(path, unit, report, centerline)
+    _check_width(path, unit, centerline)
+    _warn_of_openings(path, report)
     label, label_names = _labels(mesh, path)
     metadata = {
         "source": str(path),
@@ -108,14 +111,21 @@ def _organ_of_mesh_file(
     return replace(organ, metadata=metadata)
 
 
-def _warn(path: Path, unit: str, report: RepairReport, centerline: Centerline) -> None:
-    """Warn of a lumen of unusual width or with more than two ends."""
+def _check_width(path: Path, unit: str, centerline: Centerline) -> None:
+    """Warn of a lumen of unusual width; refuse one that is wider than any organ."""
     from vrcaps.organ.measure import lumen_diameters, unit_question
 
     diameter = lumen_diameters(centerline)[1]
     question = unit_question(unit, diameter)
+    found = f"the lumen is {diameter / MM:.3g} mm wide"
+    if diameter > _WIDEST:
+        raise InputError(f"{path}: {found}. Allowed: at most {_WIDEST / MM:.0f} mm.{question}")
     if question:
-        _log.warning("%s: the lumen is %.3g mm wide.%s", path, diameter / MM, question)
+        _log.warning("%s: %s.%s", path, found, question)
+
+
+def _warn_of_openings(path: Path, report: RepairReport) -> None:
+    """Warn of a lumen with more than two ends."""
     ends = next((r.places for r in report.repairs if r.kind == "open end"), report.open_ends)
     if len(ends) > 2:
         _log.warning(

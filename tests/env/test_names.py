@@ -12,7 +12,9 @@ gymnasium = pytest.importorskip("gymnasium")
 import vrcaps.env  # noqa: E402
 from vrcaps.camera_pipeline.effects import parse_effects  # noqa: E402
 from vrcaps.env import EnvSettings, Randomization  # noqa: E402
+from vrcaps.env.settings import env_settings  # noqa: E402
 from vrcaps.errors import InputError, UnknownNameError  # noqa: E402
+from vrcaps.lesion import Polyp  # noqa: E402
 from vrcaps.scenario.scenario import OrganFile, OrganGenerated  # noqa: E402
 
 PAGE = Path(__file__).parents[2] / "docs" / "environments.md"
@@ -92,3 +94,11 @@ def test_an_action_beyond_its_limits_is_explained() -> None:
     )
     with pytest.raises(InputError, match="An action is the number of a choice"):
         discrete.unwrapped.episode.check_actions([9])
+
+
+def test_a_text_names_lesions() -> None:
+    one = env_settings(lesions="polyp-Ip:size=12mm")
+    assert one.lesions == (Polyp(shape="Ip", size=0.012),)
+    assert env_settings(lesions=("polyp-Ip:size=12mm",)) == one
+    with pytest.raises(UnknownNameError, match=r"'polp'.*Did you mean 'polyp"):
+        env_settings(lesions=("polp",))

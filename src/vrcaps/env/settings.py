@@ -18,6 +18,7 @@ from vrcaps.env.tasks.coverage import CoverageTask
 from vrcaps.env.tasks.registry import AnyTask
 from vrcaps.errors import InputError, UnknownNameError, require
 from vrcaps.lesion import AnyLesion
+from vrcaps.lesion.registry import parse_lesion
 from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.coverage import CoverageCriteria
 from vrcaps.scenario.scenario import OrganGenerated
@@ -141,6 +142,10 @@ def env_settings(**keywords: Any) -> EnvSettings:
         keywords["rewards"] = tuple(
             Reward(r) if isinstance(r, str) else r for r in keywords["rewards"]
         )
+    if "lesions" in keywords:
+        given = keywords["lesions"]
+        given = (given,) if isinstance(given, str) else given
+        keywords["lesions"] = tuple(parse_lesion(x) if isinstance(x, str) else x for x in given)
     if isinstance(keywords.get("organs"), str):
         keywords["organs"] = (keywords["organs"],)
     values: dict[str, Any] = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from threading import Event
 
 import pytest
 
@@ -130,6 +131,17 @@ def test_progress_is_told_in_lines_where_there_is_no_terminal(capsys) -> None:
     assert capsys.readouterr().err == (
         "recording: 2/5 after 30 s\nrecording: 4/5 after 61 s\nrecording: 5/5 after 95 s\n"
     )
+
+
+def test_progress_is_told_while_nothing_is_driven(capsys, monkeypatch) -> None:
+    """An organ is generated before the first frame: the lines come from a thread."""
+    monkeypatch.setattr(console, "PERIOD", 0.0)
+    monkeypatch.setattr(console, "_TICK", 1e-3)
+    told, tell = Event(), console._Lines.tell
+    monkeypatch.setattr(console._Lines, "tell", lambda *a: (tell(*a), told.set()))
+    with console.progress_bar("recording"):
+        assert told.wait(WATCHDOG)
+    assert "recording: none done after 0 s\n" in capsys.readouterr().err
 
 
 def test_a_plan_may_hold_its_scenario_in_a_table(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from threading import Event, Thread
 from typing import TYPE_CHECKING
 
 from rich.console import Console
@@ -19,6 +20,9 @@ console = Console(highlight=False, markup=False, soft_wrap=True)
 
 PERIOD = 30.0
 """Minimum time between progress lines without a terminal [s]."""
+
+_TICK = 1.0
+"""Time between checks whether a line is due [s]."""
 
 
 @contextmanager
@@ -37,7 +41,8 @@ def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
             progress.update(task, completed=num_done, total=total)
             lines.tell(f"{num_done}/{total}")
 
-        yield advance
+        with lines.telling():
+            yield advance
 
 
 @contextmanager
@@ -67,7 +72,8 @@ def progress_bars(
             progress.update(second, completed=time, total=whole, done=done, visible=True)
             times.tell(done)
 
-        yield count, pass_time
+        with counts.telling():
+            yield count, pass_time
 
 
 class _Lines:
@@ -76,9 +82,31 @@ class _Lines:
     def __init__(self, title: str, clock: Callable[[], float] = time.monotonic) -> None:
         self._title, self._clock = title, clock
         self._began = self._told = clock()
+        self._done = "none done"
+
+    @contextmanager
+    def telling(self) -> Iterator[None]:
+        """Write lines also while nothing is driven, such as while an organ is generated."""
+        if sys.stderr.isatty():
+            yield
+            return
+        ended = Event()
+
+        def tell_until_ended() -> None:
+            while not ended.wait(_TICK):
+                self.tell(self._done)
+
+        thread = Thread(target=tell_until_ended, daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            thread.join()
 
     def tell(self, done: str) -> None:
         """Write a line if one is due."""
+        self._done = done
         now = self._clock()
         if now - self._told < PERIOD or sys.stderr.isatty():
             return

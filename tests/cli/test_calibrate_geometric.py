@@ -86,7 +86,7 @@ def test_mistakes_end_in_one_line(photos, tmp_path, capsys) -> None:
     assert "needs a positive number" in error(square="-2mm")
     assert "Allowed: a file name that ends in .toml" in error(path=tmp_path / "mine")
     assert "There is no folder" in error(path=tmp_path / "gone" / "mine.toml")
-    assert "No capsule named 'mine'. Known: dual" in error(capsule="mine")
+    assert "No capsule named 'mine'. Known: colonoscope, dual" in error(capsule="mine")
     assert "No camera of mirocam named 'back'. Known: front" in error(camera="back")
     assert "holds no photograph" in error(empty)
     assert "is seen in 1 of 1 photographs. Allowed: 3 or more" in error(photos / "0.png")

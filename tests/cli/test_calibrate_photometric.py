@@ -65,9 +65,7 @@ def test_mistakes_end_in_one_line(folders, tmp_path, capsys) -> None:
     assert "Frames given: 1. Allowed: 3 or more" in fail(
         ["calibrate", "photometric", str(real / "0.jpg"), *out], capsys
     )
-    assert "There is no file" in fail(
-        ["calibrate", "photometric", str(tmp_path / "gone"), *out], capsys
-    )
+    assert "Nothing at" in fail(["calibrate", "photometric", str(tmp_path / "gone"), *out], capsys)
     assert "No capsule named 'x'" in fail(
         ["calibrate", "photometric", str(real), "--capsule", "x", *out], capsys
     )

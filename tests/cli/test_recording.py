@@ -15,7 +15,7 @@ from vrcaps import cli
 from vrcaps.recording.episode import read_episode
 from waiting import WATCHDOG, wait_until
 
-FLAGS = "--unit mm --frames 3 --channels rgb depth label --seed 5"
+FLAGS = "--unit mm --frames 3 --channels rgb depth label --seed 5 --effects none --whole"
 
 
 @pytest.fixture(scope="module")

@@ -65,7 +65,7 @@ def test_mistakes_end_in_one_line(frames, tmp_path, capsys) -> None:
     assert "holds no photograph" in fail([str(empty), *rest], capsys)
     assert "holds no photograph" in fail([str(other), *rest], capsys)
     assert "Cannot read" in fail([str(tmp_path / "broken.png"), *rest], capsys)
-    assert "There is no file" in fail([str(tmp_path / "gone.png"), *rest], capsys)
+    assert "Nothing at" in fail([str(tmp_path / "gone.png"), *rest], capsys)
     small = [str(tmp_path / "small.png"), *rest]
     assert "too few to make a texture from" in fail(small, capsys)
     assert "does not say its scale" in fail([str(frames), "--out", str(out)], capsys)

@@ -14,6 +14,7 @@ from small_episode import *  # noqa: F403
 from tubes import straight_gut
 from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.camera.derive import scaled_camera
+from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.capsule.catalog import read_device
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.organ.write_organ import write_organ
@@ -33,7 +34,14 @@ def drive_scenario(tmp_path_factory: pytest.TempPathFactory) -> Scenario:
     device = read_device("magnetic")
     device = replace(device, cameras=(scaled_camera(device.cameras[0], 0.25),))
     motion = Dynamics(start=0.3, settle=0.2, substep=5e-4, magnet=MagnetSteering())
-    return Scenario(str(file), capsule=device, motion=motion, fps=10.0, channels=("rgb",))
+    return Scenario(
+        str(file),
+        capsule=device,
+        motion=motion,
+        fps=10.0,
+        channels=("rgb",),
+        effects=Effects(auto_exposure=0),  # images equal the renderer's
+    )
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -101,7 +101,7 @@ def test_bad_plans_are_one_clear_line(scenario: dict, settings: dict, message: s
 @pytest.mark.parametrize(
     ("scenario", "message"),
     [
-        ({"capsul": "mono"}, r"Unknown key scenario\.capsul\..* Did you mean 'capsule'\?"),
+        ({"capsul": "mono"}, r"Unknown key capsul\..* Did you mean 'capsule'\?"),
         ({"capsule": "mirocm"}, r"No capsule named 'mirocm'\..* Did you mean 'mirocam'\?"),
         ({"capsule": {"each": ["mono", "sterio"]}}, "capsule = 'sterio' of the plan: No capsule"),
         (

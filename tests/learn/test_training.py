@@ -136,7 +136,7 @@ def test_depth_is_learned(tmp_path):
     assert predict(trained, (sequence,), out) == {}
     assert len(list(out.glob("new/*.png"))) == len(sequence)
     assert (out / "sheet.png").stat().st_size > 0
-    with pytest.raises(InputError, match="Depth needs the camera"):
+    with pytest.raises(InputError, match="Depth needs the lens of the camera"):
         predict(trained, (replace(sequence, camera=None),), tmp_path / "none")
 
 
@@ -191,8 +191,18 @@ def test_bad_input_is_one_clear_line(tmp_path):
         read_weights(tmp_path / "bad.safetensors")
     with pytest.raises(UnknownNameError, match="encoder of timm"):
         DepthLearner(encoder="resnet1520").network(is_pretrained=False)
+    with pytest.raises(InputError, match="holds numbers that are not finite"):
+        _train(DEPTH, tmp_path / "nan", steps=2, start=str(_broken(tmp_path)))
+
+
+@pytest.mark.slow
+def test_training_that_diverges_ends_in_one_line(tmp_path, monkeypatch):
+    def nan_loss(self, network, batch):
+        return {"loss": torch.nan * next(network.parameters()).sum()}
+
+    monkeypatch.setattr(DepthLearner, "loss", nan_loss)
     with pytest.raises(InputError, match="The loss is nan at step 0"):
-        _train(DEPTH, tmp_path / "nan", steps=2, rate=1e30, start=str(_broken(tmp_path)))
+        _train(DEPTH, tmp_path, steps=2)
 
 
 def _broken(folder):

@@ -281,14 +281,16 @@ def test_a_flat_wall_is_stitched_from_the_command_line(tmp_path, monkeypatch, ca
     truth = Mesh(corners, np.array([[0, 2, 1], [0, 3, 2]]))
     sequence = replace(_sequence(), episode=SimpleNamespace(organ=truth))
     monkeypatch.setattr("vrcaps.formats.sources.read_source", lambda text: (sequence,))
-    flags = ["--method", "stitching", "--field-of-view-deg", "75", "--out", str(tmp_path)]
-    main(["reconstruct", "wall", *flags])
+    source, out = tmp_path / "wall", tmp_path / "out"
+    source.mkdir()
+    flags = ["--method", "stitching", "--field-of-view-deg", "75", "--out", str(out)]
+    main(["reconstruct", str(source), *flags])
     said = capsys.readouterr().out
     assert "4 of 4 frames are stitched" in said
     assert float(said.partition("RMSE ")[2].partition(" mm")[0]) < 0.1
     pictures = {"highlights.png", "matches.png", "mosaic.png", "depth.png", "errors.png"}
     tables = {"matches.csv", "registration.csv", "errors.csv", "mesh.ply", "errors.ply"}
-    assert {path.name for path in tmp_path.iterdir()} == pictures | tables
+    assert {path.name for path in out.iterdir()} == pictures | tables
 
 
 @pytest.mark.slow

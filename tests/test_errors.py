@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from PIL import UnidentifiedImageError
 
 from vrcaps.errors import InputError, MissingExtraError, UnknownNameError, VrcapsError, reading
 
@@ -43,6 +44,10 @@ def test_every_error_is_a_vrcaps_error_and_its_builtin_kind(
         (MemoryError(), "Cannot read a.png: it does not fit into memory."),
         (EOFError(), "Cannot read a.png: EOFError."),
         (ValueError("one\n  two."), "Cannot read a.png: one two."),
+        (
+            UnidentifiedImageError("<0x7f>"),
+            "a.png: it is no image of a known type, or its header is damaged.",
+        ),
     ],
 )
 def test_reading_turns_any_error_into_one_line(error, text):

@@ -22,6 +22,15 @@ def test_json_is_read_as_floats(tmp_path):
     assert read_plain(path, "test") == {"a": 0.1}
 
 
+def test_a_file_without_an_end_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("vrcaps.plain_files._LONGEST", 6)
+    (tmp_path / "a.json").write_text("[1, 2]")
+    assert read_plain(tmp_path / "a.json", "test") == [1, 2]
+    (tmp_path / "a.json").write_text("[1, 2] ")
+    with pytest.raises(InputError, match="is not JSON: it has more than 6 characters"):
+        read_plain(tmp_path / "a.json", "test")
+
+
 @pytest.mark.parametrize(("name", "text"), [("a.toml", "a = 1"), ("a.json", '{"a": 1}')])
 def test_marks_of_windows_editors_are_no_values(tmp_path, name, text):
     (tmp_path / name).write_bytes(text.encode("utf-8-sig"))

@@ -75,6 +75,8 @@ def _reason(error: Exception) -> str:
         return f"{error} is missing"
     if isinstance(error, MemoryError):
         return "it does not fit into memory"
+    if type(error).__name__ == "UnidentifiedImageError":  # Pillow's text is an address of memory
+        return "it is no image of a known type, or its header is damaged"
     text = " ".join(str(error).split()).rstrip(".")
     return text[:200] if text else type(error).__name__
 

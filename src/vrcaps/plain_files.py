@@ -11,6 +11,9 @@ from typing import Any
 from vrcaps.errors import InputError
 from vrcaps.files import write_bytes
 
+_LONGEST = 2**28
+"""Largest number of characters of a file: a device such as /dev/zero has no end."""
+
 
 def read_plain(path: Path, noun: str) -> Any:
     """Read a TOML file, or a JSON file if the name does not end in `.toml`.
@@ -24,7 +27,10 @@ def read_plain(path: Path, noun: str) -> Any:
     """
     kind = "TOML" if path.suffix == ".toml" else "JSON"
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        with path.open(encoding="utf-8-sig") as file:
+            text = file.read(_LONGEST + 1)
+        if len(text) > _LONGEST:
+            raise ValueError(f"it has more than {_LONGEST} characters")
         if kind == "TOML":
             return tomllib.loads(text, parse_float=Decimal)
         return json.loads(text)

@@ -69,7 +69,7 @@ def _as_rgb(stored: NDArray) -> NDArray:
     if stored.dtype == np.uint16:
         stored = (stored >> 8).astype(np.uint8)
     if stored.dtype != np.uint8 or stored.ndim != 3 or stored.shape[-1] < 3:
-        raise ValueError(f"it is no color image of 8 or 16 bits, but {stored.dtype}")
+        raise ValueError(f"it is no color image of 8 or 16 bits, but {stored.dtype} {stored.shape}")
     return np.ascontiguousarray(stored[..., :3])
 
 

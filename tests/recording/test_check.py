@@ -146,7 +146,7 @@ def test_broken_head(episode, change, what):
 @pytest.mark.parametrize(
     ("name", "what"),
     [
-        ("frames.parquet", "cannot be read"),
+        ("frames.parquet", "cannot be read (No such file or directory)"),
         ("organ.glb", "cannot be read"),
         ("sheet.png", "is missing or empty"),
         ("preview.mp4", "is missing or empty"),

@@ -74,6 +74,10 @@ class _Train:
             InputError: If the data are not suitable for training.
         """
         require_sources((*self.data, *self.validation))
+        from vrcaps.learn.published import SUFFIX, find_weights
+
+        if self.start.endswith(SUFFIX):
+            find_weights(self.start)
         from vrcaps.formats.sources import read_sources
         from vrcaps.learn.presets import settings_of
         from vrcaps.learn.samples import samples_of, split_samples
@@ -244,16 +248,17 @@ class _Predict:
             InputError: If weights and images do not match.
         """
         require_sources((self.images,))
+        from vrcaps.learn.published import find_weights
+
+        weights = find_weights(self.weights, self.task)
         from vrcaps.files import require_new_folder
         from vrcaps.learn.predict import images_of, predict
-        from vrcaps.learn.published import find_weights
         from vrcaps.learn.training import chosen_device
         from vrcaps.learn.weights import read_weights
 
         require_new_folder(self.out)
         field = None if self.fov is None else radians(self.fov)
         images = images_of(self.images, self.task, self.capsule, field)
-        weights = find_weights(self.weights, self.task)
         if self.fov is not None:
             console.print(
                 f"Assumed: an equidistant lens that sees {self.fov:g} degrees across the picture, "

@@ -122,8 +122,13 @@ def find_weights(given: str, task: str = "") -> Path:
         UnknownNameError: If nothing of that name is published.
     """
     path = Path(given)
-    if given and (path.is_file() or path.suffix == SUFFIX or path.name != given):
+    if given and path.is_file():
         return path
+    if given and (path.suffix == SUFFIX or path.name != given):
+        raise InputError(
+            f"No file at {given}. Give a file of weights ({SUFFIX}), or the name of published ones "
+            "(`vrcaps weights list`)."
+        )
     place = weights_folder()
     index = read_index(place)
     if not given and task not in index:

@@ -132,7 +132,9 @@ def _check_table(episode: Episode) -> Iterator[Problem]:
         text = str(error.__cause__)
         reason = text.removeprefix(f"Cannot read {FRAMES_PARQUET}: ")
         is_damaged = isinstance(error.__cause__, OSError) or reason != text
-        yield Problem(FRAMES_PARQUET, f"cannot be read ({reason})" if is_damaged else text)
+        yield Problem(
+            FRAMES_PARQUET, f"cannot be read ({reason_of(reason)})" if is_damaged else text
+        )
         return
     may_lack = set(pad_column_names(episode.scenario.sensors))
     missing = {*episode.scenario.motion.column_names, *may_lack} - set(columns)

@@ -261,7 +261,13 @@ class _Statistics:
 
 def _rows(cameras: _Cameras) -> dict[str, Rows]:
     episode = _episode(cameras)
-    return {STATE: state_rows(episode), ACTION: action_rows(episode)}
+    states = state_rows(episode)
+    if len(states.values) != len(cameras[0]):
+        raise InputError(
+            f"{cameras[0].name} has {len(cameras[0])} of the {len(states.values)} frames of "
+            "its episode. Allowed for lerobot: all."
+        )
+    return {STATE: states, ACTION: action_rows(episode)}
 
 
 def _episode(cameras: _Cameras) -> Any:

@@ -10,7 +10,7 @@ from vrcaps.names import inside, listed, require_links_inside, require_name
 
 
 @pytest.mark.parametrize(
-    "name", ["colon-0007/front", "a b", "säule", "v1.2", "..a", ".hidden", "50%", "x" * 200]
+    "name", ["colon-0007/front", "a b", "säule", "v1.2", "..a", ".hidden", "50%", "x" * 180]
 )
 def test_relative_names_are_allowed(name):
     assert require_name("sequence", name) == name
@@ -28,8 +28,8 @@ def test_relative_names_are_allowed(name):
             "a\0b",
             "a\nb",
             "\ud800",
-            "x" * 201,
-            "ä" * 101,
+            "x" * 181,
+            "ä" * 91,
         ),
         *("a\x85b", "a\x9b31mb", "a\u2028b", "a\u202egnp.b"),
         *(None, 3, ["a"], {"a": 1}),

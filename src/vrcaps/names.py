@@ -13,8 +13,8 @@ from typing import Any
 
 from vrcaps.errors import InputError
 
-_LONGEST = 200
-"""Bytes of a name in UTF-8; formats write a name and an ending as one file, of 255 at most."""
+_LONGEST = 180
+"""Bytes of a name in UTF-8; formats make it a file name, of 255 at most with its endings."""
 _UNSEEN = ("Cc", "Cs", "Zl", "Zp")
 """Unicode categories of control characters, halves of pairs, and ends of lines and paragraphs."""
 _TURNING = ("LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI")

@@ -70,7 +70,7 @@ def vrcaps_commands() -> Iterator[Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("words", vrcaps_commands())
+@pytest.mark.parametrize("words", tuple(vrcaps_commands()))
 def test_a_shown_command_is_accepted(words: list[str], tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     if any(PLACEHOLDER.fullmatch(word) for word in words) or not any(w[0] == "-" for w in words):
@@ -136,7 +136,7 @@ def inline_options() -> Iterator[Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("words", inline_options())
+@pytest.mark.parametrize("words", tuple(inline_options()))
 def test_an_option_in_a_text_exists_and_takes_its_value(words: list[str]) -> None:
     """Options of `record` with their values give a scenario; others exist in some program."""
     names = {word.partition("=")[0] for word in words if word.startswith("--")}
@@ -178,7 +178,7 @@ def script_commands() -> Iterator[Any]:
                 yield pytest.param(words[1:], id=f"{page.name}: {line.strip()[:60]}")
 
 
-@pytest.mark.parametrize("words", script_commands())
+@pytest.mark.parametrize("words", tuple(script_commands()))
 def test_a_shown_script_exists_and_has_its_options(words: list[str]) -> None:
     path = ROOT / words[0]
     assert path.is_file()

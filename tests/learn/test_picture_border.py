@@ -9,10 +9,17 @@ import pytest
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.capsule.catalog import read_device
+from vrcaps.color import linear_from_srgb, srgb_from_linear
 from vrcaps.errors import InputError
-from vrcaps.learn.picture_border import assumed_camera, bright_part, inserts, view_of
+from vrcaps.learn.picture_border import (
+    assumed_camera,
+    bright_part,
+    input_image,
+    inserts,
+    view_of,
+)
 from vrcaps.learn.predict import images_of
-from vrcaps.recording.frame_sequence import FrameSequence
+from vrcaps.recording.frame_sequence import EXPOSURE, FrameSequence
 from vrcaps.recording.image_files import write_images
 
 TOP, LEFT, HEIGHT, WIDTH = 10, 24, 40, 60
@@ -40,6 +47,17 @@ def test_the_border_is_what_is_black_at_the_edges() -> None:
     assert bright_part(black) == (slice(0, 8), slice(0, 9))
     full = np.full((8, 9, 3), 100, np.uint8)
     assert bright_part(full) == (slice(0, 8), slice(0, 9))
+
+
+def test_depth_takes_the_image_at_the_exposure_of_the_camera() -> None:
+    """Twice the exposure doubles the linear image, so half of it is the input; colors only here."""
+    image = framed()
+    one = sequence(image)
+    exposed = replace(one, values={**one.values, EXPOSURE: np.array([2.0])})
+    half = srgb_from_linear(0.5 * linear_from_srgb(image))
+    np.testing.assert_array_equal(input_image("depth", exposed, 0), half)
+    np.testing.assert_array_equal(input_image("masks", exposed, 0), image)
+    np.testing.assert_array_equal(input_image("depth", one, 0), image)
 
 
 def test_an_insert_is_a_box_of_foreign_color_with_a_margin() -> None:

@@ -33,7 +33,7 @@ from vrcaps.learn.learner import (
     zoomed,
 )
 from vrcaps.learn.networks import ENCODER, dense_network, require_torch
-from vrcaps.learn.picture_border import view_of
+from vrcaps.learn.picture_border import input_image, view_of
 from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.depth import depth_errors, mean_depth_errors
 from vrcaps.recording.frame_sequence import FrameSequence
@@ -106,7 +106,7 @@ class DepthLearner:
 
     def sample(self, sequence: FrameSequence, index: int) -> Sample:
         """Return the image without its black border, the rays, and the true depth or NaN."""
-        view = view_of(self.kind, sequence, sequence.image("rgb", index))
+        view = view_of(self.kind, sequence, input_image(self.kind, sequence, index))
         fit = Fit(view.image.shape[0], view.image.shape[1], self.size)
         depth = sequence.image("depth", index)[view.place]
         truth = fit.nearest(np.where(view.is_insert, np.nan, depth), np.nan)

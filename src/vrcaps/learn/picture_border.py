@@ -16,7 +16,9 @@ import scipy
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.derive import scaled_lens
 from vrcaps.camera.lens import LensEquidistant
+from vrcaps.color import linear_from_srgb, srgb_from_linear
 from vrcaps.errors import InputError
+from vrcaps.recording.frame_sequence import EXPOSURE
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, UInt8
@@ -31,6 +33,8 @@ _FILLED = 0.02
 _MOST_INSERT = 0.3
 """Maximum fraction of non-tissue colors that are inserts; larger fractions are due to the light,
 such as narrow-band imaging."""
+_METRIC = ("depth",)
+"""Tasks that infer a length from the brightness."""
 _CROPPED = ("depth",)
 """Tasks whose networks take the picture without its border."""
 
@@ -58,6 +62,24 @@ class PictureView:
         found = np.zeros((*self.shape, *values.shape[2:]), values.dtype)
         found[self.place] = np.where(self.is_insert, 0, values)
         return found
+
+
+def input_image(kind: str, sequence: FrameSequence, index: int) -> UInt8[np.ndarray, "h w 3"]:
+    """Return the color image of a frame as the network of a task takes it.
+
+    For depth, an image of a known automatic exposure is converted to the camera's own exposure,
+    because the brightness is a cue of the distance.
+
+    Args:
+        kind: Name of the task.
+        sequence: Sequence of the image.
+        index: Index of the frame.
+    """
+    image = sequence.image("rgb", index)
+    if kind not in _METRIC or EXPOSURE not in sequence.values:
+        return image
+    exposure = float(sequence.values[EXPOSURE][index])
+    return srgb_from_linear(linear_from_srgb(image) / exposure)
 
 
 def view_of(

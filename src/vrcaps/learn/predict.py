@@ -19,7 +19,7 @@ from vrcaps.formats.sources import read_source
 from vrcaps.formats.tum import trajectory_text
 from vrcaps.learn.depth import LENS_NEEDED
 from vrcaps.learn.fit import Fit
-from vrcaps.learn.picture_border import PictureView, assumed_camera, view_of
+from vrcaps.learn.picture_border import PictureView, assumed_camera, input_image, view_of
 from vrcaps.learn.registry import LEARNERS
 from vrcaps.learn.samples import batch_of
 from vrcaps.learn.sfm import SfmLearner, estimated_trajectory
@@ -117,9 +117,8 @@ def _write_estimates(
     for number, (sequence, index) in enumerate(frames):
         name = f"{sequence.name}/{file_name(sequence, index)}"
         try:
-            view = view_of(
-                trained.learner.kind, sequence, sequence.image("rgb", index), field_of_view
-            )
+            image = input_image(trained.learner.kind, sequence, index)
+            view = view_of(trained.learner.kind, sequence, image, field_of_view)
         except (InputError, OSError) as error:
             skipped[name] = reason_of(error)
             continue

@@ -15,7 +15,7 @@ from vrcaps.camera.camera import Camera, check_names
 from vrcaps.errors import InputError, UnknownNameError, require
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.recording.episode_files import EpisodeFiles, LocalFiles
-from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
+from vrcaps.recording.frame_sequence import CAMERA_POSE, EXPOSURE, TIME, FrameSequence
 from vrcaps.recording.image_files import decode_image
 from vrcaps.recording.layout import (
     COMPLETE,
@@ -109,6 +109,7 @@ class Episode:
                 CAMERA_POSE: self.Ts_world_camera(own.name),
                 "T_world_capsule": self.Ts_world_capsule,
                 "capsule_arc_length": self.table.columns["arc_length_m"],
+                **self._exposure(own.name),
             },
             partial(self.image, own.name),
             own,
@@ -116,6 +117,13 @@ class Episode:
             episode=self,
         )
         return found if channels is None else found.with_channels(channels)
+
+    def _exposure(self, camera: str) -> dict[str, NDArray]:
+        """Exposure of each frame by its name as a value; empty where it is fixed."""
+        from vrcaps.camera_pipeline.capsule_cameras import exposure_columns
+
+        found = self.table.columns.get(exposure_columns(camera)[0])
+        return {} if found is None else {EXPOSURE: found}
 
     def sequences(self, camera: str | None = None) -> tuple[FrameSequence, ...]:
         """Return the frame sequence of each camera, or of the given one.

@@ -26,6 +26,8 @@ _LATEST = 1e12
 """Maximum valid time [s]; times in seconds since 1970 are below 1e10."""
 TIME, CAMERA_POSE = "time", "T_world_camera"
 """Names of values used by sequences of all sources."""
+EXPOSURE = "exposure"
+"""Name of the exposure of each frame, relative to the camera's own, where it is automatic."""
 
 
 @dataclass(frozen=True)

@@ -134,9 +134,14 @@ def with_network_depth(sequence: FrameSequence, trained: Trained) -> FrameSequen
     camera = sequence.camera
     if camera is None:
         raise InputError(f"Depth needs a calibrated camera, which {sequence.name} has not.")
+    from vrcaps.learn.picture_border import input_image
+
     require_depth(trained)
     return with_depth(
-        sequence, lambda index: network_depth(trained, sequence.image("rgb", index), camera)
+        sequence,
+        lambda index: network_depth(
+            trained, input_image(trained.learner.kind, sequence, index), camera
+        ),
     )
 
 

@@ -152,3 +152,57 @@ def test_terms_can_be_found_where_they_belong(folder: str) -> None:
     text = " ".join(re.sub(r"[\s/!\-–_]+", " ", path.read_text()).lower() for path in files)
     missing = [t for t in TERMS[folder].split("|") if t.lower().replace("-", " ") not in text]
     assert not missing
+
+
+OPENING = re.compile(r"(What|How|Where|Which|Who|Whose|Why|When)\b")
+"""First words of a docstring that hide its subject."""
+IDIOMS = re.compile(
+    r"\banew\b|\bgo(es)? on\b|\bbeg[ia]ns? with\b|\b(told|tells?) apart\b|\bis told\b"
+    r"|\bjudg(e|es|ed|ing)\b|\bshares? of\b"
+)
+"""Idioms with a term in the glossary: again, resume, initialize, distinguish, report, evaluate,
+fraction."""
+
+
+def unclear(text: str) -> bool:
+    """Whether a docstring opens with a question word or contains an idiom; commands are ignored."""
+    prose = [line for line in text.splitlines() if "runs/" not in line]
+    return bool(OPENING.match(text) or IDIOMS.search("\n".join(prose)))
+
+
+def docstrings(path: Path) -> Iterator[tuple[str, str]]:
+    """Names and docstrings of a file."""
+    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, kinds) and (text := ast.get_docstring(node)):
+            yield getattr(node, "name", path.name), text
+
+
+def test_docstrings_state_their_subject_first() -> None:
+    found = [
+        f"{path.relative_to(PACKAGE)}: {name}"
+        for path in FILES
+        for name, text in docstrings(path)
+        if unclear(text)
+    ]
+    assert not found
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "What one capsule is about.",
+        "How near an image is to its original.",
+        "Where points lie best on a surface.",
+        "Which images have shadows.",
+        "Compute the mesh anew.",
+        "Training goes on where it stopped.",
+        "The network that training begins with.",
+        "Runs are judged by their reward.",
+        "A mistake of the plan is told in the outcome.",
+        "Share of the frames that look at a lesion; shares of 0 to 1.",
+    ],
+)
+def test_planted_sentences_are_unclear(sentence: str) -> None:
+    assert unclear(sentence)
+    assert not unclear("Resume an interrupted recording.")

@@ -43,8 +43,8 @@ from vrcaps.metrics.classification import confusion_matrix, f1_scores
 ARMS = {"masks": ("scratch", "imagenet", "ours"), "classes": ("scratch", "ours")}
 MADE_OF = {"basis": "a", "first": "b"}
 SUMMARY = {
-    "masks of polyps": "polyp-masks",
-    "masks of bleeding": "bleeding-masks",
+    "segmentation of polyps": "polyp-masks",
+    "segmentation of bleeding": "bleeding-masks",
     "polyp or colitis": "polyp-classes",
     "bleeding or not": "bleeding-classes",
     "super-resolution": "super-resolution",

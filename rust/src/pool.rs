@@ -84,7 +84,7 @@ pub fn map<A: Sync, T: Send>(
 
 /// Most threads that are kept awake between parts of work; more would be in the way of others.
 const AWAKE: usize = 8;
-/// How long a thread that finds nothing to do stays awake for the next part of the work.
+/// Time for which an idle thread stays awake, waiting for the next part of the work.
 const SPIN_TIME: Duration = Duration::from_micros(200);
 
 /// Does work in the pool, without Python; the parts that it is cut into start without a change of

@@ -84,7 +84,7 @@ fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let mut written = Ok(());
     for _ in 0..ATTEMPTS {
-        let unique = RandomState::new().build_hasher().finish(); // seeded anew by the system
+        let unique = RandomState::new().build_hasher().finish(); // the system seeds each one
         let temporary = path.with_file_name(format!(".{name}.{unique:016x}.tmp"));
         written = write_and_rename(&temporary, path, bytes);
         match &written {

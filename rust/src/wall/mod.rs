@@ -19,7 +19,7 @@ use rayon::prelude::*;
 
 /// Vertices whose normals are made unit length side by side.
 const EIGHT: usize = 8;
-/// Fewest points or rays that a thread of its own takes.
+/// Minimum number of points or rays per thread.
 const PART: usize = 64;
 
 /// Nearest place and its face for each point, as Python sees them.

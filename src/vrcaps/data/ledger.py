@@ -261,7 +261,7 @@ def _stored_plan(store: Store) -> Any:
         require(isinstance(plain, dict), place, type(plain).__name__, "a table")
     except InputError as error:
         raise InputError(
-            f"{place} is damaged ({error}) Give another --out, or delete that file to go on with "
+            f"{place} is damaged ({error}) Give another --out, or delete that file to resume with "
             "the plan that made the data set."
         ) from error
     return plain

@@ -68,7 +68,13 @@ def check_names(settings: EnvSettings) -> None:
     """
     from vrcaps.scenario.build import resolve
 
+    checked: list[OrganGenerated] = []
     for organ in settings.organs:
-        if isinstance(organ, OrganGenerated) and organ.name not in ORGANS:
-            raise UnknownNameError("organ", organ.name, ORGANS)
+        if isinstance(organ, OrganGenerated):
+            if organ.name not in ORGANS:
+                raise UnknownNameError("organ", organ.name, ORGANS)
+            patient = replace(organ, seed=0)  # thousands of patients may differ by the seed alone
+            if patient in checked:
+                continue
+            checked.append(patient)
         resolve(Scenario(organ=organ, capsule=settings.capsule))

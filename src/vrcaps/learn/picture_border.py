@@ -34,9 +34,7 @@ _MOST_INSERT = 0.3
 """Maximum fraction of non-tissue colors that are inserts; larger fractions are due to the light,
 such as narrow-band imaging."""
 _METRIC = ("depth",)
-"""Tasks that infer a length from the brightness."""
-_CROPPED = ("depth",)
-"""Tasks whose networks take the picture without its border."""
+"""Tasks that infer a length: their networks take the tissue alone, at the camera's own exposure."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +107,7 @@ def view_of(
         )
     rows, columns = slice(0, height), slice(0, width)
     is_insert: NDArray = np.zeros((height, width), bool)
-    if kind in _CROPPED and sequence.episode is None:
+    if kind in _METRIC and sequence.episode is None:
         rows, columns = bright_part(image)
         found = inserts(image[rows, columns])
         is_insert = found & (found.mean() < _MOST_INSERT)

@@ -148,6 +148,11 @@ def fly_through(
     return trajectory
 
 
+def _nominal_speed(settings: FlyThrough) -> float:
+    """Mean speed that was asked for, or the default [m/s]."""
+    return DEFAULT_SPEED if settings.speed is None else settings.speed
+
+
 def _distance(settings: FlyThrough, stretch: float, frames: int, fps: float) -> float:
     """Distance along the centerline from the first frame to the last [m].
 
@@ -156,10 +161,9 @@ def _distance(settings: FlyThrough, stretch: float, frames: int, fps: float) -> 
     """
     if settings.whole:
         return stretch
-    duration = (frames - 1) / fps
+    distance = _nominal_speed(settings) * (frames - 1) / fps
     if settings.speed is None:
-        return min(DEFAULT_SPEED * duration, stretch)
-    distance = settings.speed * duration
+        return min(distance, stretch)
     if distance > stretch * (1.0 + 1e-9):
         raise InputError(
             f"{frames} frames at {fps:g} per second and {settings.speed:g} m/s travel "
@@ -244,10 +248,10 @@ def _free_part(
     duration: float,
 ) -> tuple[float, float] | None:
     """First part of a stretch [m] in which the capsule fits for the whole duration, if any."""
-    speed = DEFAULT_SPEED if settings.speed is None else settings.speed
+    least = _nominal_speed(settings) * duration
     ends = np.flatnonzero(np.diff(np.concatenate([[False], is_free, [False]]).astype(int)))
     parts = [(float(knots[a]), float(knots[b - 1])) for a, b in ends.reshape(-1, 2)]
-    long_enough = [part for part in parts if part[1] - part[0] >= speed * duration]
+    long_enough = [part for part in parts if part[1] - part[0] >= least]
     if not long_enough:
         return None
     return long_enough[0] if settings.end > settings.start else long_enough[-1]

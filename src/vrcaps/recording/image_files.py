@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps import _core
+from vrcaps.camera.camera import MOST_PIXELS
 from vrcaps.files import atomic_write, decode_array
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-MOST_PIXELS = 2**26
-"""Maximum number of pixels of an image, 8192 × 8192: a tiny file may declare any size."""
 
 _PNG_HEADER = struct.Struct(">16xII")
 

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.files import files_in
+from vrcaps.names import is_hidden
 from vrcaps.tools.ct.itk import import_sitk
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     import SimpleITK
     from jaxtyping import Float
 
@@ -127,9 +127,9 @@ def list_series(folder: Path) -> Listing:
     skipped: list[tuple[str, str]] = []
     seen: dict[str, Path] = {}
     for path in files_in(folder):
+        if is_hidden(Path(path.name)):
+            continue
         try:
-            if path.name.startswith("."):
-                continue
             found = _read_header(path)
             if found is None:
                 continue

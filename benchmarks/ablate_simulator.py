@@ -39,7 +39,7 @@ from transfer_run import DEPTH_READERS, complete
 from transfer_setup import Setup
 from transfer_tasks import DEPTH, TASKS
 from validation import table
-from vrcaps.errors import InputError, VrcapsError
+from vrcaps.core.errors import InputError, VrcapsError
 from vrcaps.metrics.bootstrap import Interval
 
 SCRIPT = "benchmarks/ablate_simulator.py"

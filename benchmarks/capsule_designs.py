@@ -13,7 +13,7 @@ from pathlib import Path
 
 from validation import ROOT, parser, table, write_section
 from vrcaps.cli.evaluate import Evaluate
-from vrcaps.files import write_bytes
+from vrcaps.core.files import write_bytes
 from vrcaps.tools.evaluation.page import PICTURE, TABLE
 
 POLICIES = ("coverage-ppo", "next-best-view")

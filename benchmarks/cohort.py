@@ -39,9 +39,9 @@ from vrcaps.anatomy.stomach.shape import (
     stomach_wall_rng,
 )
 from vrcaps.anatomy.tube_mesh.tube import make_tube
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import CM, MM
 from vrcaps.organ.measure import measure_organ
-from vrcaps.units import CM, MM
 
 PAGE = ROOT / "docs" / "anatomy.md"
 _TITLE = """# Anatomy of generated patients

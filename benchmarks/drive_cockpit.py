@@ -28,6 +28,8 @@ from validation import parser, table, write_section
 from pad_pilot import PAD, PadPilot, push
 from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.cockpit.cockpit import Cockpit, open_cockpit
+from vrcaps.core.transforms import quaternion_from_matrix, transform_points
+from vrcaps.core.units import CM, MM
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.recording.check import check_episode
 from vrcaps.recording.episode import read_episode
@@ -35,8 +37,6 @@ from vrcaps.recording.recorder import record
 from vrcaps.recording.table import POSE_COLUMNS
 from vrcaps.render.settings import RenderSettings
 from vrcaps.scenario.scenario import OrganGenerated, Scenario, read_scenario
-from vrcaps.transforms import quaternion_from_matrix, transform_points
-from vrcaps.units import CM, MM
 
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 PORT = 8951

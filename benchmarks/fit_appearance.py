@@ -29,7 +29,7 @@ from looks_statistics import by_channel, measured
 from validate_looks import DATA, HEAD_CHANNELS, RED, has_overlays, read_folder
 from vrcaps import _core
 from vrcaps.camera.derive import scaled_camera
-from vrcaps.color import linear_from_srgb
+from vrcaps.core.color import linear_from_srgb
 from vrcaps.lesion.colitis import ACTIVITIES
 from vrcaps.metrics.color import image_color
 from vrcaps.mucosa.bake import bake_appearance

@@ -25,7 +25,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from validation import ROOT, parser, table, write_section
-from vrcaps.files import file_sha256, files_in
+from vrcaps.core.files import file_sha256, files_in
 
 SEED = 39
 MARK = "VRCAPS_KILL_RUN"

@@ -16,7 +16,7 @@ from vrcaps.camera_pipeline.effect.jpeg import Jpeg
 from vrcaps.camera_pipeline.effect.white_balance import WhiteBalance
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.camera_pipeline.pipeline import CameraPipeline, SceneRadiance
-from vrcaps.color import luminance
+from vrcaps.core.color import luminance
 from vrcaps.motion.step import Step
 from vrcaps.render.planar import crop_margin
 

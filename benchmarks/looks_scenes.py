@@ -15,12 +15,12 @@ from vrcaps import _core
 from vrcaps.camera.camera import Camera, Led
 from vrcaps.camera.lens.equidistant import LensEquidistant
 from vrcaps.capsule.device import Device
+from vrcaps.core.transforms import invert, look_along, transform_from
+from vrcaps.core.units import DEG, MM
 from vrcaps.lesion import add_lesions, parse_lesion
 from vrcaps.lumen.bowel_preparation import prepared
 from vrcaps.lumen.contents import Contents
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.transforms import invert, look_along, transform_from
-from vrcaps.units import DEG, MM
 from vrcaps.world.model import Model, State
 
 sys.path.append(str(ROOT / "docs" / "images"))  # the views that the pictures of lesions use

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.color import linear_from_srgb
+from vrcaps.core.color import linear_from_srgb
 from vrcaps.metrics.color import (
     ImageColor,
     color_distance,

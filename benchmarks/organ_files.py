@@ -21,6 +21,7 @@ from PIL import Image
 
 from validation import options, table, write_section
 from vrcaps import _core
+from vrcaps.core.units import UM
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.organ import compact_textures
 from vrcaps.organ.compact_textures import (
@@ -39,7 +40,6 @@ from vrcaps.organ.write_organ import write_organ
 from vrcaps.render.renderer import Renderer
 from vrcaps.scenario.build import build
 from vrcaps.scenario.scenario import Scenario
-from vrcaps.units import UM
 
 _MB = 1e6
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from validation import PAGE, ROOT, SPEED_PAGE
 from vrcaps.cli.benchmarks.page import read_sections, table
-from vrcaps.files import write_bytes
+from vrcaps.core.files import write_bytes
 
 README = ROOT / "README.md"
 _BEGIN, _END = "<!-- figures -->\n", "<!-- /figures -->"

@@ -29,7 +29,7 @@ from transfer_real import found_layouts
 from transfer_run import DEPTH_ARMS, ONE_NETWORK, complete
 from transfer_setup import Setup
 from transfer_tasks import DEPTH, DEPTH_TASK, FRACTIONS, TASKS, Task
-from vrcaps.errors import InputError, VrcapsError, require
+from vrcaps.core.errors import InputError, VrcapsError, require
 
 
 def parsed() -> argparse.Namespace:

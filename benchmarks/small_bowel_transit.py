@@ -25,12 +25,12 @@ sys.path.append(str(ROOT / "tests" / "support"))
 from tubes import straight_gut
 from vrcaps.anatomy.small_bowel.parameters import SmallBowelParameters
 from vrcaps.capsule.catalog import read_device
+from vrcaps.core.units import CM, MM
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.motility.motility import Motility
 from vrcaps.tissue.motility.muscle import Muscle
 from vrcaps.tissue.winkler_foundation import WinklerFoundation
-from vrcaps.units import CM, MM
 
 STEP = 0.25
 REST = 5.0

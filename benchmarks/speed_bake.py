@@ -23,12 +23,12 @@ from vrcaps.anatomy.full_tract.generate import generate_full_tract
 from vrcaps.anatomy.full_tract.patient import draw_patient_anatomy, neighboring_organs
 from vrcaps.anatomy.small_bowel import generate_small_bowel
 from vrcaps.anatomy.stomach import generate_stomach
+from vrcaps.core.units import MM
 from vrcaps.mesh.edges import face_areas
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mucosa.bake import bake_appearance
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.organ.uv import texture_stretch
-from vrcaps.units import MM
 
 ORGANS = ("stomach", "small-bowel", "colon", "full-tract")
 HEAD = ("wall", "area", "texels", "texels per mm, 5 % / median", "stretch, median / 95 %")

@@ -25,9 +25,9 @@ sys.path.append(str(ROOT / "tests" / "support"))
 
 from phantom import Scanner, scan_of, write_dicom
 from vrcaps.anatomy.catalog import generate_organ
+from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.tools.ct.volume import Volume
-from vrcaps.units import MM
 
 PIXEL = 0.88 * MM  # 450 mm across 512 pixels
 HEIGHT = 552 * MM  # of the scan, whatever the number of slices

@@ -24,9 +24,9 @@ import numpy as np
 from path_scenes import FIELD, Scene, scenes
 from speed_path import measure, noise
 from validation import parser, table, write_section
+from vrcaps.core.transforms import rotate_vectors, transform_points
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.renderer import Renderer
-from vrcaps.transforms import rotate_vectors, transform_points
 
 THREADS, SAMPLES, DEPTH, IMAGES = 2, 16, 4, 5
 LIMIT = 20.0

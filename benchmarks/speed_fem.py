@@ -18,12 +18,12 @@ import numpy as np
 from validation import options, table, write_section
 from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.capsule.catalog import read_device
+from vrcaps.core.transforms import transform_from
+from vrcaps.core.units import MM
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.fem.wall import FemWall
 from vrcaps.tissue.tissue import Tissue
-from vrcaps.transforms import transform_from
-from vrcaps.units import MM
 from vrcaps.world.control import Control
 from vrcaps.world.model import Model, State
 from vrcaps.world.world import World

@@ -29,7 +29,7 @@ from vrcaps.cli.benchmarks.stage import Stage, make_organ, make_stage
 from vrcaps.cli.benchmarks.studies import COLUMNS, COMPLETE, drawn, row
 from vrcaps.cli.benchmarks.timing import Subject, Times, interleave, ratio
 from vrcaps.cli.console import console
-from vrcaps.errors import UnknownNameError
+from vrcaps.core.errors import UnknownNameError
 from vrcaps.render.settings import RenderSettings
 
 EMBREE = Claim(

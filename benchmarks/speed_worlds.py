@@ -18,8 +18,8 @@ from validation import parser, table, write_section
 from vrcaps import _core
 from vrcaps.anatomy.stomach import StomachParameters, generate_stomach
 from vrcaps.capsule.catalog import read_device
+from vrcaps.core.units import MM
 from vrcaps.magnet.sources import Cylinder
-from vrcaps.units import MM
 from vrcaps.world.control import Control
 from vrcaps.world.dynamics import DYNAMICS, DynamicsKind
 from vrcaps.world.model import Model

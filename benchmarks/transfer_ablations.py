@@ -12,16 +12,16 @@ import numpy as np
 
 from transfer_cells import Cell
 from transfer_tasks import DEPTH
-from vrcaps.color import srgb_from_linear
+from vrcaps.core.color import srgb_from_linear
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import MM
 from vrcaps.data.make import make_dataset
 from vrcaps.data.plan import read_plan
 from vrcaps.data.runners.in_process import InProcess
 from vrcaps.data.runners.pool import Pool
 from vrcaps.data.units import Units
-from vrcaps.errors import InputError
 from vrcaps.mucosa.mucosa import MUCOSAE
 from vrcaps.mucosa.texture import HEAD, MucosaTexture, write_texture
-from vrcaps.units import MM
 
 PLAN = Path(__file__).with_name("ablate_simulator.toml")
 PATIENTS = 12

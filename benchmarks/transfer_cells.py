@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from transfer_general import GENERAL
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 
 ROWS = "rows.jsonl"
 LONG = "imagenet-long"

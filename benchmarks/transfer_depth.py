@@ -12,8 +12,9 @@ import numpy as np
 from transfer_ours import evenly
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.color import linear_from_srgb
-from vrcaps.errors import InputError
+from vrcaps.core.color import linear_from_srgb
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import invert, matrix_from_quaternion, transform_from, transform_points
 from vrcaps.formats.read_format import read_format
 from vrcaps.formats.stored_images import image_size, read_plane, read_rgb
 from vrcaps.formats.yaml_files import read_yaml
@@ -23,7 +24,6 @@ from vrcaps.learn.picture_border import bright_part
 from vrcaps.learn.samples import batch_of
 from vrcaps.metrics.depth import depth_errors
 from vrcaps.recording.frame_sequence import FrameSequence
-from vrcaps.transforms import invert, matrix_from_quaternion, transform_from, transform_points
 
 _STEP = 4
 """Every so many pixels of a dense map count, along rows and columns."""

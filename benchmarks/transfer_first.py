@@ -17,7 +17,8 @@ from transfer_setup import Setup, settings_of, task_of
 from transfer_tasks import DEPTH, Effort, Task
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.errors import InputError
+from vrcaps.config.convert import to_plain
+from vrcaps.core.errors import InputError
 from vrcaps.formats.read_format import read_format
 from vrcaps.learn.classes import ClassLearner
 from vrcaps.learn.first_network import IMAGENET, SCRATCH
@@ -26,7 +27,6 @@ from vrcaps.learn.registry import AnyLearner
 from vrcaps.learn.samples import Samples, samples_of
 from vrcaps.learn.training import CHECKPOINT, WEIGHTS, train
 from vrcaps.recording.frame_sequence import FrameSequence
-from vrcaps.serialization import to_plain
 from vrcaps.tools.reconstruction.estimates import with_depth
 
 STARTS = {SCRATCH: SCRATCH, IMAGENET: IMAGENET, LONG: IMAGENET}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from transfer_real import LAYOUTS
 from transfer_tasks import DEPTH, PRESETS, TASKS
-from vrcaps.errors import UnknownNameError
+from vrcaps.core.errors import UnknownNameError
 
 KNOWN = (*TASKS, DEPTH)
 

@@ -12,8 +12,8 @@ import vrcaps.data
 from transfer_cells import digest_of
 from transfer_pictures import Pictures, disc_only
 from transfer_real import small_image, small_map
-from vrcaps import rng
-from vrcaps.errors import InputError
+from vrcaps.core import rng
+from vrcaps.core.errors import InputError
 from vrcaps.learn.masks import LESION
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.recording.shown_lesion import lesion_instances, shown_lesion

@@ -14,8 +14,8 @@ from functools import cached_property
 import numpy as np
 from PIL import Image
 
-from vrcaps import rng
-from vrcaps.errors import InputError
+from vrcaps.core import rng
+from vrcaps.core.errors import InputError
 from vrcaps.recording.frame_sequence import TIME, FrameSequence
 
 FOLDS = 5

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from transfer_pictures import Pictures, alike, balanced_folds, disc_only, merged
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.formats.read_format import read_format
 from vrcaps.learn.fit import Fit
 

@@ -34,15 +34,15 @@ from transfer_general import GENERAL, enlarged, made_by
 from transfer_ours import data_digest, our_sequences
 from transfer_setup import Setup, frames_of, settings_of, task_of
 from transfer_tasks import DEPTH, DEPTH_TASK, Effort
-from vrcaps.files import file_sha256, files_in
+from vrcaps.config.convert import to_plain
+from vrcaps.core.files import file_sha256, files_in
 from vrcaps.learn.first_network import first_network
 from vrcaps.learn.registry import AnyLearner
 from vrcaps.learn.samples import Samples
 from vrcaps.learn.training import WEIGHTS, TrainSettings, train
 from vrcaps.learn.validation import Found, validate
 from vrcaps.learn.weights import Trained, read_weights
-from vrcaps.serialization import to_plain
-from vrcaps.torch_threads import exact_torch
+from vrcaps.training.threads import exact_torch
 
 WITHOUT_LEARNING = ("constant", "mean", "light")
 ONE_NETWORK = (*WITHOUT_LEARNING, PUBLISHED)

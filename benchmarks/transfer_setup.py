@@ -10,7 +10,7 @@ from transfer_cells import Cell
 from transfer_ours import Urls
 from transfer_pictures import Pictures
 from transfer_tasks import PRESETS, Effort, Task, task_named
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.learn.first_network import SCRATCH
 from vrcaps.learn.registry import AnyLearner
 from vrcaps.learn.training import Machine, TrainSettings

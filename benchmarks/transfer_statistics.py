@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vrcaps import rng
+from vrcaps.core import rng
 from vrcaps.metrics.bootstrap import Interval
 
 RESAMPLES = 2000

@@ -19,6 +19,8 @@ from validation import ROOT, options, table, write_section
 from vrcaps import _core
 from vrcaps.capsule.catalog import read_device
 from vrcaps.capsule.device import Device
+from vrcaps.core.transforms import invert, transform_points
+from vrcaps.core.units import DEG
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
@@ -28,8 +30,6 @@ from vrcaps.tools.camera_calibration.corners import find_views
 from vrcaps.tools.camera_calibration.fit import Calibration, calibrate
 from vrcaps.tools.camera_calibration.parameterization import PARAMETERIZATIONS
 from vrcaps.tools.photos import Photo, read_photos
-from vrcaps.transforms import invert, transform_points
-from vrcaps.units import DEG
 from vrcaps.world.model import Model, State
 
 sys.path.append(str(ROOT / "tests" / "support"))

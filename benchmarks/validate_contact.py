@@ -23,7 +23,8 @@ sys.path.append(str(ROOT / "tests" / "support"))
 from vrcaps import _core
 from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.capsule.catalog import read_device
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import MM
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.drag import Drag
@@ -31,7 +32,6 @@ from vrcaps.tissue.motility.motility import Motility
 from vrcaps.tissue.spring_wall import SpringWall
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.tissue.winkler_foundation import WinklerFoundation
-from vrcaps.units import MM
 from vrcaps.world.control import Control
 from vrcaps.world.model import Model, State, posture_transform
 from vrcaps.world.world import SUBSTEP, World

@@ -22,14 +22,14 @@ from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.camera.camera import Camera, in_image, project_points
 from vrcaps.camera.lens import LensEquidistant
 from vrcaps.capsule.catalog import read_device
-from vrcaps.geometry import triangle_areas
+from vrcaps.core.geometry import triangle_areas
+from vrcaps.core.transforms import invert, transform_points
 from vrcaps.mesh.mesh import wall_of
 from vrcaps.metrics.coverable import coverable
 from vrcaps.metrics.coverage import CoverageCriteria, vertices_in_frustum
 from vrcaps.metrics.view_coverage import ViewCoverage
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.transforms import invert, transform_points
 from vrcaps.world.model import Model
 
 # isort: split

@@ -20,6 +20,7 @@ sys.path.append(str(ROOT / "tests" / "support"))
 from phantom import Polyp, Scanner, scan_of, with_polyps, write_dicom
 from vrcaps._core import Wall as Surface
 from vrcaps.anatomy.catalog import generate_organ
+from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.read_mesh import read_mesh
 from vrcaps.mesh.repair import repair
@@ -29,7 +30,6 @@ from vrcaps.organ.surface import OrganSurface
 from vrcaps.tools.ct.from_ct import WallOptions, find_lumens, organ_from_gas
 from vrcaps.tools.ct.lumen import choose_gas
 from vrcaps.tools.ct.read_volume import read_volume
-from vrcaps.units import MM
 
 POLYPS = (6 * MM, 6 * MM, 7 * MM, 8 * MM, 10 * MM, 14 * MM)
 PRESENT = 0.75  # of a polyp's height that the wall found must show

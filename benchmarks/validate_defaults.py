@@ -23,13 +23,13 @@ from PIL import Image
 from validation import parser, table, write_section
 from vrcaps.anatomy.distension import Distension
 from vrcaps.camera.camera import camera_rays
-from vrcaps.color import LUMINANCE
+from vrcaps.core.color import LUMINANCE
+from vrcaps.core.units import MM
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.motion.random_views import RandomViews
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.recorder import record
 from vrcaps.scenario.scenario import OrganGenerated, Scenario
-from vrcaps.units import MM
 
 ORGANS = ("colon", "stomach", "small-bowel", "full-tract")
 CAPSULES = ("mirocam", "pillcam-colon2", "pillcam-sb3")

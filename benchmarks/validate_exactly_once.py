@@ -24,7 +24,7 @@ from pathlib import Path
 
 from validation import ROOT, parser, table, write_section
 from vrcaps.cli.benchmarks.sources import digest
-from vrcaps.files import file_sha256, files_in
+from vrcaps.core.files import file_sha256, files_in
 
 STORE = ROOT / "build" / "exactly_once.json"
 ROWS = [(runner, workers) for workers in (1, 2, 4) for runner in ("pool", "Ray")]

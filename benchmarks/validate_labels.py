@@ -19,14 +19,14 @@ import numpy as np
 
 from validation import DATA, options, table, write_section
 from vrcaps.camera.camera import Camera, camera_rays, pixel_grid, project_points, unproject_pixels
-from vrcaps.file_ref import path_of
+from vrcaps.config.file_ref import path_of
+from vrcaps.core.transforms import invert, rotate_vectors, transform_points
 from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.organ.surface import face_label
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.recorder import record
 from vrcaps.scenario.scenario import OrganFile, OrganGenerated, Scenario
-from vrcaps.transforms import invert, rotate_vectors, transform_points
 
 STILL_CHANNELS = ("depth", "ray_distance", "normal", "label", "instance", "arc_length")
 CHANNELS = (*STILL_CHANNELS, "flow_forward", "occlusion")

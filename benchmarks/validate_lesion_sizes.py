@@ -18,12 +18,12 @@ import numpy as np
 from validate_lesions import cuts
 from validation import options, table, write_section
 from vrcaps.anatomy.catalog import generate_organ
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import MM
 from vrcaps.lesion import LesionPair, add_lesions, parse_lesion
 from vrcaps.lesion.base import Lesion, SizedLesion
 from vrcaps.lesion.settings import settings_of
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.units import MM
 
 CASES = {
     "colon": (

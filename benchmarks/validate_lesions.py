@@ -26,14 +26,14 @@ from validation import ROOT, options, table, write_section
 from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.camera.camera import camera_rays
 from vrcaps.capsule.catalog import read_device
+from vrcaps.core.transforms import look_along, transform_from
+from vrcaps.core.units import MM
 from vrcaps.lesion import LesionPair, add_lesions, parse_lesion
 from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.centerline import interpolate
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
-from vrcaps.transforms import look_along, transform_from
-from vrcaps.units import MM
 from vrcaps.world.model import Model, State
 
 sys.path.append(str(ROOT / "tests" / "support"))

@@ -23,6 +23,7 @@ from scipy.spatial.transform import Rotation
 from validation import options, table, write_section
 from vrcaps.actuation.arm.arm import read_arm
 from vrcaps.actuation.arm.kinematics import forward, nearest
+from vrcaps.core.transforms import transform_from, transform_points
 from vrcaps.magnet.field import field, wrench
 from vrcaps.magnet.internal import InternalMagnet
 from vrcaps.magnet.presets import MAGNETS, dipole_distance, magnet_names, read_magnet
@@ -35,7 +36,6 @@ from vrcaps.magnet.sources import (
     UniformField,
     magnet_pose,
 )
-from vrcaps.transforms import transform_from, transform_points
 
 # isort: split
 from flange_paths import loop_of, pose_errors  # of the tests: `validation` makes it importable

@@ -20,13 +20,13 @@ sys.path.append(str(ROOT / "tests" / "support"))
 
 from tubes import straight_gut
 from vrcaps.capsule.catalog import read_device
+from vrcaps.core.units import CM, MM
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.motility.migrating_complex import MINUTE, MigratingMotorComplex
 from vrcaps.tissue.motility.motility import Motility
 from vrcaps.tissue.motility.muscle import Muscle
 from vrcaps.tissue.motility.segment import PER_MINUTE, segment_motilities
 from vrcaps.tissue.tissue import Tissue
-from vrcaps.units import CM, MM
 from vrcaps.world.control import Control
 from vrcaps.world.model import Model, State
 from vrcaps.world.world import World

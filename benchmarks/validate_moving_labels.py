@@ -21,12 +21,12 @@ import numpy as np
 from validate_labels import CHANNELS, HEAD, Tally, Written, _percent, compare_frame
 from validation import options, table, write_section
 from vrcaps.camera.camera import Camera, camera_rays, pixel_grid, project_points
+from vrcaps.core.transforms import invert, rotate_vectors, transform_points
+from vrcaps.core.units import UM
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.recorder import record
 from vrcaps.scenario.scenario import OrganGenerated, Scenario
-from vrcaps.transforms import invert, rotate_vectors, transform_points
-from vrcaps.units import UM
 from vrcaps.world.schedule import Insufflation, PostureChange, Wrench
 
 ALL_CHANNELS = (*CHANNELS, "flow_backward")

@@ -22,10 +22,10 @@ from vrcaps.actuation.point_to_point import PointToPointPlanner
 from vrcaps.actuation.steering_program import GENTLE_GAINS
 from vrcaps.anatomy.stomach import StomachParameters, generate_stomach
 from vrcaps.capsule.catalog import read_device
+from vrcaps.core.units import CM, DEG
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import magnet_pose
 from vrcaps.tissue.tissue import Tissue
-from vrcaps.units import CM, DEG
 from vrcaps.world.model import Model, State, posture_transform
 from vrcaps.world.world import World
 

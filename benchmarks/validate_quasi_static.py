@@ -19,10 +19,10 @@ import numpy as np
 from validation import parser, table, write_section
 from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.capsule.catalog import read_device
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import rotation_from_vector
+from vrcaps.core.units import MM
 from vrcaps.magnet.sources import Cylinder
-from vrcaps.transforms import rotation_from_vector
-from vrcaps.units import MM
 from vrcaps.world.control import Control
 from vrcaps.world.dynamics import DYNAMICS, DynamicsKind
 from vrcaps.world.model import Model

@@ -22,11 +22,11 @@ from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.cli.benchmarks.stage import Stage, make_stage, resized_camera
 from vrcaps.cli.benchmarks.studies import drawn
 from vrcaps.cli.benchmarks.timing import Spread, Subject, interleave
+from vrcaps.core.units import MM
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
 from vrcaps.scenario.build import build
 from vrcaps.scenario.scenario import OrganFile, Scenario
-from vrcaps.units import MM
 
 FITTED = (("colon", 0), ("small-bowel", 0), ("stomach", 0))
 HELD_OUT = (("colon", 11), ("colon", 12), ("small-bowel", 11), ("stomach", 11), ("stomach", 12))

@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from validation import ROOT, parser, table, write_section
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import MM
 from vrcaps.learn.first_network import IMAGENET
 from vrcaps.learn.published import find_weights
 from vrcaps.learn.registry import AnyLearner
@@ -36,7 +37,6 @@ from vrcaps.tools.reconstruction.compare import compare
 from vrcaps.tools.reconstruction.estimates import aligned, with_network_depth, with_poses
 from vrcaps.tools.reconstruction.fuse import FuseSettings, fuse
 from vrcaps.tools.reconstruction.odometry import OdometrySettings, estimated_poses
-from vrcaps.units import MM
 
 RUNS = {
     "stomach": FlyThrough(whole=True),

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from validation import ROOT, options, table, write_section
-from vrcaps.files import file_sha256
+from vrcaps.core.files import file_sha256
 from vrcaps.policy.ppo import PpoSettings
 from vrcaps.policy.training import BEST, POLICY, PROGRESS, TrainingSettings, train
 

@@ -24,8 +24,8 @@ from vrcaps.camera_pipeline.effect.depth_of_field import DepthOfField
 from vrcaps.camera_pipeline.effect.vignetting import Vignetting
 from vrcaps.camera_pipeline.effects import SEVERITIES
 from vrcaps.capsule.catalog import read_device
+from vrcaps.core.units import MM
 from vrcaps.render.flow import SUBSAMPLE
-from vrcaps.units import MM
 
 HEAD = ("quantity", "as set", "formula", "measured", "error")
 BLACK = 3000

@@ -28,11 +28,11 @@ from vrcaps.actuation.magnet_controller import ControllerGains, MagnetController
 from vrcaps.actuation.magnet_pose_solver import Workspace
 from vrcaps.actuation.robot_actuator import RobotActuator
 from vrcaps.capsule.catalog import read_device
+from vrcaps.core.transforms import transform_from
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import Coil, Cylinder, Dipole, magnet_pose
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.tissue import Tissue
-from vrcaps.transforms import transform_from
 from vrcaps.world.control import GRAVITY, Control
 from vrcaps.world.model import Model, State
 from vrcaps.world.world import World

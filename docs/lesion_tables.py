@@ -8,9 +8,9 @@ A table stands between the lines ``<!-- table: NAME -->`` and ``<!-- end -->``.
 import re
 from pathlib import Path
 
+from vrcaps.core.units import CM, MM
 from vrcaps.lesion import LESIONS, Colitis, Polyp
 from vrcaps.lesion.registry import describe_kind
-from vrcaps.units import CM, MM
 
 PAGE = Path(__file__).parent / "lesions.md"
 

@@ -23,8 +23,8 @@ from pathlib import Path
 import trimesh
 
 import vrcaps
+from vrcaps.core.units import CM, MM
 from vrcaps.tissue.drag import Drag
-from vrcaps.units import CM, MM
 
 
 def make_phantom(path: Path) -> None:

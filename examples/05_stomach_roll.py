@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 
 import vrcaps
-from vrcaps.transforms import invert, transform_points
-from vrcaps.units import CM, DEG
+from vrcaps.core.transforms import invert, transform_points
+from vrcaps.core.units import CM, DEG
 from vrcaps.world.schedule import PostureChange
 
 

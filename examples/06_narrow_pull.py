@@ -17,9 +17,9 @@ import matplotlib
 import numpy as np
 
 import vrcaps
+from vrcaps.core.transforms import transform_points
+from vrcaps.core.units import CM, MM
 from vrcaps.tissue.tissue import Tissue
-from vrcaps.transforms import transform_points
-from vrcaps.units import CM, MM
 from vrcaps.world.control import Control
 from vrcaps.world.model import State
 from vrcaps.world.world import World

@@ -25,9 +25,9 @@ import matplotlib
 import numpy as np
 
 import vrcaps
+from vrcaps.core.units import CM, DEG
 from vrcaps.motion.rollout import Rollout
 from vrcaps.recording.episode import Episode
-from vrcaps.units import CM, DEG
 
 matplotlib.use("Agg")
 

@@ -13,10 +13,9 @@ import vrcaps
 
 LAYERS = (
     ("_core",),
-    ("units", "errors", "rng", "transforms", "color"),
-    ("catalog_folder", "files", "geometry", "locks", "names", "processes", "temporary_files"),
-    ("decimals", "limits", "narrow", "plain_files", "file_ref", "made_with"),
-    ("serialization", "torch_threads", "training_folder"),
+    ("core",),
+    ("config",),
+    ("training",),
     ("mesh",),
     ("organ",),
     ("mucosa",),

@@ -19,11 +19,11 @@ import pytest
 from tiny_dataset import write_tiny_plan
 from vrcaps.cli import main
 from vrcaps.cockpit.drive import COMMANDS_CSV, DRIVE_JSON, make_folder
-from vrcaps.errors import InputError
-from vrcaps.files import file_sha256, files_in
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import file_sha256, files_in
 from vrcaps.mucosa.texture import MucosaTexture, write_texture
 from vrcaps.scenario.scenario import SOURCE_ORGAN
-from vrcaps.training_folder import begin_training
+from vrcaps.training.folder import begin_training
 
 pytestmark = [
     pytest.mark.slow,

@@ -16,8 +16,8 @@ import numpy as np
 
 from vrcaps.cli.benchmarks.stage import Stage
 from vrcaps.cli.benchmarks.timing import Subject
+from vrcaps.core.transforms import transform_points
 from vrcaps.mesh.mesh import vertex_normals
-from vrcaps.transforms import transform_points
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

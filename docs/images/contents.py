@@ -15,7 +15,9 @@ from PIL import Image, ImageDraw
 
 from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.capsule.catalog import read_device
-from vrcaps.color import luminance
+from vrcaps.core.color import luminance
+from vrcaps.core.transforms import look_along, transform_from, transform_points
+from vrcaps.core.units import MM
 from vrcaps.lumen.bowel_preparation import prepared
 from vrcaps.lumen.bubbles import BUBBLE_SEVERITIES, CM2
 from vrcaps.lumen.chyme import CHYME_SEVERITIES
@@ -24,8 +26,6 @@ from vrcaps.lumen.liquid import LIQUID_SEVERITIES
 from vrcaps.organ.centerline import interpolate
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
-from vrcaps.transforms import look_along, transform_from, transform_points
-from vrcaps.units import MM
 from vrcaps.world.model import Model, State
 
 ORGANS = {"small-bowel": (0.31, 0.62), "stomach": (0.55, 0.75), "colon": (0.3, 0.7)}

@@ -14,12 +14,12 @@ import vrcaps
 from vrcaps import _core
 from vrcaps._core import Wall
 from vrcaps.camera.camera import Camera, camera_rays
-from vrcaps.color import luminance
+from vrcaps.core.color import luminance
+from vrcaps.core.transforms import invert, look_along, transform_from
+from vrcaps.core.units import MM
 from vrcaps.lesion import LesionPair, add_lesions, parse_lesion
 from vrcaps.organ.centerline import interpolate
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.transforms import invert, look_along, transform_from
-from vrcaps.units import MM
 from vrcaps.world.model import State
 
 ROWS = {

@@ -18,11 +18,11 @@ from vrcaps.actuation.arm.kinematics import frames
 from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.anatomy.stomach import StomachParameters, generate_stomach
 from vrcaps.capsule.catalog import read_device
+from vrcaps.core.transforms import invert, transform_points
+from vrcaps.core.units import CM
 from vrcaps.magnet.field import SourceSet
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.rollout import Rollout
-from vrcaps.transforms import invert, transform_points
-from vrcaps.units import CM
 from vrcaps.world.model import Model, posture_transform
 
 SECONDS, FPS = 8.0, 1.0

@@ -17,12 +17,12 @@ from vrcaps.actuation.magnet_controller import ControllerGains, MagnetController
 from vrcaps.actuation.magnet_pose_solver import Workspace
 from vrcaps.actuation.steering_program import GENTLE_GAINS
 from vrcaps.capsule.catalog import read_device
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import invert, transform_from
 from vrcaps.magnet.field import wrench
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import UniformField, magnet_pose
 from vrcaps.tissue.tissue import Tissue
-from vrcaps.transforms import invert, transform_from
 from vrcaps.world.control import GRAVITY
 from vrcaps.world.model import Model, State, posture_transform
 from vrcaps.world.world import World

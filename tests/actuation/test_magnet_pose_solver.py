@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from pose_solver_twin import PoseSolverTwin, dipole_field
 from vrcaps.actuation.magnet_pose_solver import MagnetPoseSolver, Workspace, WrenchTarget
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.magnet.field import SourceSet, wrench
 from vrcaps.magnet.internal import InternalMagnet
 from vrcaps.magnet.presets import read_magnet

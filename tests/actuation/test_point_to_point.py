@@ -12,7 +12,7 @@ from vrcaps.actuation.magnet_controller import MagnetController
 from vrcaps.actuation.magnet_pose_solver import Workspace
 from vrcaps.actuation.point_to_point import PointToPointPlanner
 from vrcaps.capsule.catalog import read_device
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import magnet_pose
 from vrcaps.tissue.tissue import Tissue

@@ -20,12 +20,12 @@ from vrcaps.actuation.steering_program import (
     read_commands,
 )
 from vrcaps.capsule.catalog import read_device
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.units import DEG
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.dynamics_columns import ESTIMATE_COLUMNS, MAGNET_COLUMNS
 from vrcaps.motion.rollout import Rollout
 from vrcaps.recording.table import make_table
-from vrcaps.units import DEG
 from vrcaps.world.model import Model, posture_transform
 from vrcaps.world.schedule import PostureChange
 

@@ -18,7 +18,7 @@ from vrcaps.actuation.wall_path import (
     straight_wall_path,
 )
 from vrcaps.capsule.catalog import read_device
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.magnet.sources import magnet_pose
 from vrcaps.world.model import Model
 

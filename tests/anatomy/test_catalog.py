@@ -13,7 +13,7 @@ from vrcaps.anatomy import colon
 from vrcaps.anatomy.catalog import DISTENSIONS, ORGANS, generate_organ, organ_segments
 from vrcaps.anatomy.colon import ColonParameters
 from vrcaps.anatomy.full_tract.patient import draw_patient_anatomy
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.organ.surface import Appearance, Centerline, OrganSurface
 
 

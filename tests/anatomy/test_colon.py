@@ -16,7 +16,8 @@ from vrcaps.anatomy.colon.parameters import SEGMENTS
 from vrcaps.anatomy.colon.shape import draw_colon_wall, wall_radius
 from vrcaps.anatomy.full_tract.patient import colon_at
 from vrcaps.anatomy.tube_mesh.tube import Course, make_tube
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.mucosa.bake import bake_appearance
@@ -24,7 +25,6 @@ from vrcaps.organ.gltf_material import relief_scale
 from vrcaps.organ.measure import triangle_quality
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.organ.uv import texture_stretch
-from vrcaps.units import MM
 
 pytestmark = pytest.mark.slow
 

@@ -25,14 +25,14 @@ from vrcaps.anatomy.full_tract.valve import soften, stitch, without_vertices
 from vrcaps.anatomy.small_bowel.generate import lay_small_bowel, small_bowel_rng
 from vrcaps.anatomy.tube_mesh.tube_packing import ObstacleSpheres, smooth_course
 from vrcaps.anatomy.tube_mesh.waves import draw_waves, sum_waves, within_bend, wrap
-from vrcaps.errors import InputError
-from vrcaps.geometry import smoothstep
+from vrcaps.core.errors import InputError
+from vrcaps.core.geometry import smoothstep
+from vrcaps.core.rng import truncated_normal
+from vrcaps.core.units import CM, MM
 from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.centerline import interpolate
 from vrcaps.organ.measure import measure_organ
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.rng import truncated_normal
-from vrcaps.units import CM, MM
 
 pytestmark = pytest.mark.slow
 

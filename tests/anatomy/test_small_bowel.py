@@ -16,12 +16,12 @@ from vrcaps.anatomy.small_bowel.course import NeighboringOrgans
 from vrcaps.anatomy.small_bowel.distance_routing import make_routing_grid, route_around
 from vrcaps.anatomy.small_bowel.parameters import DISTENSIONS, SEGMENTS
 from vrcaps.anatomy.tube_mesh.tube_packing import ObstacleSpheres
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import CM, MM
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.measure import measure_organ, triangle_quality
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.units import CM, MM
 
 pytestmark = pytest.mark.slow
 

@@ -12,12 +12,12 @@ from vrcaps.anatomy.stomach import generate as generate_module
 from vrcaps.anatomy.stomach.parameters import DISTENSIONS, SEGMENTS
 from vrcaps.anatomy.stomach.shape import curvatures, draw_stomach_wall, stomach_course
 from vrcaps.anatomy.tube_mesh.tube import make_tube
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import CM, MM
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.measure import measure_organ, triangle_quality
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.units import CM, MM
 
 LITER = 1e-3
 

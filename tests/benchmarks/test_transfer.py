@@ -31,8 +31,8 @@ from transfer_tasks import OUR_LESIONS, TASKS
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.cli.benchmarks.page import read_sections
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.data.plan import read_plan
-from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.learn.first_network import IMAGENET
 from vrcaps.learn.masks import LESION
 from vrcaps.learn.training import WEIGHTS

@@ -3,7 +3,7 @@ import pytest
 
 from vrcaps.camera.derive import barrel_lens, barrel_radius, focal_length_px, scaled_lens
 from vrcaps.camera.lens import LensEquidistant, LensEquirectangular, LensPinhole
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 
 
 def test_barrel_radius_is_the_division_model() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from vrcaps.camera.camera import camera_rays, pixel_grid, project_points, unproject_pixels
 from vrcaps.capsule.catalog import device_names, read_device
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 
 CAMERAS = [
     pytest.param(camera, id=f"{name}-{camera.name}")

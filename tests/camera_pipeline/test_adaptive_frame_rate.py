@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from vrcaps.camera_pipeline.effect.adaptive_frame_rate import AdaptiveFrameRate, image_speed
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 
 
 def captured(rate: AdaptiveFrameRate, speed: float, fps: float, count: int) -> np.ndarray:

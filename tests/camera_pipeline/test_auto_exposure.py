@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vrcaps.camera_pipeline.effect.auto_exposure import AutoExposure
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 
 
 def settle(automatic: AutoExposure, brightness: float, count: int, start: float = 1.0):

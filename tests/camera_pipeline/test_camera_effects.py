@@ -10,7 +10,7 @@ from vrcaps.camera_pipeline.effect.field_of_view import FieldOfView
 from vrcaps.camera_pipeline.effect.resolution import Resolution
 from vrcaps.camera_pipeline.effect.specular import SpecularReflection
 from vrcaps.capsule.catalog import device_names, read_device
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.renderer import Renderer
 

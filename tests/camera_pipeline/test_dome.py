@@ -17,11 +17,11 @@ from vrcaps.camera_pipeline.effect.smears import SUBSTANCES, Smears
 from vrcaps.camera_pipeline.effects import SEVERITIES, Effects
 from vrcaps.camera_pipeline.pipeline import CameraPipeline
 from vrcaps.capsule.catalog import read_device
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.units import DEG, MM
 from vrcaps.motion.step import Step
 from vrcaps.render.channels import Frame
 from vrcaps.render.renderer import Renderer
-from vrcaps.units import DEG, MM
 
 CAMERA = make_camera(pinhole(201, 1.2))
 PIN = DepthOfField(1e-9, 0.05)

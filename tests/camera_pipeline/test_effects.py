@@ -12,9 +12,9 @@ from vrcaps.camera_pipeline.effect.depth_of_field import DepthOfField
 from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES, Effects, parse_effects
 from vrcaps.camera_pipeline.effects_tables import with_tables
 from vrcaps.capsule.catalog import read_device
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.config.convert import from_plain, to_plain
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.lumen.contents import Contents
-from vrcaps.serialization import from_plain, to_plain
 
 
 def test_effects_as_a_user_writes_them() -> None:

@@ -14,8 +14,8 @@ from vrcaps.camera_pipeline.effect.motion_blur import MotionBlur
 from vrcaps.camera_pipeline.effect.rolling_shutter import RollingShutter
 from vrcaps.camera_pipeline.effect.vignetting import Vignetting
 from vrcaps.capsule.catalog import read_device
-from vrcaps.errors import InputError
-from vrcaps.units import MM
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import MM
 
 CAMERA = make_camera(pinhole(121))
 SETUP = CameraSetup(CAMERA)

@@ -23,12 +23,12 @@ from vrcaps.camera_pipeline.effect.rolling_shutter import RollingShutter
 from vrcaps.camera_pipeline.effect.sensor_noise import SensorNoise
 from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES, Effects
 from vrcaps.camera_pipeline.pipeline import CameraPipeline, PipelineState
+from vrcaps.core.transforms import transform_from
 from vrcaps.lumen.contents import Contents
 from vrcaps.motion.step import Step
 from vrcaps.render.channels import Frame
 from vrcaps.render.planar import crop_margin
 from vrcaps.render.renderer import Renderer
-from vrcaps.transforms import transform_from
 from vrcaps.world.model import State
 
 IMAGE_EFFECTS = sorted(name for name in SEVERITIES if issubclass(EFFECTS[name], ImageEffect))

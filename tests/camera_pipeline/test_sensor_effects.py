@@ -14,7 +14,7 @@ from vrcaps.camera_pipeline.effect.bayer_filter import BayerFilter
 from vrcaps.camera_pipeline.effect.jpeg import Jpeg
 from vrcaps.camera_pipeline.effect.sensor_noise import SensorNoise
 from vrcaps.camera_pipeline.effect.white_balance import WhiteBalance
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 
 MONO = (1.0, 1.0, 1.0)
 

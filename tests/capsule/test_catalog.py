@@ -5,9 +5,9 @@ import pytest
 
 from vrcaps.camera.camera import camera_rays, project_points
 from vrcaps.capsule.catalog import device_names, read_device
-from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.transforms import invert, rotate_vectors, transform_points
-from vrcaps.units import MM
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.transforms import invert, rotate_vectors, transform_points
+from vrcaps.core.units import MM
 
 NAMES = (
     *("dual", "magnetic", "mirocam", "mono"),

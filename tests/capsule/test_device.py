@@ -8,9 +8,9 @@ import pytest
 import vrcaps
 from vrcaps.camera.camera import default_exposure
 from vrcaps.capsule.device_file import write_device
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import transform_from
 from vrcaps.magnet.internal import InternalMagnet
-from vrcaps.transforms import transform_from
 
 DEVICE = vrcaps.Device(
     length=24e-3,

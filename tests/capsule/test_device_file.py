@@ -12,7 +12,7 @@ from vrcaps.camera.lens import LENSES, LensEquirectangular, LensKannalaBrandt, L
 from vrcaps.capsule.catalog import device_names, read_device
 from vrcaps.capsule.device import Device
 from vrcaps.capsule.device_file import write_device
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.magnet.internal import InternalMagnet
 from vrcaps.magnet.presets import read_magnet
 

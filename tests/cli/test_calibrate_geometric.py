@@ -14,8 +14,8 @@ from failing import fail
 from vrcaps import cli
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.capsule.catalog import read_device
+from vrcaps.core.transforms import transform_from
 from vrcaps.tools.camera_calibration.board import Board, board_image
-from vrcaps.transforms import transform_from
 
 BOARD = Board(5, 6, 2e-3)
 CAMERA = replace(

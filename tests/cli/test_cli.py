@@ -12,8 +12,8 @@ from vrcaps import cli
 from vrcaps.cli.check import Check
 from vrcaps.cli.demo import _free_folder
 from vrcaps.cli.record import Record
-from vrcaps.errors import InputError
-from vrcaps.file_ref import FileRef
+from vrcaps.config.file_ref import FileRef
+from vrcaps.core.errors import InputError
 from vrcaps.lumen.bowel_preparation import prepared
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.fly_through import FlyThrough

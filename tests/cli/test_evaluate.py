@@ -10,9 +10,9 @@ import pytest
 from small_envs import SHORT_GUT, small_settings
 from vrcaps.cli import main
 from vrcaps.cli.evaluate import Evaluate
+from vrcaps.core.errors import InputError, VrcapsError
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.settings import EnvSettings
-from vrcaps.errors import InputError, VrcapsError
 from vrcaps.policy.policy import read_policy
 from vrcaps.tools.evaluation.page import PAGE, PICTURE, TABLE
 

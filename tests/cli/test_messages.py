@@ -11,8 +11,8 @@ import pytest
 
 from vrcaps import cli
 from vrcaps.cli import console
+from vrcaps.core.errors import InputError, StorageError, reason_of
 from vrcaps.data.plan import read_plan
-from vrcaps.errors import InputError, StorageError, reason_of
 from waiting import WATCHDOG
 
 

@@ -15,7 +15,7 @@ import pytest
 
 from vrcaps import cli
 from vrcaps.cli.record import Record
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.learn.training import TrainSettings
 
 ROOT = Path(__file__).parents[2]

@@ -10,8 +10,8 @@ import pytest
 from small_envs import SHORT_GUT, small_settings
 from vrcaps.cli import main
 from vrcaps.cli.train import Coverage
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.env.organs import parse_organs
-from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.policy import presets
 from vrcaps.policy.training import TrainingSettings
 from vrcaps.scenario.scenario import OrganFile, OrganGenerated

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from vrcaps.cockpit.browser import DriverInput, parse_input
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 
 
 def test_reads_what_the_program_in_the_browser_writes():

@@ -15,11 +15,11 @@ from vrcaps.cockpit.colorings import coloring_names, make_coloring
 from vrcaps.cockpit.organ_colors import LiveWall
 from vrcaps.cockpit.page_mesh import coarse_mesh
 from vrcaps.cockpit.scene_nodes import Cut, PathNode
-from vrcaps.geometry import triangle_areas
+from vrcaps.core.geometry import triangle_areas
+from vrcaps.core.transforms import transform_from
+from vrcaps.core.units import MM
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.winkler_foundation import WinklerFoundation
-from vrcaps.transforms import transform_from
-from vrcaps.units import MM
 from vrcaps.world.indentation import indentation
 
 NARROW = 5.8 * MM

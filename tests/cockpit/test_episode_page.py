@@ -13,12 +13,12 @@ import pytest
 from cockpit_browser import free_port, wait_until
 from vrcaps.cockpit.episode_page import open_episodes
 from vrcaps.cockpit.episode_scene import RecordedWalls
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import transform_points
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.recording.episode import read_episode
 from vrcaps.recording.pictures import picture
-from vrcaps.transforms import transform_points
 from waiting import WATCHDOG
 
 

@@ -14,7 +14,7 @@ import pytest
 from cockpit_browser import free_port
 from vrcaps.cockpit.cockpit import make_gate
 from vrcaps.cockpit.gate import Gate, is_loopback, require_free
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from waiting import WATCHDOG, wait_until
 
 

@@ -9,7 +9,7 @@ import pytest
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.capsule.catalog import read_device
 from vrcaps.cockpit.new_drive import Choice, chosen_scenario, magnetic_capsules
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.lumen.bubbles import Bubbles
 from vrcaps.lumen.contents import Contents
 from vrcaps.scenario.scenario import OrganGenerated, Scenario

@@ -13,8 +13,8 @@ import pytest
 from cockpit_browser import draw_frames, wait_until
 from pad_pilot import PAD, PadPilot, push
 from vrcaps.cockpit.panels.scene_panel import ScenePanel
-from vrcaps.errors import InputError
-from vrcaps.transforms import matrix_from_quaternion, transform_points
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import matrix_from_quaternion, transform_points
 from waiting import WATCHDOG
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ import pytest
 
 from vrcaps.cockpit.episode_charts import COLUMNS, values_of
 from vrcaps.cockpit.path_estimate import read_path_estimate
-from vrcaps.errors import InputError
-from vrcaps.transforms import rotation_from_vector, transform_from
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import rotation_from_vector, transform_from
 
 TIMES = np.arange(6) / 4.0
 

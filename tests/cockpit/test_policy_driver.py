@@ -11,7 +11,7 @@ import pytest
 from vrcaps.actuation.steering_program import JoystickCommand, MagnetSteering
 from vrcaps.cockpit.operator import Operator
 from vrcaps.cockpit.policy_driver import PolicyDriver
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.motion.rollout import Rollout
 from vrcaps.policy.policy import Requirements, policy_names
 from vrcaps.scenario.build import build

@@ -8,7 +8,7 @@ from unittest.mock import MagicMock
 import pytest
 
 from vrcaps.cockpit.panels.policy_panel import PolicyPanel
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
 
 
 def test_a_policy_that_was_not_allowed_is_not_imported() -> None:

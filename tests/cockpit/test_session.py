@@ -14,14 +14,14 @@ import pytest
 from vrcaps.actuation.steering_program import JoystickCommand, read_commands
 from vrcaps.cockpit.policy_driver import PolicyDriver
 from vrcaps.cockpit.session import Session
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.transforms import quaternion_from_matrix
 from vrcaps.lumen.contents import Contents
 from vrcaps.recording.episode import read_episode
 from vrcaps.recording.recorder import record
 from vrcaps.recording.table import POSE_COLUMNS
 from vrcaps.scenario.build import build
 from vrcaps.scenario.scenario import Scenario, read_scenario
-from vrcaps.transforms import quaternion_from_matrix
 from waiting import wait_until
 
 

@@ -7,6 +7,7 @@ import pytest
 import yaml
 
 from vrcaps.cli import main
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.data.about import ABOUT
 from vrcaps.data.card import CARD, card_text, write_card
 from vrcaps.data.card_header import size_category
@@ -22,7 +23,6 @@ from vrcaps.data.counts import (
 from vrcaps.data.ledger import entries
 from vrcaps.data.plan import DatasetSettings
 from vrcaps.data.store import LocalStore
-from vrcaps.errors import InputError, UnknownNameError
 
 
 def change(made: Path, name: str, **values) -> None:

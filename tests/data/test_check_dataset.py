@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from vrcaps.cli import main
+from vrcaps.core.files import file_sha256
 from vrcaps.data.check_dataset import check_dataset
 from vrcaps.data.ledger import entries
 from vrcaps.data.store import LocalStore, open_store
-from vrcaps.files import file_sha256
 from vrcaps.recording.image_files import write_images
 
 

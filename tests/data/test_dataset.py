@@ -11,10 +11,10 @@ import pytest
 
 import vrcaps
 from vrcaps.cli import main
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.files import files_in
 from vrcaps.data.store import open_store
 from vrcaps.data.stored_files import read_at_once
-from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.files import files_in
 from vrcaps.recording.episode import read_episode
 from waiting import WATCHDOG
 

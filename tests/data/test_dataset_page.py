@@ -9,9 +9,9 @@ import pytest
 
 import vrcaps
 from vrcaps.cli import main
+from vrcaps.core.units import MM
 from vrcaps.data.store import open_store
 from vrcaps.tools.dataset_page.sample import sample
-from vrcaps.units import MM
 
 
 def test_frames_are_spread_over_recordings_cameras_and_time(made: Path) -> None:

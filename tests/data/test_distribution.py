@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from vrcaps.core.errors import InputError
 from vrcaps.data.distribution import distribution_of, slots
-from vrcaps.errors import InputError
 
 
 def draws(plain: dict, count: int = 4000) -> list:

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from torch.utils.data import DataLoader, IterableDataset
 
+from vrcaps.core.errors import InputError, MissingExtraError
 from vrcaps.data import frame_stream
 from vrcaps.data.frame_stream import FrameStream
 from vrcaps.data.frame_windows import FrameWindows
-from vrcaps.errors import InputError, MissingExtraError
 from vrcaps.recording.frame_sequence import FrameSequence
 from waiting import WATCHDOG
 

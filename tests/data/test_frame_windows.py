@@ -9,10 +9,10 @@ import pytest
 import torch
 from torch.utils.data import DataLoader
 
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.transforms import rotation_from_vector, transform_from
 from vrcaps.data.frame_windows import FrameWindows
-from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.recording.frame_sequence import FrameSequence
-from vrcaps.transforms import rotation_from_vector, transform_from
 from waiting import WATCHDOG
 
 

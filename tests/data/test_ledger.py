@@ -4,10 +4,10 @@ import json
 
 import pytest
 
+from vrcaps.core.errors import InputError
 from vrcaps.data import dataset
 from vrcaps.data.ledger import FAILED, LEDGER, PLAN, entries, failures, read_plain_plan
 from vrcaps.data.store import LocalStore
-from vrcaps.errors import InputError
 
 ENTRY = {
     "number": 0,

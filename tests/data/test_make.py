@@ -9,8 +9,10 @@ import pytest
 
 import vrcaps
 from failing import fail
-from vrcaps import made_with
 from vrcaps.cli import main
+from vrcaps.core import build_info as made_with
+from vrcaps.core.errors import InputError, StorageError
+from vrcaps.core.locks import FolderInUseError, file_lock
 from vrcaps.data.check_dataset import check_dataset
 from vrcaps.data.estimate import Estimate
 from vrcaps.data.ledger import enter_failure, entries, failures
@@ -20,8 +22,6 @@ from vrcaps.data.plan import read_plan
 from vrcaps.data.runners.in_process import InProcess
 from vrcaps.data.store import LocalStore
 from vrcaps.data.units import Units
-from vrcaps.errors import InputError, StorageError
-from vrcaps.locks import FolderInUseError, file_lock
 
 
 def files(folder: Path) -> dict[str, bytes]:

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 import vrcaps
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import transform_points
 from vrcaps.data.check_dataset import check_dataset
 from vrcaps.data.ledger import entries
 from vrcaps.data.organs import store_organ
 from vrcaps.data.store import LocalStore
-from vrcaps.errors import InputError
 from vrcaps.organ.arrays import organ_sha256
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.recording.check import check_episode
-from vrcaps.transforms import transform_points
 
 
 def test_all_recordings_show_one_file(made: Path, organ: OrganSurface, organ_file: Path) -> None:

@@ -16,6 +16,7 @@ import vrcaps
 from failing import fail
 from s3_server import BUCKET, Line, s3_server
 from vrcaps.cli import main
+from vrcaps.core.errors import InputError, MissingExtraError, StorageError
 from vrcaps.data.check_dataset import check_dataset
 from vrcaps.data.frame_windows import FrameWindows
 from vrcaps.data.ledger import entries, whole_units
@@ -23,7 +24,6 @@ from vrcaps.data.make import make_dataset
 from vrcaps.data.plan import read_plan
 from vrcaps.data.runners.in_process import InProcess
 from vrcaps.data.store import LocalStore, open_store
-from vrcaps.errors import InputError, MissingExtraError, StorageError
 from waiting import WATCHDOG
 
 KILLED = """

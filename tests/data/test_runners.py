@@ -13,6 +13,7 @@ import pytest
 
 from failing import fail
 from processes import command_of, descendants
+from vrcaps.core.errors import InputError, MissingExtraError
 from vrcaps.data.ledger import whole_units
 from vrcaps.data.make import make_dataset
 from vrcaps.data.make_unit import Job, Maker, Outcome
@@ -23,7 +24,6 @@ from vrcaps.data.runners.pool import Pool
 from vrcaps.data.runners.ray_cluster import RayCluster
 from vrcaps.data.runners.runner import Deaths, UnitQueue
 from vrcaps.data.store import LocalStore
-from vrcaps.errors import InputError, MissingExtraError
 from waiting import wait_until
 
 

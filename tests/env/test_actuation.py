@@ -7,15 +7,15 @@ import pytest
 
 from small_envs import simulation_of, small_settings
 from vrcaps.actuation.arm.arm_with_payload import clearances, magnet_pose_at
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.transforms import rotation_from_vector
 from vrcaps.env.actuation.arm import ArmActuation
 from vrcaps.env.actuation.magnet import MagnetActuation
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.episode import Episode
 from vrcaps.env.simulation import Simulation
-from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.magnet.field import wrench
 from vrcaps.magnet.presets import read_magnet
-from vrcaps.transforms import rotation_from_vector
 from vrcaps.world.control import GRAVITY
 
 PERIOD = 1.0 / 6.0

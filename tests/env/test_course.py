@@ -8,10 +8,10 @@ import pytest
 from small_envs import GUT
 from tubes import bent_tube
 from vrcaps.capsule.catalog import read_device
+from vrcaps.core.transforms import transform_points
 from vrcaps.env.course import Course
 from vrcaps.env.memory import Memory
 from vrcaps.organ.centerline.curve import interpolate
-from vrcaps.transforms import transform_points
 from vrcaps.world.model import Model, posture_transform
 
 

@@ -10,17 +10,17 @@ from gymnasium.utils.env_checker import check_env
 
 from small_envs import LESION_GUT, small_settings
 from tubes import straight_gut, textured
+from vrcaps.config.convert import from_plain, to_plain
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.units import MM
 from vrcaps.env import CapsuleEnv, CapsuleVectorEnv
 from vrcaps.env.actuation.registry import AnyActuation
 from vrcaps.env.observations.registry import AnyObservation
 from vrcaps.env.settings import EnvSettings, env_settings
 from vrcaps.env.start import Start
 from vrcaps.env.tasks.registry import AnyTask
-from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.serialization import from_plain, to_plain
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.tissue import Tissue
-from vrcaps.units import MM
 
 TASKS, ACTUATIONS, OBSERVATIONS = (
     [cls.kind for cls in get_args(union)] for union in (AnyTask, AnyActuation, AnyObservation)

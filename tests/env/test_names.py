@@ -11,9 +11,9 @@ gymnasium = pytest.importorskip("gymnasium")
 
 import vrcaps.env  # noqa: E402
 from vrcaps.camera_pipeline.effects import parse_effects  # noqa: E402
+from vrcaps.core.errors import InputError, UnknownNameError  # noqa: E402
 from vrcaps.env import EnvSettings, Randomization  # noqa: E402
 from vrcaps.env.settings import env_settings  # noqa: E402
-from vrcaps.errors import InputError, UnknownNameError  # noqa: E402
 from vrcaps.lesion import Polyp  # noqa: E402
 from vrcaps.scenario.scenario import OrganFile, OrganGenerated  # noqa: E402
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from small_envs import GUT, SHORT_GUT, short_settings
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 
 if TYPE_CHECKING:
     pass

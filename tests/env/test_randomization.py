@@ -7,11 +7,11 @@ from small_envs import GUT, simulation_of, small_settings
 from tubes import textured
 from vrcaps.camera.derive import focal_length_px
 from vrcaps.camera_pipeline.effects import Effects
+from vrcaps.core.errors import InputError
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.env import CapsuleEnv
 from vrcaps.env.observations.image import ImageObservation
 from vrcaps.env.randomization import Randomization, varied_tissue
-from vrcaps.errors import InputError
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.tissue import Tissue

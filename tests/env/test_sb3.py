@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from small_envs import short_settings
+from vrcaps.core.errors import InputError
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.env import CapsuleEnv
 from vrcaps.env.vector_env import CapsuleVectorEnv
-from vrcaps.errors import InputError
 
 pytest.importorskip("stable_baselines3")
 

@@ -7,6 +7,7 @@ import pytest
 
 from small_envs import GUT, SHORT_GUT, small_settings
 from tubes import textured
+from vrcaps.core.errors import InputError
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.env import CapsuleEnv
 from vrcaps.env.observations.image import ImageObservation
@@ -15,7 +16,6 @@ from vrcaps.env.settings import EnvSettings
 from vrcaps.env.snapshot import read_env_snapshot, write_env_snapshot
 from vrcaps.env.start import Start
 from vrcaps.env.vector_env import CapsuleVectorEnv
-from vrcaps.errors import InputError
 
 _GENTLE = Wrench(force=2e-3, torque=0.0)
 """With more, the capsule tumbles, which takes the physics long."""

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from small_envs import GUT, LESION_GUT, simulation_of, small_settings
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.env.episode import Episode
 from vrcaps.env.registration import TASKS
 from vrcaps.env.settings import env_settings
@@ -13,7 +14,6 @@ from vrcaps.env.simulation import Simulation
 from vrcaps.env.start import Start
 from vrcaps.env.tasks.inspect import InspectTask
 from vrcaps.env.tasks.navigate import NavigateTask
-from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.metrics.point_coverage import wall_points
 
 ONE = np.array([0])

@@ -11,7 +11,7 @@ from exported import assert_same_depth, assert_same_images, round_trip
 from oracle_embree import EmbreeCaster
 from vrcaps.camera.camera import pixel_grid
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.formats import lesion_models
 from vrcaps.formats.bop import Bop
 from vrcaps.formats.export import export

@@ -10,7 +10,7 @@ import yaml
 from ellipsoid_sequence import ellipsoid_sequence, off_the_wall
 from exported import assert_same_depth, assert_same_images, round_trip
 from vrcaps.camera.lens import LensKannalaBrandt, LensPinhole, LensScaramuzza
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.formats.c3vd import C3vd
 from vrcaps.formats.export import export
 from write_any import write_image

@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from exported import assert_same_images
 from vrcaps.cli import main
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.formats.coco import Coco
 from vrcaps.formats.export import export
 from vrcaps.formats.mask_outlines import mask_of, outlines, run_lengths

@@ -12,11 +12,11 @@ from exported import assert_same_images, round_trip
 from oracle_pycolmap import read_colmap_model
 from vrcaps.camera.camera import project_points
 from vrcaps.camera.lens import LensEquidistant, LensKannalaBrandt, LensPinhole, LensScaramuzza
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.transforms import invert, rotation_from_vector, transform_from, transform_points
 from vrcaps.formats.colmap import Colmap
 from vrcaps.formats.export import export
 from vrcaps.formats.opencv_lens import lens_of, opencv_model
-from vrcaps.transforms import invert, rotation_from_vector, transform_from, transform_points
 
 LENSES = {
     "PINHOLE": LensPinhole(fx=30.0, fy=31.0, cx=24.25, cy=20.5),

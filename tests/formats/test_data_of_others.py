@@ -12,7 +12,7 @@ from PIL import Image
 import vrcaps
 from ellipsoid_sequence import ellipsoid_sequence
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.errors import InputError, VrcapsError
+from vrcaps.core.errors import InputError, VrcapsError
 from vrcaps.formats.export import export
 from vrcaps.formats.read_format import read_format
 from vrcaps.formats.registry import FORMATS, format_named

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from ellipsoid_sequence import ellipsoid_sequence
 from exported import assert_same_depth, assert_same_images, round_trip
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.formats.endoslam import EndoSlam
 from vrcaps.formats.export import export
 from write_any import write_image

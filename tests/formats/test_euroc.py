@@ -10,12 +10,12 @@ import yaml
 from ellipsoid_sequence import ellipsoid_sequence
 from exported import assert_same_depth, assert_same_images, round_trip
 from vrcaps.camera.lens import LensEquidistant, LensKannalaBrandt, LensPinhole
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import invert, rotation_from_vector, transform_from
 from vrcaps.formats.euroc import Euroc
 from vrcaps.formats.export import export
 from vrcaps.formats.timed_rows import nearest_rows
 from vrcaps.formats.vslam_lab import VslamLab
-from vrcaps.transforms import invert, rotation_from_vector, transform_from
 
 PINHOLE = LensPinhole(fx=25.0, fy=24.0, cx=20.25, cy=17.5, k1=-0.02, k2=1e-5, p1=1e-3)
 FISHEYE = LensKannalaBrandt(fx=19.0, fy=19.5, cx=19.75, cy=17.5, k1=-0.05, k2=0.002)

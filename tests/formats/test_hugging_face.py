@@ -8,8 +8,8 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
-from vrcaps.errors import InputError
-from vrcaps.files import files_in
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import files_in
 from vrcaps.formats.export import export
 from vrcaps.formats.hugging_face import HuggingFace
 

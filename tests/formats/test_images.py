@@ -9,7 +9,7 @@ import pytest
 
 from ellipsoid_sequence import ellipsoid_sequence
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.formats.export import export
 from vrcaps.formats.images import Images
 from vrcaps.formats.stored_images import stored_steps

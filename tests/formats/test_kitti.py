@@ -9,7 +9,7 @@ import pytest
 from ellipsoid_sequence import ellipsoid_sequence
 from exported import assert_same_images, round_trip
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.formats.export import export
 from vrcaps.formats.kitti import Kitti
 

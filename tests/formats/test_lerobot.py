@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.formats.export import export
 from vrcaps.formats.lerobot import LeRobot
 from vrcaps.formats.lerobot_rows import action_rows, state_rows, task_of

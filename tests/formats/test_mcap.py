@@ -9,11 +9,11 @@ import pytest
 from mcap.reader import make_reader
 
 from vrcaps.camera.lens import LensEquidistant, LensScaramuzza
-from vrcaps.errors import InputError, MissingExtraError
+from vrcaps.core.errors import InputError, MissingExtraError
+from vrcaps.core.transforms import matrix_from_quaternion
 from vrcaps.formats.export import export
 from vrcaps.formats.foxglove_schemas import time_ns
 from vrcaps.formats.mcap import Mcap
-from vrcaps.transforms import matrix_from_quaternion
 
 STORED = ("rgb", "depth", "label", "instance", "occlusion")
 

@@ -8,7 +8,7 @@ import pytest
 from mutations import json_text, mutated
 from reader_fuzz import InvalidError, Target, fuzz, outcome_of
 from reader_targets import all_targets, check_poses
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 
 INPUTS = 500
 

@@ -11,7 +11,7 @@ from ellipsoid_sequence import ellipsoid_sequence, off_the_wall
 from exported import assert_same_depth, assert_same_images, round_trip
 from vrcaps.camera.camera import pixel_grid
 from vrcaps.camera.lens import LensEquirectangular, LensKannalaBrandt, LensPinhole
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.formats.export import export
 from vrcaps.formats.nerfstudio import Nerfstudio
 from vrcaps.recording.image_files import read_image

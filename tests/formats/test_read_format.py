@@ -6,7 +6,7 @@ import pytest
 import vrcaps
 from ellipsoid_sequence import ellipsoid_sequence
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.formats.export import export
 from vrcaps.formats.tum import Tum
 

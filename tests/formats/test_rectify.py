@@ -10,11 +10,11 @@ import pytest
 from vrcaps.camera.camera import Camera, in_image, pixel_grid, project_points
 from vrcaps.camera.lens import LensEquidistant, LensKannalaBrandt, LensPinhole, LensScaramuzza
 from vrcaps.cli import main
-from vrcaps.color import linear_from_srgb
-from vrcaps.errors import InputError
+from vrcaps.core.color import linear_from_srgb
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import invert, rotation_from_vector, transform_from, transform_points
 from vrcaps.formats.rectify import pinhole_camera, rectified, resampled, widest_field
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
-from vrcaps.transforms import invert, rotation_from_vector, transform_from, transform_points
 
 FISHEYE = Camera(
     "front",

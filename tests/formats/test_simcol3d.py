@@ -11,11 +11,11 @@ from scipy.spatial.transform import Rotation
 from ellipsoid_sequence import ellipsoid_sequence, off_the_wall
 from exported import assert_same_depth, assert_same_images, round_trip
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import transform_points
 from vrcaps.formats import simcol3d
 from vrcaps.formats.export import export
 from vrcaps.formats.simcol3d import SimCol3D
-from vrcaps.transforms import transform_points
 from write_any import write_image
 
 LENS = LensPinhole(fx=25.0, fy=24.0, cx=20.25, cy=17.5)

@@ -12,7 +12,7 @@ import pytest
 import tifffile
 from PIL import Image, ImageOps
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.formats.stored_images import decoded_rgb, image_size, read_plane, read_rgb
 from vrcaps.tools.photometric_calibration.jpeg import jpeg_quality
 from vrcaps.tools.photos import read_photos

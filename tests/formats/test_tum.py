@@ -5,7 +5,7 @@ import pytest
 
 from ellipsoid_sequence import ellipsoid_sequence
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.formats.export import export
 from vrcaps.formats.tum import Tum
 

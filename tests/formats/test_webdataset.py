@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vrcaps.errors import InputError
-from vrcaps.files import files_in
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import files_in
 from vrcaps.formats.export import export
 from vrcaps.formats.webdataset import WebDataset
 

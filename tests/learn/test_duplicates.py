@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 
 from small_frames import small_sequence
 from vrcaps import cli
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.learn.depth import DepthLearner
 from vrcaps.learn.duplicates import NEAR, image_hash, near_duplicates, without_duplicates
 from vrcaps.learn.samples import Samples

@@ -7,7 +7,7 @@ pytest.importorskip("timm")
 pytest.importorskip("segmentation_models_pytorch")
 pytest.importorskip("safetensors")
 
-from vrcaps.errors import InputError  # noqa: E402
+from vrcaps.core.errors import InputError  # noqa: E402
 from vrcaps.learn.classes import ClassLearner  # noqa: E402
 from vrcaps.learn.depth import DepthLearner  # noqa: E402
 from vrcaps.learn.first_network import first_network, origin  # noqa: E402

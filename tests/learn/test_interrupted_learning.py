@@ -9,7 +9,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 
 from small_frames import image_of, small_sequence  # noqa: E402
-from vrcaps.errors import InputError  # noqa: E402
+from vrcaps.core.errors import InputError  # noqa: E402
 from vrcaps.learn.masks import MaskLearner  # noqa: E402
 from vrcaps.learn.predict import predict  # noqa: E402
 from vrcaps.learn.samples import Samples, samples_of  # noqa: E402

@@ -11,7 +11,7 @@ pytest.importorskip("onnx", reason="its package is not installed")
 pytest.importorskip("segmentation_models_pytorch", reason="its package is not installed")
 
 from vrcaps import cli  # noqa: E402
-from vrcaps.errors import InputError  # noqa: E402
+from vrcaps.core.errors import InputError  # noqa: E402
 from vrcaps.learn.classes import ClassLearner  # noqa: E402
 from vrcaps.learn.depth import DepthLearner  # noqa: E402
 from vrcaps.learn.masks import MaskLearner  # noqa: E402

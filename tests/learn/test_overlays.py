@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from small_frames import SIDE, small_sequence
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.learn.classes import ClassLearner
 from vrcaps.learn.fit import Fit
 from vrcaps.learn.overlays import Overlay, tissue_mask

@@ -9,8 +9,8 @@ import pytest
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.capsule.catalog import read_device
-from vrcaps.color import linear_from_srgb, srgb_from_linear
-from vrcaps.errors import InputError
+from vrcaps.core.color import linear_from_srgb, srgb_from_linear
+from vrcaps.core.errors import InputError
 from vrcaps.learn.picture_border import (
     assumed_camera,
     bright_part,

@@ -12,8 +12,8 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 from small_frames import small_sequence  # noqa: E402
 from vrcaps import cli  # noqa: E402
 from vrcaps.cli.parts import part_of  # noqa: E402
-from vrcaps.errors import InputError, StorageError, UnknownNameError  # noqa: E402
-from vrcaps.files import file_sha256, files_in  # noqa: E402
+from vrcaps.core.errors import InputError, StorageError, UnknownNameError  # noqa: E402
+from vrcaps.core.files import file_sha256, files_in  # noqa: E402
 from vrcaps.learn import publish as publishing  # noqa: E402
 from vrcaps.learn.classes import ClassLearner  # noqa: E402
 from vrcaps.learn.depth import DepthLearner  # noqa: E402

@@ -8,7 +8,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 
 from small_frames import SIDE, small_sequence  # noqa: E402
-from vrcaps.errors import InputError  # noqa: E402
+from vrcaps.core.errors import InputError  # noqa: E402
 from vrcaps.learn.classes import ClassLearner  # noqa: E402
 from vrcaps.learn.fit import Fit  # noqa: E402
 from vrcaps.learn.published import read_index  # noqa: E402

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from small_frames import COUNT, LENS, SIDE, image_of, small_sequence
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.learn.classes import ClassLearner
 from vrcaps.learn.depth import DepthLearner
 from vrcaps.learn.fit import Fit

@@ -9,7 +9,7 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 pytest.importorskip("segmentation_models_pytorch", reason="its package is not installed")
 
 from small_frames import small_sequence  # noqa: E402
-from vrcaps.errors import InputError, UnknownNameError  # noqa: E402
+from vrcaps.core.errors import InputError, UnknownNameError  # noqa: E402
 from vrcaps.learn.classes import ClassLearner  # noqa: E402
 from vrcaps.learn.depth import DepthLearner, depth_of, light_cue  # noqa: E402
 from vrcaps.learn.masks import MaskLearner  # noqa: E402

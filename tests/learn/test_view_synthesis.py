@@ -12,7 +12,7 @@ from ellipsoid_sequence import ellipsoid_sequence  # noqa: E402
 from small_frames import small_sequence  # noqa: E402
 from vrcaps.camera.camera import Camera, pixel_grid  # noqa: E402
 from vrcaps.camera.lens import LensEquidistant, LensKannalaBrandt, LensPinhole  # noqa: E402
-from vrcaps.errors import InputError  # noqa: E402
+from vrcaps.core.errors import InputError  # noqa: E402
 from vrcaps.learn.depth import MIDDLE  # noqa: E402
 from vrcaps.learn.fit import Fit  # noqa: E402
 from vrcaps.learn.samples import Samples, batch_of  # noqa: E402

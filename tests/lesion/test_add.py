@@ -7,7 +7,9 @@ from scipy.spatial.distance import pdist
 
 from shapes import DIRECT
 from vrcaps.capsule.catalog import read_device
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import look_along, transform_from
+from vrcaps.core.units import MM
 from vrcaps.lesion import (
     LESIONS,
     Angioectasia,
@@ -26,8 +28,6 @@ from vrcaps.mesh.log_map import ThinTrianglesError
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.surface import face_label
 from vrcaps.render.renderer import Renderer
-from vrcaps.transforms import look_along, transform_from
-from vrcaps.units import MM
 from vrcaps.world.model import Model, State
 
 pytestmark = pytest.mark.slow

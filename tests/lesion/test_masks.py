@@ -7,10 +7,10 @@ import pytest
 
 from shapes import DIRECT
 from vrcaps.capsule.catalog import read_device
+from vrcaps.core.transforms import look_along, transform_from
+from vrcaps.core.units import MM
 from vrcaps.lesion import Bleeding, Colitis, Location, Polyp, add_lesions
 from vrcaps.render.renderer import Renderer
-from vrcaps.transforms import look_along, transform_from
-from vrcaps.units import MM
 from vrcaps.world.model import Model, State
 
 trimesh = pytest.importorskip("trimesh")

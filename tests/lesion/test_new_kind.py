@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import MM
 from vrcaps.lesion import LESIONS, parse_lesion
 from vrcaps.lesion.registry import describe_kind
 from vrcaps.mesh.edges import face_areas
 from vrcaps.mesh.mesh import Mesh
-from vrcaps.units import MM
 
 PAGE = Path(__file__).parents[2] / "docs" / "extending.md"
 

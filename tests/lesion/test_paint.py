@@ -3,12 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import MM
 from vrcaps.lesion import Colitis, Location, Polyp, add_lesions
 from vrcaps.lesion.paint import Chart, assemble, pack, smoothed
 from vrcaps.mesh.rasterize import sample
 from vrcaps.organ.surface import Appearance
-from vrcaps.units import MM
 
 
 def images(width, height, value=0):

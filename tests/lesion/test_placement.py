@@ -4,7 +4,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.units import MM
 from vrcaps.lesion import (
     Bleeding,
     Diverticulum,
@@ -17,7 +18,6 @@ from vrcaps.lesion import (
 )
 from vrcaps.lesion.placement import require_locations, require_possible
 from vrcaps.mesh.mesh import wall_of
-from vrcaps.units import MM
 
 
 def add(tube, *lesions):

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
+from vrcaps.core.units import MM
 from vrcaps.lesion import Polyp, draw_lesions
 from vrcaps.lesion.prevalence import COLON_PREVALENCE, Prevalence
-from vrcaps.units import MM
 
 
 @pytest.mark.slow

@@ -3,10 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.units import CM, MM
 from vrcaps.lesion import LESIONS, Bleeding, Colitis, Location, Polyp, lesion_library, parse_lesion
 from vrcaps.lesion.structural import Stricture
-from vrcaps.units import CM, MM
 
 LIBRARY = lesion_library()
 

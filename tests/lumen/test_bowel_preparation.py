@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.lumen.bowel_preparation import PREPARATIONS, prepared
 
 

@@ -10,13 +10,13 @@ import pytest
 
 from tubes import straight_gut
 from vrcaps.capsule.catalog import read_device
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import rotation_from_vector, transform_from
+from vrcaps.core.units import MM
 from vrcaps.lumen.bubbles import BUBBLE_SEVERITIES, Bubbles
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.dome_attachment import dome_sites
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.transforms import rotation_from_vector, transform_from
-from vrcaps.units import MM
 from vrcaps.world.model import Model
 
 

@@ -10,7 +10,8 @@ import pytest
 
 from tubes import straight_gut
 from vrcaps import _core
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import MM
 from vrcaps.lumen.bubbles import BUBBLE_SEVERITIES, Bubbles
 from vrcaps.lumen.chyme import CHYME_SEVERITIES, Chyme
 from vrcaps.lumen.cluster import pack, sizes
@@ -20,7 +21,6 @@ from vrcaps.lumen.lumen_contents import populate
 from vrcaps.lumen.particles import BUBBLE, FIRST_CLUMP, WHITE, Spheres
 from vrcaps.lumen.placement import place_bubbles, place_chyme, smooth_area
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.units import MM
 
 RADIUS, LENGTH = 11.0 * MM, 0.3
 AREA = 2.0 * np.pi * RADIUS * LENGTH

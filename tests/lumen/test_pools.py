@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from tubes import straight_gut, tube_about
+from vrcaps.core.units import MM
 from vrcaps.lumen.liquid import Liquid
 from vrcaps.lumen.pools import cut_sections, find_pools, level_pools, submerged
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.units import MM
 
 RADIUS = 10.0 * MM
 BEND = 40.0 * MM

@@ -13,7 +13,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from scenes import random_directions, random_poses, relative
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import invert, rotate_vectors, transform_points
 from vrcaps.magnet.field import SourceSet, field
 from vrcaps.magnet.sources import (
     MAGNETIC_CONSTANT,
@@ -25,7 +26,6 @@ from vrcaps.magnet.sources import (
     UniformField,
     magnet_pose,
 )
-from vrcaps.transforms import invert, rotate_vectors, transform_points
 
 MU0 = MAGNETIC_CONSTANT
 LOCAL: dict[str, Source] = {

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import invert, transform_points
+from vrcaps.core.units import MM
 from vrcaps.magnet.field_lines import field_lines, magnet_lines
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import Cylinder, Dipole, magnet_pose
-from vrcaps.transforms import invert, transform_points
-from vrcaps.units import MM
 
 
 def test_a_dipole_has_lines_r_equals_r0_sin_squared_theta():

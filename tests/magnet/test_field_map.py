@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from scenes import random_poses
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.transforms import invert, rotate_vectors, transform_points
 from vrcaps.magnet.field import field
 from vrcaps.magnet.field_map import read_field_map
 from vrcaps.magnet.sources import Cylinder, FieldMap
-from vrcaps.transforms import invert, rotate_vectors, transform_points
 
 AXES = (np.linspace(-0.1, 0.2, 7), np.linspace(0.0, 0.3, 5), np.linspace(-0.2, 0.1, 9))
 

@@ -7,7 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from scenes import random_directions, random_poses
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import transform_from, transform_points
 from vrcaps.magnet.field import field, wrench
 from vrcaps.magnet.internal import InternalMagnet
 from vrcaps.magnet.sources import (
@@ -18,7 +19,6 @@ from vrcaps.magnet.sources import (
     UniformField,
     magnet_pose,
 )
-from vrcaps.transforms import transform_from, transform_points
 
 SMALL = InternalMagnet((0, 0, 0), (0, 0, 1.12))
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from small_glb import SmallGlb
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.mesh import gltf
 from vrcaps.mesh.edges import signed_volume
 from vrcaps.mesh.mesh import Mesh

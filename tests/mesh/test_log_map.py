@@ -4,10 +4,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vrcaps.errors import InputError, MissingExtraError
+from vrcaps.core.errors import InputError, MissingExtraError
+from vrcaps.core.units import MM
 from vrcaps.lesion.mesh_patch import extract, whole_wall, within
 from vrcaps.mesh.log_map import log_map
-from vrcaps.units import MM
 
 
 def piece_of(tube):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from vrcaps.errors import InputError, UnknownNameError, VrcapsError
+from vrcaps.core.errors import InputError, UnknownNameError, VrcapsError
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.read_mesh import read_label_names, read_mesh
 from vrcaps.mesh.triangulate import triangulate_fans

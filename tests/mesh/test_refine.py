@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
+from vrcaps.core.units import MM
 from vrcaps.lesion.mesh_patch import as_organ, extract, insert, whole_wall, within
 from vrcaps.mesh.edges import find_edges
 from vrcaps.mesh.refine import refine, rim
-from vrcaps.units import MM
 
 
 def lengths(patch):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.mesh.edges import flip_faces, signed_volume
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.read_mesh import read_mesh

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vrcaps.color import lab_from_srgb
-from vrcaps.errors import InputError
+from vrcaps.core.color import lab_from_srgb
+from vrcaps.core.errors import InputError
 from vrcaps.metrics.color import (
     color_distance,
     highlights,

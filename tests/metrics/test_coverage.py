@@ -8,8 +8,8 @@ import trimesh
 
 from seen_walls import HALF_FIELD, POSE, camera, tube
 from vrcaps.camera.camera import camera_rays
-from vrcaps.errors import InputError
-from vrcaps.geometry import triangle_areas
+from vrcaps.core.errors import InputError
+from vrcaps.core.geometry import triangle_areas
 from vrcaps.mesh.mesh import wall_of
 from vrcaps.metrics.coverage import (
     CoverageCriteria,

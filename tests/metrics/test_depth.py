@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.metrics.depth import DepthErrors, depth_errors, mean_depth_errors
 
 

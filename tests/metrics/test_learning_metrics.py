@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.metrics.bootstrap import bootstrap, mean_band
 from vrcaps.metrics.classification import accuracy, confusion_matrix, f1_scores, matthews, roc_auc

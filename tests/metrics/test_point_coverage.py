@@ -9,8 +9,8 @@ import pytest
 from seen_walls import HALF_FIELD, POSE, camera
 from tubes import straight_tube
 from vrcaps.camera.camera import project_points
-from vrcaps.errors import InputError
-from vrcaps.geometry import triangle_areas
+from vrcaps.core.errors import InputError
+from vrcaps.core.geometry import triangle_areas
 from vrcaps.mesh.mesh import wall_of
 from vrcaps.metrics.coverage import CoverageCriteria, vertices_in_frustum
 from vrcaps.metrics.point_coverage import (

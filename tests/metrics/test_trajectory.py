@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.transforms import invert, transform_from
 from vrcaps.metrics.simcol3d import score_poses
 from vrcaps.metrics.trajectory import (
     Similarity,
@@ -13,7 +14,6 @@ from vrcaps.metrics.trajectory import (
     relative_pose_error,
     rotation_angle,
 )
-from vrcaps.transforms import invert, transform_from
 
 
 def _poses(seed=0, count=30):

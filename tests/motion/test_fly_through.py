@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from vrcaps.capsule.catalog import device_names, read_device
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import transform_points
 from vrcaps.motion.fly_through import FlyThrough, _free_part, fly_through
 from vrcaps.motion.trajectory import camera_clearance, camera_poses
-from vrcaps.transforms import transform_points
 from vrcaps.world.model import Model
 
 

@@ -3,10 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import DEG, MM
 from vrcaps.motion.random_views import RandomViews, _cone
 from vrcaps.motion.trajectory import camera_clearance, camera_poses
-from vrcaps.units import DEG, MM
 from vrcaps.world.clearance import capsule_clearance
 from vrcaps.world.model import Model
 

@@ -1,17 +1,17 @@
 import numpy as np
 import pytest
 
-from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.motion.replay import Replay, replay
-from vrcaps.motion.trajectory_files import read_euroc_csv, read_tum, read_unity_csv
-from vrcaps.transforms import (
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.transforms import (
     invert,
     look_along,
     matrix_from_quaternion,
     quaternion_from_matrix,
     transform_from,
 )
-from vrcaps.units import DM
+from vrcaps.core.units import DM
+from vrcaps.motion.replay import Replay, replay
+from vrcaps.motion.trajectory_files import read_euroc_csv, read_tum, read_unity_csv
 
 HEADER = "tX;tY;tZ;rX;rY;rZ;rW;time(s)\n"
 ROWS = [f"{0.1 * i};0;0;0;0;0;1;{0.5 * i}\n" for i in range(6)]

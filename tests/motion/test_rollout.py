@@ -9,7 +9,9 @@ import pytest
 
 from tubes import straight_gut
 from vrcaps.capsule.catalog import read_device
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.transforms import transform_points
+from vrcaps.core.units import CM, MM
 from vrcaps.lumen.contents import Contents
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.rollout import Rollout
@@ -20,8 +22,6 @@ from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.motility.migrating_complex import Front
 from vrcaps.tissue.motility.propulsion import Propulsion
 from vrcaps.tissue.spring_wall import SpringWall
-from vrcaps.transforms import transform_points
-from vrcaps.units import CM, MM
 from vrcaps.world.model import Contact, Model, posture_transform
 from vrcaps.world.schedule import Flush, Insufflation, PostureChange, Wrench
 from vrcaps.world.step_means import mean_contact

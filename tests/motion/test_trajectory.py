@@ -1,7 +1,14 @@
 import numpy as np
 import pytest
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import (
+    look_along,
+    matrix_from_quaternion,
+    rotation_from_vector,
+    rotation_vector,
+    transform_from,
+)
 from vrcaps.motion.trajectory import (
     camera_clearance,
     camera_poses,
@@ -9,13 +16,6 @@ from vrcaps.motion.trajectory import (
     require_inside,
     resample,
     trajectory_from_poses,
-)
-from vrcaps.transforms import (
-    look_along,
-    matrix_from_quaternion,
-    rotation_from_vector,
-    rotation_vector,
-    transform_from,
 )
 
 

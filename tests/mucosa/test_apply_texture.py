@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.mucosa.apply_texture import apply_texture
 from vrcaps.mucosa.bake import bake_appearance
@@ -14,7 +15,6 @@ from vrcaps.mucosa.mucosa import is_texture_path, mucosa_fingerprint
 from vrcaps.mucosa.texture import MucosaTexture, write_texture
 from vrcaps.organ.surface import Centerline, OrganSurface
 from vrcaps.organ.uv import tube_coordinates
-from vrcaps.units import MM
 
 
 def tube(radius: float = 20.0 * MM, length: float = 120.0 * MM) -> OrganSurface:

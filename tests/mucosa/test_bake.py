@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from tubes import straight_tube
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.units import MM
 from vrcaps.mucosa.bake import MAX_SIDE, bake_appearance
 from vrcaps.mucosa.mucosa import MUCOSAE, Mucosa, own_mucosa
 from vrcaps.organ.surface import HEIGHT_STEP, Appearance, Centerline, OrganSurface
 from vrcaps.organ.uv import texture_stretch
-from vrcaps.units import MM
 
 RADIUS, LENGTH, COLUMNS, ROWS = 12.0 * MM, 60.0 * MM, 40, 32
 

@@ -14,10 +14,10 @@ import numpy as np
 import platformdirs
 import pytest
 
+from vrcaps.core.temporary_files import temporary_beside
 from vrcaps.organ import cache
 from vrcaps.organ.cache import cache_folder, cached_organ
 from vrcaps.organ.surface import Appearance, Centerline, OrganSurface
-from vrcaps.temporary_files import temporary_beside
 
 
 def make_organ(*, has_appearance: bool = True) -> OrganSurface:

@@ -9,8 +9,9 @@ from scipy.spatial import KDTree
 from skimage.measure import marching_cubes
 
 from shapes import sphere
-from vrcaps.errors import InputError
-from vrcaps.geometry import triangle_areas
+from vrcaps.core.errors import InputError
+from vrcaps.core.geometry import triangle_areas
+from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import Mesh, vertex_normals
 from vrcaps.mesh.read_mesh import read_mesh
 from vrcaps.mesh.repair import repair
@@ -19,7 +20,6 @@ from vrcaps.organ.centerline.distance import triangle_distance, wall_distance
 from vrcaps.organ.centerline.handles import num_handles
 from vrcaps.organ.centerline.lumen import LumenGrid, grid_crossings, mean_radius, voxelize
 from vrcaps.organ.centerline.smooth import smooth_path
-from vrcaps.units import MM
 
 RADIUS = 10 * MM
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from vrcaps.core.units import MM
 from vrcaps.mesh.read_mesh import read_mesh
 from vrcaps.mesh.repair import repair
 from vrcaps.organ.centerline import centerline_from_points, compute_centerline
 from vrcaps.organ.gut_coordinates import gut_coordinates
-from vrcaps.units import MM
 
 RADIUS = 10 * MM
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import Mesh, vertex_normals
 from vrcaps.organ.measure import (
     measure_organ,
@@ -15,7 +16,6 @@ from vrcaps.organ.measure import (
     unit_question,
 )
 from vrcaps.organ.surface import Centerline, OrganSurface
-from vrcaps.units import MM
 
 RADIUS, LENGTH = 0.02, 0.2
 

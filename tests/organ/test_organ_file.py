@@ -12,7 +12,8 @@ import pygltflib
 import pytest
 import trimesh
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import transform_from, transform_points
 from vrcaps.mesh.glb import read_document
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ import compact_textures
@@ -22,7 +23,6 @@ from vrcaps.organ.organ_file import is_organ_file
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import HEIGHT_STEP, Appearance, Centerline, OrganSurface, round_height
 from vrcaps.organ.write_organ import ATTRIBUTES, write_organ
-from vrcaps.transforms import transform_from, transform_points
 from write_ply import write_ply
 
 NAMES = ("background", "first", "second")

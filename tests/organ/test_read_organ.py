@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.measure import measure_organ
 from vrcaps.organ.read_organ import read_organ

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.read_mesh import read_mesh
 from vrcaps.mesh.repair import repair
@@ -16,7 +17,6 @@ from vrcaps.organ.uv import (
     texture_stretch,
     tube_coordinates,
 )
-from vrcaps.units import MM
 
 
 def cylinder(num_along=40, num_around=32, radius=10 * MM, length=0.1):

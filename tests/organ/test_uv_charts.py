@@ -7,9 +7,9 @@ import pytest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from vrcaps.core.units import MM
 from vrcaps.organ.uv import texture_stretch
 from vrcaps.organ.uv_charts import GAP, TubeChart, chart_coordinates
-from vrcaps.units import MM
 
 RADIUS, LENGTH = 15 * MM, 120 * MM
 

@@ -10,13 +10,13 @@ import pytest
 import trimesh
 from PIL import Image
 
+from vrcaps.core.transforms import rotate_vectors, transform_from, transform_points
 from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.mesh.read_mesh import read_label_names, read_mesh
 from vrcaps.mesh.repair import repair
 from vrcaps.organ.gltf_material import normal_texture, relief_scale, texture_images
 from vrcaps.organ.surface import Appearance, Centerline, OrganSurface
 from vrcaps.organ.write_organ import split_at_seams, write_organ
-from vrcaps.transforms import rotate_vectors, transform_from, transform_points
 
 RADIUS, LENGTH = 0.02, 0.1
 
@@ -201,7 +201,7 @@ def test_failed_write_leaves_the_old_file(tmp_path, organ, monkeypatch):
     def fail(source, target):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("vrcaps.files.os.replace", fail)
+    monkeypatch.setattr("vrcaps.core.files.os.replace", fail)
     with pytest.raises(OSError, match="No space left"):
         write_organ(path, organ)
     assert path.read_bytes() == before

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from small_envs import GUT, SHORT_GUT, small_settings
+from vrcaps.core.errors import InputError
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.settings import EnvSettings
 from vrcaps.env.start import Start
 from vrcaps.env.tasks.navigate import NavigateTask
-from vrcaps.errors import InputError
 from vrcaps.policy.evaluate import Plan, evaluate
 from vrcaps.policy.evaluation import (
     EPISODES,

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from small_envs import GUT, small_settings
+from vrcaps.core.errors import InputError
 from vrcaps.env.start import Start
 from vrcaps.env.tasks.coverage import CoverageTask
 from vrcaps.env.tasks.navigate import NavigateTask
 from vrcaps.env.vector_env import CapsuleVectorEnv
-from vrcaps.errors import InputError
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.policy.navigator import Guide, NavigatorPolicy
 from vrcaps.policy.policy import read_policy

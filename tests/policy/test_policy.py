@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.policy.policy import Policy, Requirements, read_policy
 from vrcaps.policy.random import RandomPolicy
 from vrcaps.policy.registry import BASELINES

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import read_arrays, write_arrays
 from vrcaps.env.settings import EnvSettings
-from vrcaps.errors import InputError
-from vrcaps.files import read_arrays, write_arrays
 from vrcaps.policy.mlp_policy import (
     MlpPolicy,
     Normalizer,

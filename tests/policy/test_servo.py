@@ -11,12 +11,12 @@ import pytest
 from small_envs import small_settings
 from vrcaps.capsule.body import homogeneous_body
 from vrcaps.capsule.catalog import read_device
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import rotation_from_vector, transform_from
 from vrcaps.env.actuation.magnet import MagnetActuation
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.settings import EnvSettings
-from vrcaps.errors import InputError
 from vrcaps.policy.servo import Goal, heading_error, magnet_action, servo_actions
-from vrcaps.transforms import rotation_from_vector, transform_from
 
 DEVICE = read_device("magnetic")
 TAU = 0.1

@@ -16,9 +16,9 @@ from small_envs import SHORT_GUT, small_settings
 pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 
+from vrcaps.core.errors import InputError
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.vector_env import CapsuleVectorEnv
-from vrcaps.errors import InputError
 from vrcaps.policy.mlp_policy import MlpPolicy, read_mlp_policy
 from vrcaps.policy.policy import Policy, read_policy
 from vrcaps.policy.ppo import Ppo, PpoSettings

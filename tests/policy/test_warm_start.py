@@ -12,13 +12,13 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from small_envs import SHORT_GUT, small_settings
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.policy import presets
 from vrcaps.policy.mlp_policy import read_mlp_policy
 from vrcaps.policy.ppo import Ppo
 from vrcaps.policy.training import TrainingSettings, train
 from vrcaps.policy.warm_start import start_file, warm_start
-from vrcaps.training_folder import _with_grown
+from vrcaps.training.folder import _with_grown
 
 
 def settings(actions: int = 8, **learner) -> TrainingSettings:

@@ -14,7 +14,7 @@ from vrcaps import _core
 from vrcaps.camera_pipeline.capsule_cameras import CapsuleCameras
 from vrcaps.camera_pipeline.effect.auto_exposure import AutoExposure
 from vrcaps.camera_pipeline.effects import Effects
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.lesion import Location, Polyp
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.dynamics_columns import DYNAMICS_COLUMNS

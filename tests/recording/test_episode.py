@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 from vrcaps.camera.camera import camera_rays
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.transforms import transform_points
 from vrcaps.recording.episode import read_episode
 from vrcaps.render.channels import CHANNELS
 from vrcaps.render.renderer import Renderer
 from vrcaps.scenario.build import build, resolve
-from vrcaps.transforms import transform_points
 
 
 def test_arrays_are_what_was_rendered(recorded, scenario):

@@ -7,7 +7,7 @@ import pytest
 
 from ellipsoid_sequence import ellipsoid_sequence
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME
 
 

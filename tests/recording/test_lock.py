@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.recording.lock import LOCK, recording_lock
 from vrcaps.recording.recorder import record
 from vrcaps.scenario.scenario import Scenario

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from vrcaps.capsule.catalog import read_device
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.lesion import parse_lesion
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.mucosa.bake import bake_appearance

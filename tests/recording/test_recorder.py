@@ -16,8 +16,8 @@ import pytest
 
 from vrcaps import _core
 from vrcaps.camera_pipeline.capsule_cameras import CapsuleCameras
-from vrcaps.errors import InputError
-from vrcaps.files import file_sha256
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import file_sha256
 from vrcaps.recording.check import check_episode
 from vrcaps.recording.episode import read_episode
 from vrcaps.recording.recorder import record
@@ -214,7 +214,7 @@ import shutil
 import signal
 import sys
 from pathlib import Path
-from vrcaps.errors import VrcapsError
+from vrcaps.core.errors import VrcapsError
 from vrcaps.scenario import build as module
 from vrcaps.recording.recorder import record
 from vrcaps.scenario.scenario import read_scenario

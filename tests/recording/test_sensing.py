@@ -9,7 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from vrcaps.capsule.catalog import read_device
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.transforms import transform_from
 from vrcaps.motion.step import Step, with_neighbors
 from vrcaps.recording.episode import read_episode
 from vrcaps.recording.recorder import record
@@ -19,7 +20,6 @@ from vrcaps.scenario.scenario import Scenario, scenario_from_plain, scenario_to_
 from vrcaps.sensors.imu import Imu
 from vrcaps.sensors.magnetometer import Magnetometer
 from vrcaps.sensors.sensors import HallPad, Sensors, hall_array, sensors_by_name
-from vrcaps.transforms import transform_from
 from vrcaps.world.model import Model, State
 
 GRAVITY = np.array([0.0, 0.0, -9.80665])

@@ -8,7 +8,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from vrcaps.capsule.catalog import read_device
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.transforms import transform_points
 from vrcaps.motion.dynamics_columns import DYNAMICS_COLUMNS, MAGNET_COLUMNS
 from vrcaps.motion.fly_through import FlyThrough, fly_through
 from vrcaps.motion.trajectory import camera_clearance
@@ -24,7 +25,6 @@ from vrcaps.recording.table import (
     write_table,
 )
 from vrcaps.sensors.sensors import HallPad, Sensors
-from vrcaps.transforms import transform_points
 from vrcaps.world.model import Model
 
 

@@ -10,7 +10,7 @@ from shapes import DIRECT, looking, make_camera, make_model, patterned, pinhole,
 from threads import digests_by_threads
 from vrcaps import _core
 from vrcaps.camera.camera import Led, camera_rays
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.mesh.mesh import wall_of
 from vrcaps.render.batch import BATCH_CHANNELS, render_batch
 from vrcaps.render.renderer import Renderer

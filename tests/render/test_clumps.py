@@ -10,13 +10,13 @@ import pytest
 from clump_twin import ClumpTwin
 from shapes import DIRECT, looking, make_camera, make_model, pinhole, sphere
 from vrcaps.camera.camera import Camera, Led, camera_rays
+from vrcaps.core.units import MM
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.lumen_contents import LumenContents
 from vrcaps.lumen.particles import YELLOW, Spheres
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
-from vrcaps.units import MM
 from vrcaps.world.model import State
 
 CHYME_LABEL = 9

@@ -11,6 +11,7 @@ import pytest
 from shapes import DIRECT, RADIUS, looking, make_camera, make_model, patterned, sphere, tube
 from threads import digests_by_threads
 from vrcaps.camera.camera import Led, camera_rays
+from vrcaps.core.units import MM
 from vrcaps.lumen.bubbles import Bubbles
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.liquid import Liquid
@@ -21,7 +22,6 @@ from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.scattering import fresnel
 from vrcaps.render.settings import RenderSettings
-from vrcaps.units import MM
 from vrcaps.world.model import State
 
 GEOMETRY = ("depth", "ray_distance", "normal", "label", "instance", "position")

@@ -12,7 +12,7 @@ import pytest
 
 from shapes import looking, make_camera, make_model, patterned, pinhole, tube
 from threads import digests_by_threads
-from vrcaps.errors import InputError, MissingExtraError
+from vrcaps.core.errors import InputError, MissingExtraError
 from vrcaps.render.denoise import denoise
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings

@@ -10,9 +10,9 @@ import pytest
 import twin
 from shapes import DIRECT, LENSES, looking, make_camera, make_model, pinhole, tube
 from vrcaps.camera.camera import Camera, pixel_grid, project_points, unproject_pixels
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import invert, rotate_vectors, transform_points
 from vrcaps.render.renderer import Renderer
-from vrcaps.transforms import invert, rotate_vectors, transform_points
 from vrcaps.world.model import Model, State
 
 CHANNELS = ("flow_forward", "occlusion", "position")

@@ -10,9 +10,9 @@ from shapes import DIRECT, LENSES, RADIUS, looking, make_camera, make_model, sph
 from twin import dot, unit
 from vrcaps.camera.camera import camera_rays
 from vrcaps.capsule.catalog import read_device
+from vrcaps.core.transforms import invert, rotate_vectors
 from vrcaps.organ.surface import OrganSurface, face_label
 from vrcaps.render.renderer import Renderer
-from vrcaps.transforms import invert, rotate_vectors
 from vrcaps.world.model import Model
 
 CHANNELS = (

@@ -9,7 +9,7 @@ import pytest
 
 from shapes import looking, make_camera, make_model, sphere
 from vrcaps.camera.camera import Led
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.lumen.liquid import Liquid
 from vrcaps.mucosa.mucosa import ABSORPTION
 from vrcaps.organ.surface import Appearance

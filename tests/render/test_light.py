@@ -24,12 +24,12 @@ from twin import unit
 from vrcaps import _core
 from vrcaps.camera.camera import Led, camera_rays
 from vrcaps.camera.lens import LensEquidistant
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.transforms import rotate_vectors
 from vrcaps.organ.surface import Appearance, OrganSurface, clearcoat_alpha
 from vrcaps.render.channels import Frame
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
-from vrcaps.transforms import rotate_vectors
 
 RADIANCE = ("radiance",)
 

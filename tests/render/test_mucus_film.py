@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from shapes import looking, make_camera, make_model, patterned, tube
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.mucus_film import apply_mucus_film, covered_fraction, dry_albedo, level_relief
 from vrcaps.render.renderer import Renderer

@@ -9,7 +9,7 @@ import pytest
 
 from shapes import looking, make_camera, make_model, sphere
 from vrcaps.camera.camera import Led
-from vrcaps.color import LUMINANCE, log_linear_from_srgb, srgb_from_log_linear
+from vrcaps.core.color import LUMINANCE, log_linear_from_srgb, srgb_from_log_linear
 from vrcaps.lumen.liquid import Liquid
 from vrcaps.mucosa.mucosa import ABSORPTION, MUCOSAE
 from vrcaps.organ.surface import Appearance

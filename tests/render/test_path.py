@@ -13,11 +13,11 @@ from oracle_mitsuba import path_light
 from shapes import looking, make_camera, make_model, patterned, pinhole, sphere, tube
 from vrcaps.camera.camera import Camera, Led, camera_rays
 from vrcaps.camera.lens import LensEquidistant
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.transforms import rotate_vectors
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
-from vrcaps.transforms import rotate_vectors
 from vrcaps.world.model import Model, State
 
 LOOKS = {

@@ -10,6 +10,8 @@ import pytest
 
 from shapes import DIRECT, RADIUS, looking, make_camera, make_model, pinhole, sphere, with_ball
 from vrcaps.camera.camera import Camera, Led, camera_rays
+from vrcaps.core.transforms import rotate_vectors
+from vrcaps.core.units import MM
 from vrcaps.lumen.bubbles import Bubbles
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.liquid import Liquid
@@ -19,8 +21,6 @@ from vrcaps.lumen.pools import Pools
 from vrcaps.organ.surface import Appearance, OrganSurface
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
-from vrcaps.transforms import rotate_vectors
-from vrcaps.units import MM
 from vrcaps.world.model import State
 
 CODE, POWER = 200, 1e-3

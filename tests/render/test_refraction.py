@@ -10,6 +10,7 @@ import pytest
 from shapes import DIRECT, RADIUS, looking, make_camera, make_model, pinhole, sphere
 from twin_shade import principled
 from vrcaps.camera.camera import Camera, Led, camera_rays
+from vrcaps.core.units import DEG, MM
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.liquid import Liquid
 from vrcaps.lumen.lumen_contents import LumenContents
@@ -20,7 +21,6 @@ from vrcaps.render.channels import Frame
 from vrcaps.render.refraction import refract_paths, surface_heights
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
-from vrcaps.units import DEG, MM
 from vrcaps.world.model import State
 
 IOR = 1.333

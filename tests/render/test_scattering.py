@@ -13,7 +13,7 @@ from scattering_theory import Medium, diffusion_profile, dipole_profile, half_sp
 from shapes import looking, make_camera, make_model, make_organ, pinhole, sphere, tube
 from vrcaps import _core
 from vrcaps.camera.camera import Camera, Led
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.scattering import (

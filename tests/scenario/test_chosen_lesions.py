@@ -2,7 +2,7 @@
 
 import pytest
 
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.lesion import Colitis, Polyp
 from vrcaps.scenario.chosen_lesions import chosen_lesions
 

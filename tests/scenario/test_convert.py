@@ -5,8 +5,8 @@ from typing import ClassVar, Literal
 
 import pytest
 
-from vrcaps.errors import InputError
-from vrcaps.serialization import from_plain, to_plain
+from vrcaps.config.convert import from_plain, to_plain
+from vrcaps.core.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ import pytest
 
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.capsule.catalog import read_device
-from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.file_ref import FileRef
+from vrcaps.config.file_ref import FileRef
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.lesion import Location, Polyp
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.motion.replay import Replay

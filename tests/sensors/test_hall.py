@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.magnet.field import field
 from vrcaps.magnet.sources import Dipole, UniformField, magnet_pose
 from vrcaps.sensors.hall import HallArray, hall_grid, perturb_calibration, read_hall

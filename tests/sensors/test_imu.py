@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from scenes import random_poses
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.sensors.imu import (
     CapsuleKinematics,
     Imu,

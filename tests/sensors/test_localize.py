@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import Cylinder, Dipole, UniformField, magnet_pose
 from vrcaps.sensors.hall import hall_grid, read_hall

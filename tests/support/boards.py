@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vrcaps.camera.camera import Camera, unproject_pixels
+from vrcaps.core.transforms import transform_from, transform_points
 from vrcaps.tools.camera_calibration.board import Board
-from vrcaps.transforms import transform_from, transform_points
 
 MARGIN = 6.0  # px around the board
 

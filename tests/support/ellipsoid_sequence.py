@@ -5,8 +5,8 @@ from functools import cache, partial
 import numpy as np
 
 from vrcaps.camera.camera import Camera, camera_rays, in_image, pixel_grid
+from vrcaps.core.transforms import invert, rotation_from_vector, transform_from, transform_points
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
-from vrcaps.transforms import invert, rotation_from_vector, transform_from, transform_points
 
 AXES = np.array([0.031, 0.024, 0.019])
 """Semi-axes of the ellipsoid, which has its center at the world's origin [m]."""

@@ -17,9 +17,9 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import KDTree
 
 from vrcaps._core import Wall
+from vrcaps.core.units import MM
 from vrcaps.lesion import LESIONS, sites
 from vrcaps.lesion.base import Form, LesionSite, WallSamples
-from vrcaps.units import MM
 
 _STEINER = 12
 """Points on each edge that paths over faces may pass: they are too long by 0.2 % on a cylinder."""

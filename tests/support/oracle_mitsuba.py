@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from vrcaps.camera.camera import Camera, Led, camera_rays
+from vrcaps.core.transforms import rotate_vectors
 from vrcaps.organ.surface import Appearance
-from vrcaps.transforms import rotate_vectors
 from vrcaps.world.model import Model, State
 
 _SCALE = 1e3

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.actuation.steering_program import workspace_above
+from vrcaps.core.transforms import invert, transform_points
 from vrcaps.env.actuation.magnet import MagnetActuation
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.policy.navigator import Guide
-from vrcaps.transforms import invert, transform_points
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from mutations import changed_plain, json_text, mutated
-from vrcaps.errors import VrcapsError
+from vrcaps.core.errors import VrcapsError
 
 SECONDS = 20
 OUTCOMES = ("read", "refused", "traceback", "panic", "hang", "invalid")

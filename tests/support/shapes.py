@@ -16,10 +16,10 @@ from vrcaps.camera.lens import (
     LensScaramuzza,
 )
 from vrcaps.capsule.device import Device
+from vrcaps.core.transforms import look_along, transform_from
 from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.organ.surface import Appearance, Centerline, OrganSurface
 from vrcaps.render.settings import RenderSettings
-from vrcaps.transforms import look_along, transform_from
 from vrcaps.world.model import Model, State
 
 DIRECT = RenderSettings(light="direct", shadows=False)

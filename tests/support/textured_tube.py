@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tubes import straight_tube
+from vrcaps.core.units import MM
 from vrcaps.mucosa.bake import bake_appearance
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.units import MM
 
 RADIUS, LENGTH, COLUMNS, ROWS = 18.0 * MM, 160.0 * MM, 72, 104
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.organ.centerline.curve import transport_frames
 from vrcaps.organ.surface import Appearance, Centerline, OrganSurface
-from vrcaps.units import MM
 
 _QUAD = np.array([[0, 0], [0, 1], [1, 1], [1, 0]])
 """Row and column of a quad's corners."""

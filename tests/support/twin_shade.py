@@ -9,8 +9,8 @@ import numpy as np
 import twin
 from twin import dot, unit
 from vrcaps.camera.camera import Camera, Led, camera_rays
+from vrcaps.core.transforms import invert, rotate_vectors, transform_points
 from vrcaps.organ.surface import Appearance, clearcoat_alpha, face_label
-from vrcaps.transforms import invert, rotate_vectors, transform_points
 from vrcaps.world.model import Model, State
 
 _TILE = 8

@@ -6,10 +6,10 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.capsule.body import Body
+from vrcaps.core.units import MM
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.spring_wall import SpringWall
 from vrcaps.tissue.winkler_foundation import WinklerFoundation
-from vrcaps.units import MM
 
 RADIUS = 5.5 * MM
 HALF_AXIS = 7.5 * MM

@@ -12,14 +12,14 @@ import pytest
 from shapes import DIRECT
 from vrcaps import _core
 from vrcaps.capsule.body import Body
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.units import MM
 from vrcaps.render.renderer import Renderer
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.motility.motility import Motility
 from vrcaps.tissue.spring_wall import SpringWall
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.tissue.winkler_foundation import WinklerFoundation
-from vrcaps.units import MM
 from vrcaps.world.control import Control
 from vrcaps.world.model import Model, State, posture_transform
 from vrcaps.world.snapshot import Snapshot, read_snapshot

@@ -8,11 +8,11 @@ from scipy.integrate import quad
 
 from vrcaps.capsule.body import homogeneous_body
 from vrcaps.capsule.catalog import read_device
+from vrcaps.core.units import MM
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.spring_wall import SpringWall
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.tissue.winkler_foundation import WinklerFoundation
-from vrcaps.units import MM
 from walls import HALF_AXIS, LINEAR, RADIUS, capsule, creased, floor, tube, world_on
 
 DOWN = (0.0, 0.0, -9.81)

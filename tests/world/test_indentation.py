@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from vrcaps import _core
-from vrcaps.geometry import triangle_areas
+from vrcaps.core.geometry import triangle_areas
+from vrcaps.core.transforms import matrix_from_quaternion, transform_from
+from vrcaps.core.units import MM
 from vrcaps.tissue.winkler_foundation import WinklerFoundation
-from vrcaps.transforms import matrix_from_quaternion, transform_from
-from vrcaps.units import MM
 from vrcaps.world.indentation import _divided, indentation
 from walls import HALF_AXIS, LINEAR, LYING, RADIUS, capsule, world_on
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from vrcaps import _core
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import MM
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.tissue import Tissue
-from vrcaps.units import MM
 from vrcaps.world.model import Model
 from vrcaps.world.world import World
 from walls import floor, world_on

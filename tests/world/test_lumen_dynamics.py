@@ -13,14 +13,14 @@ from tubes import straight_gut
 from vrcaps import _core
 from vrcaps.capsule.body import homogeneous_body
 from vrcaps.capsule.catalog import read_device
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import MM
 from vrcaps.lumen.bubbles import Bubbles
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.liquid import Liquid
 from vrcaps.lumen.particles import BUBBLE, WHITE, Spheres
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.tissue import Tissue
-from vrcaps.units import MM
 from vrcaps.world.control import GRAVITY, Control
 from vrcaps.world.model import Model, State
 from vrcaps.world.world import World

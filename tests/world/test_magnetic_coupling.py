@@ -10,7 +10,8 @@ from scipy.special import ellipk
 
 from tubes import bent_tube
 from vrcaps.capsule.catalog import read_device
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import matrix_from_quaternion, rotate_vectors, transform_from
 from vrcaps.magnet.field import field, wrench
 from vrcaps.magnet.internal import InternalMagnet
 from vrcaps.magnet.sources import (
@@ -23,7 +24,6 @@ from vrcaps.magnet.sources import (
 )
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.tissue import Tissue
-from vrcaps.transforms import matrix_from_quaternion, rotate_vectors, transform_from
 from vrcaps.world.control import GRAVITY, Control
 from vrcaps.world.model import Model, State, posture_transform
 from vrcaps.world.world import World

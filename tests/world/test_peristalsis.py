@@ -10,13 +10,13 @@ import pytest
 
 from tubes import straight_gut
 from vrcaps.capsule.catalog import read_device
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.units import CM, MM
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.motility.motility import Motility
 from vrcaps.tissue.motility.propulsion import Propulsion
 from vrcaps.tissue.motility.segment import SegmentMotility, segment_motilities
 from vrcaps.tissue.tissue import Tissue
-from vrcaps.units import CM, MM
 from vrcaps.world.control import Control
 from vrcaps.world.model import Model, State
 from vrcaps.world.snapshot import read_snapshot, write_snapshot

@@ -9,7 +9,9 @@ from fem_shapes import straight_tube
 from made_worlds import as_bytes, worlds_in
 from vrcaps import _core
 from vrcaps.capsule.catalog import read_device
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.transforms import rotation_from_vector, transform_from
+from vrcaps.core.units import MM
 from vrcaps.lumen.contents import Contents
 from vrcaps.magnet.sources import Cylinder, UniformField
 from vrcaps.tissue.drag import Drag
@@ -20,8 +22,6 @@ from vrcaps.tissue.motility.propulsion import Propulsion
 from vrcaps.tissue.spring_wall import SpringWall
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.tissue.winkler_foundation import WinklerFoundation
-from vrcaps.transforms import rotation_from_vector, transform_from
-from vrcaps.units import MM
 from vrcaps.world.control import Control
 from vrcaps.world.dynamics import RELAXATION_TIME
 from vrcaps.world.model import Model

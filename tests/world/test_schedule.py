@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.transforms import rotation_vector
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.transforms import rotation_vector
 from vrcaps.world.model import posture_transform
 from vrcaps.world.schedule import (
     WRENCH_COLUMNS,

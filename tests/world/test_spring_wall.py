@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from vrcaps import _core
+from vrcaps.core.units import MM
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.spring_wall import SpringWall
 from vrcaps.tissue.winkler_foundation import WinklerFoundation
-from vrcaps.units import MM
 from walls import RADIUS, floor, world_on
 
 SPRING = SpringWall()

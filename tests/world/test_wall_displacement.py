@@ -9,10 +9,10 @@ import pytest
 
 from tubes import bent_tube
 from vrcaps.capsule.catalog import read_device
+from vrcaps.core.transforms import invert, transform_points
+from vrcaps.core.units import MM
 from vrcaps.motion.fly_through import FlyThrough, fly_through
 from vrcaps.motion.trajectory import Trajectory
-from vrcaps.transforms import invert, transform_points
-from vrcaps.units import MM
 from vrcaps.world.model import Model
 from vrcaps.world.wall_displacement import WallDisplacement
 

@@ -12,12 +12,12 @@ from made_worlds import as_bytes, worlds_in
 from threads import digests_by_threads
 from tubes import bent_tube
 from vrcaps.capsule.catalog import read_device
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import rotation_from_vector, transform_from
 from vrcaps.magnet.sources import Cylinder
 from vrcaps.tissue.motility.motility import Motility
 from vrcaps.tissue.motility.propulsion import Propulsion
 from vrcaps.tissue.tissue import Tissue
-from vrcaps.transforms import rotation_from_vector, transform_from
 from vrcaps.world.control import Control
 from vrcaps.world.dynamics import DynamicsKind
 from vrcaps.world.model import Model

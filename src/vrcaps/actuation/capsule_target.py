@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from vrcaps.actuation import vectors
-from vrcaps.errors import InputError, require
+from vrcaps.core.errors import InputError, require
+from vrcaps.core.transforms import invert, rotate_vectors, transform_points
+from vrcaps.core.units import MM
 from vrcaps.organ.centerline.curve import polyline_points
 from vrcaps.organ.surface import Centerline
-from vrcaps.transforms import invert, rotate_vectors, transform_points
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

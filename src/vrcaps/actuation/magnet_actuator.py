@@ -10,9 +10,9 @@ import numpy as np
 
 from vrcaps.actuation.magnet_pose_solver import Workspace
 from vrcaps.actuation.vectors import clamp_norm, length
-from vrcaps.errors import require
+from vrcaps.core.errors import require
+from vrcaps.core.transforms import rotate_by_vector, vector_from_rotation
 from vrcaps.magnet.sources import check_pose
-from vrcaps.transforms import rotate_by_vector, vector_from_rotation
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -14,12 +14,12 @@ from vrcaps.actuation.capsule_target import CapsuleTarget
 from vrcaps.actuation.magnet_actuator import ActuatorState, MagnetActuator
 from vrcaps.actuation.magnet_pose_solver import MagnetPoseSolver, WrenchTarget
 from vrcaps.actuation.vectors import clamp_norm, detour, length
-from vrcaps.errors import InputError
-from vrcaps.limits import Range, check_fields
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import rotate_by_vector
+from vrcaps.core.units import CM, DEG, MM
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.sources import Cylinder, Dipole, Source
-from vrcaps.transforms import rotate_by_vector
-from vrcaps.units import CM, DEG, MM
 from vrcaps.world.control import GRAVITY, Control
 from vrcaps.world.model import Model
 

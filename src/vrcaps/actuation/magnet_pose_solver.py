@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.errors import InputError, require
+from vrcaps.core.errors import InputError, require
+from vrcaps.core.units import CM
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.internal import InternalMagnet, magnet_rows
 from vrcaps.magnet.sources import MAGNETIC_CONSTANT, magnet_pose
-from vrcaps.units import CM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -10,8 +10,8 @@ import numpy as np
 from vrcaps.actuation.capsule_target import CapsuleTarget, wall_target
 from vrcaps.actuation.magnet_controller import CapsuleView, MagnetController
 from vrcaps.actuation.wall_path import PathFollower, straight_wall_path
-from vrcaps.errors import require
-from vrcaps.units import MM
+from vrcaps.core.errors import require
+from vrcaps.core.units import MM
 from vrcaps.world.control import Control
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from vrcaps import _core
 from vrcaps.actuation.arm.arm_with_payload import ArmWithPayload, magnet_pose_at, solve_joint_angles
 from vrcaps.actuation.magnet_actuator import ActuatorState
 from vrcaps.actuation.magnet_pose_solver import Workspace
-from vrcaps.errors import InputError, require
+from vrcaps.core.errors import InputError, require
 
 if TYPE_CHECKING:
     from jaxtyping import Float

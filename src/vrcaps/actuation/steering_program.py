@@ -19,13 +19,13 @@ from vrcaps.actuation.magnet_controller import CapsuleView, ControllerGains, Mag
 from vrcaps.actuation.magnet_pose_solver import Workspace
 from vrcaps.actuation.robot_actuator import RobotActuator
 from vrcaps.actuation.wall_path import PathFollower, WallPath, centerline_wall_path
-from vrcaps.errors import InputError, require
-from vrcaps.file_ref import FileRef, file_ref, path_of
-from vrcaps.limits import Range, check_fields
+from vrcaps.config.file_ref import FileRef, file_ref, path_of
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError, require
+from vrcaps.core.units import CM, DEG, MM
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import Cylinder
 from vrcaps.sensors.tracking import CapsuleTracker, TrackingSensors
-from vrcaps.units import CM, DEG, MM
 from vrcaps.world.control import Control
 from vrcaps.world.model import Model
 from vrcaps.world.schedule import read_numbers, require_rising, require_series, row_at

@@ -1,7 +1,7 @@
 """Vector algebra for single vectors in control loops.
 
 The loops process one vector at a time, hundreds of times per second, for which NumPy's batch
-functions take ten times as long. Rotation vectors are in `vrcaps.transforms`.
+functions take ten times as long. Rotation vectors are in `vrcaps.core.transforms`.
 """
 
 from __future__ import annotations

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from vrcaps.actuation.capsule_target import CapsuleTarget, centerline_target, outward_normals
-from vrcaps.errors import InputError, require
-from vrcaps.geometry import unit
-from vrcaps.units import CM, DEG, MM
+from vrcaps.core.errors import InputError, require
+from vrcaps.core.geometry import unit
+from vrcaps.core.units import CM, DEG, MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

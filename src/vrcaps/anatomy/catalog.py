@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, get_args
 
 from vrcaps.anatomy.distension import Distension
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.organ.cache import cached_organ, fingerprint
 from vrcaps.organ.segments import ORGANS
 from vrcaps.organ.surface import OrganSurface

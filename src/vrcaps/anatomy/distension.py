@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal, TypeVar
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 
 Distension = Literal["inflated", "normal", "collapsed"]
 

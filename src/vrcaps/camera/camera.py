@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.camera.lens import AnyLens
-from vrcaps.errors import InputError, require
-from vrcaps.transforms import transform_from
+from vrcaps.core.errors import InputError, require
+from vrcaps.core.transforms import transform_from
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float

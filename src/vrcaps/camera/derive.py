@@ -12,7 +12,7 @@ import numpy as np
 from vrcaps.camera.lens.base import Lens
 from vrcaps.camera.lens.equirectangular import LensEquirectangular
 from vrcaps.camera.lens.kannala_brandt import LensKannalaBrandt
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-import vrcaps.rng
 from vrcaps.camera.camera import camera_rays
 from vrcaps.camera_pipeline.effect.base import CameraSetup
 from vrcaps.camera_pipeline.effect.depth_of_field import DepthOfField
-from vrcaps.geometry import unit
+from vrcaps.core.geometry import unit
+from vrcaps.core.rng import stream
+from vrcaps.core.units import MM
 from vrcaps.render.channels import CHANNELS
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -26,7 +26,7 @@ _LENS = DepthOfField(0.5 * MM)
 
 def dome_rng(setup: CameraSetup, name: str) -> np.random.Generator:
     """Random numbers for `drop` or `smear` on the dome of a camera."""
-    rngs = vrcaps.rng.stream(setup.seed, "camera/dome", setup.number).spawn(2)
+    rngs = stream(setup.seed, "camera/dome", setup.number).spawn(2)
     return rngs[DOME_NAMES.index(name) - 1]
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_type_hints
 
-import vrcaps.rng
 from vrcaps.camera_pipeline.effect.adaptive_frame_rate import AdaptiveFrameRate
 from vrcaps.camera_pipeline.effect.auto_exposure import AutoExposure
 from vrcaps.camera_pipeline.effect.base import (
@@ -33,7 +32,8 @@ from vrcaps.camera_pipeline.effect.smears import Smears
 from vrcaps.camera_pipeline.effect.specular import SpecularReflection
 from vrcaps.camera_pipeline.effect.vignetting import Vignetting
 from vrcaps.camera_pipeline.effect.white_balance import WhiteBalance
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.rng import stream
 
 if TYPE_CHECKING:
     from typing import TypeVar
@@ -114,7 +114,7 @@ class Effects:
         for name in SEVERITIES:
             value = getattr(self, name)
             if isinstance(value, tuple):
-                rng = vrcaps.rng.stream(seed, f"camera/severity/{name}")
+                rng = stream(seed, f"camera/severity/{name}")
                 chosen[name] = int(rng.integers(value[0], value[1], endpoint=True))
         return replace(self, **chosen)  # type: ignore[arg-type]
 

@@ -15,7 +15,7 @@ from vrcaps.camera.derive import half_side_px
 from vrcaps.camera_pipeline.effect.adaptive_frame_rate import image_speed
 from vrcaps.camera_pipeline.effect.base import CameraSetup, FrameContext, ImageEffect, Stage
 from vrcaps.camera_pipeline.effects import Effects
-from vrcaps.color import LUMINANCE
+from vrcaps.core.color import LUMINANCE
 from vrcaps.render.channels import Frame
 from vrcaps.render.flow import SUBSAMPLE, SurfacePoints
 from vrcaps.render.planar import crop_margin

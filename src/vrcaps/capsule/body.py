@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import require
+from vrcaps.core.errors import require
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from vrcaps.capsule.device import Device
 from vrcaps.capsule.device_file import read_device_file
-from vrcaps.catalog_folder import CatalogFolder
+from vrcaps.config.catalog import CatalogFolder
 
 _DEVICES = CatalogFolder(Path(__file__).parent / "devices", "capsule")
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from vrcaps.camera.camera import Camera, check_names
-from vrcaps.errors import InputError, UnknownNameError, require
+from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.magnet.internal import InternalMagnet
 
 

@@ -15,11 +15,11 @@ import numpy as np
 
 from vrcaps.camera.camera import Camera, Led, led_ring
 from vrcaps.capsule.device import Device
-from vrcaps.errors import InputError, require
+from vrcaps.config.convert import from_plain, register_shorthand, to_plain
+from vrcaps.config.plain_files import read_plain, write_toml
+from vrcaps.core.errors import InputError, require
 from vrcaps.magnet.internal import InternalMagnet
 from vrcaps.magnet.presets import read_magnet
-from vrcaps.plain_files import read_plain, write_toml
-from vrcaps.serialization import from_plain, register_shorthand, to_plain
 
 Vector = tuple[float, float, float]
 

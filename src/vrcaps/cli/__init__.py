@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 from vrcaps.cli.options import check_verb, option_error
 from vrcaps.cli.streams import EXIT_BROKEN_PIPE, configure_streams, discard_output, flush_output
-from vrcaps.errors import VrcapsError, reason_of
+from vrcaps.core.errors import VrcapsError, reason_of
 from vrcaps.formats.registry import FORMATS
 
 EXIT_BAD_INPUT = 2

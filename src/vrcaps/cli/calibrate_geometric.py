@@ -11,8 +11,8 @@ from tyro.conf import Positional
 
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.cli.paths import require_existing
-from vrcaps.errors import InputError
-from vrcaps.units import DEG, MM, parse_length
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import DEG, MM, parse_length
 
 if TYPE_CHECKING:
     from vrcaps.tools.camera_calibration.circle import ImageCircle

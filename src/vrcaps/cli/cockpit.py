@@ -14,7 +14,7 @@ from vrcaps.cli.console import console
 from vrcaps.cli.record import Record
 from vrcaps.cli.recording import use_threads
 from vrcaps.cli.scenario_flags import ImageFlags, MotionFlags, OrganFlags
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 
 if TYPE_CHECKING:
     from vrcaps.scenario.scenario import Scenario

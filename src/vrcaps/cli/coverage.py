@@ -11,8 +11,8 @@ from tyro.conf import Positional
 
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.cli.paths import require_folder
+from vrcaps.core.units import MM
 from vrcaps.metrics.coverage import COVERAGE_LEVELS, CoverageCriteria
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from vrcaps.tools.coverage.episode_coverage import EpisodeCoverage

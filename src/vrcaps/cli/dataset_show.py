@@ -11,7 +11,7 @@ from tyro.conf import Positional
 
 from vrcaps.cli.console import console
 from vrcaps.cli.paths import require_folder
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 
 if TYPE_CHECKING:
     from vrcaps.data.counts import Row

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from tyro.conf import Positional
 
 from vrcaps.cli.console import console, progress_bar
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 
 if TYPE_CHECKING:
     from vrcaps.env.settings import EnvSettings

@@ -12,7 +12,7 @@ from tyro.conf import Positional
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.cli.parts import command_of, part_of
 from vrcaps.cli.paths import require_folder
-from vrcaps.errors import UnknownNameError
+from vrcaps.core.errors import UnknownNameError
 from vrcaps.formats.format import Format
 from vrcaps.formats.registry import FORMATS, format_named
 from vrcaps.recording.frame_sequence import SPLITS

@@ -14,8 +14,8 @@ from tyro.conf import Positional
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.cli.organ import report_organ
 from vrcaps.cli.paths import require_existing
-from vrcaps.errors import InputError
-from vrcaps.units import CM, MM
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import CM, MM
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -12,7 +12,7 @@ from tyro.conf import UseAppendAction
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.cli.parts import command_of, part_of
 from vrcaps.cli.paths import require_sources
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.learn.registry import LEARNERS, AnyLearner
 
 if TYPE_CHECKING:
@@ -180,7 +180,7 @@ class _Evaluate:
             InputError: If weights and data do not match.
         """
         require_sources(self.data)
-        from vrcaps.files import file_sha256, write_csv
+        from vrcaps.core.files import file_sha256, write_csv
         from vrcaps.formats.sources import read_sources
         from vrcaps.learn.evaluation import Evaluation, write_evaluation
         from vrcaps.learn.published import find_weights
@@ -251,7 +251,7 @@ class _Predict:
         from vrcaps.learn.published import find_weights
 
         weights = find_weights(self.weights, self.task)
-        from vrcaps.files import require_new_folder
+        from vrcaps.core.files import require_new_folder
         from vrcaps.learn.predict import images_of, predict
         from vrcaps.learn.training import chosen_device
         from vrcaps.learn.weights import read_weights

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from vrcaps.units import CM, MM
+from vrcaps.core.units import CM, MM
 
 
 def lesion_lines(records: Sequence[dict[str, Any]], length: float) -> list[str]:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from difflib import get_close_matches
 
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
 
 _BOX = re.compile(r"[╭╮╰╯│─]+")
 _OPTION = re.compile(r"^ *(?:-\w, )?(--[a-z][\w.-]*)", re.MULTILINE)

@@ -12,11 +12,11 @@ from tyro.conf import Positional, UseAppendAction
 from vrcaps.anatomy.distension import Distension
 from vrcaps.cli.console import console
 from vrcaps.cli.lesions import lesion_lines
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import CM, LENGTH_UNITS, MM
 from vrcaps.organ.organ_file import is_organ_file
 from vrcaps.scenario.chosen_lesions import chosen_lesions
 from vrcaps.scenario.scenario import OrganFile, organ_named
-from vrcaps.units import CM, LENGTH_UNITS, MM
 
 if TYPE_CHECKING:
     from vrcaps.organ.measure import OrganMeasures

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.formats.registry import FORMATS
 
 

@@ -11,9 +11,9 @@ from tyro.conf import Positional
 
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.cli.paths import require_file, require_folder, require_sources
-from vrcaps.errors import InputError, require
-from vrcaps.files import atomic_folder, require_new_folder, write_bytes
-from vrcaps.units import MM
+from vrcaps.core.errors import InputError, require
+from vrcaps.core.files import atomic_folder, require_new_folder, write_bytes
+from vrcaps.core.units import MM
 
 if TYPE_CHECKING:
     import numpy as np

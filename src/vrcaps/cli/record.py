@@ -12,7 +12,7 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
 from vrcaps.cli.console import console
 from vrcaps.cli.recording import run_recording
 from vrcaps.cli.scenario_flags import ImageFlags, MotionFlags, OrganFlags, changes
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.scenario.chosen_lesions import chosen_lesions
 from vrcaps.scenario.settings import changed, parse_change, settings
 
@@ -115,9 +115,9 @@ class Record:
 
     def _lesions(self, scenario: Scenario) -> list[Any]:
         """Plain values of the scenario's lesions and those of the flags; empty without new ones."""
+        from vrcaps.config.convert import to_plain
         from vrcaps.lesion import AnyLesion
         from vrcaps.scenario.scenario import OrganGenerated
-        from vrcaps.serialization import to_plain
 
         organ = scenario.organ
         is_generated = isinstance(organ, OrganGenerated)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from vrcaps.cli.console import console, progress_bars
 from vrcaps.cli.lesions import lesion_lines
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 
 if TYPE_CHECKING:
     from vrcaps.scenario.scenario import Scenario

@@ -161,9 +161,9 @@ def changes(flags: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
 
 def _patient_changes(flags: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """The organ, the contents of its lumen, and the seed of both."""
+    from vrcaps.config.convert import to_plain
     from vrcaps.lumen.bowel_preparation import prepared
     from vrcaps.lumen.contents import Contents
-    from vrcaps.serialization import to_plain
 
     is_file = False
     if flags["organ"] is not None:
@@ -181,7 +181,7 @@ def _patient_changes(flags: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
 
 def _effect_changes(text: str) -> Iterator[tuple[str, Any]]:
     from vrcaps.camera_pipeline.effects import Effects, parse_effects
-    from vrcaps.serialization import to_plain
+    from vrcaps.config.convert import to_plain
 
     for name, value in to_plain(parse_effects(text), Effects).items():
         if value is not None:

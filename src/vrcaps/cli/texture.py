@@ -10,8 +10,8 @@ from tyro.conf import OmitArgPrefixes, Positional
 
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.cli.paths import require_existing
+from vrcaps.core.units import CM
 from vrcaps.tools.mucosa_from_photos.place_vessels import VesselPlacement
-from vrcaps.units import CM
 
 if TYPE_CHECKING:
     from vrcaps.tools.mucosa_from_photos.make_texture import TextureResult

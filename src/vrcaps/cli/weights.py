@@ -9,7 +9,7 @@ from tyro.conf import Positional, UseAppendAction
 
 from vrcaps.cli.console import console
 from vrcaps.cli.paths import require_file, require_folder
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ class Export:
         Raises:
             InputError: If there are no such weights.
         """
-        from vrcaps.errors import MissingExtraError, require
+        from vrcaps.core.errors import MissingExtraError, require
         from vrcaps.learn.onnx import onnx_difference, write_onnx
         from vrcaps.learn.published import find_weights
         from vrcaps.learn.weights import read_weights

@@ -6,7 +6,7 @@ import math
 import threading
 import time as wall_clock
 
-from vrcaps.errors import require
+from vrcaps.core.errors import require
 
 SLOWEST, FASTEST = 0.05, 4.0
 """Range of simulated time per real time."""

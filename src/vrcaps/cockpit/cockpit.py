@@ -18,7 +18,7 @@ from vrcaps.cockpit.gate import Gate, OneLine, guarded, require_free
 from vrcaps.cockpit.page import Page
 from vrcaps.cockpit.panels import PANELS
 from vrcaps.cockpit.session import Session
-from vrcaps.errors import InputError, import_extra
+from vrcaps.core.errors import InputError, import_extra
 from vrcaps.policy.policy import read_policy
 
 if TYPE_CHECKING:

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vrcaps.actuation.steering_program import JOYSTICK_COLUMNS, JoystickCommand
-from vrcaps.errors import InputError
-from vrcaps.file_ref import FileRef
-from vrcaps.files import is_new_folder, write_bytes, write_json
+from vrcaps.config.file_ref import FileRef
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import is_new_folder, write_bytes, write_json
+from vrcaps.core.temporary_files import remove_stale
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.scenario.scenario import SOURCE_ORGAN, Scenario, scenario_to_plain
-from vrcaps.temporary_files import remove_stale
 
 if TYPE_CHECKING:
     from vrcaps.cockpit.operator import Operator

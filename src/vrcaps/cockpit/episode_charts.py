@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.units import MM
+from vrcaps.core.units import MM
 
 if TYPE_CHECKING:
     import viser

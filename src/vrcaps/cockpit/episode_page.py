@@ -17,10 +17,10 @@ from vrcaps.cockpit.episode_charts import EpisodeCharts
 from vrcaps.cockpit.episode_scene import EPISODE_COLORS, ESTIMATE_COLOR, EpisodeScene
 from vrcaps.cockpit.gate import Gate
 from vrcaps.cockpit.path_estimate import ALIGNMENTS, PathEstimate, read_path_estimate
-from vrcaps.errors import InputError, VrcapsError
+from vrcaps.core.errors import InputError, VrcapsError
+from vrcaps.core.units import MM
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.pictures import legend, limits_of, picture
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     import viser

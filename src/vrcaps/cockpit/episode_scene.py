@@ -12,10 +12,10 @@ from vrcaps.cockpit.magnet_node import MagnetNode
 from vrcaps.cockpit.page_mesh import coarse_mesh
 from vrcaps.cockpit.patient_node import PatientNode
 from vrcaps.cockpit.scene_nodes import CUT_AXES, Cut, OrganNode, add_capsule, add_path, aim, move
+from vrcaps.core.transforms import transform_points
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.organ.read_organ import read_organ
-from vrcaps.transforms import transform_points
 
 if TYPE_CHECKING:
     import viser

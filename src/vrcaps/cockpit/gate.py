@@ -14,7 +14,7 @@ from http.cookies import CookieError, SimpleCookie
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs, urlsplit
 
-from vrcaps.errors import InputError, require
+from vrcaps.core.errors import InputError, require
 
 if TYPE_CHECKING:
     from websockets.http11 import Request, Response

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.cockpit.scene_nodes import add_shape, move
+from vrcaps.core.units import MM
 from vrcaps.magnet.field import field
 from vrcaps.magnet.field_lines import magnet_lines
 from vrcaps.magnet.sources import Cylinder
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     import viser

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.actuation.steering_program import JoystickCommand, SteeringProgram
-from vrcaps.errors import InputError
-from vrcaps.transforms import vector_from_rotation
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import vector_from_rotation
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -15,7 +15,7 @@ from vrcaps.cockpit.camera_images import CameraImages, LiveImage
 from vrcaps.cockpit.gate import is_loopback
 from vrcaps.cockpit.pace import Pace, listen_to_frame_rates
 from vrcaps.cockpit.seen_wall import SeenWall
-from vrcaps.errors import InputError, VrcapsError
+from vrcaps.core.errors import InputError, VrcapsError
 
 if TYPE_CHECKING:
     import viser

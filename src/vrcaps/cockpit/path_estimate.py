@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.metrics.trajectory import TrajectoryAlignment, aligned_poses
 from vrcaps.motion.replay import read_tum
 from vrcaps.motion.trajectory import resample

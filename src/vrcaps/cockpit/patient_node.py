@@ -8,7 +8,7 @@ import numpy as np
 
 from vrcaps.cockpit.patient_shape import patient_outline
 from vrcaps.cockpit.scene_nodes import move
-from vrcaps.transforms import transform_from, transform_points
+from vrcaps.core.transforms import transform_from, transform_points
 
 if TYPE_CHECKING:
     import viser

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.units import CM
+from vrcaps.core.units import CM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

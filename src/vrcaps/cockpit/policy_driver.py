@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps import rng
+from vrcaps.core import rng
+from vrcaps.core.errors import InputError, VrcapsError
 from vrcaps.env.actuation.magnet import MagnetActuation
 from vrcaps.env.settings import EnvSettings, env_settings
 from vrcaps.env.tasks.navigate import NavigateTask
 from vrcaps.env.vector_env import CapsuleVectorEnv
-from vrcaps.errors import InputError, VrcapsError
 from vrcaps.policy.policy import Policy, read_policy
 from vrcaps.world.schedule import patient_at
 

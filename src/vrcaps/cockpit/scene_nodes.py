@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.cockpit.page_mesh import PageMesh
-from vrcaps.transforms import quaternion_from_matrix
+from vrcaps.core.transforms import quaternion_from_matrix
 
 if TYPE_CHECKING:
     import viser

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.core.transforms import invert
 from vrcaps.metrics.coverage import CoverageCriteria
 from vrcaps.metrics.point_coverage import POINT_LEVELS, mark_points, wall_points
-from vrcaps.transforms import invert
 from vrcaps.world.schedule import patient_at
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from vrcaps.cockpit.clock import Clock
 from vrcaps.cockpit.drive import Drive, make_folder
 from vrcaps.cockpit.operator import Operator
 from vrcaps.cockpit.view import View
-from vrcaps.errors import InputError, UnknownNameError, VrcapsError
+from vrcaps.core.errors import InputError, UnknownNameError, VrcapsError
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.rollout import Rollout
 from vrcaps.recording.source_organ import with_stored_organ

@@ -12,7 +12,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from vrcaps.errors import InputError, require
+from vrcaps.core.errors import InputError, require
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.scenario.scenario import MOST_FRAMES
 

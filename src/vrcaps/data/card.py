@@ -9,6 +9,7 @@ import json
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from vrcaps.config.convert import to_plain
 from vrcaps.data import card_limits
 from vrcaps.data.card_header import configurations, header
 from vrcaps.data.counts import (
@@ -28,7 +29,6 @@ from vrcaps.data.store import Store
 from vrcaps.data.units import Units
 from vrcaps.render.channel_text import file_text, invalid_text, value_text
 from vrcaps.render.channels import CHANNELS
-from vrcaps.serialization import to_plain
 
 CARD = "README.md"
 

@@ -13,16 +13,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from vrcaps.core.files import files_in
+from vrcaps.core.processes import end_with_parent
+from vrcaps.core.temporary_files import scratch_folder
 from vrcaps.data.about import ABOUT
 from vrcaps.data.card import read_plan_of
 from vrcaps.data.ledger import EPISODES, entries, failures
 from vrcaps.data.store import LocalStore, Store, open_store
 from vrcaps.data.stored_files import read_at_once
 from vrcaps.data.units import Units
-from vrcaps.files import files_in
-from vrcaps.processes import end_with_parent
 from vrcaps.recording.check import check_episode
-from vrcaps.temporary_files import scratch_folder
 
 _Entry = Mapping[str, Any]
 

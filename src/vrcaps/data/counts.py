@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+from vrcaps.core.errors import InputError
 from vrcaps.data.about import ABOUT
 from vrcaps.data.ledger import read_entry, whole_units
 from vrcaps.data.store import Store
 from vrcaps.data.stored_files import read_at_once
-from vrcaps.errors import InputError
 from vrcaps.recording.frame_sequence import SPLITS
 
 

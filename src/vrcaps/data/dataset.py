@@ -8,10 +8,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from vrcaps.core.errors import UnknownNameError
 from vrcaps.data.ledger import EPISODES, read_entry, read_plain_plan, whole_units
 from vrcaps.data.store import open_store
 from vrcaps.data.stored_files import episode_files, read_at_once
-from vrcaps.errors import UnknownNameError
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.episode_files import EpisodeFiles
 from vrcaps.recording.frame_sequence import SPLITS, FrameSequence

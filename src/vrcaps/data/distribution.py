@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from vrcaps.errors import InputError, nearest
+from vrcaps.core.errors import InputError, nearest
 
 PROBABILITY = "probability"
 
@@ -171,8 +171,8 @@ class Prevalence:
 
     def draw(self, rng: np.random.Generator) -> list[Plain]:
         """Draw lesions in plain form."""
+        from vrcaps.config.convert import to_plain
         from vrcaps.lesion import AnyLesion, draw_lesions
-        from vrcaps.serialization import to_plain
 
         lesions = draw_lesions(None, rng, exaggerate=float(self.prevalence))
         return to_plain(lesions, tuple[AnyLesion, ...])

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from vrcaps import rng
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core import rng
+from vrcaps.core.errors import import_extra, require
 from vrcaps.data.frame_windows import FrameWindows
-from vrcaps.errors import import_extra, require
-from vrcaps.limits import Range, check_fields
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.limits import Range, check_fields
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.transforms import invert
 from vrcaps.recording.frame_sequence import CAMERA_POSE, FrameSequence
-from vrcaps.transforms import invert
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

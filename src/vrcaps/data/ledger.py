@@ -11,18 +11,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from vrcaps.config.convert import from_plain
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.plain_files import decode_json
+from vrcaps.core.build_info import made_here
+from vrcaps.core.errors import InputError, require
+from vrcaps.core.files import file_sha256, files_in
+from vrcaps.core.names import require_name
 from vrcaps.data.about import ABOUT, about_recording, require_about
 from vrcaps.data.organs import StoredOrgan
 from vrcaps.data.plan import Plan, plan_to_plain
 from vrcaps.data.store import Store
 from vrcaps.data.units import Unit
-from vrcaps.errors import InputError, require
-from vrcaps.files import file_sha256, files_in
-from vrcaps.limits import Range, check_fields
-from vrcaps.made_with import made_here
-from vrcaps.names import require_name
-from vrcaps.plain_files import decode_json
-from vrcaps.serialization import from_plain
 
 PLAN = "plan.json"
 MADE_WITH = "made_with"

@@ -7,6 +7,8 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
+from vrcaps.core.build_info import made_here
+from vrcaps.core.errors import StorageError, require
 from vrcaps.data.card import write_card
 from vrcaps.data.check_plan import check_plan
 from vrcaps.data.ledger import (
@@ -22,8 +24,6 @@ from vrcaps.data.runners.pool import Pool
 from vrcaps.data.runners.runner import Runner
 from vrcaps.data.store import open_store, tidy_staging
 from vrcaps.data.units import Units
-from vrcaps.errors import StorageError, require
-from vrcaps.made_with import made_here
 
 
 @dataclass(frozen=True)

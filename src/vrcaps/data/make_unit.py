@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from vrcaps.core.build_info import made_here
+from vrcaps.core.errors import InputError, StorageError, VrcapsError, reason_of
 from vrcaps.data.ledger import EPISODES, enter, entry_of, is_whole
 from vrcaps.data.organs import organ_entry, store_organ
 from vrcaps.data.plan import Plan
 from vrcaps.data.store import Store, open_store
 from vrcaps.data.units import Unit, Units
-from vrcaps.errors import InputError, StorageError, VrcapsError, reason_of
-from vrcaps.made_with import made_here
 from vrcaps.organ.cache import passing_organs
 
 _WAIT = 0.2
@@ -111,7 +111,7 @@ def make_unit(units: Units, store: Store, number: int) -> None:
         VrcapsError: If it cannot be made.
         OSError: If it cannot be written.
     """
-    from vrcaps.locks import FolderInUseError, file_lock
+    from vrcaps.core.locks import FolderInUseError, file_lock
 
     unit = units[number]
     lock = store.staging(f"{unit.name}.lock")

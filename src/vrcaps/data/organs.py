@@ -13,16 +13,16 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any
 
+from vrcaps.config.convert import from_plain
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.plain_files import decode_json
+from vrcaps.core.errors import InputError, require
 from vrcaps.data.store import Store
-from vrcaps.errors import InputError, require
-from vrcaps.limits import Range, check_fields
 from vrcaps.organ.arrays import organ_sha256
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.organ.write_organ import organ_glb
-from vrcaps.plain_files import decode_json
 from vrcaps.recording.episode_files import LocalFiles
 from vrcaps.recording.layout import SHARED_ORGANS, read_head
-from vrcaps.serialization import from_plain
 
 _ORGAN_FILE = re.compile(rf"{SHARED_ORGANS}/[0-9a-f]{{64}}\.glb")
 

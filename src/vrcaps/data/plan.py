@@ -12,12 +12,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
+from vrcaps.config.convert import from_plain, to_plain
+from vrcaps.config.decimals import as_floats
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.plain_files import read_plain
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.data.distribution import slots
-from vrcaps.decimals import as_floats
-from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.limits import Range, check_fields
-from vrcaps.plain_files import read_plain
-from vrcaps.serialization import from_plain, to_plain
 
 PATIENT_SLOTS = ("organ", "lesions")
 """Keys of a scenario that belong to the patient."""

@@ -16,8 +16,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from vrcaps.errors import InputError, MissingExtraError, StorageError
-from vrcaps.files import files_in
+from vrcaps.core.errors import InputError, MissingExtraError, StorageError
+from vrcaps.core.files import files_in
 from vrcaps.organ.cache import cache_folder
 
 _TRANSFERS = 8

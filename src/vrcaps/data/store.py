@@ -13,10 +13,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Protocol
 
-from vrcaps.errors import StorageError
-from vrcaps.files import sync_folder
-from vrcaps.locks import FolderInUseError, file_lock
-from vrcaps.temporary_files import remove_stale, temporary_beside
+from vrcaps.core.errors import StorageError
+from vrcaps.core.files import sync_folder
+from vrcaps.core.locks import FolderInUseError, file_lock
+from vrcaps.core.temporary_files import remove_stale, temporary_beside
 
 
 class Store(Protocol):

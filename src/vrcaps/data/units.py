@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from vrcaps import rng
 from vrcaps.anatomy.catalog import ORGANS, organ_segments
+from vrcaps.core import rng
+from vrcaps.core.errors import InputError, UnknownNameError, VrcapsError
 from vrcaps.data.distribution import PROBABILITY, Each, Prevalence, slots
 from vrcaps.data.plan import PATIENT_SLOTS, Plan
-from vrcaps.errors import InputError, UnknownNameError, VrcapsError
 from vrcaps.recording.frame_sequence import SPLITS
 from vrcaps.scenario.scenario import OrganGenerated, Scenario, scenario_from_plain
 

@@ -5,7 +5,7 @@ does both. Keyword arguments of `make` are fields of `EnvSettings`; a part is gi
 its settings, as in ``actuation="magnet"`` or ``actuation=MagnetActuation(speed=0.05)``.
 """
 
-from vrcaps.errors import MissingExtraError
+from vrcaps.core.errors import MissingExtraError
 
 try:
     import gymnasium

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.core.transforms import rotate_vectors, transform_points
 from vrcaps.organ.centerline.curve import interpolate
-from vrcaps.transforms import rotate_vectors, transform_points
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

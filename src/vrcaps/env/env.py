@@ -7,10 +7,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from vrcaps.core.errors import require
 from vrcaps.env.episode import Episode
 from vrcaps.env.settings import EnvSettings
 from vrcaps.env.snapshot import EnvSnapshot, restore_snapshot, take_snapshot
-from vrcaps.errors import require
 
 
 class CapsuleEnv(gymnasium.Env):

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vrcaps.core.errors import InputError, require
 from vrcaps.env.organs import check_names
 from vrcaps.env.rewards import frontier_length, total_reward
 from vrcaps.env.simulation import Simulation
 from vrcaps.env.views import View
-from vrcaps.errors import InputError, require
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float

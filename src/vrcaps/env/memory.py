@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 
 
 class Memory:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from vrcaps.anatomy.catalog import ORGANS
-from vrcaps.errors import InputError, UnknownNameError, require
+from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.scenario.scenario import OrganFile, OrganGenerated, Scenario, organ_named
 

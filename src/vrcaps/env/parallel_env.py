@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium.utils import seeding
 
+from vrcaps.core.errors import InputError, MissingExtraError
 from vrcaps.env.episode import Episode, EpisodeStep
 from vrcaps.env.settings import EnvSettings
-from vrcaps.errors import InputError, MissingExtraError
 
 try:
     from pettingzoo import ParallelEnv

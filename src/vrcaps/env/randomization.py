@@ -11,7 +11,7 @@ import numpy as np
 
 from vrcaps.camera.derive import scaled_lens
 from vrcaps.camera_pipeline.effects import Effects, parse_effects
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.spring_wall import SpringWall
 

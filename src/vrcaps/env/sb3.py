@@ -9,8 +9,8 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
+from vrcaps.core.errors import MissingExtraError, require
 from vrcaps.env.vector_env import CapsuleVectorEnv
-from vrcaps.errors import MissingExtraError, require
 
 try:
     from stable_baselines3.common.vec_env import VecEnv

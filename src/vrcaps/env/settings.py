@@ -6,6 +6,8 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Annotated, Any, Literal, get_args
 
 from vrcaps.capsule.device import Device
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.env.actuation.registry import AnyActuation
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.observations.registry import AnyObservation
@@ -16,10 +18,8 @@ from vrcaps.env.rewards import Reward
 from vrcaps.env.start import Start
 from vrcaps.env.tasks.coverage import CoverageTask
 from vrcaps.env.tasks.registry import AnyTask
-from vrcaps.errors import InputError, UnknownNameError, require
 from vrcaps.lesion import AnyLesion
 from vrcaps.lesion.registry import parse_lesion
-from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.coverage import CoverageCriteria
 from vrcaps.scenario.scenario import OrganGenerated
 from vrcaps.tissue.tissue import Tissue

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.capsule.catalog import device_of
+from vrcaps.core.transforms import invert
+from vrcaps.core.units import CM
 from vrcaps.env.course import Course
 from vrcaps.env.located_capsules import LocatedCapsules
 from vrcaps.env.memory import Memory
@@ -16,8 +18,6 @@ from vrcaps.env.snapshot import WorldSnapshot
 from vrcaps.env.views import Views
 from vrcaps.metrics.coverage import CoverageLevel
 from vrcaps.metrics.point_coverage import POINT_LEVELS, mark_points
-from vrcaps.transforms import invert
-from vrcaps.units import CM
 from vrcaps.world.control import Control
 from vrcaps.world.model import State, posture_transform
 from vrcaps.world.stepping import step_together

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps._core import __version__
-from vrcaps.errors import InputError, reading, require
-from vrcaps.files import read_arrays, write_arrays
+from vrcaps.core.errors import InputError, reading, require
+from vrcaps.core.files import read_arrays, write_arrays
 from vrcaps.world.snapshot import Snapshot, snapshot_arrays, snapshot_from_arrays
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import numpy as np
 
-from vrcaps.errors import InputError
-from vrcaps.limits import Range, check_fields
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError
 from vrcaps.motion.start_pose import start_pose
 from vrcaps.world.model import Model, State
 

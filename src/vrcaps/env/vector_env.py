@@ -12,10 +12,10 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
+from vrcaps.core.errors import InputError, require
 from vrcaps.env.episode import Episode, EpisodeStep
 from vrcaps.env.settings import EnvSettings
 from vrcaps.env.snapshot import EnvSnapshot, restore_snapshot, take_snapshot
-from vrcaps.errors import InputError, require
 
 
 class CapsuleVectorEnv(gymnasium.vector.VectorEnv):

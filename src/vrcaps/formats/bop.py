@@ -20,8 +20,11 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.errors import InputError
-from vrcaps.files import write_bytes, write_json
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import write_bytes, write_json
+from vrcaps.core.transforms import invert
+from vrcaps.core.units import MM
 from vrcaps.formats.folders import write_names
 from vrcaps.formats.format import Needs
 from vrcaps.formats.frame_files import write_times
@@ -29,11 +32,8 @@ from vrcaps.formats.intrinsics import matrix_of, plain_pinhole
 from vrcaps.formats.lesion_models import LesionModel, lesion_models
 from vrcaps.formats.read_bop import SCENE_CAMERA, SCENE_GT, read_bop
 from vrcaps.formats.stored_images import stored_steps
-from vrcaps.limits import Range, check_fields
 from vrcaps.recording.image_files import write_images
 from vrcaps.recording.stored_organ import organ_name
-from vrcaps.transforms import invert
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float

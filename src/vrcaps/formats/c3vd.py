@@ -21,8 +21,11 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import numpy as np
 
 from vrcaps.camera.lens import LensPinhole, LensScaramuzza
-from vrcaps.errors import InputError
-from vrcaps.files import write_bytes
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import write_bytes
+from vrcaps.core.names import listed
+from vrcaps.core.units import MM
 from vrcaps.formats import c3vd_cameras as cameras
 from vrcaps.formats.folders import each_folder, folder_name, found_folders, new_folder
 from vrcaps.formats.format import Needs
@@ -36,12 +39,9 @@ from vrcaps.formats.frame_files import (
 )
 from vrcaps.formats.intrinsics import plain_pinhole
 from vrcaps.formats.stored_images import read_numbers, read_plane, read_rgb, write_tiff
-from vrcaps.limits import Range, check_fields
-from vrcaps.names import listed
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.recording.image_files import write_images
 from vrcaps.render.encoding import fixed_point
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -13,12 +13,12 @@ from pathlib import Path
 
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole, LensScaramuzza
-from vrcaps.errors import InputError
-from vrcaps.files import write_bytes
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import write_bytes
+from vrcaps.core.units import MM
 from vrcaps.formats.intrinsics import nearest_file, read_text_numbers
 from vrcaps.formats.stored_images import image_size
 from vrcaps.formats.yaml_files import numbers_of, read_yaml
-from vrcaps.units import MM
 
 OMNIDIRECTIONAL, PINHOLE = "*omnidirectional_values.txt", "*pinhole_values.txt"
 ENDOGSLAM, PPSNET = "c3vd.yaml", "camera.txt"

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.errors import UnknownNameError
-from vrcaps.files import write_bytes
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import UnknownNameError
+from vrcaps.core.files import write_bytes
 from vrcaps.formats.folders import folder_name
 from vrcaps.formats.format import Needs
 from vrcaps.formats.mask_outlines import outlines, run_lengths
 from vrcaps.formats.read_coco import read_coco
-from vrcaps.limits import Range, check_fields
 from vrcaps.recording.image_files import write_images
 
 if TYPE_CHECKING:

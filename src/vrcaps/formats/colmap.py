@@ -16,24 +16,24 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import numpy as np
 
 from vrcaps.camera.camera import Camera
-from vrcaps.errors import InputError
-from vrcaps.files import write_bytes
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import write_bytes
+from vrcaps.core.names import inside
+from vrcaps.core.transforms import (
+    invert,
+    matrix_from_unit_quaternion,
+    quaternion_from_matrix,
+    transform_from,
+)
 from vrcaps.formats.folders import each_rig, found_folders
 from vrcaps.formats.format import Needs
 from vrcaps.formats.frame_files import image_loader, read_times, write_times
 from vrcaps.formats.opencv_lens import HALF, MODELS, OPENCV_LENSES, lens_of, opencv_model
 from vrcaps.formats.seen_points import SeenPoints, seen_points
 from vrcaps.formats.stored_images import read_rgb
-from vrcaps.limits import Range, check_fields
-from vrcaps.names import inside
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.recording.image_files import write_images
-from vrcaps.transforms import (
-    invert,
-    matrix_from_unit_quaternion,
-    quaternion_from_matrix,
-    transform_from,
-)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

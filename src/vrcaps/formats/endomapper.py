@@ -23,8 +23,11 @@ import numpy as np
 
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.errors import InputError
-from vrcaps.files import write_bytes
+from vrcaps.config.limits import check_fields
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import write_bytes
+from vrcaps.core.names import listed
+from vrcaps.core.units import DM
 from vrcaps.formats.exr_files import read_exr, write_exr
 from vrcaps.formats.folders import each_folder, found_folders
 from vrcaps.formats.format import Needs
@@ -32,11 +35,8 @@ from vrcaps.formats.frame_files import by_number, image_loader, matched
 from vrcaps.formats.intrinsics import plain_pinhole
 from vrcaps.formats.stored_images import read_rgb
 from vrcaps.formats.unity import frames_with_poses, recorder_text
-from vrcaps.limits import check_fields
-from vrcaps.names import listed
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.recording.image_files import write_images
-from vrcaps.units import DM
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -18,8 +18,11 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import numpy as np
 
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.errors import InputError
-from vrcaps.files import write_bytes
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import write_bytes
+from vrcaps.core.names import listed
+from vrcaps.core.units import DM, MM
 from vrcaps.formats.folders import each_folder, folder_name, found_folders
 from vrcaps.formats.format import Needs
 from vrcaps.formats.frame_files import by_number, image_loader, images_in, matched, read_times
@@ -32,12 +35,9 @@ from vrcaps.formats.stored_images import (
     write_rgba,
 )
 from vrcaps.formats.unity import frames_with_poses, recorder_text
-from vrcaps.limits import Range, check_fields
-from vrcaps.names import listed
 from vrcaps.recording.frame_sequence import TIME, FrameSequence
 from vrcaps.recording.image_files import write_images
 from vrcaps.render.encoding import fixed_point
-from vrcaps.units import DM, MM
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -19,8 +19,9 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from vrcaps.camera.camera import Camera
-from vrcaps.errors import InputError
-from vrcaps.files import write_bytes
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import write_bytes
+from vrcaps.core.names import inside, listed
 from vrcaps.formats.folders import each_folder, found_folders
 from vrcaps.formats.format import Needs
 from vrcaps.formats.frame_files import image_loader
@@ -36,7 +37,6 @@ from vrcaps.formats.timed_rows import (
     read_table,
 )
 from vrcaps.formats.yaml_files import numbers_of, read_yaml, yaml_list
-from vrcaps.names import inside, listed
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.recording.image_files import write_images
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from vrcaps.files import atomic_folder
+from vrcaps.core.files import atomic_folder
 from vrcaps.formats.format import Format, require_needs
 from vrcaps.recording.frame_sequence import FrameSequence
 

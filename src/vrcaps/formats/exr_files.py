@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.errors import InputError, import_extra, reading
-from vrcaps.files import atomic_write
+from vrcaps.core.errors import InputError, import_extra, reading
+from vrcaps.core.files import atomic_write
 from vrcaps.recording.image_files import require_pixels
 
 if TYPE_CHECKING:

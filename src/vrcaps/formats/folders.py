@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from vrcaps.errors import InputError
-from vrcaps.files import write_json
-from vrcaps.names import inside, listed
-from vrcaps.plain_files import read_plain
+from vrcaps.config.convert import from_plain
+from vrcaps.config.plain_files import read_plain
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import write_json
+from vrcaps.core.names import inside, listed
 from vrcaps.recording.frame_sequence import SPLITS, FrameSequence
-from vrcaps.serialization import from_plain
 
 _NAMES = "sequences.json"
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Protocol
 
 from vrcaps.camera.lens import AnyLens
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.recording.frame_sequence import CAMERA_POSE, FrameSequence
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.camera.lens import LensEquidistant, LensKannalaBrandt, LensPinhole
+from vrcaps.core.transforms import quaternion_from_matrix
 from vrcaps.formats.opencv_lens import require_no_skew
-from vrcaps.transforms import quaternion_from_matrix
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

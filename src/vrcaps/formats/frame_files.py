@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError
-from vrcaps.files import write_bytes
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import write_bytes
+from vrcaps.core.names import listed
 from vrcaps.formats.folders import read_rows
 from vrcaps.formats.stored_images import IMAGES
-from vrcaps.names import listed
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -16,8 +16,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from vrcaps.errors import InputError
-from vrcaps.files import write_bytes
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import write_bytes
+from vrcaps.core.names import listed
 from vrcaps.formats.format import Needs
 from vrcaps.formats.samples import (
     Sample,
@@ -31,8 +33,6 @@ from vrcaps.formats.samples import (
     sequences_from,
     suffix,
 )
-from vrcaps.limits import Range, check_fields
-from vrcaps.names import listed
 from vrcaps.recording.parquet_files import open_parquet
 from vrcaps.render.channels import CHANNELS
 

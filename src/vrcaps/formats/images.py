@@ -16,15 +16,15 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.errors import InputError
-from vrcaps.files import write_bytes
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import write_bytes
+from vrcaps.core.names import inside, listed
+from vrcaps.core.narrow import narrow
 from vrcaps.formats.folders import folder_name
 from vrcaps.formats.format import Needs
 from vrcaps.formats.frame_files import image_loader
 from vrcaps.formats.stored_images import IMAGES, read_plane, read_rgb
-from vrcaps.limits import Range, check_fields
-from vrcaps.names import inside, listed
-from vrcaps.narrow import narrow
 from vrcaps.recording.frame_sequence import SPLITS, TIME, FrameSequence
 from vrcaps.recording.image_files import write_images
 from vrcaps.recording.shown_lesion import lesion_instances, shown_lesion

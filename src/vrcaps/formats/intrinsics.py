@@ -14,9 +14,9 @@ import numpy as np
 
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.names import listed
 from vrcaps.formats.stored_images import image_size
-from vrcaps.names import listed
 
 if TYPE_CHECKING:
     from jaxtyping import Float

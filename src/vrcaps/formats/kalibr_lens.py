@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from vrcaps.camera.lens import AnyLens, LensEquidistant, LensKannalaBrandt, LensPinhole
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.formats.opencv_lens import OPENCV_LENSES as KALIBR_LENSES
 from vrcaps.formats.opencv_lens import require_no_skew
 

@@ -17,8 +17,10 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.errors import InputError
-from vrcaps.files import write_bytes
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import write_bytes
+from vrcaps.core.names import listed
+from vrcaps.core.transforms import transform_from
 from vrcaps.formats.folders import found_folders, read_rows, with_names, write_names
 from vrcaps.formats.format import Needs
 from vrcaps.formats.frame_files import (
@@ -32,10 +34,8 @@ from vrcaps.formats.frame_files import (
 )
 from vrcaps.formats.intrinsics import camera_of, matrix_of, plain_pinhole
 from vrcaps.formats.stored_images import read_rgb
-from vrcaps.names import listed
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.recording.image_files import write_images
-from vrcaps.transforms import transform_from
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -18,8 +18,10 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.errors import InputError
-from vrcaps.files import write_bytes, write_json
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import write_bytes, write_json
+from vrcaps.core.names import inside, listed
 from vrcaps.formats.folders import recordings
 from vrcaps.formats.format import Needs
 from vrcaps.formats.lerobot_rows import (
@@ -35,8 +37,6 @@ from vrcaps.formats.lerobot_rows import (
     task_of,
 )
 from vrcaps.formats.lerobot_tables import write_episodes, write_frames, write_tasks
-from vrcaps.limits import Range, check_fields
-from vrcaps.names import inside, listed
 from vrcaps.recording.frame_sequence import SPLITS
 from vrcaps.recording.layout import camera_to_plain
 from vrcaps.recording.preview import Preview

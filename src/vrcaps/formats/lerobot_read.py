@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.errors import InputError, reading
+from vrcaps.config.plain_files import read_plain
+from vrcaps.core.errors import InputError, reading
+from vrcaps.core.names import inside, listed
+from vrcaps.core.transforms import matrix_from_unit_quaternion, transform_from
 from vrcaps.formats.lerobot import DEPTH, EPISODES, IMAGES, INFO, NAMES
 from vrcaps.formats.lerobot_rows import STATE
 from vrcaps.formats.lerobot_tables import read_rows
 from vrcaps.formats.stored_images import decoded_rgb
-from vrcaps.names import inside, listed
-from vrcaps.plain_files import read_plain
 from vrcaps.recording.frame_sequence import CAMERA_POSE, SPLITS, TIME, FrameSequence
 from vrcaps.recording.image_files import require_pixels
 from vrcaps.recording.layout import camera_from_plain
 from vrcaps.recording.parquet_files import open_parquet
 from vrcaps.recording.table import POSE_COLUMNS
-from vrcaps.transforms import matrix_from_unit_quaternion, transform_from
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

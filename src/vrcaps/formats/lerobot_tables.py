@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.files import write_bytes
+from vrcaps.core.files import write_bytes
 from vrcaps.recording.parquet_files import open_parquet
 
 if TYPE_CHECKING:

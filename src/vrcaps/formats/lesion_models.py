@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps._core import Wall
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import invert, transform_from, transform_points
+from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import vertex_normals, wall_of
 from vrcaps.metrics.point_coverage import octahedral_directions
 from vrcaps.organ.surface import face_label
 from vrcaps.recording.stored_organ import read_stored_organ
-from vrcaps.transforms import invert, transform_from, transform_points
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

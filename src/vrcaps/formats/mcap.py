@@ -23,23 +23,23 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.errors import InputError, import_extra, reading
-from vrcaps.files import MOST_BYTES
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.plain_files import decode_json
+from vrcaps.core.errors import InputError, import_extra, reading
+from vrcaps.core.files import MOST_BYTES
+from vrcaps.core.names import inside, listed
+from vrcaps.core.transforms import matrix_from_unit_quaternion, transform_from
 from vrcaps.formats import foxglove_schemas as foxglove
 from vrcaps.formats.folders import recordings, split_of
 from vrcaps.formats.format import Needs
 from vrcaps.formats.opencv_lens import OPENCV_LENSES
 from vrcaps.formats.stored_images import decoded_rgb, jpeg_bytes
-from vrcaps.limits import Range, check_fields
 from vrcaps.motion.dynamics_columns import MAGNET_COLUMNS
-from vrcaps.names import inside, listed
 from vrcaps.organ.arrays import json_safe
-from vrcaps.plain_files import decode_json
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.recording.layout import camera_from_plain, camera_to_plain
 from vrcaps.recording.table import POSE_COLUMNS
 from vrcaps.render.channels import CHANNELS
-from vrcaps.transforms import matrix_from_unit_quaternion, transform_from
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

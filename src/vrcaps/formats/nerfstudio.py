@@ -20,18 +20,18 @@ import numpy as np
 
 from vrcaps.camera.camera import Camera, camera_rays
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.errors import InputError
-from vrcaps.files import write_json
+from vrcaps.config.plain_files import read_plain
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import write_json
+from vrcaps.core.names import inside
+from vrcaps.core.units import MM
 from vrcaps.formats.folders import each_rig, found_folders
 from vrcaps.formats.format import Needs
 from vrcaps.formats.frame_files import image_loader, read_times, write_times
 from vrcaps.formats.opencv_lens import OPENCV_LENSES, lens_of, opencv_model
 from vrcaps.formats.stored_images import read_numbers, read_rgb
-from vrcaps.names import inside
-from vrcaps.plain_files import read_plain
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.recording.image_files import write_images
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from vrcaps.camera.lens import AnyLens, LensEquidistant, LensKannalaBrandt, LensPinhole
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
 
 OPENCV_LENSES = (LensPinhole, LensKannalaBrandt, LensEquidistant)
 """Lenses supported by these models."""

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.errors import InputError
+from vrcaps.config.plain_files import read_plain
+from vrcaps.core.errors import InputError
+from vrcaps.core.narrow import narrow
+from vrcaps.core.transforms import invert, transform_from
+from vrcaps.core.units import MM
 from vrcaps.formats.folders import found_folders, with_names
 from vrcaps.formats.frame_files import by_number, images_in, matched, read_times
 from vrcaps.formats.intrinsics import camera_of
 from vrcaps.formats.stored_images import read_plane, read_rgb
-from vrcaps.narrow import narrow
-from vrcaps.plain_files import read_plain
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
-from vrcaps.transforms import invert, transform_from
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

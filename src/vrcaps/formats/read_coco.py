@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.errors import InputError
+from vrcaps.config.plain_files import read_plain
+from vrcaps.core.errors import InputError
+from vrcaps.core.names import inside, listed
+from vrcaps.core.narrow import narrow
 from vrcaps.formats.mask_outlines import mask_of
 from vrcaps.formats.stored_images import read_rgb
-from vrcaps.names import inside, listed
-from vrcaps.narrow import narrow
-from vrcaps.plain_files import read_plain
 from vrcaps.recording.frame_sequence import SPLITS, TIME, FrameSequence
 from vrcaps.recording.image_files import require_pixels
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from vrcaps.errors import InputError, UnknownNameError, reading
+from vrcaps.core.errors import InputError, UnknownNameError, reading
+from vrcaps.core.names import require_links_inside
 from vrcaps.formats.registry import format_named
-from vrcaps.names import require_links_inside
 from vrcaps.recording.frame_sequence import FrameSequence
 
 

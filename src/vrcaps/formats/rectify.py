@@ -28,8 +28,8 @@ import numpy as np
 from vrcaps.camera.camera import Camera, camera_rays, in_image, pixel_grid, project_points
 from vrcaps.camera.derive import focal_length_px
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.color import linear_from_srgb, srgb_from_linear
-from vrcaps.errors import InputError, require
+from vrcaps.core.color import linear_from_srgb, srgb_from_linear
+from vrcaps.core.errors import InputError, require
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.render.channels import CHANNELS
 

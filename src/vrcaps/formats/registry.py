@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from vrcaps.errors import UnknownNameError
+from vrcaps.core.errors import UnknownNameError
 
 if TYPE_CHECKING:
     from vrcaps.formats.format import Format

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.errors import InputError, reading
+from vrcaps.core.errors import InputError, reading
 from vrcaps.formats.folders import folder_name
 from vrcaps.organ.arrays import json_safe
 from vrcaps.recording.frame_sequence import FrameSequence

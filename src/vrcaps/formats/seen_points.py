@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps import rng
 from vrcaps.camera.camera import in_image, pixel_grid, project_points, unproject_pixels
+from vrcaps.core import rng
+from vrcaps.core.transforms import invert, transform_points
 from vrcaps.recording.frame_sequence import FrameSequence
-from vrcaps.transforms import invert, transform_points
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int, UInt8

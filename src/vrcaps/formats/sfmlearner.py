@@ -20,8 +20,12 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import numpy as np
 
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.errors import InputError
-from vrcaps.files import write_bytes
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import write_bytes
+from vrcaps.core.names import listed
+from vrcaps.core.transforms import transform_from
+from vrcaps.core.units import LENGTH_UNITS
 from vrcaps.formats.folders import folder_name, found_folders, new_folder, read_rows
 from vrcaps.formats.format import Needs
 from vrcaps.formats.frame_files import (
@@ -34,13 +38,9 @@ from vrcaps.formats.frame_files import (
 )
 from vrcaps.formats.intrinsics import matrix_text, plain_pinhole, read_matrix_camera
 from vrcaps.formats.stored_images import read_numbers, read_rgb, write_jpeg
-from vrcaps.limits import Range, check_fields
-from vrcaps.names import listed
 from vrcaps.recording.frame_sequence import CAMERA_POSE, SPLITS, TIME, FrameSequence
 from vrcaps.recording.image_files import write_images
 from vrcaps.render.encoding import fixed_point
-from vrcaps.transforms import transform_from
-from vrcaps.units import LENGTH_UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -18,7 +18,11 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import numpy as np
 
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.files import write_bytes
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.files import write_bytes
+from vrcaps.core.names import listed
+from vrcaps.core.narrow import narrow
+from vrcaps.core.units import CM
 from vrcaps.formats.folders import found_folders, read_rows, with_names, write_names
 from vrcaps.formats.format import Needs
 from vrcaps.formats.frame_files import (
@@ -32,13 +36,9 @@ from vrcaps.formats.frame_files import (
 from vrcaps.formats.intrinsics import matrix_text, nearest_file, plain_pinhole, read_matrix_camera
 from vrcaps.formats.stored_images import read_plane, read_rgb
 from vrcaps.formats.unity import poses_from_unity, unity_from_poses
-from vrcaps.limits import Range, check_fields
-from vrcaps.names import listed
-from vrcaps.narrow import narrow
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.recording.image_files import write_images
 from vrcaps.render.encoding import fixed_point
-from vrcaps.units import CM
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

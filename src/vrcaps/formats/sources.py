@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from vrcaps.core.errors import InputError
+from vrcaps.core.names import listed
 from vrcaps.data.ledger import PLAN
 from vrcaps.data.sequences import sequences_of
-from vrcaps.errors import InputError
 from vrcaps.formats.images import Images
 from vrcaps.formats.read_format import read_format
 from vrcaps.formats.registry import FORMATS
 from vrcaps.formats.stored_images import IMAGES
-from vrcaps.names import listed
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.recording.layout import EPISODE_JSON
 

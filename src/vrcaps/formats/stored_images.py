@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.errors import InputError, MissingExtraError, reading
-from vrcaps.files import write_bytes
+from vrcaps.core.errors import InputError, MissingExtraError, reading
+from vrcaps.core.files import write_bytes
 from vrcaps.recording.image_files import MOST_PIXELS, decode_image, require_pixels
 
 if TYPE_CHECKING:

@@ -8,10 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.narrow import narrow
+from vrcaps.core.transforms import (
+    matrix_from_unit_quaternion,
+    quaternion_from_matrix,
+    transform_from,
+)
 from vrcaps.motion.trajectory_files import quaternion_order
-from vrcaps.narrow import narrow
-from vrcaps.transforms import matrix_from_unit_quaternion, quaternion_from_matrix, transform_from
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

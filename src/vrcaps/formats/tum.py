@@ -17,22 +17,22 @@ import numpy as np
 
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.errors import InputError, require
-from vrcaps.files import write_bytes
-from vrcaps.formats.folders import each_folder, found_folders, read_rows
-from vrcaps.formats.format import Needs
-from vrcaps.formats.stored_images import image_size, read_plane, read_rgb, stored_steps
-from vrcaps.formats.timed_rows import nearest_rows
-from vrcaps.limits import Range, check_fields
-from vrcaps.motion.trajectory_files import tum_rows
-from vrcaps.names import inside
-from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
-from vrcaps.recording.image_files import write_images
-from vrcaps.transforms import (
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError, require
+from vrcaps.core.files import write_bytes
+from vrcaps.core.names import inside
+from vrcaps.core.transforms import (
     matrix_from_unit_quaternion,
     quaternion_from_matrix,
     transform_from,
 )
+from vrcaps.formats.folders import each_folder, found_folders, read_rows
+from vrcaps.formats.format import Needs
+from vrcaps.formats.stored_images import image_size, read_plane, read_rgb, stored_steps
+from vrcaps.formats.timed_rows import nearest_rows
+from vrcaps.motion.trajectory_files import tum_rows
+from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
+from vrcaps.recording.image_files import write_images
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -14,10 +14,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import (
+    matrix_from_unit_quaternion,
+    quaternion_from_matrix,
+    transform_from,
+)
 from vrcaps.motion.trajectory_files import WORLD_FROM_Y_UP, Y_UP_CAMERA_FROM_CAMERA
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME
-from vrcaps.transforms import matrix_from_unit_quaternion, quaternion_from_matrix, transform_from
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -17,8 +17,10 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 
 from vrcaps.camera.camera import Camera
-from vrcaps.errors import InputError
-from vrcaps.files import write_bytes
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import write_bytes
+from vrcaps.core.names import inside
 from vrcaps.formats.folders import each_folder, found_folders
 from vrcaps.formats.format import Needs
 from vrcaps.formats.frame_files import image_loader
@@ -34,8 +36,6 @@ from vrcaps.formats.timed_rows import (
     read_table,
 )
 from vrcaps.formats.yaml_files import numbers_of, read_yaml, yaml_list
-from vrcaps.limits import Range, check_fields
-from vrcaps.names import inside
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.recording.image_files import write_images
 from vrcaps.render.encoding import fixed_point

@@ -16,9 +16,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from vrcaps import rng
-from vrcaps.errors import InputError, reading
-from vrcaps.files import atomic_write
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.plain_files import decode_json
+from vrcaps.core import rng
+from vrcaps.core.errors import InputError, reading
+from vrcaps.core.files import atomic_write
+from vrcaps.core.names import listed
 from vrcaps.formats.format import Needs
 from vrcaps.formats.samples import (
     Sample,
@@ -31,9 +34,6 @@ from vrcaps.formats.samples import (
     sequences_from,
     suffix,
 )
-from vrcaps.limits import Range, check_fields
-from vrcaps.names import listed
-from vrcaps.plain_files import decode_json
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

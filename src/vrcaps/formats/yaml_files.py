@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from vrcaps.errors import InputError, import_extra
+from vrcaps.core.errors import InputError, import_extra
 
 
 def read_yaml(path: Path) -> dict[str, Any]:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 
-from vrcaps.errors import InputError, require
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError, require
 from vrcaps.learn.fit import Fit
 from vrcaps.learn.learner import (
     MOST_CLASSES,
@@ -24,7 +25,6 @@ from vrcaps.learn.learner import (
 )
 from vrcaps.learn.networks import ENCODER, classifier, require_torch
 from vrcaps.learn.overlays import Overlay, tissue_mask
-from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.classification import accuracy, confusion_matrix, f1_scores, matthews, roc_auc
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.recording.shown_lesion import NORMAL, shown_lesion

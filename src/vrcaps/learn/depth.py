@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 
-from vrcaps.errors import InputError
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError
 from vrcaps.learn.fit import Fit, require_size
 from vrcaps.learn.learner import (
     MOST_SIZE,
@@ -34,7 +35,6 @@ from vrcaps.learn.learner import (
 )
 from vrcaps.learn.networks import ENCODER, dense_network, require_torch
 from vrcaps.learn.picture_border import input_image, view_of
-from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.depth import depth_errors, mean_depth_errors
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.render.channels import CHANNELS

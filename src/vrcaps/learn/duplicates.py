@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.learn.samples import Samples
 
 if TYPE_CHECKING:

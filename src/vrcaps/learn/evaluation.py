@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from vrcaps.errors import InputError
-from vrcaps.files import write_json
-from vrcaps.plain_files import read_plain
+from vrcaps.config.plain_files import read_plain
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import write_json
 
 EVALUATION = "evaluation.json"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.learn.masks import LESION, MaskLearner
 from vrcaps.learn.networks import ENCODER, with_inputs
 from vrcaps.learn.published import find_weights

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.errors import require
+from vrcaps.core.errors import require
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int, UInt8

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 
-from vrcaps.errors import InputError, require
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError, require
 from vrcaps.learn.fit import Fit, require_size
 from vrcaps.learn.learner import (
     MOST_CLASSES,
@@ -27,7 +28,6 @@ from vrcaps.learn.learner import (
 )
 from vrcaps.learn.networks import ENCODER, dense_network, require_torch
 from vrcaps.lesion.registry import LESIONS
-from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.masks import boundary_f_score, dice, iou
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.recording.shown_lesion import lesion_instances

@@ -13,12 +13,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
+from vrcaps.config.convert import to_plain
 from vrcaps.learn.evaluation import Evaluation
 from vrcaps.learn.learner import INPUTS
 from vrcaps.learn.published import PublishedWeights
 from vrcaps.learn.registry import AnyLearner
 from vrcaps.learn.training import TrainSettings
-from vrcaps.serialization import to_plain
 
 _NOTES = "<!-- Below is written by hand; it stays when the weights are published again. -->"
 

@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from vrcaps.errors import InputError, UnknownNameError, import_extra
+from vrcaps.core.errors import InputError, UnknownNameError, import_extra
 
 ENCODER = "tf_efficientnet_lite0"
 """EfficientNet-Lite0: 3.4 million parameters in the encoder, fast on CPUs. Its ImageNet weights

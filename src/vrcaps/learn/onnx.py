@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from vrcaps import rng
-from vrcaps.errors import import_extra
-from vrcaps.files import atomic_write
+from vrcaps.config.convert import to_plain
+from vrcaps.core import rng
+from vrcaps.core.errors import import_extra
+from vrcaps.core.files import atomic_write
 from vrcaps.learn.learner import INPUTS
 from vrcaps.learn.networks import require_torch
 from vrcaps.learn.super_resolution import SuperResolutionLearner
 from vrcaps.learn.weights import Trained
-from vrcaps.serialization import to_plain
 
 _OUTPUT = "output"
 

@@ -16,8 +16,8 @@ import scipy
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.derive import scaled_lens
 from vrcaps.camera.lens import LensEquidistant
-from vrcaps.color import linear_from_srgb, srgb_from_linear
-from vrcaps.errors import InputError
+from vrcaps.core.color import linear_from_srgb, srgb_from_linear
+from vrcaps.core.errors import InputError
 from vrcaps.recording.frame_sequence import EXPOSURE
 
 if TYPE_CHECKING:

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.capsule.catalog import read_device
-from vrcaps.errors import InputError, reason_of
-from vrcaps.files import atomic_folder, write_bytes, write_csv
+from vrcaps.core.errors import InputError, reason_of
+from vrcaps.core.files import atomic_folder, write_bytes, write_csv
+from vrcaps.core.names import inside
 from vrcaps.formats.images import file_name
 from vrcaps.formats.sources import read_source
 from vrcaps.formats.tum import trajectory_text
@@ -25,7 +26,6 @@ from vrcaps.learn.samples import batch_of
 from vrcaps.learn.sfm import SfmLearner, estimated_trajectory
 from vrcaps.learn.validation import below_one_another
 from vrcaps.learn.weights import Trained
-from vrcaps.names import inside
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.recording.image_files import write_images
 

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from vrcaps.errors import UnknownNameError
+from vrcaps.config.convert import from_plain, to_plain
+from vrcaps.core.errors import UnknownNameError
 from vrcaps.learn.classes import ClassLearner
 from vrcaps.learn.first_network import SCRATCH
 from vrcaps.learn.registry import AnyLearner
 from vrcaps.learn.super_resolution import SuperResolutionLearner
 from vrcaps.learn.training import TrainSettings
 from vrcaps.scenario.settings import changed, parse_change
-from vrcaps.serialization import from_plain, to_plain
 
 _ENDO_L2H: dict[str, Any] = {
     "size": 1024,

@@ -8,10 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from vrcaps.config.convert import from_plain
+from vrcaps.config.plain_files import read_plain
+from vrcaps.core.errors import InputError, VrcapsError, require
+from vrcaps.core.files import file_sha256, write_bytes
 from vrcaps.data.ledger import read_plain_plan
 from vrcaps.data.store import open_store
-from vrcaps.errors import InputError, VrcapsError, require
-from vrcaps.files import file_sha256, write_bytes
 from vrcaps.formats.registry import FORMATS
 from vrcaps.learn.evaluation import Evaluation, read_evaluation
 from vrcaps.learn.model_card import Training, card_text, notes_of
@@ -20,9 +22,7 @@ from vrcaps.learn.registry import AnyLearner
 from vrcaps.learn.responses import require_responses
 from vrcaps.learn.training import BEST, PROGRESS, TrainSettings
 from vrcaps.learn.weights import Trained, read_weights
-from vrcaps.plain_files import read_plain
-from vrcaps.serialization import from_plain
-from vrcaps.training_folder import SETTINGS
+from vrcaps.training.folder import SETTINGS
 
 MOST_BYTES = 25 * 10**6
 """Maximum size of a published file."""

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from vrcaps.config.convert import from_plain, to_plain
+from vrcaps.config.plain_files import decode_json
+from vrcaps.core.errors import InputError, StorageError, UnknownNameError, require
+from vrcaps.core.files import file_sha256, write_bytes, write_json
 from vrcaps.data.store import open_store
-from vrcaps.errors import InputError, StorageError, UnknownNameError, require
-from vrcaps.files import file_sha256, write_bytes, write_json
 from vrcaps.organ.cache import cache_folder
-from vrcaps.plain_files import decode_json
-from vrcaps.serialization import from_plain, to_plain
 
 INDEX, VARIABLE, SUFFIX = "index.json", "VRCAPS_WEIGHTS", ".safetensors"
 _FORMAT = "vrcaps-published/1"

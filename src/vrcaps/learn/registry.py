@@ -2,7 +2,7 @@
 
 from typing import TypeAlias
 
-from vrcaps.errors import UnknownNameError
+from vrcaps.core.errors import UnknownNameError
 from vrcaps.learn.classes import ClassLearner
 from vrcaps.learn.depth import DepthLearner
 from vrcaps.learn.masks import MaskLearner

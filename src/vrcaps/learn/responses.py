@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps import rng
 from vrcaps.capsule.catalog import read_device
-from vrcaps.errors import InputError
+from vrcaps.core import rng
+from vrcaps.core.errors import InputError
 from vrcaps.learn.fit import Fit
 from vrcaps.learn.learner import Sample
 from vrcaps.learn.networks import require_torch

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps import rng
-from vrcaps.errors import InputError, reason_of
+from vrcaps.core import rng
+from vrcaps.core.errors import InputError, reason_of
 from vrcaps.learn.classes import ClassLearner
 from vrcaps.learn.learner import Batch, Learner, Sample
 from vrcaps.learn.networks import require_torch

@@ -29,7 +29,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 
-from vrcaps.errors import InputError
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import invert
 from vrcaps.learn.depth import MIDDLE, DepthLearner, depth_of, depth_picture, image_and_rays
 from vrcaps.learn.fit import Fit, require_size
 from vrcaps.learn.learner import MOST_SIZE, MOST_WEIGHT, Batch, Figure, Sample, with_gain
@@ -43,11 +45,9 @@ from vrcaps.learn.view_synthesis import (
     predicted,
     smoothness,
 )
-from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.depth import depth_errors, mean_depth_errors
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.render.channels import CHANNELS
-from vrcaps.transforms import invert
 
 if TYPE_CHECKING:
     from jaxtyping import UInt8

@@ -21,7 +21,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.errors import InputError
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError
 from vrcaps.learn.adversary import deceiving_loss, discriminating_loss, patch_discriminator
 from vrcaps.learn.attention_unet import attention_unet
 from vrcaps.learn.feature_losses import content_loss, feature_distance, style_loss
@@ -37,7 +38,6 @@ from vrcaps.learn.learner import (
     with_gain,
 )
 from vrcaps.learn.networks import ENCODER, feature_network, require_torch
-from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.image_quality import psnr, ssim
 from vrcaps.recording.frame_sequence import FrameSequence
 

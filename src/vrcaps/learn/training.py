@@ -12,9 +12,11 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from vrcaps import rng
-from vrcaps.errors import InputError
-from vrcaps.files import atomic_write, write_csv
+from vrcaps.config.convert import to_plain
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core import rng
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import atomic_write, write_csv
 from vrcaps.learn.classes import ClassLearner
 from vrcaps.learn.depth import DepthLearner
 from vrcaps.learn.first_network import IMAGENET, first_network, origin
@@ -25,10 +27,8 @@ from vrcaps.learn.registry import AnyLearner
 from vrcaps.learn.samples import Samples, batch_of
 from vrcaps.learn.validation import validate, write_pictures
 from vrcaps.learn.weights import Trained, write_weights
-from vrcaps.limits import Range, check_fields
-from vrcaps.serialization import to_plain
-from vrcaps.torch_threads import exact_torch
-from vrcaps.training_folder import begin_training
+from vrcaps.training.folder import begin_training
+from vrcaps.training.threads import exact_torch
 
 CHECKPOINT, PROGRESS = "checkpoint.pt", "progress.csv"
 WEIGHTS, BEST = "weights.safetensors", "best.safetensors"

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from vrcaps import __version__
-from vrcaps.errors import InputError, MissingExtraError, VrcapsError, import_extra, reading
-from vrcaps.files import atomic_write
+from vrcaps.config.convert import from_plain, to_plain
+from vrcaps.core.errors import InputError, MissingExtraError, VrcapsError, import_extra, reading
+from vrcaps.core.files import atomic_write
 from vrcaps.learn.networks import require_torch
 from vrcaps.learn.registry import LEARNERS, AnyLearner
-from vrcaps.serialization import from_plain, to_plain
-from vrcaps.torch_threads import exact_torch
+from vrcaps.training.threads import exact_torch
 
 _FORMAT, _KEY = "vrcaps-weights/1", "vrcaps"
 

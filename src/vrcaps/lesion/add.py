@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import vrcaps.rng
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.rng import stream
 from vrcaps.lesion import paint
 from vrcaps.lesion.base import Form, Lesion
 from vrcaps.lesion.mesh_patch import ExtractedPatch, as_organ, insert, whole_wall
@@ -70,7 +70,7 @@ def add_lesions(
     if len(lesions) > _MAX_LESIONS:
         raise InputError(f"{len(lesions)} lesions. Allowed: up to {_MAX_LESIONS}.")
     rngs = [
-        vrcaps.rng.stream(int(seed.integers(2**31)), "lesions/shape", lesion.variant)
+        stream(int(seed.integers(2**31)), "lesions/shape", lesion.variant)
         for seed, lesion in zip(rng.spawn(len(lesions)), lesions, strict=True)
     ]
     require_locations(organ, wall_of(organ.vertices, organ.faces), lesions, rngs)
@@ -83,7 +83,7 @@ def add_lesions(
 
 def lesion_rng(seed: int) -> np.random.Generator:
     """Random generator of a patient's lesions, for `add_lesions`."""
-    return vrcaps.rng.stream(seed, "lesions")
+    return stream(seed, "lesions")
 
 
 class _Work:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.geometry import smoothstep
+from vrcaps.core.geometry import smoothstep
+from vrcaps.core.units import MM
 from vrcaps.lesion.base import (
     AppearanceSample,
     Form,
@@ -20,7 +21,6 @@ from vrcaps.lesion.base import (
 from vrcaps.lesion.blood import BloodFlow, under_blood
 from vrcaps.lesion.focal import FocalForm
 from vrcaps.mesh.noise import fbm, low_pass
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

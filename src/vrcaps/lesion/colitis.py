@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.geometry import smoothstep
+from vrcaps.config.limits import Range
+from vrcaps.core.geometry import smoothstep
+from vrcaps.core.units import CM, MM
 from vrcaps.lesion.base import (
     AppearanceSample,
     Lesion,
@@ -17,10 +19,8 @@ from vrcaps.lesion.base import (
     mix,
 )
 from vrcaps.lesion.blood import FIBRIN, under_blood
-from vrcaps.limits import Range
 from vrcaps.mesh.noise import band_pass, fbm, low_pass
 from vrcaps.mucosa.mucosa import MUCUS_TINT
-from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from vrcaps.geometry import smoothstep
+from vrcaps.core.geometry import smoothstep
+from vrcaps.core.units import MM
 from vrcaps.lesion.base import AppearanceSample, LesionSite, WallSamples, mix
 from vrcaps.mesh.noise import angular_harmonics, low_pass
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from vrcaps.geometry import edge_graph
+from vrcaps.core.geometry import edge_graph
 from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.mesh.refine import Patch, rim
 from vrcaps.organ.centerline import interpolate

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from vrcaps.color import LINEAR, srgb_from_linear
-from vrcaps.errors import InputError
+from vrcaps.core.color import LINEAR, srgb_from_linear
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import MM
 from vrcaps.lesion.base import AppearanceSample, Form, WallSamples
 from vrcaps.mesh.rasterize import Texels, covered_texels, sample
 from vrcaps.mucosa.bake import MAX_SIDE
 from vrcaps.organ.surface import Appearance, round_height
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

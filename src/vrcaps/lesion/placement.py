@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps._core import Wall
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.units import CM, MM
 from vrcaps.lesion.base import Lesion, Location, SizedLesion
-from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.core.units import MM
 from vrcaps.lesion.base import Lesion, Location
 from vrcaps.lesion.registry import parse_lesion
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from vrcaps.organ.surface import OrganSurface

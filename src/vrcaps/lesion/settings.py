@@ -6,9 +6,9 @@ from dataclasses import dataclass, fields
 from functools import cache
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from vrcaps.errors import InputError
-from vrcaps.limits import Range, range_of
-from vrcaps.units import DEG, MM, parse_length
+from vrcaps.config.limits import Range, range_of
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import DEG, MM, parse_length
 
 LENGTH = Range(unit="m")
 """Annotation of a length of any size: ``Annotated[float, LENGTH]``."""

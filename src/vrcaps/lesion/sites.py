@@ -10,8 +10,9 @@ import numpy as np
 import scipy
 
 from vrcaps._core import Wall
-from vrcaps.errors import InputError
-from vrcaps.geometry import edge_graph
+from vrcaps.core.errors import InputError
+from vrcaps.core.geometry import edge_graph
+from vrcaps.core.units import MM
 from vrcaps.lesion.base import Lesion, LesionSite, WallSamples
 from vrcaps.lesion.mesh_patch import NUM_FIELDS, ExtractedPatch, extract, within
 from vrcaps.lesion.placement import PlacedLesion, candidates, place_focal
@@ -19,7 +20,6 @@ from vrcaps.mesh.log_map import log_map
 from vrcaps.mesh.mesh import wall_of
 from vrcaps.mesh.refine import Patch, refine
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.errors import InputError
-from vrcaps.geometry import smoothstep
+from vrcaps.config.limits import Range
+from vrcaps.core.errors import InputError
+from vrcaps.core.geometry import smoothstep
+from vrcaps.core.units import CM, MM
 from vrcaps.lesion.base import (
     AppearanceSample,
     Lesion,
@@ -20,9 +22,7 @@ from vrcaps.lesion.base import (
 )
 from vrcaps.lesion.blood import under_blood
 from vrcaps.lesion.focal import ProfileForm
-from vrcaps.limits import Range
 from vrcaps.mesh.noise import band_pass, fbm, low_pass
-from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

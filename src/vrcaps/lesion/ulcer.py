@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.geometry import smoothstep
+from vrcaps.config.limits import Range
+from vrcaps.core.geometry import smoothstep
+from vrcaps.core.units import MM
 from vrcaps.lesion.base import (
     AppearanceSample,
     LesionSite,
@@ -19,9 +21,7 @@ from vrcaps.lesion.base import (
 from vrcaps.lesion.blood import FIBRIN, under_blood
 from vrcaps.lesion.focal import FocalForm
 from vrcaps.lesion.settings import Setting
-from vrcaps.limits import Range
 from vrcaps.mesh.noise import band_pass, fbm
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

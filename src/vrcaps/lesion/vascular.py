@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 
-from vrcaps.geometry import smoothstep
+from vrcaps.config.limits import Range
+from vrcaps.core.geometry import smoothstep
+from vrcaps.core.units import MM
 from vrcaps.lesion.base import (
     AppearanceSample,
     LesionSite,
@@ -16,9 +18,7 @@ from vrcaps.lesion.base import (
     mix,
 )
 from vrcaps.lesion.focal import FocalForm
-from vrcaps.limits import Range
 from vrcaps.mesh.noise import band_pass, fbm, low_pass
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from vrcaps.errors import require
-from vrcaps.units import MM
+from vrcaps.core.errors import require
+from vrcaps.core.units import MM
 
 CM2 = 1e-4
 """A square centimeter [m²]."""

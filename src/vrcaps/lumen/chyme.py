@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from vrcaps.errors import require
+from vrcaps.core.errors import require
+from vrcaps.core.units import MM
 from vrcaps.lumen.bubbles import CM2, require_sizes
-from vrcaps.units import MM
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ from typing import TypeVar
 
 import numpy as np
 
-from vrcaps.errors import require
+from vrcaps.core.errors import require
+from vrcaps.core.units import MM
 from vrcaps.lumen.bubbles import BUBBLE_SEVERITIES, Bubbles
 from vrcaps.lumen.chyme import CHYME_SEVERITIES, Chyme
 from vrcaps.lumen.liquid import LIQUID_SEVERITIES, Liquid
-from vrcaps.units import MM
 
 _Kind = TypeVar("_Kind", Bubbles, Chyme, Liquid)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from vrcaps.errors import require
+from vrcaps.core.errors import require
 
 
 @dataclass(frozen=True)

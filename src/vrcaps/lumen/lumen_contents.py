@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-import vrcaps.rng
 from vrcaps._core import around_capsule
+from vrcaps.core.rng import stream
+from vrcaps.core.transforms import transform_points
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.dome_attachment import dome_sites, place_dome_bubbles
 from vrcaps.lumen.particles import Spheres, joined
@@ -16,7 +17,6 @@ from vrcaps.lumen.placement import place_bubbles, place_chyme
 from vrcaps.lumen.pools import Pools, cut_sections, find_pools
 from vrcaps.mesh.mesh import wall_of
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.transforms import transform_points
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -50,7 +50,7 @@ class LumenContents:
             radius: Radius of the capsule [m].
         """
         bubbles, _, _ = self.contents.resolved
-        rng = vrcaps.rng.stream(self.contents.seed, "lumen/dome-sites")
+        rng = stream(self.contents.seed, "lumen/dome-sites")
         own = self.spheres.radius[len(self.spheres) - 2 * bubbles.on_dome :]
         return replace(self, dome_sites=dome_sites(own, length, radius, rng))
 
@@ -87,12 +87,12 @@ def populate(
     wall = wall_of(organ.vertices, organ.faces)
     up = T_world_patient[:3, :3].T @ np.array([0.0, 0.0, 1.0])
     seed = contents.seed
-    clinging = place_bubbles(organ, wall, bubbles, up, vrcaps.rng.stream(seed, "lumen/bubbles"))
+    clinging = place_bubbles(organ, wall, bubbles, up, stream(seed, "lumen/bubbles"))
     spheres = joined(
         clinging,
-        place_chyme(organ, wall, chyme, up, vrcaps.rng.stream(seed, "lumen/chyme")),
+        place_chyme(organ, wall, chyme, up, stream(seed, "lumen/chyme")),
         place_dome_bubbles(
-            organ, bubbles, vrcaps.rng.stream(seed, "lumen/dome-bubbles"), before=len(clinging)
+            organ, bubbles, stream(seed, "lumen/dome-bubbles"), before=len(clinging)
         ),
     )
     centers = transform_points(T_world_patient, spheres.centers)

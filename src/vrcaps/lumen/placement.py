@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps._core import Wall
-from vrcaps.geometry import unit
+from vrcaps.core.geometry import unit
+from vrcaps.core.units import MM
 from vrcaps.lumen.bubbles import Bubbles
 from vrcaps.lumen.chyme import Chyme
 from vrcaps.lumen.cluster import pack, sizes
@@ -20,7 +21,6 @@ from vrcaps.lumen.particles import (
     no_spheres,
 )
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

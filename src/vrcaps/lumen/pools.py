@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.core.transforms import transform_points
+from vrcaps.core.units import MM
 from vrcaps.lumen.liquid import Liquid
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.transforms import transform_points
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int, UInt16

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import quaternion_from_matrix
 from vrcaps.magnet.internal import InternalMagnet, magnet_rows
 from vrcaps.magnet.sources import Source, check_pose
-from vrcaps.transforms import quaternion_from_matrix
 
 if TYPE_CHECKING:
     from jaxtyping import Float

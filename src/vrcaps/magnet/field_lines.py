@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import require
-from vrcaps.geometry import unit
+from vrcaps.core.errors import require
+from vrcaps.core.geometry import unit
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.sources import Cylinder, Source
 

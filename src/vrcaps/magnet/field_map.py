@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from vrcaps.errors import InputError, UnknownNameError, reading
-from vrcaps.files import read_arrays
+from vrcaps.core.errors import InputError, UnknownNameError, reading
+from vrcaps.core.files import read_arrays
+from vrcaps.core.units import parse_length
 from vrcaps.magnet.sources import FieldMap
-from vrcaps.units import parse_length
 
 FLUX_UNITS = {"T": 1.0, "mT": 1e-3, "uT": 1e-6, "G": 1e-4}
 """Supported units of flux density, in tesla."""

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import UnknownNameError, require
+from vrcaps.core.errors import UnknownNameError, require
+from vrcaps.core.units import MM
 from vrcaps.magnet.field import field
 from vrcaps.magnet.sources import Cylinder, Dipole
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

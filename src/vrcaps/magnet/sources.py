@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError, require
+from vrcaps.core.errors import InputError, require
 
 if TYPE_CHECKING:
     from jaxtyping import Float

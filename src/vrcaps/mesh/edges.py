@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.geometry import triangle_areas, triangle_normals
+from vrcaps.core.geometry import triangle_areas, triangle_normals
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

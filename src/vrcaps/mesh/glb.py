@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.narrow import narrow
+from vrcaps.core.narrow import narrow
 
 if TYPE_CHECKING:
     from pathlib import Path

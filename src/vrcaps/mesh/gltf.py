@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vrcaps.core.narrow import narrow
 from vrcaps.mesh.edges import drop_unused_vertices
 from vrcaps.mesh.gltf_accessors import (
     GltfFile,
@@ -16,7 +17,6 @@ from vrcaps.mesh.gltf_accessors import (
 from vrcaps.mesh.gltf_limits import DRACO, compression_text, require_safe_gltf
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.triangulate import triangulate_fans, triangulate_strips
-from vrcaps.narrow import narrow
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

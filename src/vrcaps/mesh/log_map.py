@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.errors import InputError, import_extra
-from vrcaps.units import MM
+from vrcaps.core.errors import InputError, import_extra
+from vrcaps.core.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

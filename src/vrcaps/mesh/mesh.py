@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps._core import Wall
-from vrcaps.geometry import triangle_normals
+from vrcaps.core.geometry import triangle_normals
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int, UInt8, UInt16

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.core.narrow import narrow
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.triangulate import triangulate_fans, triangulate_strips
-from vrcaps.narrow import narrow
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.units import parse_length
 from vrcaps.mesh.glb import read_document
 from vrcaps.mesh.gltf import read_gltf
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.obj import read_obj
 from vrcaps.mesh.ply import read_ply
 from vrcaps.mesh.stl import read_stl
-from vrcaps.units import parse_length
 
 if TYPE_CHECKING:
     from pathlib import Path

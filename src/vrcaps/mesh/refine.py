@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.geometry import unit
+from vrcaps.core.geometry import unit
+from vrcaps.core.units import MM
 from vrcaps.mesh.edges import find_edges
 from vrcaps.mesh.mesh import vertex_normals
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.geometry import cross_products, triangle_normals
+from vrcaps.core.geometry import cross_products, triangle_normals
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

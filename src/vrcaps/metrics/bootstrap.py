@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps import rng
-from vrcaps.errors import require
+from vrcaps.core import rng
+from vrcaps.core.errors import require
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import require
+from vrcaps.core.errors import require
 from vrcaps.metrics.shapes import require_one_shape
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.color import lab_from_srgb, linear_from_srgb
-from vrcaps.errors import InputError
+from vrcaps.core.color import lab_from_srgb, linear_from_srgb
+from vrcaps.core.errors import InputError
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, UInt8

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.core.transforms import transform_from, transform_points
 from vrcaps.metrics.coverage import CoverageCriteria, CoverageLevel
 from vrcaps.metrics.view_coverage import ViewCoverage, seen_by_level
-from vrcaps.transforms import transform_from, transform_points
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float

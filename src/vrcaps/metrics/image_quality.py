@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.errors import require
+from vrcaps.core.errors import require
 from vrcaps.metrics.shapes import require_one_shape
 
 if TYPE_CHECKING:

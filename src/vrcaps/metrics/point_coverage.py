@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps import _core, rng
+from vrcaps import _core
 from vrcaps.camera.camera import in_image, project_points
-from vrcaps.errors import UnknownNameError, require
-from vrcaps.geometry import triangle_areas
+from vrcaps.core import rng
+from vrcaps.core.errors import UnknownNameError, require
+from vrcaps.core.geometry import triangle_areas
+from vrcaps.core.units import MM
 from vrcaps.metrics.coverage import CoverageCriteria, CoverageLevel, pixel_solid_angles
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int, UInt8

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.core.transforms import invert, transform_from
+from vrcaps.core.units import CM
 from vrcaps.metrics.shapes import require_one_shape
 from vrcaps.metrics.trajectory import relative_pose_error
-from vrcaps.transforms import invert, transform_from
-from vrcaps.units import CM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

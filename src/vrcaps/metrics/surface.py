@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import require
+from vrcaps.core.errors import require
 from vrcaps.mesh.mesh import wall_of
 
 if TYPE_CHECKING:

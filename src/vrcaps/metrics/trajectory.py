@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from vrcaps.errors import InputError, UnknownNameError, require
+from vrcaps.core.errors import InputError, UnknownNameError, require
+from vrcaps.core.transforms import invert, transform_from
 from vrcaps.metrics.shapes import require_one_shape
-from vrcaps.transforms import invert, transform_from
 
 if TYPE_CHECKING:
     from jaxtyping import Float

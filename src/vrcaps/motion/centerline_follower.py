@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.capsule.device import Device
+from vrcaps.core.transforms import rotation_from_vector, transform_from
 from vrcaps.organ.centerline import interpolate
 from vrcaps.organ.surface import Centerline
-from vrcaps.transforms import rotation_from_vector, transform_from
 from vrcaps.world.clearance import corrected
 
 if TYPE_CHECKING:

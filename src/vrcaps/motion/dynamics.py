@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 from vrcaps.actuation.steering_program import MagnetSteering
-from vrcaps.errors import InputError, UnknownNameError, require
-from vrcaps.file_ref import FileRef, file_ref
+from vrcaps.config.file_ref import FileRef, file_ref
+from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.motion.dynamics_columns import (
     DYNAMICS_COLUMNS,
     ESTIMATE_COLUMNS,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.transforms import quaternion_from_matrix
+from vrcaps.core.transforms import quaternion_from_matrix
 
 if TYPE_CHECKING:
     from vrcaps.actuation.magnet_controller import ControllerStatus

@@ -15,9 +15,11 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 
-import vrcaps.rng
-from vrcaps.errors import InputError, require
-from vrcaps.limits import Range, check_fields
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError, require
+from vrcaps.core.rng import stream
+from vrcaps.core.transforms import transform_points
+from vrcaps.core.units import MM
 from vrcaps.motion.centerline_follower import (
     BandLimitedNoise,
     CenterlineFollower,
@@ -25,8 +27,6 @@ from vrcaps.motion.centerline_follower import (
     make_noise,
 )
 from vrcaps.motion.trajectory import Trajectory, require_inside, velocities_between
-from vrcaps.transforms import transform_points
-from vrcaps.units import MM
 from vrcaps.world.clearance import capsule_clearance, fit_text, push_inside, vital_clearance
 from vrcaps.world.model import Model
 from vrcaps.world.wall_displacement import WallDisplacement
@@ -98,7 +98,7 @@ class FlyThrough:
         self, model: Model, *, frames: int, fps: float, seed: int, shown: Model | None = None
     ) -> Trajectory:
         """Create the fly-through in a model, see `MotionSettings.begin`."""
-        rng = vrcaps.rng.stream(seed, "fly-through")
+        rng = stream(seed, "fly-through")
         return fly_through(model, self, frames=frames, fps=fps, rng=rng, shown=shown)
 
 

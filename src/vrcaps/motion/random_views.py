@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 
-import vrcaps.rng
-from vrcaps.errors import InputError, require
-from vrcaps.limits import Range, check_fields
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError, require
+from vrcaps.core.rng import stream
+from vrcaps.core.transforms import look_along, rotation_from_vector, transform_from
+from vrcaps.core.units import DEG, MM
 from vrcaps.motion.trajectory import Trajectory, capsule_poses
-from vrcaps.transforms import look_along, rotation_from_vector, transform_from
-from vrcaps.units import DEG, MM
 from vrcaps.world.clearance import capsule_clearance, fit_text, vital_clearance
 from vrcaps.world.model import Model
 from vrcaps.world.wall_displacement import WallDisplacement
@@ -72,7 +72,7 @@ class RandomViews:
         self, model: Model, *, frames: int, fps: float, seed: int, shown: Model | None = None
     ) -> Trajectory:
         """Draw the views in a model, see `MotionSettings.begin`."""
-        rng = vrcaps.rng.stream(seed, "random-views")
+        rng = stream(seed, "random-views")
         still = np.zeros((frames, 3))
         return Trajectory(
             np.arange(frames) / fps,

@@ -7,8 +7,10 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.file_ref import FileRef, file_ref, path_of
-from vrcaps.limits import check_fields
+from vrcaps.config.file_ref import FileRef, file_ref, path_of
+from vrcaps.config.limits import check_fields
+from vrcaps.core.transforms import require_rigid
+from vrcaps.core.units import parse_length
 from vrcaps.motion.trajectory import (
     Trajectory,
     capsule_poses,
@@ -17,8 +19,6 @@ from vrcaps.motion.trajectory import (
     trajectory_from_poses,
 )
 from vrcaps.motion.trajectory_files import read_euroc_csv, read_tum, read_unity_csv
-from vrcaps.transforms import require_rigid
-from vrcaps.units import parse_length
 from vrcaps.world.model import Model
 
 _IDENTITY = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))

@@ -10,8 +10,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.actuation.steering_program import SteeringProgram
-from vrcaps.errors import InputError
-from vrcaps.file_ref import path_of
+from vrcaps.config.file_ref import path_of
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import (
+    invert,
+    rotate_vectors,
+    transform_from,
+    transform_points,
+)
+from vrcaps.core.units import CM
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.motion.dynamics_columns import dynamics_row, estimate_row, magnet_row
 from vrcaps.motion.motion import MotionState
@@ -19,13 +26,6 @@ from vrcaps.motion.start_pose import start_pose
 from vrcaps.motion.step import Command, Step, with_neighbors
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.motility.motility import Motility
-from vrcaps.transforms import (
-    invert,
-    rotate_vectors,
-    transform_from,
-    transform_points,
-)
-from vrcaps.units import CM
 from vrcaps.world.control import Control
 from vrcaps.world.model import Model, State
 from vrcaps.world.schedule import (

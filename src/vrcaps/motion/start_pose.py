@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError
-from vrcaps.units import MM
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import MM
 from vrcaps.world.clearance import capsule_clearance, fit_text
 from vrcaps.world.model import Model
 

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError
-from vrcaps.motion.motion import MotionState
-from vrcaps.motion.step import Step, with_neighbors
-from vrcaps.transforms import (
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import (
     invert,
     rotation_from_vector,
     rotation_vector,
     transform_from,
 )
-from vrcaps.units import MM
+from vrcaps.core.units import MM
+from vrcaps.motion.motion import MotionState
+from vrcaps.motion.step import Step, with_neighbors
 from vrcaps.world.model import Model, State
 from vrcaps.world.wall_displacement import WallDisplacement
 

@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.motion.trajectory import Trajectory, trajectory_from_poses
-from vrcaps.transforms import (
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.transforms import (
     matrix_from_quaternion,
     require_rigid,
     rotation_vector,
     transform_from,
 )
-from vrcaps.units import DEG, parse_length
+from vrcaps.core.units import DEG, parse_length
+from vrcaps.motion.trajectory import Trajectory, trajectory_from_poses
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-import vrcaps.rng
-from vrcaps.geometry import triangle_areas
+from vrcaps.core.geometry import triangle_areas
+from vrcaps.core.rng import stream
+from vrcaps.core.units import MM
 from vrcaps.mesh.noise import fbm
 from vrcaps.mesh.rasterize import covered_texels
 from vrcaps.organ.surface import Appearance
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int, UInt8
@@ -50,7 +50,7 @@ def apply_texture(
         shape: Rows and columns of the baked textures.
         seed: Seed of patches and slow variation; the same seed gives the same bytes.
     """
-    rng = vrcaps.rng.stream(seed, "mucosa/texture")
+    rng = stream(seed, "mucosa/texture")
     texel = _texel_size(organ, shape)
     channels = _Channels.of(texture, texel)
     layout = _PatchLayout.of(organ, texture.side, rng)

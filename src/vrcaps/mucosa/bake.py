@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-import vrcaps.rng
 from vrcaps import _core
-from vrcaps.errors import InputError
-from vrcaps.geometry import triangle_areas
+from vrcaps.core.errors import InputError
+from vrcaps.core.geometry import triangle_areas
+from vrcaps.core.rng import stream
+from vrcaps.core.units import MM
 from vrcaps.mucosa.mucosa import ABSORPTION, MUCOSAE, Mucosa, is_texture_path
 from vrcaps.organ.segments import find_segment
 from vrcaps.organ.surface import Appearance, OrganSurface, round_height
 from vrcaps.organ.uv import texture_stretch
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -103,7 +103,7 @@ def _resolve(mucosa: str | Mucosa) -> Mucosa | MucosaTexture:
 def _of_patient(mucosa: Mucosa, seed: int) -> Mucosa:
     """Mucosa of one patient: the same draw for every organ."""
     spread = np.array(mucosa.patient_variation)
-    densities = spread * vrcaps.rng.stream(seed, "mucosa/densities").standard_normal(2)
+    densities = spread * stream(seed, "mucosa/densities").standard_normal(2)
     color = np.array(mucosa.base_color) * np.exp(-densities @ ABSORPTION)
     return replace(mucosa, base_color=tuple(np.clip(color, 0.01, 0.95).tolist()))
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import UnknownNameError
+from vrcaps.core.errors import UnknownNameError
+from vrcaps.core.units import MM
 from vrcaps.organ.segments import find_mucosa
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from vrcaps.organ.surface import OrganSurface

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.errors import InputError
-from vrcaps.files import atomic_write, file_sha256, is_new_folder, write_json
-from vrcaps.units import MM
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import atomic_write, file_sha256, is_new_folder, write_json
+from vrcaps.core.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float, UInt8, UInt16

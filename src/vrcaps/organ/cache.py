@@ -20,24 +20,21 @@ from typing import Any, TypeVar
 import numpy as np
 from platformdirs import user_cache_path
 
-from vrcaps.files import atomic_write, read_arrays
-from vrcaps.made_with import ORGAN_PACKAGES, core_sha256, versions
+from vrcaps.core.build_info import ORGAN_PACKAGES, core_sha256, versions
+from vrcaps.core.files import atomic_write, read_arrays
+from vrcaps.core.temporary_files import is_temporary
 from vrcaps.organ.arrays import organ_from_arrays, organ_to_arrays
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.temporary_files import is_temporary
 
 Stored = TypeVar("Stored")
 
 _BROKEN = (OSError, ValueError, LookupError, TypeError, AttributeError)
 """Exceptions raised by reading a truncated, overwritten or outdated file."""
 
-_MAKERS = ("mesh", "organ", "mucosa", "anatomy", "lesion")
+_MAKERS = ("core", "mesh", "organ", "mucosa", "anatomy", "lesion")
 """Packages whose code determines an organ."""
 
-_MAKER_MODULES = (
-    *("color", "errors", "files", "geometry", "limits", "locks", "made_with", "narrow"),
-    *("rng", "scenario/build", "temporary_files", "transforms", "units"),
-)
+_MAKER_MODULES = ("config/limits", "scenario/build")
 """Other modules used by them, and their caller."""
 
 _MOST_BYTES = 10 * 10**9

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.made_with import versions
+from vrcaps.core.build_info import versions
 from vrcaps.organ.cache import cached_files, fingerprint
 from vrcaps.organ.gltf_material import texture_images
 from vrcaps.organ.surface import HEIGHT_STEP

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from vrcaps.geometry import edge_graph
+from vrcaps.core.geometry import edge_graph
 from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.organ.centerline.curve import interpolate
 from vrcaps.organ.surface import Centerline

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.narrow import narrow
+from vrcaps.core.transforms import invert, rotate_vectors, transform_points
 from vrcaps.mesh.glb import array_of, read_document, read_glb, vertices_of, view_of
-from vrcaps.narrow import narrow
 from vrcaps.organ.arrays import organ_from_arrays
 from vrcaps.organ.compact_textures import decode_webps, relief_from_image
 from vrcaps.organ.write_organ import GENERATOR, ORGAN_FORMAT
-from vrcaps.transforms import invert, rotate_vectors, transform_points
 
 if TYPE_CHECKING:
     from pathlib import Path

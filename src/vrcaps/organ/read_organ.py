@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from vrcaps.errors import InputError
-from vrcaps.files import file_sha256
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import file_sha256
+from vrcaps.core.units import LENGTH_UNITS, MM, parse_length
 from vrcaps.mesh.mesh import Mesh, vertex_normals
 from vrcaps.mesh.read_mesh import read_label_names, read_mesh
 from vrcaps.mesh.repair.repair_report import RepairReport, format_points
 from vrcaps.organ.organ_file import is_organ_file, read_organ_file
 from vrcaps.organ.surface import Centerline, OrganSurface
-from vrcaps.units import LENGTH_UNITS, MM, parse_length
 
 if TYPE_CHECKING:
     from vrcaps.organ.surface import OrganSurface

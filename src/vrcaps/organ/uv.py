@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError
-from vrcaps.geometry import triangle_areas, triangle_normals, unit
+from vrcaps.core.errors import InputError
+from vrcaps.core.geometry import triangle_areas, triangle_normals, unit
 from vrcaps.mesh.edges import find_edges
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.centerline.lumen import grid_crossings

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.geometry import triangle_areas
+from vrcaps.core.geometry import triangle_areas
+from vrcaps.core.units import MM
 from vrcaps.organ.uv import texture_stretch
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

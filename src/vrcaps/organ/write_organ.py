@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps._core import encode_pngs
-from vrcaps.files import write_bytes
+from vrcaps.core.files import write_bytes
+from vrcaps.core.transforms import rotate_vectors, transform_points
 from vrcaps.mesh.glb import Glb
 from vrcaps.organ.arrays import json_safe, organ_to_arrays
 from vrcaps.organ.compact_textures import RELIEF_STEP, compact_files, webp_fits
 from vrcaps.organ.gltf_material import material_json, relief_scale, texture_images
 from vrcaps.organ.surface import HEIGHT_STEP
-from vrcaps.transforms import rotate_vectors, transform_points
 
 if TYPE_CHECKING:
     from pathlib import Path

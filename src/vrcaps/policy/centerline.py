@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.core.units import MM
 from vrcaps.policy.policy import Requirements
 from vrcaps.policy.route import Route, Routes
 from vrcaps.policy.servo import SERVO_ACTUATIONS, Goal, servo_actions
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

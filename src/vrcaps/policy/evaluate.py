@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.transforms import quaternion_from_matrix
 from vrcaps.env.vector_env import CapsuleVectorEnv
-from vrcaps.limits import Range, check_fields
 from vrcaps.policy.evaluation import (
     EpisodeCurves,
     Evaluation,
     episode_measures,
     success_measures,
 )
-from vrcaps.transforms import quaternion_from_matrix
 
 if TYPE_CHECKING:
     from vrcaps.env.episode import EpisodeStep

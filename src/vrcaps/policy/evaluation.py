@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.errors import InputError
-from vrcaps.files import write_bytes, write_csv
+from vrcaps.config.plain_files import decode_json
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import write_bytes, write_csv
 from vrcaps.metrics.coverage import CoverageLevel
 from vrcaps.metrics.point_coverage import POINT_LEVELS
-from vrcaps.plain_files import decode_json
 from vrcaps.recording.table import FrameTable, read_table, write_table
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.core.units import MM
 from vrcaps.policy.centerline import CenterlinePolicy
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any, get_type_hints
 import numpy as np
 
 from vrcaps import __version__
+from vrcaps.config.convert import from_plain, to_plain
+from vrcaps.config.plain_files import decode_json
+from vrcaps.core.errors import InputError, VrcapsError
+from vrcaps.core.files import read_arrays, write_arrays
 from vrcaps.env.settings import EnvSettings
-from vrcaps.errors import InputError, VrcapsError
-from vrcaps.files import read_arrays, write_arrays
-from vrcaps.plain_files import decode_json
 from vrcaps.policy.policy import Requirements
-from vrcaps.serialization import from_plain, to_plain
 
 if TYPE_CHECKING:
     from jaxtyping import Float

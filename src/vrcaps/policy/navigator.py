@@ -22,15 +22,15 @@ import numpy as np
 from vrcaps.actuation.magnet_pose_solver import MagnetPoseSolver, Workspace, WrenchTarget
 from vrcaps.actuation.vectors import clamp_norm
 from vrcaps.actuation.wall_path import WallPath, centerline_wall_path
+from vrcaps.core.errors import InputError
+from vrcaps.core.geometry import unit
+from vrcaps.core.transforms import rotation_from_vector
+from vrcaps.core.units import CM, MM
 from vrcaps.env.actuation.magnet import MagnetActuation
-from vrcaps.errors import InputError
-from vrcaps.geometry import unit
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.policy.policy import Requirements
 from vrcaps.policy.servo import heading_error, magnet_action
-from vrcaps.transforms import rotation_from_vector
-from vrcaps.units import CM, MM
 from vrcaps.world.control import GRAVITY
 
 if TYPE_CHECKING:

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps import rng
-from vrcaps.geometry import unit
+from vrcaps.core import rng
+from vrcaps.core.geometry import unit
+from vrcaps.core.transforms import look_along, transform_from
+from vrcaps.core.units import CM, MM
 from vrcaps.metrics.point_coverage import POINT_LEVELS, mark_points
 from vrcaps.policy.policy import Requirements
 from vrcaps.policy.route import Route, Routes
 from vrcaps.policy.servo import SERVO_ACTUATIONS, Goal, heading_error, servo_actions
-from vrcaps.transforms import look_along, transform_from
-from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from vrcaps import rng
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core import rng
+from vrcaps.core.errors import MissingExtraError, import_extra, require
 from vrcaps.env.settings import EnvSettings
-from vrcaps.errors import MissingExtraError, import_extra, require
-from vrcaps.limits import Range, check_fields
 from vrcaps.policy.mlp_policy import MlpPolicy, Normalizer, kept_settings
 
 if TYPE_CHECKING:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, cast, get_args, get_type_hints
 
+from vrcaps.config.convert import from_plain
+from vrcaps.core.errors import UnknownNameError
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.observations.landmarks import LandmarksObservation
 from vrcaps.env.observations.state import StateObservation
@@ -12,11 +14,9 @@ from vrcaps.env.rewards import Reward
 from vrcaps.env.settings import EnvSettings
 from vrcaps.env.start import Start
 from vrcaps.env.tasks.coverage import CoverageTask
-from vrcaps.errors import UnknownNameError
 from vrcaps.policy.ppo import PpoSettings
 from vrcaps.policy.training import TrainingSettings
 from vrcaps.scenario.scenario import OrganGenerated
-from vrcaps.serialization import from_plain
 
 
 def paper() -> TrainingSettings:

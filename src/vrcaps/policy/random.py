@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps import rng
-from vrcaps.geometry import unit
+from vrcaps.core import rng
+from vrcaps.core.geometry import unit
+from vrcaps.core.units import CM
 from vrcaps.policy.policy import Requirements
 from vrcaps.policy.servo import SERVO_ACTUATIONS, Goal, servo_actions
-from vrcaps.units import CM
 
 if TYPE_CHECKING:
     from vrcaps.env.vector_env import CapsuleVectorEnv

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps import rng
+from vrcaps.core import rng
 from vrcaps.env.vector_env import CapsuleVectorEnv
 
 if TYPE_CHECKING:

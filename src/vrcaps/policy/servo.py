@@ -10,13 +10,13 @@ import numpy as np
 
 from vrcaps.actuation.magnet_pose_solver import MagnetPoseSolver, Workspace, WrenchTarget
 from vrcaps.capsule.body import homogeneous_body
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import rotation_from_vector, vector_from_rotation
+from vrcaps.core.units import MM
 from vrcaps.env.actuation.magnet import MagnetActuation
 from vrcaps.env.actuation.wrench import Wrench
-from vrcaps.errors import InputError
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.presets import read_magnet
-from vrcaps.transforms import rotation_from_vector, vector_from_rotation
-from vrcaps.units import MM
 from vrcaps.world.control import GRAVITY
 
 if TYPE_CHECKING:

@@ -13,20 +13,20 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import numpy as np
 
+from vrcaps.config.convert import to_plain
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import file_sha256, read_arrays, write_arrays, write_csv
 from vrcaps.env.organs import check_names
 from vrcaps.env.settings import EnvSettings
-from vrcaps.errors import InputError
-from vrcaps.files import file_sha256, read_arrays, write_arrays, write_csv
-from vrcaps.limits import Range, check_fields
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.policy.mlp_policy import write_mlp_policy
 from vrcaps.policy.ppo import Ppo, PpoSettings, require_learner
 from vrcaps.policy.score import Score
 from vrcaps.policy.warm_start import CHECKPOINT, start_file, warm_start
 from vrcaps.scenario.scenario import OrganFile, OrganGenerated
-from vrcaps.serialization import to_plain
-from vrcaps.torch_threads import exact_torch
-from vrcaps.training_folder import begin_training
+from vrcaps.training.folder import begin_training
+from vrcaps.training.threads import exact_torch
 
 if TYPE_CHECKING:
     from vrcaps.policy.mlp_policy import MlpPolicy

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from vrcaps.errors import InputError
-from vrcaps.files import read_arrays
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import read_arrays
 from vrcaps.policy.mlp_policy import read_mlp_policy
 from vrcaps.policy.ppo import Ppo
 

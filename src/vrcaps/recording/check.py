@@ -11,7 +11,9 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.camera.camera import Camera, camera_rays
-from vrcaps.errors import InputError, VrcapsError, reason_of
+from vrcaps.core.errors import InputError, VrcapsError, reason_of
+from vrcaps.core.transforms import rotate_vectors
+from vrcaps.core.units import UM
 from vrcaps.lumen.lumen_contents import CHYME
 from vrcaps.mesh.mesh import Mesh, wall_of
 from vrcaps.recording.damage import pictures_of
@@ -28,8 +30,6 @@ from vrcaps.recording.sensing import pad_column_names
 from vrcaps.recording.table import POSE_COLUMNS
 from vrcaps.recording.walls import wall_path
 from vrcaps.render.channels import CHANNELS
-from vrcaps.transforms import rotate_vectors
-from vrcaps.units import UM
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

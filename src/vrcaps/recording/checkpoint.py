@@ -6,10 +6,10 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from vrcaps.errors import InputError
-from vrcaps.files import read_arrays, sync_folder, write_arrays, write_json
+from vrcaps.config.plain_files import decode_json
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import read_arrays, sync_folder, write_arrays, write_json
 from vrcaps.motion.motion import MotionState
-from vrcaps.plain_files import decode_json
 from vrcaps.recording.table import FrameTable, read_table, write_table
 
 _FOLDER = ".resume"

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.recording.episode import Episode
 from vrcaps.recording.image_files import read_image
 from vrcaps.recording.layout import FRAMES_PARQUET, ORGAN_GLB, PREVIEW_MP4, SHEET_PNG

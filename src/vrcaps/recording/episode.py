@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.camera.camera import Camera, check_names
-from vrcaps.errors import InputError, UnknownNameError, require
+from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.recording.episode_files import EpisodeFiles, LocalFiles
 from vrcaps.recording.frame_sequence import CAMERA_POSE, EXPOSURE, TIME, FrameSequence

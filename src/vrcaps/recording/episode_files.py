@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Protocol
 
-from vrcaps.names import inside
-from vrcaps.temporary_files import scratch_folder
+from vrcaps.core.names import inside
+from vrcaps.core.temporary_files import scratch_folder
 
 
 class EpisodeFiles(Protocol):

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.camera.camera import Camera
-from vrcaps.errors import InputError, UnknownNameError, reading
-from vrcaps.names import require_name
+from vrcaps.core.errors import InputError, UnknownNameError, reading
+from vrcaps.core.names import require_name
+from vrcaps.core.transforms import require_rigid
 from vrcaps.render.channels import CHANNELS, Frame
-from vrcaps.transforms import require_rigid
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

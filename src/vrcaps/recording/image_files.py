@@ -10,7 +10,7 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.camera.camera import MOST_PIXELS
-from vrcaps.files import atomic_write, decode_array
+from vrcaps.core.files import atomic_write, decode_array
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -8,16 +8,16 @@ from typing import Any
 from vrcaps import _core
 from vrcaps.camera.camera import Camera
 from vrcaps.capsule.device import Device
-from vrcaps.errors import InputError
-from vrcaps.made_with import EPISODE_PACKAGES, core_sha256, versions
+from vrcaps.config.convert import from_plain, to_plain
+from vrcaps.config.plain_files import decode_json
+from vrcaps.core.build_info import EPISODE_PACKAGES, core_sha256, versions
+from vrcaps.core.errors import InputError
 from vrcaps.organ.arrays import json_safe
-from vrcaps.plain_files import decode_json
 from vrcaps.recording.episode_files import EpisodeFiles
 from vrcaps.recording.walls import wall_to_plain
 from vrcaps.render.channels import CHANNELS
 from vrcaps.scenario.scenario import Scenario, scenario_to_plain
 from vrcaps.sensors.sensors import Sensors, hall_array
-from vrcaps.serialization import from_plain, to_plain
 from vrcaps.world.model import Model
 
 FORMAT = "vrcaps-episode/1"

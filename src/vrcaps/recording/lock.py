@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from vrcaps.locks import file_lock
+from vrcaps.core.locks import file_lock
 
 LOCK = ".recording.lock"
 

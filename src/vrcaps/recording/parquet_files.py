@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vrcaps.errors import reading
-from vrcaps.files import MOST_BYTES
+from vrcaps.core.errors import reading
+from vrcaps.core.files import MOST_BYTES
 
 if TYPE_CHECKING:
     import pyarrow.parquet as pq

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.core.units import MM
 from vrcaps.render.channels import CHANNELS
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import UInt8

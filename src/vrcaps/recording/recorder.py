@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.camera_pipeline.capsule_cameras import CAPTURED, CapsuleCameras
-from vrcaps.errors import InputError, StorageError
-from vrcaps.files import sync_folder, write_bytes, write_json
+from vrcaps.core.errors import InputError, StorageError
+from vrcaps.core.files import sync_folder, write_bytes, write_json
+from vrcaps.core.temporary_files import is_temporary, remove_stale
 from vrcaps.recording.checkpoint import (
     Checkpoint,
     read_checkpoint,
@@ -49,7 +50,6 @@ from vrcaps.render.channels import CHANNELS
 from vrcaps.render.renderer import Renderer
 from vrcaps.scenario.build import build, resolve
 from vrcaps.scenario.scenario import SOURCE_ORGAN, Scenario, scenario_to_plain
-from vrcaps.temporary_files import is_temporary, remove_stale
 from vrcaps.world.moving_wall import MovingWall
 
 if TYPE_CHECKING:

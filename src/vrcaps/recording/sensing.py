@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-import vrcaps.rng
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.rng import stream
+from vrcaps.core.transforms import rotate_vectors, transform_points
 from vrcaps.magnet.field import field as flux_density
 from vrcaps.magnet.sources import Dipole, Source, UniformField, magnet_pose
 from vrcaps.sensors.hall import perturb_calibration, read_hall
@@ -21,7 +22,6 @@ from vrcaps.sensors.imu import (
 from vrcaps.sensors.localize import localize
 from vrcaps.sensors.magnetometer import read_magnetometer
 from vrcaps.sensors.sensors import HallPad, Sensors, hall_array
-from vrcaps.transforms import rotate_vectors, transform_points
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -96,7 +96,7 @@ class SensorReadings:
         if unit is not None:
             place = transform_points(pose, np.array([unit.position_capsule]))
             flux = flux_density(outside, place)[0][0]
-            rng = vrcaps.rng.stream(self._seed, "sensors/magnetometer", step.index)
+            rng = stream(self._seed, "sensors/magnetometer", step.index)
             columns |= _named("magnetometer_{}_t", read_magnetometer(unit, flux, pose[:3, :3], rng))
         if self._sensors.hall is not None:
             columns |= self._read_pad(step, outside)
@@ -110,7 +110,7 @@ class SensorReadings:
                 "capsule with one in [[magnets]], such as magnetic, or no sensor 'hall'."
             )
         self._array = hall_array(pad, self._model)
-        rng = vrcaps.rng.stream(self._seed, "sensors/hall-calibration")
+        rng = stream(self._seed, "sensors/hall-calibration")
         errors = {"gain": pad.gain_error, "offset": pad.offset_error}
         self._true_array = perturb_calibration(self._array, rng, **errors)
 
@@ -121,7 +121,7 @@ class SensorReadings:
         (place,) = transform_points(pose, np.array([magnet.position_capsule]))
         axis = rotate_vectors(pose, np.array(magnet.moment_capsule))
         inside = Dipole(float(np.linalg.norm(axis)), magnet_pose(place, axis))
-        rng = vrcaps.rng.stream(self._seed, "sensors/hall", step.index)
+        rng = stream(self._seed, "sensors/hall", step.index)
         readings = read_hall(self._true_array, [inside, *outside], rng)
         columns = {
             f"hall_{k}_{name}_t": float(value)
@@ -158,7 +158,7 @@ class SensorReadings:
             self._last = magnet_pose(place, axis) if np.isfinite(place).all() else None
 
     def _imu_rng(self, frame: int) -> np.random.Generator:
-        return vrcaps.rng.stream(self._seed, "sensors/imu", frame)
+        return stream(self._seed, "sensors/imu", frame)
 
 
 def _motion(step: Step) -> CapsuleKinematics:

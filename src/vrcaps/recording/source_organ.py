@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from vrcaps.errors import InputError
-from vrcaps.files import file_sha256
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import file_sha256
+from vrcaps.core.temporary_files import scratch_folder
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.organ.write_organ import write_organ
 from vrcaps.recording.layout import EPISODE_JSON
 from vrcaps.scenario.scenario import SOURCE_ORGAN, OrganFile, Scenario
-from vrcaps.temporary_files import scratch_folder
 
 
 def with_stored_organ(scenario: Scenario, out: Path) -> Scenario:

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import transform_points
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.read_mesh import read_mesh
 from vrcaps.recording.episode_files import EpisodeFiles, file_here
 from vrcaps.recording.layout import ORGAN_GLB, SHARED_ORGANS
-from vrcaps.transforms import transform_points
 
 _SHARED = re.compile(rf"\.\./\.\./{SHARED_ORGANS}/[0-9a-f]{{64}}\.glb")
 

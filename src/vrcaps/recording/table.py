@@ -10,21 +10,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps._core import Wall
-from vrcaps.errors import InputError, UnknownNameError, reading
-from vrcaps.files import write_bytes
-from vrcaps.geometry import barycentric
-from vrcaps.motion.dynamics_columns import SPEED_ALONG_GUT
-from vrcaps.motion.motion import Motion
-from vrcaps.motion.step import Step
-from vrcaps.organ.surface import face_label
-from vrcaps.recording.parquet_files import open_parquet
-from vrcaps.transforms import (
+from vrcaps.core.errors import InputError, UnknownNameError, reading
+from vrcaps.core.files import write_bytes
+from vrcaps.core.geometry import barycentric
+from vrcaps.core.transforms import (
     matrix_from_quaternion,
     quaternion_from_matrix,
     rotate_vectors,
     transform_from,
     transform_points,
 )
+from vrcaps.motion.dynamics_columns import SPEED_ALONG_GUT
+from vrcaps.motion.motion import Motion
+from vrcaps.motion.step import Step
+from vrcaps.organ.surface import face_label
+from vrcaps.recording.parquet_files import open_parquet
 from vrcaps.world.model import Model
 from vrcaps.world.moving_wall import MovingWall
 

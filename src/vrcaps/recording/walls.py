@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.files import decode_array
+from vrcaps.core.files import decode_array
 from vrcaps.organ.write_organ import split_at_seams
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.render.channels import CHANNELS
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from vrcaps.core.units import UM
 from vrcaps.render.encoding import Encoding, distance, fixed_point, flow, index, numbers
-from vrcaps.units import UM
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int, UInt8, UInt16

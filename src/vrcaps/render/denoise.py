@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.errors import import_extra
+from vrcaps.core.errors import import_extra
 
 if TYPE_CHECKING:
     from jaxtyping import Float32

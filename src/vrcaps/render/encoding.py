@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.errors import require
-from vrcaps.narrow import narrow
-from vrcaps.units import UM
+from vrcaps.core.errors import require
+from vrcaps.core.narrow import narrow
+from vrcaps.core.units import UM
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

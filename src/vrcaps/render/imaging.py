@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.color import log_linear_from_srgb, srgb_from_log_linear
+from vrcaps.core.color import log_linear_from_srgb, srgb_from_log_linear
 from vrcaps.lumen.bubbles import Bubbles
 from vrcaps.lumen.liquid import Liquid
 from vrcaps.mucosa.mucosa import ABSORPTION

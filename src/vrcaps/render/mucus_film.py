@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.color import LINEAR, srgb_from_linear
-from vrcaps.errors import InputError
-from vrcaps.geometry import triangle_areas
+from vrcaps.core.color import LINEAR, srgb_from_linear
+from vrcaps.core.errors import InputError
+from vrcaps.core.geometry import triangle_areas
 from vrcaps.organ.surface import Appearance, OrganSurface, round_height
 from vrcaps.render.scattering import TISSUE_IOR, internal_reflectance
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.color import LUMINANCE
+from vrcaps.core.color import LUMINANCE
 from vrcaps.mucosa.mucosa import MUCOSAE
 from vrcaps.render.imaging import (
     Imaging,

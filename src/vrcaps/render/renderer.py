@@ -11,7 +11,7 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.camera.camera import Camera, camera_rays
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.lumen.lumen_contents import LumenContents
 from vrcaps.render.channels import CHANNELS, Frame
 from vrcaps.render.denoise import load_denoiser

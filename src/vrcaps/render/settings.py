@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from vrcaps.errors import InputError, UnknownNameError, require
+from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.render.mucus_film import MAX_THICKNESS_UM
 
 Light = Literal["direct", "radiosity", "path"]

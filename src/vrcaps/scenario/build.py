@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.capsule.catalog import device_of
-from vrcaps.errors import InputError
-from vrcaps.file_ref import FileRef, path_of, with_checksums
+from vrcaps.config.convert import to_plain
+from vrcaps.config.file_ref import FileRef, path_of, with_checksums
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import LENGTH_UNITS
 from vrcaps.lesion import AnyLesion, add_lesions, lesion_rng
 from vrcaps.lesion.placement import require_possible
 from vrcaps.organ.organ_file import is_organ_file
@@ -18,8 +20,6 @@ from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.channels import CHANNELS
 from vrcaps.render.led_light import make_imaging
 from vrcaps.scenario.scenario import OrganFile, OrganGenerated, Scenario
-from vrcaps.serialization import to_plain
-from vrcaps.units import LENGTH_UNITS
 from vrcaps.world.model import Model, posture_transform
 
 if TYPE_CHECKING:

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import vrcaps.rng
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.rng import stream
 
 if TYPE_CHECKING:
     from vrcaps.lesion import Lesion
@@ -42,7 +42,7 @@ def chosen_lesions(
                 f"prevalence is a table of the colon, but the organ is {organ}. Allowed with it: "
                 f"{', '.join(colons)}. Give single lesions, or your own as a file."
             )
-        first: tuple[Lesion, ...] = draw_lesions(None, vrcaps.rng.stream(seed, "lesions/drawn"))
+        first: tuple[Lesion, ...] = draw_lesions(None, stream(seed, "lesions/drawn"))
     else:
         first = () if source is None else read_lesions(Path(source))
     return (*first, *(parse_lesion(text) for text in texts))

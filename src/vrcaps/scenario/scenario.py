@@ -9,21 +9,21 @@ from typing import Annotated, Any, ClassVar, Literal
 from vrcaps.anatomy.distension import Distension
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.capsule.device import Device
-from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.file_ref import FileRef, file_ref
+from vrcaps.config.convert import from_plain, to_plain
+from vrcaps.config.file_ref import FileRef, file_ref
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.plain_files import read_plain
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.units import parse_length
 from vrcaps.lesion import AnyLesion
-from vrcaps.limits import Range, check_fields
 from vrcaps.lumen.contents import Contents
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.motion.registry import AnyMotion
 from vrcaps.mucosa.mucosa import is_texture_path
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.plain_files import read_plain
 from vrcaps.render.channels import CHANNELS
 from vrcaps.render.settings import RenderSettings
 from vrcaps.sensors.sensors import Sensors
-from vrcaps.serialization import from_plain, to_plain
-from vrcaps.units import parse_length
 from vrcaps.world.model import posture_transform
 
 SOURCE_ORGAN = "source_organ.glb"

@@ -9,8 +9,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from vrcaps.errors import InputError
-from vrcaps.limits import Range, range_of
+from vrcaps.config.limits import Range, range_of
+from vrcaps.core.errors import InputError
 from vrcaps.scenario.scenario import Scenario
 
 _TYPE_NAMES = {bool: "true or false", int: "int", float: "float", str: "text"}
@@ -132,7 +132,7 @@ def _tables(declared: Any) -> list[type]:
     return [cls for cls in classes if cls.__module__ not in _NO_SETTINGS]
 
 
-_NO_SETTINGS = {"vrcaps.capsule.device", "vrcaps.file_ref"}
+_NO_SETTINGS = {"vrcaps.capsule.device", "vrcaps.config.file_ref"}
 """Modules whose tables are stored in separate files or as a path."""
 
 

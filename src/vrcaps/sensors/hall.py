@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError, require
+from vrcaps.core.errors import InputError, require
 from vrcaps.magnet.field import field
 from vrcaps.magnet.sources import Source
 

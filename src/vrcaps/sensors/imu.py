@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from vrcaps.limits import Range, check_fields
-from vrcaps.units import DEG
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.units import DEG
 
 if TYPE_CHECKING:
     from jaxtyping import Float

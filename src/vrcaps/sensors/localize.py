@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.magnet.field import field
 from vrcaps.magnet.sources import MAGNETIC_CONSTANT, Cylinder, Dipole, Source, magnet_pose
 from vrcaps.sensors.hall import HallArray

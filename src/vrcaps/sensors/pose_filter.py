@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.core.transforms import rotate_by_vector, rotation_vector, transform_from
 from vrcaps.magnet.internal import InternalMagnet
 from vrcaps.magnet.sources import Dipole, magnet_pose
 from vrcaps.sensors.imu import Imu
 from vrcaps.sensors.localize import magnet_readings
-from vrcaps.transforms import rotate_by_vector, rotation_vector, transform_from
 from vrcaps.world.control import GRAVITY
 
 if TYPE_CHECKING:

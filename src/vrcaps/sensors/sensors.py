@@ -9,13 +9,13 @@ from typing import Annotated
 
 import numpy as np
 
-from vrcaps.errors import UnknownNameError
-from vrcaps.limits import Range, check_fields
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import UnknownNameError
+from vrcaps.core.transforms import transform_from
+from vrcaps.core.units import MM
 from vrcaps.sensors.hall import HallArray, hall_grid
 from vrcaps.sensors.imu import Imu
 from vrcaps.sensors.magnetometer import Magnetometer
-from vrcaps.transforms import transform_from
-from vrcaps.units import MM
 from vrcaps.world.model import Model
 
 EARTH_FIELD = (0.0, 20e-6, -45e-6)

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 
-import vrcaps.rng
-from vrcaps.errors import InputError
-from vrcaps.limits import Range, check_fields
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError
+from vrcaps.core.rng import stream
+from vrcaps.core.transforms import rotate_by_vector, rotation_vector
+from vrcaps.core.units import DEG, MM
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.sources import Source, UniformField, magnet_pose
 from vrcaps.sensors.hall import HallArray, perturb_calibration, read_hall
 from vrcaps.sensors.imu import CapsuleKinematics, Imu, read_imu
 from vrcaps.sensors.pose_filter import PoseBelief, correct, located_magnet, predict
 from vrcaps.sensors.sensors import EARTH_FIELD, HallPad, hall_array
-from vrcaps.transforms import rotate_by_vector, rotation_vector
-from vrcaps.units import DEG, MM
 from vrcaps.world.model import Model
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ class CapsuleTracker:
         self._settings, self._seed, self._period = settings, seed, period
         self._array = hall_array(settings.hall, model)
         errors = {"gain": settings.hall.gain_error, "offset": settings.hall.offset_error}
-        rng = vrcaps.rng.stream(seed, "tracking/hall-calibration")
+        rng = stream(seed, "tracking/hall-calibration")
         self._true_array = perturb_calibration(self._array, rng, **errors)
         strength = float(np.linalg.norm(settings.earth_field))
         axis = np.array(settings.earth_field if strength > 0.0 else (0.0, 0.0, 1.0))
@@ -117,7 +117,7 @@ class CapsuleTracker:
         sigma[:3], sigma[6:9] = settings.position_error, settings.angle_error
         none = np.zeros(3)
         start = PoseBelief(T_world_capsule, none, none, none, none, np.diag(sigma**2))
-        off = sigma * vrcaps.rng.stream(seed, "tracking/start").normal(size=18)
+        off = sigma * stream(seed, "tracking/start").normal(size=18)
         off[3:6], off[9:] = 0.0, 0.0
         self.belief = start.moved(off)
         # True pose, velocities and time of the previous reading, IMU bias, number of readings.
@@ -212,7 +212,7 @@ class CapsuleTracker:
             angular_acceleration=tuple((w1 - w0) / dt),
         )
         unit = replace(self._settings.imu, rate=1.0 / dt)
-        rng = vrcaps.rng.stream(self._seed, "tracking/imu", self._count)
+        rng = stream(self._seed, "tracking/imu", self._count)
         force, turn, self._bias = read_imu(unit, motion, self._bias, rng)
         self.belief = predict(self.belief, unit, force, turn, dt)
         rotation = self.belief.T_world_capsule[:3, :3]
@@ -223,7 +223,7 @@ class CapsuleTracker:
         self, T_world_capsule: Float[np.ndarray, "4 4"], sources: Sequence[Source]
     ) -> None:
         """Correct by the readings of the Hall sensors."""
-        rng = vrcaps.rng.stream(self._seed, "tracking/hall", self._count)
+        rng = stream(self._seed, "tracking/hall", self._count)
         inside, _ = located_magnet(T_world_capsule, self._magnet)
         readings = read_hall(self._true_array, [inside, *sources, self._earth], rng)
         sigma = self._hall_sigma(self._array, readings)

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.core.units import MM
 from vrcaps.organ.centerline.curve import polyline_points
 from vrcaps.organ.surface import Centerline, OrganSurface
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

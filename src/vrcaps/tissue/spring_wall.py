@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
-from vrcaps.errors import require
-from vrcaps.units import MM
+from vrcaps.core.errors import require
+from vrcaps.core.units import MM
 
 if TYPE_CHECKING:
     from vrcaps.tissue.winkler_foundation import WinklerFoundation

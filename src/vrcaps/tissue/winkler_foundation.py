@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import require
-from vrcaps.units import MM
+from vrcaps.core.errors import require
+from vrcaps.core.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from vrcaps.color import LUMA_WEIGHTS
+from vrcaps.core.color import LUMA_WEIGHTS
 from vrcaps.learn.picture_border import BLACK, inserts
 
 if TYPE_CHECKING:

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError, reading
-from vrcaps.files import file_sha256
+from vrcaps.core.errors import InputError, reading
+from vrcaps.core.files import file_sha256
+from vrcaps.core.names import listed
 from vrcaps.formats.stored_images import read_rgb
-from vrcaps.names import listed
 
 if TYPE_CHECKING:
     from jaxtyping import UInt8

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.core.transforms import rotation_from_vector, transform_from, transform_points
+from vrcaps.core.units import MM
 from vrcaps.organ.measure import lumen_diameters, unit_question
-from vrcaps.transforms import rotation_from_vector, transform_from, transform_points
-from vrcaps.units import MM
 from vrcaps.world.model import Model
 
 if TYPE_CHECKING:

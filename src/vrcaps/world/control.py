@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError, require
+from vrcaps.core.errors import InputError, require
+from vrcaps.core.transforms import invert, rotate_vectors
 from vrcaps.magnet.sources import check_pose
-from vrcaps.transforms import invert, rotate_vectors
 
 if TYPE_CHECKING:
     from jaxtyping import Float

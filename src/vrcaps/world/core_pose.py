@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError
-from vrcaps.transforms import (
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import (
     invert,
     matrix_from_quaternion,
     quaternion_from_matrix,

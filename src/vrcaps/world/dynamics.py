@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal, get_args
 
-from vrcaps.errors import InputError, UnknownNameError, require
+from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.tissue.fem.deformation import FemDeformation
 
 if TYPE_CHECKING:

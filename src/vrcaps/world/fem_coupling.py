@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.world.snapshot import Snapshot

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-import vrcaps.rng
 from vrcaps import _core
 from vrcaps.capsule.body import Body
+from vrcaps.core.rng import stream
+from vrcaps.core.transforms import invert, transform_points
+from vrcaps.core.units import CM
 from vrcaps.lumen.lumen_contents import LumenContents
 from vrcaps.lumen.pools import Pools, Sections, cut_sections, level_pools, submerged
 from vrcaps.tissue.arc_length_samples import arc_length_samples
-from vrcaps.transforms import invert, transform_points
-from vrcaps.units import CM
 from vrcaps.world.core_pose import center_of_mass_and_rotation
 from vrcaps.world.model import Model
 
@@ -124,7 +124,7 @@ class LumenDynamics:
         at_rest = self._rest.spheres.at(centers)
         self._particles = _core.Particles(wall, at_rest, laws, tangents, float(places[1]))
         self._push = np.zeros(6)
-        lots = vrcaps.rng.stream(model.contents.seed, "lumen/flush")
+        lots = stream(model.contents.seed, "lumen/flush")
         self._lots = lots.random(len(self._rest.spheres))
         self._place_dome_bubbles(pose)
 

@@ -11,8 +11,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError
-from vrcaps.transforms import rotate_vectors, rotation_from_vector, rotation_vector, transform_from
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import (
+    rotate_vectors,
+    rotation_from_vector,
+    rotation_vector,
+    transform_from,
+)
 from vrcaps.world.model import posture_transform
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.errors import InputError, require
-from vrcaps.files import read_arrays, write_arrays
+from vrcaps.core.errors import InputError, require
+from vrcaps.core.files import read_arrays, write_arrays
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.transforms import invert, transform_points
+from vrcaps.core.transforms import invert, transform_points
 from vrcaps.world.model import Model
 
 if TYPE_CHECKING:

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import vrcaps.rng
 from vrcaps import _core
 from vrcaps.capsule.body import Body, homogeneous_body
-from vrcaps.errors import InputError, require
+from vrcaps.core.errors import InputError, require
+from vrcaps.core.rng import stream
+from vrcaps.core.transforms import rotate_vectors
 from vrcaps.magnet.sources import Source
 from vrcaps.tissue.arc_length_samples import arc_length_samples
 from vrcaps.tissue.motility.muscle import Muscle
 from vrcaps.tissue.tissue import Tissue
-from vrcaps.transforms import rotate_vectors
 from vrcaps.world.control import Control
 from vrcaps.world.core_pose import core_pose
 from vrcaps.world.dynamics import DynamicsKind, check_dynamics
@@ -125,7 +125,7 @@ class World:
         return _restored, (given, more, self.muscle, self.snapshot())
 
     def _make_muscle(self, motility: Motility) -> Muscle:
-        return Muscle(self.model.organ, motility, vrcaps.rng.stream(self.seed, "tissue/muscle"))
+        return Muscle(self.model.organ, motility, stream(self.seed, "tissue/muscle"))
 
     def add_muscle(self, motility: Motility) -> None:
         """Add a muscle, at rest until fronts are started, to a world without one.

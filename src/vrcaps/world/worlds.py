@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.errors import InputError, require
-from vrcaps.transforms import rotate_vectors
+from vrcaps.core.errors import InputError, require
+from vrcaps.core.transforms import rotate_vectors
 from vrcaps.world.control import Control
 from vrcaps.world.stepping import step_together
 from vrcaps.world.world import World

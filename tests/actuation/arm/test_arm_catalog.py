@@ -9,7 +9,7 @@ import pytest
 
 from vrcaps.actuation.arm.arm import Arm, arm_names, read_arm
 from vrcaps.actuation.arm.kinematics import forward
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
 
 
 @pytest.mark.parametrize("name", arm_names())

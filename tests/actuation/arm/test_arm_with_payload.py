@@ -21,10 +21,10 @@ from vrcaps.actuation.arm.arm_with_payload import (
     solve_joint_angles,
 )
 from vrcaps.actuation.arm.kinematics import forward, frames
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import transform_points
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import magnet_pose
-from vrcaps.transforms import transform_points
 
 DOWN = (0.0, 0.0, -1.0)
 

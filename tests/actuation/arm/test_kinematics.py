@@ -14,7 +14,7 @@ from flange_paths import loop_of, pose_errors
 from scenes import random_poses
 from vrcaps.actuation.arm.arm import Arm
 from vrcaps.actuation.arm.kinematics import forward, frames, inverse, jacobian, nearest
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 
 
 def random_angles(arm: Arm, rng: np.random.Generator, count: int) -> np.ndarray:

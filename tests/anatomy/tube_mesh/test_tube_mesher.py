@@ -10,9 +10,9 @@ from vrcaps.anatomy.tube_mesh.edge_flips import _distinct_flips
 from vrcaps.anatomy.tube_mesh.swept_surface import Crests, SweptSurface, make_meridian
 from vrcaps.anatomy.tube_mesh.tube import Course, make_tube
 from vrcaps.anatomy.tube_mesh.tube_mesher import count_triangles, mesh_swept_surface
+from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.measure import triangle_quality
-from vrcaps.units import MM
 
 LENGTH, RADIUS = 0.2, 0.02
 

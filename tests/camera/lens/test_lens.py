@@ -15,7 +15,7 @@ from vrcaps.camera.lens import (
     LensPinhole,
     LensScaramuzza,
 )
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 
 SIZE = 200
 

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from vrcaps.cli.benchmarks import record
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from vrcaps.cli.benchmarks import render
 from vrcaps.cli.benchmarks.extent import Extent
 from vrcaps.cli.benchmarks.stage import Stage
 from vrcaps.cli.benchmarks.studies import COMPLETE, STUDIES, Study, drawn
-from vrcaps.errors import UnknownNameError
+from vrcaps.core.errors import UnknownNameError
 from vrcaps.render.renderer import DEFAULT_CHANNELS
 
 SMALL = Extent(

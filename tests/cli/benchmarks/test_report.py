@@ -17,7 +17,7 @@ from vrcaps.cli.benchmarks.report import (
     show_report,
 )
 from vrcaps.cli.benchmarks.timing import Spread
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 
 FAST = Claim(text="fast", sense="≥", limit=100.0, unit="per second", reference="a paper | page 3")
 REPORT = Report(

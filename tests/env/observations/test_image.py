@@ -5,12 +5,12 @@ import pytest
 
 from small_envs import GUT, SHORT_GUT, simulation_of, small_settings
 from tubes import textured
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.env.env import CapsuleEnv
 from vrcaps.env.observations.image import LIMITS, ImageObservation
 from vrcaps.env.start import Start
 from vrcaps.env.vector_env import CapsuleVectorEnv
 from vrcaps.env.views import resized_camera
-from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
 from vrcaps.world.model import State

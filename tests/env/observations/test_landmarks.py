@@ -5,12 +5,12 @@ import pytest
 
 from small_envs import GUT, SHORT_GUT, simulation_of
 from vrcaps import _core
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import transform_from
 from vrcaps.env.observations.landmarks import RAYS, LandmarksObservation
 from vrcaps.env.start import Start
 from vrcaps.env.tasks.navigate import NavigateTask
-from vrcaps.errors import InputError
 from vrcaps.mesh.mesh import wall_of
-from vrcaps.transforms import transform_from
 
 _SCALE = 0.02
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.tissue.fem.deformation import FemDeformation
 
 

@@ -17,13 +17,13 @@ from fem_shapes import full
 from tubes import straight_gut
 from vrcaps import _core
 from vrcaps.capsule.catalog import read_device
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import transform_points
+from vrcaps.core.units import MM
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.fem.assembly import assemble, surface_mass
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.tissue import Tissue
-from vrcaps.transforms import transform_points
-from vrcaps.units import MM
 from vrcaps.world.control import GRAVITY, Control
 from vrcaps.world.model import Model, State
 from vrcaps.world.snapshot import read_snapshot, write_snapshot

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fem_shapes import bumpy, straight_tube
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.fem.coarse import coarsen
 from vrcaps.tissue.fem.elements import integration_points

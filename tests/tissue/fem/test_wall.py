@@ -14,7 +14,7 @@ import pytest
 from scipy.sparse.linalg import spsolve
 
 from fem_shapes import full, straight_tube, vertex_areas
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.fem.assembly import assemble, element_points
 from vrcaps.tissue.fem.deformation import FemDeformation

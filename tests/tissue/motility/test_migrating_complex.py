@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import CM
 from vrcaps.tissue.motility.migrating_complex import (
     MINUTE,
     ComplexStatistics,
     MigratingMotorComplex,
     draw_complex,
 )
-from vrcaps.units import CM
 
 ZONES = {
     "stomach": (0.0, 0.15),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.tissue.motility.motility import GiantContractions, Motility
 
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from tubes import straight_gut
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.units import CM
 from vrcaps.tissue.motility.migrating_complex import Front
 from vrcaps.tissue.motility.motility import GiantContractions, Motility
 from vrcaps.tissue.motility.muscle import Muscle, uniform
 from vrcaps.tissue.motility.segment import PER_MINUTE, SegmentMotility, segment_motilities
-from vrcaps.units import CM
 
 STEADY = SegmentMotility(
     amplitude=0.6,

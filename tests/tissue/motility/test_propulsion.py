@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from tubes import straight_gut
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.units import CM, MM
 from vrcaps.organ.surface import Centerline
 from vrcaps.tissue.motility.motility import Motility
 from vrcaps.tissue.motility.muscle import Muscle
 from vrcaps.tissue.motility.propulsion import Propulsion
-from vrcaps.units import CM, MM
 
 
 def _ring(radius: float = 0.05) -> Centerline:

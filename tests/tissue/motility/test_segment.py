@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.units import CM
 from vrcaps.tissue.motility.segment import PER_MINUTE, organ_divisions, segment_motilities
-from vrcaps.units import CM
 
 SEGMENTS = segment_motilities()
 

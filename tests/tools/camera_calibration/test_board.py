@@ -9,7 +9,7 @@ import pytest
 
 from boards import corners, held
 from vrcaps.capsule.catalog import read_device
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.tools.camera_calibration.board import Board, board_image, parse_board
 
 

@@ -11,7 +11,7 @@ import pytest
 from boards import corners, held
 from vrcaps.camera.lens import LensKannalaBrandt
 from vrcaps.capsule.catalog import read_device
-from vrcaps.errors import InputError, MissingExtraError
+from vrcaps.core.errors import InputError, MissingExtraError
 from vrcaps.tools.camera_calibration.board import Board, board_image
 from vrcaps.tools.camera_calibration.corners import find_corners, find_views
 from vrcaps.tools.camera_calibration.subpixel import nearest_neighbors, refine_corners

@@ -14,7 +14,7 @@ from boards import corners, held
 from vrcaps.camera.lens import LensKannalaBrandt, LensPinhole, LensScaramuzza
 from vrcaps.capsule.catalog import read_device
 from vrcaps.capsule.device_file import read_device_file, write_device
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.tools.camera_calibration.board import Board
 from vrcaps.tools.camera_calibration.circle import image_circle
 from vrcaps.tools.camera_calibration.corners import BoardView, find_views

@@ -11,7 +11,7 @@ import trimesh
 from vrcaps.capsule.catalog import read_device
 from vrcaps.cli import main
 from vrcaps.cli.record import Record
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.metrics.coverable import coverable
 from vrcaps.metrics.coverage import COVERAGE_LEVELS
 from vrcaps.organ.surface import OrganSurface

@@ -11,7 +11,7 @@ import pytest
 
 import small_dicom as tag
 from small_dicom import Elements, slice_elements, write_elements
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.tools.ct.read_volume import read_volume
 
 NUM = 12

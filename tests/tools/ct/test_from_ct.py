@@ -9,7 +9,7 @@ import trimesh
 
 from phantom import coverage
 from vrcaps._core import Wall as Surface
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.centerline.distance import wall_distance
 from vrcaps.tools.ct.from_ct import WallOptions, find_lumens, organ_from_gas, organ_from_label

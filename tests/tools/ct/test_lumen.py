@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from phantom import GAS, LUNG, WALL, coverage
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.tools.ct.from_ct import find_lumens
 from vrcaps.tools.ct.lumen import body_mask, choose_gas, find_gas
 from vrcaps.tools.ct.volume import Volume

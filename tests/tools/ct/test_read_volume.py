@@ -10,7 +10,7 @@ import pytest
 import SimpleITK as sitk
 
 from phantom import write_dicom
-from vrcaps.errors import InputError, MissingExtraError
+from vrcaps.core.errors import InputError, MissingExtraError
 from vrcaps.tools.ct import read_dicom, volume
 from vrcaps.tools.ct.lumen import choose_gas, find_gas
 from vrcaps.tools.ct.read_volume import read_volume

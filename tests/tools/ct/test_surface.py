@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from vrcaps.errors import InputError, MissingExtraError
+from vrcaps.core.errors import InputError, MissingExtraError
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.tools.ct.fraction import LumenFraction, bounding_box, number_parts
 from vrcaps.tools.ct.surface import decimate, extract_wall, smooth

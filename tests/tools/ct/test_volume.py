@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.tools.ct.volume import Volume, common_part, upright
 
 

@@ -9,8 +9,8 @@ import pytest
 from PIL import Image
 from scipy import ndimage
 
-from vrcaps.color import LUMINANCE, log_linear_from_srgb, srgb_from_log_linear
-from vrcaps.errors import InputError
+from vrcaps.core.color import LUMINANCE, log_linear_from_srgb, srgb_from_log_linear
+from vrcaps.core.errors import InputError
 from vrcaps.mucosa.texture import HEAD, read_texture, texture_sha256, write_texture
 from vrcaps.tools.mucosa_from_photos.make_texture import TextureOptions, make_texture
 from vrcaps.tools.mucosa_from_photos.patches import PhotoScale

@@ -13,7 +13,7 @@ from PIL import Image
 from made_frames import CAMERA, CENTER, SIZE, Figures, photos
 from vrcaps.capsule.catalog import read_device
 from vrcaps.capsule.device_file import read_device_file, write_device
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.scenario.scenario import read_scenario
 from vrcaps.tools.photometric_calibration.calibrate_photometric import (
     calibrate_photometric,

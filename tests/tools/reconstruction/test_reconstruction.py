@@ -8,7 +8,8 @@ import pytest
 
 from vrcaps.camera.camera import Camera, pixel_grid
 from vrcaps.camera.lens import LensEquidistant
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import look_along, transform_from
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.recording.image_files import write_images
@@ -17,7 +18,6 @@ from vrcaps.tools.reconstruction.compare import compare, write_comparison
 from vrcaps.tools.reconstruction.estimates import read_depth, read_poses, with_depth, with_poses
 from vrcaps.tools.reconstruction.fuse import FuseSettings, fuse
 from vrcaps.tools.reconstruction.volume import Volume
-from vrcaps.transforms import look_along, transform_from
 
 SIDE, RADIUS = 64, 0.02
 LENS = LensEquidistant(focal=26.0, cx=31.5, cy=31.5, max_angle=1.2)

@@ -10,7 +10,8 @@ from scipy.ndimage import gaussian_filter
 from vrcaps.camera.camera import Camera, pixel_grid
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.cli import main
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import rotation_from_vector, transform_from
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.metrics.trajectory import Similarity
 from vrcaps.recording.frame_sequence import FrameSequence
@@ -19,7 +20,6 @@ from vrcaps.tools.reconstruction.icp import apply, register
 from vrcaps.tools.reconstruction.mosaic import Mosaic, blended, usable
 from vrcaps.tools.reconstruction.pair_graph import connected
 from vrcaps.tools.reconstruction.shading import depth_from_shading
-from vrcaps.transforms import rotation_from_vector, transform_from
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed")
 

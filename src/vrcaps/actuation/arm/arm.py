@@ -10,11 +10,11 @@ from typing import Annotated, Any
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.catalog_folder import CatalogFolder
-from vrcaps.errors import InputError, require
-from vrcaps.limits import Range, check_fields
-from vrcaps.plain_files import read_plain
-from vrcaps.serialization import from_plain
+from vrcaps.config.catalog import CatalogFolder
+from vrcaps.config.convert import from_plain
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.plain_files import read_plain
+from vrcaps.core.errors import InputError, require
 
 
 def _in(unit: str, **options: Any) -> Any:

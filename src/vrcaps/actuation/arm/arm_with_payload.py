@@ -11,9 +11,9 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.actuation.arm.arm import Arm, Link
 from vrcaps.actuation.arm.kinematics import forward, nearest
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import invert
 from vrcaps.magnet.sources import Cylinder, check_pose
-from vrcaps.transforms import invert
 
 if TYPE_CHECKING:
     from jaxtyping import Float

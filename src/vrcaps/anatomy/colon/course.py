@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-import vrcaps.rng
 from vrcaps.anatomy.colon.parameters import SEGMENTS
 from vrcaps.anatomy.tube_mesh.tube import Course
-from vrcaps.errors import InputError
-from vrcaps.geometry import smoothstep
-from vrcaps.units import CM, MM
+from vrcaps.core.errors import InputError
+from vrcaps.core.geometry import smoothstep
+from vrcaps.core.rng import stream
+from vrcaps.core.units import CM, MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -64,7 +64,7 @@ _HIGHEST_CM = (0.0, 14.0, 14.0, 19.0, 20.0, 18.0, 3.0, -7.0)
 
 def colon_rng(seed: int) -> np.random.Generator:
     """Random generator of a seed's colon (course, then wall), alone or in the full tract."""
-    return vrcaps.rng.stream(seed, "colon")
+    return stream(seed, "colon")
 
 
 def generate_course(parameters: ColonParameters, rng: np.random.Generator) -> Course:

@@ -19,7 +19,7 @@ from vrcaps.anatomy.tube_mesh.surface_to_organ import surface_to_organ
 from vrcaps.anatomy.tube_mesh.swept_surface import SweptSurface
 from vrcaps.anatomy.tube_mesh.tube import make_tube
 from vrcaps.anatomy.tube_mesh.tube_mesher import count_triangles
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.surface import OrganSurface
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated
 
-from vrcaps.errors import require
-from vrcaps.limits import Range, check_fields
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import require
+from vrcaps.core.rng import truncated_normal
+from vrcaps.core.units import CM, MM
 from vrcaps.organ.segments import COLON
-from vrcaps.rng import truncated_normal
-from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
     import numpy as np

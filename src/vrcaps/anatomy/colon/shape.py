@@ -17,8 +17,8 @@ from vrcaps.anatomy.colon.course import blend, lumen_radius
 from vrcaps.anatomy.tube_mesh.folds import Folds
 from vrcaps.anatomy.tube_mesh.swept_surface import Crests
 from vrcaps.anatomy.tube_mesh.waves import draw_waves, sum_waves, within_bend, wrap
-from vrcaps.geometry import smoothstep
-from vrcaps.units import CM, DEG, MM
+from vrcaps.core.geometry import smoothstep
+from vrcaps.core.units import CM, DEG, MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -17,7 +17,7 @@ from vrcaps.anatomy.tube_mesh.tube_packing import (
     relax_chain,
     smooth_course,
 )
-from vrcaps.units import CM, MM
+from vrcaps.core.units import CM, MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

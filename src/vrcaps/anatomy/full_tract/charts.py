@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.core.units import MM
 from vrcaps.mesh.edges import face_areas
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.uv_charts import TubeChart, chart_coordinates
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

@@ -26,13 +26,13 @@ from vrcaps.anatomy.stomach.parameters import SEGMENTS as STOMACH_SEGMENTS
 from vrcaps.anatomy.tube_mesh.coordinates import angle_and_radius, arc_length_of_sections
 from vrcaps.anatomy.tube_mesh.surface_to_organ import CENTERLINE_STEP, TubeMesh, mesh_tube
 from vrcaps.anatomy.tube_mesh.tube import Course, make_tube
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import CM, MM
 from vrcaps.mesh.edges import face_areas
 from vrcaps.mesh.mesh import Mesh, vertex_normals
 from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.centerline import centerline_from_points
 from vrcaps.organ.surface import Centerline, OrganSurface
-from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

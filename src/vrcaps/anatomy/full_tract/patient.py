@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 
-import vrcaps.rng
 from vrcaps.anatomy.colon.parameters import SEGMENTS, ColonParameters
 from vrcaps.anatomy.distension import at_distension
 from vrcaps.anatomy.full_tract.abdomen import (
@@ -16,7 +15,8 @@ from vrcaps.anatomy.small_bowel.course import NeighboringOrgans
 from vrcaps.anatomy.small_bowel.parameters import SmallBowelParameters
 from vrcaps.anatomy.stomach.parameters import StomachParameters
 from vrcaps.anatomy.tube_mesh.tube import Course
-from vrcaps.units import CM
+from vrcaps.core.rng import stream
+from vrcaps.core.units import CM
 
 COLON_DISTENSIONS = {"inflated": 1.0, "normal": 0.85, "collapsed": 0.65}
 """Diameters of the colon relative to the insufflated one, to which published values refer."""
@@ -56,9 +56,9 @@ def draw_patient_anatomy(seed: int, distension: str | None = None) -> PatientAna
     upper, lower = distension or "normal", distension or "inflated"
     return PatientAnatomy(
         seed,
-        StomachParameters.draw(vrcaps.rng.stream(seed, "stomach/dimensions")).at(upper),
-        SmallBowelParameters.draw(vrcaps.rng.stream(seed, "small-bowel/dimensions")).at(upper),
-        colon_at(ColonParameters.draw(vrcaps.rng.stream(seed, "colon/dimensions")), lower),
+        StomachParameters.draw(stream(seed, "stomach/dimensions")).at(upper),
+        SmallBowelParameters.draw(stream(seed, "small-bowel/dimensions")).at(upper),
+        colon_at(ColonParameters.draw(stream(seed, "colon/dimensions")), lower),
     )
 
 

@@ -25,8 +25,8 @@ from vrcaps.anatomy.stomach.shape import (
 )
 from vrcaps.anatomy.tube_mesh.swept_surface import SweptSurface
 from vrcaps.anatomy.tube_mesh.tube import Course, Tube, make_tube
-from vrcaps.geometry import smoothstep
-from vrcaps.units import MM
+from vrcaps.core.geometry import smoothstep
+from vrcaps.core.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -20,8 +20,8 @@ from vrcaps.anatomy.tube_mesh.tube_packing import (
     sharpest_bend,
     smooth_course,
 )
-from vrcaps.errors import InputError
-from vrcaps.units import CM, MM
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import CM, MM
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

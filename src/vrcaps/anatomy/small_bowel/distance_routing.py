@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from vrcaps.units import MM
+from vrcaps.core.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

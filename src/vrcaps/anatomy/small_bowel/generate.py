@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-import vrcaps.rng
 from vrcaps.anatomy.small_bowel.course import generate_course
 from vrcaps.anatomy.small_bowel.parameters import BULB_LENGTH, SEGMENTS
 from vrcaps.anatomy.small_bowel.shape import (
@@ -19,10 +18,11 @@ from vrcaps.anatomy.small_bowel.shape import (
 from vrcaps.anatomy.tube_mesh.surface_to_organ import surface_to_organ
 from vrcaps.anatomy.tube_mesh.swept_surface import SweptSurface
 from vrcaps.anatomy.tube_mesh.tube import make_tube
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.rng import stream
+from vrcaps.core.units import MM
 from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float, UInt8
@@ -67,7 +67,7 @@ def generate_small_bowel(
 
 def small_bowel_rng(seed: int) -> np.random.Generator:
     """Random generator of a seed's small bowel (wall and coils), alone or in the full tract."""
-    return vrcaps.rng.stream(seed, "small-bowel/coils")
+    return stream(seed, "small-bowel/coils")
 
 
 def lay_small_bowel(

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated
 
 from vrcaps.anatomy.distension import at_distension
-from vrcaps.limits import Range, check_fields
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.rng import truncated_normal
+from vrcaps.core.units import CM, MM
 from vrcaps.organ.segments import SMALL_BOWEL
-from vrcaps.rng import truncated_normal
-from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
     import numpy as np

@@ -15,8 +15,8 @@ import scipy
 from vrcaps.anatomy.small_bowel.parameters import BULB_LENGTH
 from vrcaps.anatomy.tube_mesh.folds import Folds
 from vrcaps.anatomy.tube_mesh.waves import draw_waves, sum_waves, within_bend, wrap
-from vrcaps.geometry import smoothstep
-from vrcaps.units import CM, MM
+from vrcaps.core.geometry import smoothstep
+from vrcaps.core.units import CM, MM
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -6,11 +6,11 @@ from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Annotated
 
 from vrcaps.anatomy.distension import at_distension
-from vrcaps.errors import require
-from vrcaps.limits import Range, check_fields
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import require
+from vrcaps.core.rng import truncated_normal
+from vrcaps.core.units import MM
 from vrcaps.organ.segments import STOMACH
-from vrcaps.rng import truncated_normal
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     import numpy as np

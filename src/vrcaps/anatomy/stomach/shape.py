@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-import vrcaps.rng
 from vrcaps.anatomy.tube_mesh.tube import Course
 from vrcaps.anatomy.tube_mesh.waves import draw_waves, sum_waves, within_bend, wrap
-from vrcaps.geometry import smoothstep
-from vrcaps.units import CM, MM
+from vrcaps.core.geometry import smoothstep
+from vrcaps.core.rng import stream
+from vrcaps.core.units import CM, MM
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -104,12 +104,12 @@ def _resample(points: Float[np.ndarray, "n 3"], num: int) -> Float[np.ndarray, "
 
 def stomach_wall_rng(seed: int) -> np.random.Generator:
     """Random generator of the wall of a seed's stomach, alone or in the full tract."""
-    return vrcaps.rng.stream(seed, "stomach/wall")
+    return stream(seed, "stomach/wall")
 
 
 def stomach_course_rng(seed: int) -> np.random.Generator:
     """Random generator of the axis of a seed's stomach, alone or in the full tract."""
-    return vrcaps.rng.stream(seed, "stomach/course")
+    return stream(seed, "stomach/course")
 
 
 def draw_stomach_wall(

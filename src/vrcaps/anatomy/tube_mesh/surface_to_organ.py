@@ -14,11 +14,11 @@ from vrcaps.anatomy.tube_mesh.coordinates import (
 )
 from vrcaps.anatomy.tube_mesh.swept_surface import make_meridian, turn_fractions
 from vrcaps.anatomy.tube_mesh.tube_mesher import mesh_swept_surface
+from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.organ.centerline import centerline_from_points
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.organ.uv_charts import TubeChart, chart_coordinates
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -19,8 +19,8 @@ from vrcaps.anatomy.tube_mesh.swept_surface import (
     make_meridian,
 )
 from vrcaps.anatomy.tube_mesh.waves import wrap
+from vrcaps.core.units import MM
 from vrcaps.mesh.edges import directed_edges
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

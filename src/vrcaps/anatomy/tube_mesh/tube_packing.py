@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from vrcaps.anatomy.tube_mesh.tube import Course
-from vrcaps.units import MM
+from vrcaps.core.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 import numpy as np
 
 from vrcaps.camera.lens.tensors import namespace, solved
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float

@@ -20,7 +20,7 @@ from vrcaps.camera.lens.base import (
     rays_at_angles,
 )
 from vrcaps.camera.lens.tensors import namespace, on_tensors
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -14,7 +14,7 @@ from vrcaps.camera_pipeline.effect.base import (
     Severity,
     Stage,
 )
-from vrcaps.errors import require
+from vrcaps.core.errors import require
 
 _HALVINGS = 16
 """Bisection steps of `AutoExposure.settle`: 1e-4 of the exposure over three decades."""

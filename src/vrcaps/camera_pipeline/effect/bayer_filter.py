@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from vrcaps.camera_pipeline.effect.base import CameraSetup, ImageEffect
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 
 BayerPattern = Literal["rggb", "bggr", "grbg", "gbrg"]
 """Colors of 2 by 2 sites, in row-major order."""

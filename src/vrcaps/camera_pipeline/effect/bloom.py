@@ -7,7 +7,7 @@ from typing import Annotated
 
 from vrcaps.camera.derive import focal_length_px
 from vrcaps.camera_pipeline.effect.base import CameraSetup, ImageEffect
-from vrcaps.limits import Range
+from vrcaps.config.limits import Range
 
 
 @dataclass(frozen=True)

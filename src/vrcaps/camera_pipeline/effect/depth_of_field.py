@@ -9,7 +9,7 @@ import numpy as np
 
 from vrcaps.camera.derive import focal_length_px
 from vrcaps.camera_pipeline.effect.base import CameraSetup, FrameContext, ImageEffect, Stage
-from vrcaps.limits import Range
+from vrcaps.config.limits import Range
 
 if TYPE_CHECKING:
     from jaxtyping import Float

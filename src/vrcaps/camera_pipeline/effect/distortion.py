@@ -9,7 +9,7 @@ import numpy as np
 
 from vrcaps.camera.derive import barrel_lens, barrel_radius, half_side_px
 from vrcaps.camera_pipeline.effect.base import CameraEffect
-from vrcaps.limits import Range
+from vrcaps.config.limits import Range
 
 if TYPE_CHECKING:
     from vrcaps.camera.camera import Camera

@@ -19,10 +19,10 @@ from vrcaps.camera_pipeline.dome import (
     unflatten,
 )
 from vrcaps.camera_pipeline.effect.base import CameraSetup, FrameContext, ImageEffect, Stage
-from vrcaps.errors import require
-from vrcaps.geometry import unit
-from vrcaps.limits import Range
-from vrcaps.units import DEG, MM
+from vrcaps.config.limits import Range
+from vrcaps.core.errors import require
+from vrcaps.core.geometry import unit
+from vrcaps.core.units import DEG, MM
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int, UInt8

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from vrcaps.camera_pipeline.effect.base import CameraSetup, ImageEffect
-from vrcaps.limits import Range
+from vrcaps.config.limits import Range
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 
 from vrcaps.camera_pipeline.effect.base import CameraSetup, ImageEffect
-from vrcaps.limits import Range
+from vrcaps.config.limits import Range
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from vrcaps.camera.derive import scaled_camera
 from vrcaps.camera_pipeline.effect.base import CameraEffect
-from vrcaps.limits import Range
+from vrcaps.config.limits import Range
 
 if TYPE_CHECKING:
     from vrcaps.camera.camera import Camera

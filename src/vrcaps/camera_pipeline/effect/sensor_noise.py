@@ -10,7 +10,7 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.camera_pipeline.effect.base import CameraSetup, ImageEffect
 from vrcaps.camera_pipeline.effect.bayer_filter import BayerFilter
-from vrcaps.errors import require
+from vrcaps.core.errors import require
 
 if TYPE_CHECKING:
     from jaxtyping import Float

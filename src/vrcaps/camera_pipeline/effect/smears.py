@@ -17,8 +17,8 @@ from vrcaps.camera_pipeline.dome import (
     pupil_disk_radius,
 )
 from vrcaps.camera_pipeline.effect.base import CameraSetup, ImageEffect, Stage
-from vrcaps.limits import Range
-from vrcaps.units import MM
+from vrcaps.config.limits import Range
+from vrcaps.core.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, UInt8

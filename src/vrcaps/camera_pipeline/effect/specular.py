@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated
 
 from vrcaps.camera_pipeline.effect.base import SceneEffect
-from vrcaps.errors import InputError
-from vrcaps.limits import Range
+from vrcaps.config.limits import Range
+from vrcaps.core.errors import InputError
 
 if TYPE_CHECKING:
     from vrcaps.organ.surface import OrganSurface

@@ -10,7 +10,7 @@ import numpy as np
 from vrcaps.camera.camera import camera_rays, pixel_grid
 from vrcaps.camera.derive import half_side_px
 from vrcaps.camera_pipeline.effect.base import CameraSetup, ImageEffect
-from vrcaps.errors import require
+from vrcaps.core.errors import require
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vrcaps.cli.benchmarks.sources import ROOT, digest
-from vrcaps.files import write_bytes
+from vrcaps.core.files import write_bytes
 
 _MARK = "<!-- written by "
 _STARTED = time.monotonic()

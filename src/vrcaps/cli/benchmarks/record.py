@@ -15,8 +15,8 @@ from vrcaps.cli.benchmarks import claims
 from vrcaps.cli.benchmarks.report import Report, Row, Table, check_out, machine_facts, show_report
 from vrcaps.cli.benchmarks.timing import Spread
 from vrcaps.cli.console import console, progress_bar
-from vrcaps.errors import InputError
-from vrcaps.temporary_files import scratch_folder
+from vrcaps.core.errors import InputError
+from vrcaps.core.temporary_files import scratch_folder
 
 
 def run(*, out: Path | None = None, quick: bool = False) -> Report:

@@ -11,7 +11,7 @@ from vrcaps.cli.benchmarks.report import Report, check_out, machine_facts, show_
 from vrcaps.cli.benchmarks.stage import make_organ, make_stage
 from vrcaps.cli.benchmarks.studies import STUDIES
 from vrcaps.cli.console import console, progress_bar
-from vrcaps.errors import UnknownNameError
+from vrcaps.core.errors import UnknownNameError
 from vrcaps.render.renderer import DEFAULT_CHANNELS
 
 if TYPE_CHECKING:

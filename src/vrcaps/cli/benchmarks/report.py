@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 
 from vrcaps.cli.benchmarks.page import table, write_section
 from vrcaps.cli.benchmarks.timing import Spread
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -11,10 +11,10 @@ from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensEquidistant
 from vrcaps.capsule.catalog import read_device
 from vrcaps.capsule.device import Device
+from vrcaps.core.transforms import invert, transform_from
+from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.transforms import invert, transform_from
-from vrcaps.units import MM
 from vrcaps.world.model import Model, State
 
 if TYPE_CHECKING:

@@ -24,11 +24,11 @@ from vrcaps.cli.benchmarks.report import (
 from vrcaps.cli.benchmarks.stage import Stage, make_organ, make_stage
 from vrcaps.cli.benchmarks.timing import Spread
 from vrcaps.cli.console import console
+from vrcaps.core.units import MM
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.fem.wall import FemWall
 from vrcaps.tissue.motility.motility import Motility
 from vrcaps.tissue.tissue import Tissue
-from vrcaps.units import MM
 from vrcaps.world.control import Control
 from vrcaps.world.moving_wall import MovingWall
 from vrcaps.world.world import SUBSTEP, World

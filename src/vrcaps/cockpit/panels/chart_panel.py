@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.units import DEG, MM
+from vrcaps.core.units import DEG, MM
 
 if TYPE_CHECKING:
     from vrcaps.cockpit.page import Page

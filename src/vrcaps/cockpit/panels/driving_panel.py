@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.cockpit.browser import KEYS, PAD
-from vrcaps.transforms import matrix_from_quaternion, quaternion_from_matrix, transform_from
+from vrcaps.core.transforms import matrix_from_quaternion, quaternion_from_matrix, transform_from
 
 if TYPE_CHECKING:
     from vrcaps.cockpit.page import Page

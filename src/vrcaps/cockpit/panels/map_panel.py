@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.core.transforms import invert, transform_points
 from vrcaps.tools.overview.unroll import dissection, unroll
-from vrcaps.transforms import invert, transform_points
 
 if TYPE_CHECKING:
     from vrcaps.cockpit.page import Page

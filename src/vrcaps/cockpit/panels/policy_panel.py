@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from vrcaps.cockpit.policy_driver import PolicyDriver
+from vrcaps.core.errors import UnknownNameError
 from vrcaps.env.actuation.magnet import MagnetActuation
-from vrcaps.errors import UnknownNameError
 from vrcaps.policy.policy import policy_names
 
 if TYPE_CHECKING:

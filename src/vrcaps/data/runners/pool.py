@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
+from vrcaps.core.processes import spawned
 from vrcaps.data.make_unit import Job, Maker, Outcome
 from vrcaps.data.runners.runner import Deaths, UnitQueue, num_processors
 from vrcaps.data.units import Units
-from vrcaps.processes import spawned
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from vrcaps.core.errors import InputError, import_extra
 from vrcaps.data.make_unit import Job, Maker, Outcome
 from vrcaps.data.runners.runner import Deaths, UnitQueue, num_processors
 from vrcaps.data.units import Units
-from vrcaps.errors import InputError, import_extra
 
 LOCAL, AUTO = "local", "auto"
 

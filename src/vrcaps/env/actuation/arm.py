@@ -19,11 +19,11 @@ from vrcaps.actuation.arm.arm_with_payload import (
 )
 from vrcaps.actuation.robot_actuator import RobotActuator
 from vrcaps.actuation.steering_program import BASE_BELOW, base_beside, workspace_above
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError, require
+from vrcaps.core.units import CM
 from vrcaps.env.actuation.magnet import supporting_pose
-from vrcaps.errors import InputError, require
-from vrcaps.limits import Range, check_fields
 from vrcaps.magnet.presets import read_magnet
-from vrcaps.units import CM
 from vrcaps.world.control import Control
 
 if TYPE_CHECKING:

@@ -10,11 +10,11 @@ import numpy as np
 
 from vrcaps.actuation.magnet_pose_solver import MagnetPoseSolver, Workspace, WrenchTarget
 from vrcaps.actuation.steering_program import workspace_above
-from vrcaps.limits import Range, check_fields
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.transforms import rotation_from_vector
+from vrcaps.core.units import CM
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.presets import read_magnet
-from vrcaps.transforms import rotation_from_vector
-from vrcaps.units import CM
 from vrcaps.world.control import GRAVITY, Control
 
 if TYPE_CHECKING:

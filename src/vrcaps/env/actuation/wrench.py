@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.limits import Range, check_fields
+from vrcaps.config.limits import Range, check_fields
 from vrcaps.world.control import GRAVITY, Control
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 
-from vrcaps.limits import Range, check_fields
+from vrcaps.config.limits import Range, check_fields
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from vrcaps.core.errors import UnknownNameError, require
 from vrcaps.env.views import View
-from vrcaps.errors import UnknownNameError, require
 from vrcaps.render.channels import CHANNELS
 from vrcaps.render.settings import RenderSettings
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.limits import Range, check_fields
-from vrcaps.transforms import rotate_vectors, transform_points
-from vrcaps.units import CM, MM
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.transforms import rotate_vectors, transform_points
+from vrcaps.core.units import CM, MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

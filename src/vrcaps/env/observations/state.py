@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
+from vrcaps.config.limits import check_fields
+from vrcaps.core.units import CM, MM
 from vrcaps.env.located_capsules import LocatedCapsules
-from vrcaps.limits import check_fields
 from vrcaps.sensors.tracking import TrackingSensors
-from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
+from vrcaps.config.limits import Range, check_fields
 from vrcaps.env.rewards import Reward
-from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.coverage import CoverageLevel
 from vrcaps.metrics.point_coverage import POINT_LEVELS, require_point_level
 

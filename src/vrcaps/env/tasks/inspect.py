@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError
 from vrcaps.env.rewards import Reward
-from vrcaps.errors import InputError
 from vrcaps.lesion import Angioectasia, Polyp, Ulcer
-from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.coverage import CoverageLevel
 from vrcaps.metrics.point_coverage import POINT_LEVELS, require_point_level
 

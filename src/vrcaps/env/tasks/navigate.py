@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import UnknownNameError, require
+from vrcaps.core.units import CM
 from vrcaps.env.actuation.magnet import MagnetActuation
 from vrcaps.env.rewards import Reward
 from vrcaps.env.start import Start
-from vrcaps.errors import UnknownNameError, require
-from vrcaps.limits import Range, check_fields
-from vrcaps.units import CM
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float

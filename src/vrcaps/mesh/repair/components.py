@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from vrcaps.errors import InputError
-from vrcaps.geometry import triangle_normals
+from vrcaps.core.errors import InputError
+from vrcaps.core.geometry import triangle_normals
+from vrcaps.core.units import MM
 from vrcaps.mesh.edges import (
     drop_unused_vertices,
     face_areas,
@@ -21,7 +22,6 @@ from vrcaps.mesh.mesh import wall_of
 from vrcaps.mesh.repair.cap import close_loops, find_loops
 from vrcaps.mesh.repair.manifold import orient_consistently
 from vrcaps.mesh.repair.repair_report import Repair
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import MM
 from vrcaps.mesh.edges import (
     face_areas,
     find_edges,
@@ -22,7 +23,6 @@ from vrcaps.mesh.repair.weld import (
     remove_degenerate_faces,
     remove_duplicate_faces,
 )
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from vrcaps.mesh.mesh import Mesh

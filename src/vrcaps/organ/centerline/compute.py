@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from vrcaps.errors import InputError
-from vrcaps.geometry import triangle_areas
+from vrcaps.core.errors import InputError
+from vrcaps.core.geometry import triangle_areas
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.centerline.curve import centerline_from_points, transport_frames
 from vrcaps.organ.centerline.handles import num_handles, without_short_cuts

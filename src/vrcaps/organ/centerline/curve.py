@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.organ.centerline.distance import wall_distance
 from vrcaps.organ.surface import Centerline
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from vrcaps.errors import InputError
-from vrcaps.geometry import triangle_areas, triangle_normals
+from vrcaps.core.errors import InputError
+from vrcaps.core.geometry import triangle_areas, triangle_normals
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.organ.centerline.ends import any_end, far_end, nearest_voxel
 from vrcaps.organ.centerline.lumen import LumenGrid
 

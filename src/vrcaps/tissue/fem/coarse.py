@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-import vrcaps.rng
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.rng import stream
 from vrcaps.mesh.mesh import wall_of
 from vrcaps.tissue.fem.curved import BentTriangles, bulges_towards, edges_of, relaxed
 from vrcaps.tissue.fem.layer import CoarseSurface
@@ -65,7 +65,7 @@ def coarsen(
     smooth = low_pass(vertices, faces, _WAVELENGTH_EDGES * edge)
     graph = _edge_graph(smooth, faces)
     border = np.unique(border_edges(faces))
-    rng = vrcaps.rng.stream(0, "fem/coarse-surface")
+    rng = stream(0, "fem/coarse-surface")
     for _ in range(_ATTEMPTS):
         seeds, cell = _cells(smooth, graph, border, edge, rng)
         triangles = _dual(cell, faces)

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from vrcaps.errors import InputError, UnknownNameError, require
-from vrcaps.units import MM
+from vrcaps.core.errors import InputError, UnknownNameError, require
+from vrcaps.core.units import MM
 
 _MODELS = ("linear", "neo-hookean")
 _SEVEN = 7.0

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.tissue.fem.elements import EDGES, corner_volumes, integration_points
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from vrcaps.geometry import triangle_areas
+from vrcaps.core.geometry import triangle_areas
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

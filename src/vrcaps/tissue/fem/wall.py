@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.errors import InputError, require
+from vrcaps.core.errors import InputError, require
 from vrcaps.tissue.fem.assembly import assemble, element_points
 from vrcaps.tissue.fem.coarse import Coarsened, coarsen
 from vrcaps.tissue.fem.deformation import FemDeformation

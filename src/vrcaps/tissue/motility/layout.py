@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import UnknownNameError
+from vrcaps.core.errors import UnknownNameError
+from vrcaps.core.units import CM
 from vrcaps.tissue.arc_length_samples import arc_length_samples
 from vrcaps.tissue.motility.segment import ZONES, organ_divisions
-from vrcaps.units import CM
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

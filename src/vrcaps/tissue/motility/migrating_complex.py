@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError, require
+from vrcaps.core.errors import InputError, require
+from vrcaps.core.units import CM
 from vrcaps.tissue.motility.segment import ZONES
-from vrcaps.units import CM
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

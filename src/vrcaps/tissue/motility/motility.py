@@ -6,11 +6,11 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from vrcaps.errors import UnknownNameError, require
+from vrcaps.core.errors import UnknownNameError, require
+from vrcaps.core.units import CM
 from vrcaps.tissue.motility.migrating_complex import ComplexStatistics, Front
 from vrcaps.tissue.motility.propulsion import Propulsion
 from vrcaps.tissue.motility.segment import SegmentMotility, segment_motilities
-from vrcaps.units import CM
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.tissue.motility.layout import lay_out
 from vrcaps.tissue.motility.migrating_complex import draw_complex
 from vrcaps.tissue.motility.rows import KINDS, Rows, Table, make_table

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal
 
-from vrcaps.errors import UnknownNameError, require
+from vrcaps.core.errors import UnknownNameError, require
+from vrcaps.core.units import CM, MM
 from vrcaps.organ.segments import ORGANS
-from vrcaps.units import CM, MM
 
 PER_MINUTE = 1.0 / 60.0
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.core.units import DEG
 from vrcaps.tools.camera_calibration.circle import ImageCircle
 from vrcaps.tools.camera_calibration.fit import Calibration
-from vrcaps.units import DEG
 
 if TYPE_CHECKING:
     from vrcaps.tools.photos import Photo

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.errors import InputError, import_extra
+from vrcaps.core.errors import InputError, import_extra
 from vrcaps.tools.camera_calibration.board import MAX_SQUARES, Board
 from vrcaps.tools.camera_calibration.subpixel import refine_corners
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from vrcaps.camera.camera import Camera
 from vrcaps.capsule.device import Device
-from vrcaps.errors import UnknownNameError
+from vrcaps.core.errors import UnknownNameError
 from vrcaps.tools.camera_calibration.fit import Calibration
 
 

@@ -10,7 +10,8 @@ import numpy as np
 import scipy
 
 from vrcaps.camera.lens.base import angles_to_axis
-from vrcaps.errors import InputError, require
+from vrcaps.core.errors import InputError, require
+from vrcaps.core.transforms import transform_from, transform_points
 from vrcaps.tools.camera_calibration.board import Board
 from vrcaps.tools.camera_calibration.corners import MIN_VIEWS, BoardView
 from vrcaps.tools.camera_calibration.initial_guess import initial_lens
@@ -21,7 +22,6 @@ from vrcaps.tools.camera_calibration.parameterization import (
     values_of,
     with_values,
 )
-from vrcaps.transforms import transform_from, transform_points
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from vrcaps.camera.lens import Lens, LensKannalaBrandt, LensPinhole, LensScaramuzza
-from vrcaps.errors import UnknownNameError
+from vrcaps.core.errors import UnknownNameError
 
 Size = tuple[int, int]
 

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vrcaps.core.units import CM
 from vrcaps.mesh.mesh import wall_of
 from vrcaps.metrics.coverage import COVERAGE_LEVELS
 from vrcaps.tools.coverage.episode_coverage import EpisodeCoverage
 from vrcaps.tools.coverage.write_coverage import vertex_level
 from vrcaps.tools.overview.outside import VIEWS, outside_view
 from vrcaps.tools.overview.unroll import unroll
-from vrcaps.units import CM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

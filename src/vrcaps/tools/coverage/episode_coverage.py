@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError
-from vrcaps.geometry import triangle_areas
+from vrcaps.core.errors import InputError
+from vrcaps.core.geometry import triangle_areas
+from vrcaps.core.transforms import transform_points
 from vrcaps.metrics.coverage import (
     CoverageCriteria,
     CoverageLevel,
@@ -21,7 +22,6 @@ from vrcaps.metrics.coverage import (
 )
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import OrganSurface, face_label
-from vrcaps.transforms import transform_points
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.files import write_bytes
+from vrcaps.core.files import write_bytes
 from vrcaps.metrics.coverage import COVERAGE_LEVELS
 from vrcaps.recording.table import FrameTable, write_table
 from vrcaps.tools.coverage.episode_coverage import EpisodeCoverage

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import ndimage
 
-from vrcaps.units import MM
+from vrcaps.core.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import UnknownNameError
+from vrcaps.core.errors import UnknownNameError
+from vrcaps.core.units import MM
 from vrcaps.tools.ct.components import connected_parts, grown, renumbered, shrunk
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int, UInt16

@@ -10,10 +10,10 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import KDTree
 
+from vrcaps.core.units import MM
 from vrcaps.tools.ct.fraction import LumenFraction
 from vrcaps.tools.ct.lumen import mm_text
 from vrcaps.tools.ct.volume import index_to_patient
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError
-from vrcaps.files import files_in
-from vrcaps.names import is_hidden
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import files_in
+from vrcaps.core.names import is_hidden
+from vrcaps.core.units import MM
 from vrcaps.tools.ct.itk import import_sitk
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     import SimpleITK

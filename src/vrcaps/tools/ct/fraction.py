@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.core.units import MM
 from vrcaps.tools.ct.air_fluid_interface import resolve_interface
 from vrcaps.tools.ct.cleansing import add_fluid
 from vrcaps.tools.ct.components import connected_parts, grown, part_sizes, renumbered, shrunk
 from vrcaps.tools.ct.lumen import SPECKS
 from vrcaps.tools.ct.volume import PatientGrid, shifted
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, UInt16

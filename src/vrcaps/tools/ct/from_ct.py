@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import CM, MM
 from vrcaps.tools.ct.collapse_bridging import (
     CHANNEL_RADIUS,
     Gap,
@@ -19,7 +20,6 @@ from vrcaps.tools.ct.components import renumbered
 from vrcaps.tools.ct.fraction import LumenFraction, gas_fraction, mask_fraction, number_parts
 from vrcaps.tools.ct.lumen import GAS_THRESHOLD, SPECKS, GasPiece, find_gas
 from vrcaps.tools.ct.volume import Volume
-from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import import_extra
-from vrcaps.units import MM
+from vrcaps.core.errors import import_extra
+from vrcaps.core.units import MM
 
 if TYPE_CHECKING:
     from types import ModuleType

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.units import CM
+from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.units import CM
 
 if TYPE_CHECKING:
     from vrcaps.tools.ct.volume import Volume

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from scipy import ndimage
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import CM, MM
 from vrcaps.tools.ct.components import connected_parts, part_sizes, renumbered
-from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, UInt16

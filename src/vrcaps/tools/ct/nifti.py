@@ -9,7 +9,7 @@ from typing import IO, TYPE_CHECKING, Literal
 
 import numpy as np
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.tools.ct.volume import require_finite
 
 if TYPE_CHECKING:

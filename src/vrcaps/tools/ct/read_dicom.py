@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import MM
 from vrcaps.tools.ct.dicom_headers import Listing, Series, Slice, inverted_sum, list_series
 from vrcaps.tools.ct.itk import import_sitk, itk_reason
 from vrcaps.tools.ct.volume import Volume, hounsfield, require_voxels
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError, reading
-from vrcaps.names import inside
-from vrcaps.narrow import narrow
+from vrcaps.core.errors import InputError, reading
+from vrcaps.core.names import inside
+from vrcaps.core.narrow import narrow
 from vrcaps.tools.ct.itk import grid_transform, import_sitk, itk_reason
 from vrcaps.tools.ct.nifti import require_finite_nifti
 from vrcaps.tools.ct.read_dicom import read_dicom

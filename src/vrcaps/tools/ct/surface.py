@@ -10,11 +10,11 @@ from numpy.polynomial import chebyshev
 from scipy import ndimage
 from scipy.sparse import coo_array, csr_array
 
-from vrcaps.errors import InputError, import_extra
-from vrcaps.geometry import triangle_areas
+from vrcaps.core.errors import InputError, import_extra
+from vrcaps.core.geometry import triangle_areas
+from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.tools.ct.fraction import LumenFraction
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

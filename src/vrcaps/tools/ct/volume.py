@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError
-from vrcaps.units import MM
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int, Int16

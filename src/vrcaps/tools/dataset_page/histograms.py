@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.core.units import MM
 from vrcaps.recording.frame_sequence import SPLITS
 from vrcaps.tools.dataset_page.sample import Sample
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vrcaps.core.files import write_bytes
 from vrcaps.data.card import duration_text, size_text
 from vrcaps.data.counts import (
     Count,
@@ -23,7 +24,6 @@ from vrcaps.data.counts import (
 )
 from vrcaps.data.plan import DatasetSettings
 from vrcaps.data.stored_files import read_at_once
-from vrcaps.files import write_bytes
 from vrcaps.recording.frame_sequence import SPLITS
 from vrcaps.recording.pictures import legend, limits_of, picture
 from vrcaps.render.channels import CHANNELS

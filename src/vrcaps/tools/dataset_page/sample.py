@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.camera.camera import Camera, camera_rays
-from vrcaps.color import LUMA_WEIGHTS
+from vrcaps.core.color import LUMA_WEIGHTS
 from vrcaps.data.dataset import Dataset, Member
 from vrcaps.data.stored_files import read_at_once
 from vrcaps.recording.episode import Episode

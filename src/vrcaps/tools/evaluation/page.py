@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vrcaps.files import write_bytes, write_csv
+from vrcaps.core.files import write_bytes, write_csv
 from vrcaps.policy.evaluation import PAPER_COVERAGE, PAPER_TIME
 from vrcaps.tools.evaluation.subject import MEDIAN_OF, Subject, ends, summary
 from vrcaps.tools.evaluation.summary_figure import summary_picture

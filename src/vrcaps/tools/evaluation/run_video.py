@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.capsule.catalog import device_of
+from vrcaps.core.files import write_bytes
+from vrcaps.core.transforms import invert, matrix_from_quaternion, transform_from
 from vrcaps.env.patient import Patients
 from vrcaps.env.views import resized_camera
-from vrcaps.files import write_bytes
 from vrcaps.mesh.mesh import wall_of
 from vrcaps.metrics.point_coverage import POINT_LEVELS, mark_points, wall_points
 from vrcaps.policy.evaluate import organ_name
@@ -24,7 +25,6 @@ from vrcaps.tools.coverage.coverage_figure import LEVEL_COLORS
 from vrcaps.tools.evaluation.subject import MEDIAN_OF, Subject
 from vrcaps.tools.overview.inside import exposed_image
 from vrcaps.tools.overview.outside import VIEWS, outside_view, project, view_rays
-from vrcaps.transforms import invert, matrix_from_quaternion, transform_from
 from vrcaps.world.model import Model, State
 
 if TYPE_CHECKING:

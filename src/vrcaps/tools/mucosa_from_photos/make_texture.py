@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy
 
-import vrcaps.rng
-from vrcaps.color import LUMINANCE, srgb_from_log_linear
-from vrcaps.errors import InputError
+from vrcaps.core.color import LUMINANCE, srgb_from_log_linear
+from vrcaps.core.errors import InputError
+from vrcaps.core.rng import stream
+from vrcaps.core.units import MM
 from vrcaps.mucosa.texture import HEIGHT_STEP, MucosaTexture
 from vrcaps.tools.mucosa_from_photos.patches import (
     PhotoAnalysis,
@@ -25,7 +26,6 @@ from vrcaps.tools.mucosa_from_photos.quality import texture_quality
 from vrcaps.tools.mucosa_from_photos.quilt import Quilt, quilt, variants
 from vrcaps.tools.mucosa_from_photos.relief import relief
 from vrcaps.tools.mucosa_from_photos.vessels import VesselPiece
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -105,7 +105,7 @@ def make_texture(
     _check(options, photos, seed)
     tell = progress or (lambda done, total: None)
     chosen, others = _chosen(photos, scale, options, tell)
-    rng = vrcaps.rng.stream(seed, "mucosa-from-photos")
+    rng = stream(seed, "mucosa-from-photos")
     parts, doubtful = source_patches(chosen, keep_vessels=not options.vessels)
     layout = Quilt.of_side(len(parts[0]))
     if options.size < 2 * layout.patch:

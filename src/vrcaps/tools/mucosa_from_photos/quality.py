@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.color import lab_from_srgb
+from vrcaps.core.color import lab_from_srgb
 from vrcaps.tools.field_of_view import highlights
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from vrcaps.color import log_luminance
-from vrcaps.errors import InputError
+from vrcaps.core.color import log_luminance
+from vrcaps.core.errors import InputError
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float

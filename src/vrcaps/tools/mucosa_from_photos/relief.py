@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from vrcaps.color import log_luminance
+from vrcaps.core.color import log_luminance
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.color import srgb_from_log_linear
-from vrcaps.units import MM
+from vrcaps.core.color import srgb_from_log_linear
+from vrcaps.core.units import MM
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -9,12 +9,12 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.capsule.catalog import read_device
+from vrcaps.core.transforms import invert, transform_from
+from vrcaps.core.units import MM
 from vrcaps.organ.centerline import interpolate
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
-from vrcaps.transforms import invert, transform_from
-from vrcaps.units import MM
 from vrcaps.world.model import Model, State
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps._core import Wall
-from vrcaps.geometry import barycentric, unit
+from vrcaps.core.geometry import barycentric, unit
 from vrcaps.organ.surface import OrganSurface, face_label
 
 if TYPE_CHECKING:

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps._core import Wall
+from vrcaps.core.units import CM, MM
 from vrcaps.mesh.mesh import wall_of
 from vrcaps.organ.measure import OrganMeasures, arc_length_bins, measure_organ, segment_spans
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tools.overview.inside import inside_views
 from vrcaps.tools.overview.outside import VIEWS, outside_view, project
 from vrcaps.tools.overview.unroll import dissection_rows
-from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps._core import Wall, num_threads
-from vrcaps.geometry import barycentric, triangle_areas
+from vrcaps.core.geometry import barycentric, triangle_areas
 from vrcaps.organ.centerline import interpolate
 from vrcaps.organ.surface import OrganSurface, face_label
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from vrcaps.camera.camera import Camera, Led
 from vrcaps.capsule.device import Device
-from vrcaps.errors import InputError
-from vrcaps.plain_files import write_toml
+from vrcaps.config.plain_files import write_toml
+from vrcaps.core.errors import InputError
 from vrcaps.tools.camera_calibration.circle import ImageCircle, image_circle
 from vrcaps.tools.camera_calibration.device import find_camera, with_camera
 from vrcaps.tools.photometric_calibration.frames import Frames

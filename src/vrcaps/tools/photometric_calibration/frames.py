@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.color import log_linear_from_srgb, luminance
-from vrcaps.errors import InputError
+from vrcaps.core.color import log_linear_from_srgb, luminance
+from vrcaps.core.errors import InputError
 from vrcaps.tools.field_of_view import field_of_view
 
 if TYPE_CHECKING:

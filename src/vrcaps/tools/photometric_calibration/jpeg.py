@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import reading
-from vrcaps.names import listed
+from vrcaps.core.errors import reading
+from vrcaps.core.names import listed
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from vrcaps.color import LINEAR
+from vrcaps.core.color import LINEAR
 from vrcaps.tools.photometric_calibration.frames import Frames
 
 if TYPE_CHECKING:

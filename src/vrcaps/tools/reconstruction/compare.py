@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.files import atomic_write, write_bytes, write_csv
-from vrcaps.geometry import triangle_areas
+from vrcaps.core.files import atomic_write, write_bytes, write_csv
+from vrcaps.core.geometry import triangle_areas
+from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.metrics.surface import SurfaceErrors, surface_distances, surface_errors
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float, UInt8

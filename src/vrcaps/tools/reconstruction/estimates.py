@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.camera.camera import Camera, pixel_grid
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import MM
 from vrcaps.formats.images import file_name
 from vrcaps.formats.tum import poses_of
 from vrcaps.metrics.trajectory import TrajectoryAlignment, aligned_poses, fit_similarity
@@ -18,7 +19,6 @@ from vrcaps.motion.trajectory_files import tum_rows
 from vrcaps.recording.frame_sequence import CAMERA_POSE, FrameSequence
 from vrcaps.recording.image_files import read_image
 from vrcaps.render.channels import CHANNELS
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float, UInt8

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from vrcaps.camera.camera import pixel_grid, unproject_pixels
-from vrcaps.errors import InputError
-from vrcaps.limits import Range, check_fields
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.tools.reconstruction.volume import Volume
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import UInt8

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import require
-from vrcaps.geometry import triangle_normals, unit
+from vrcaps.core.errors import require
+from vrcaps.core.geometry import triangle_normals, unit
+from vrcaps.core.transforms import rotation_from_vector
 from vrcaps.mesh.mesh import Mesh, wall_of
 from vrcaps.metrics.trajectory import Similarity
-from vrcaps.transforms import rotation_from_vector
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -19,7 +19,7 @@ import numpy as np
 
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
 from vrcaps.tools.reconstruction.bundle import mapped
 from vrcaps.tools.reconstruction.opencv import opencv
 

@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from vrcaps.camera.camera import Camera, pixel_grid, unproject_pixels
-from vrcaps.errors import InputError
-from vrcaps.limits import Range, check_fields
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import invert
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.tools.reconstruction.fuse import LEAST_COSINE
 from vrcaps.tools.reconstruction.highlights import without_highlights
@@ -24,7 +25,6 @@ from vrcaps.tools.reconstruction.matching import likely_pairs, sift_features
 from vrcaps.tools.reconstruction.pair_graph import chained, connected
 from vrcaps.tools.reconstruction.pose_adjustment import Deviations, adjusted_poses
 from vrcaps.tools.reconstruction.relative_pose import PosePair, View, pose_pair
-from vrcaps.transforms import invert
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from vrcaps.errors import import_extra
+from vrcaps.core.errors import import_extra
 
 
 def opencv() -> Any:

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.core.transforms import invert, rotation_from_vector, transform_from, transform_points
 from vrcaps.tools.reconstruction.relative_pose import PosePair, View
-from vrcaps.transforms import invert, rotation_from_vector, transform_from, transform_points
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

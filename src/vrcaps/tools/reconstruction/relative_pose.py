@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps import rng
+from vrcaps.core import rng
+from vrcaps.core.transforms import invert, transform_from, transform_points
 from vrcaps.tools.reconstruction.matching import is_trusted, matches
 from vrcaps.tools.reconstruction.opencv import opencv
-from vrcaps.transforms import invert, transform_from, transform_points
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Float32, Int

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.camera.camera import Camera, pixel_grid
-from vrcaps.color import linear_from_srgb, luminance
+from vrcaps.core.color import linear_from_srgb, luminance
 from vrcaps.tools.field_of_view import fill
 
 if TYPE_CHECKING:

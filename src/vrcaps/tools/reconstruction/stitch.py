@@ -23,9 +23,9 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from vrcaps.camera.camera import Camera, in_image, pixel_grid, project_points
-from vrcaps.errors import InputError
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError
 from vrcaps.formats.rectify import rectified, widest_field
-from vrcaps.limits import Range, check_fields
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.tools.reconstruction.bundle import adjusted, chained_homographies
 from vrcaps.tools.reconstruction.highlights import without_highlights

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.files import write_csv
+from vrcaps.core.files import write_csv
+from vrcaps.core.units import MM
 from vrcaps.recording.image_files import write_images
 from vrcaps.render.channels import CHANNELS
 from vrcaps.tools.reconstruction.highlights import highlights, without_highlights
@@ -15,7 +16,6 @@ from vrcaps.tools.reconstruction.matching import Pair
 from vrcaps.tools.reconstruction.opencv import opencv
 from vrcaps.tools.reconstruction.stitch import Stitched
 from vrcaps.tools.reconstruction.stitch_surface import WallSurface
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import UInt8

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.camera.camera import Camera, pixel_grid
-from vrcaps.errors import InputError
+from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import transform_points
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.recording.frame_sequence import CAMERA_POSE
 from vrcaps.tools.reconstruction.estimates import network_depth
@@ -16,7 +17,6 @@ from vrcaps.tools.reconstruction.icp import Registration, registered
 from vrcaps.tools.reconstruction.mosaic import Mosaic
 from vrcaps.tools.reconstruction.shading import depth_from_shading
 from vrcaps.tools.reconstruction.stitch import Stitched
-from vrcaps.transforms import transform_points
 
 if TYPE_CHECKING:
     from jaxtyping import Float, UInt8

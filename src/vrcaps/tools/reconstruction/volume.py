@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.camera.camera import Camera, in_image, pixel_grid, project_points, unproject_pixels
-from vrcaps.errors import InputError, require
+from vrcaps.core.errors import InputError, require
+from vrcaps.core.transforms import invert, transform_points
 from vrcaps.mesh.mesh import Mesh
-from vrcaps.transforms import invert, transform_points
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Float32, Int, UInt8

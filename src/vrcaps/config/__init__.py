@@ -1,0 +1,1 @@
+"""Settings: conversion between typed values and files, their limits, and catalogs."""

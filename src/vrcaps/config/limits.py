@@ -1,0 +1,101 @@
+"""Limits of a dataclass's fields, declared in their types and checked in its constructor."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from functools import cache
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+
+from vrcaps.core.errors import UnknownNameError, require
+
+
+@dataclass(frozen=True)
+class Range:
+    """Limits of a number, for `Annotated[float, Range(above=0.0)]`; None and ``inf`` are open.
+
+    Attributes:
+        least: Minimum, inclusive.
+        most: Maximum, inclusive.
+        above: Lower bound, exclusive.
+        below: Upper bound, exclusive.
+        unit: Unit, for messages.
+    """
+
+    least: float = -math.inf
+    most: float = math.inf
+    above: float = -math.inf
+    below: float = math.inf
+    unit: str = ""
+
+    def __contains__(self, value: float) -> bool:
+        return self.least <= value <= self.most and self.above < value < self.below
+
+    def __str__(self) -> str:
+        low = f"above {_text(self.above)}" if self.above > -math.inf else _text(self.least)
+        high = f"below {_text(self.below)}" if self.below < math.inf else _text(self.most)
+        unit = f" {self.unit}" if self.unit else ""
+        if not math.isfinite(min(self.most, self.below)):
+            is_open = self.above > -math.inf or self.least == -math.inf
+            return (low if is_open else f"{low}{unit} or more") + (unit if is_open else "")
+        return f"{low} to {high}{unit}"
+
+
+def _text(limit: float) -> str:
+    return f"{limit:.12g}" if float(limit).is_integer() else f"{limit:.6g}"
+
+
+def check_fields(instance: Any, of: str = "") -> None:
+    """Check that each field with a `Range` or a `Literal` type holds an allowed value.
+
+    Call it in `__post_init__`. A field that is None is not checked; an infinite number is outside
+    any open range.
+
+    Args:
+        instance: The dataclass.
+        of: Owner of the fields, for messages.
+
+    Raises:
+        InputError: If a number is out of range; states the field and the allowed values.
+        UnknownNameError: If a text is none of the literals.
+    """
+    owner = "" if not of else f"{of}' " if of.endswith("s") else f"{of}'s "
+    for name, range_, known in _limits(type(instance)):
+        value = getattr(instance, name)
+        if value is None:
+            continue
+        if range_ is not None:
+            require(value in range_, owner + name, value, str(range_))
+        elif isinstance(value, str) and value not in known:
+            raise UnknownNameError(name.replace("_", " "), value, known)
+
+
+@cache
+def _limits(cls: type) -> tuple[tuple[str, Range | None, tuple[str, ...]], ...]:
+    hints = get_type_hints(cls, include_extras=True)
+    found = []
+    for name in (f.name for f in fields(cls)):
+        ranges = [
+            item for item in getattr(hints[name], "__metadata__", ()) if isinstance(item, Range)
+        ]
+        known = _literals(hints[name])
+        if ranges or known:
+            found.append((name, ranges[0] if ranges else None, known))
+    return tuple(found)
+
+
+def _literals(hint: Any) -> tuple[str, ...]:
+    """Texts that a type allows; empty if it allows any."""
+    if get_origin(hint) is Annotated:
+        hint = get_args(hint)[0]
+    if get_origin(hint) is Literal:
+        return get_args(hint)
+    members = get_args(hint)
+    if str in members:
+        return ()
+    return next((get_args(m) for m in members if get_origin(m) is Literal), ())
+
+
+def range_of(hint: Any) -> Range | None:
+    """Range in the annotation of a type, if any."""
+    return next((m for m in getattr(hint, "__metadata__", ()) if isinstance(m, Range)), None)

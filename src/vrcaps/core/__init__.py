@@ -1,0 +1,1 @@
+"""Foundations: units, errors, random streams, transforms, geometry, names and files."""

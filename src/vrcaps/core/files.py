@@ -1,0 +1,216 @@
+"""Atomic writing of files and folders, and checksums."""
+
+from __future__ import annotations
+
+import csv
+import errno
+import hashlib
+import io
+import json
+import math
+import os
+import shutil
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vrcaps.core.errors import InputError, StorageError
+from vrcaps.core.locks import file_lock
+from vrcaps.core.temporary_files import is_temporary, remove_stale, temporary_beside
+
+MOST_BYTES = 2**32
+"""Maximum size of the arrays of one archive, since a header may state any."""
+
+
+@contextmanager
+def atomic_write(path: Path) -> Iterator[Path]:
+    """Yield a temporary path next to `path`, which replaces `path` if the block succeeds.
+
+    The data are synced to disk first: after a power failure there is either the old file or the
+    complete new one. The temporary name is unique, so that concurrent writers of the same file do
+    not interfere: the last one to finish wins.
+    """
+    with temporary_beside(path) as temporary:
+        yield temporary
+        with temporary.open("rb+") as file:
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+
+
+@contextmanager
+def atomic_folder(out: Path) -> Iterator[Path]:
+    """Yield an empty folder next to `out`, which becomes `out` on success and is removed otherwise.
+
+    The partial folder of a killed process is replaced.
+
+    Raises:
+        InputError: If `out` exists and is not empty.
+        FolderInUseError: If another process is writing `out`.
+        StorageError: If the location cannot be written.
+    """
+    out = Path(os.path.abspath(out))
+    require_new_folder(out)
+    partial = out.with_name(f".{out.name}.partial")
+    with file_lock(out.with_name(f".{out.name}.lock"), str(out)):
+        try:
+            _remove_folder(partial)
+            partial.mkdir()
+        except OSError as error:
+            raise StorageError(f"Cannot write {partial}: {error.strerror}.") from error
+        try:
+            yield partial
+            if out.exists():
+                remove_stale(out)
+                out.rmdir()
+            partial.rename(out)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+    sync_folder(out.parent)
+
+
+def _remove_folder(folder: Path) -> None:
+    """Remove a folder with its contents; of a symbolic link only the link."""
+    if folder.is_symlink():
+        folder.unlink()
+    elif folder.exists():
+        shutil.rmtree(folder)
+
+
+def write_bytes(path: Path, data: bytes | Iterable[bytes]) -> None:
+    """Write a file atomically.
+
+    Args:
+        path: The file to write or replace.
+        data: Its bytes, or chunks of them in order.
+    """
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
+        file.writelines([data] if isinstance(data, bytes) else data)
+
+
+def sync_folder(folder: Path) -> None:
+    """Sync the names in a folder to disk; returns immediately on Windows."""
+    if os.name == "nt":
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # folders of some file systems cannot be synced
+            raise
+    finally:
+        os.close(descriptor)
+
+
+def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write arrays as a compressed NumPy archive (.npz)."""
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, **arrays)  # pyright: ignore[reportArgumentType]
+
+
+def read_arrays(path: Path, most_bytes: int = MOST_BYTES) -> dict[str, np.ndarray]:
+    """Read the arrays of a NumPy archive.
+
+    Args:
+        path: The file.
+        most_bytes: Maximum total size of the arrays.
+
+    Raises:
+        OSError: If the file cannot be read.
+        ValueError: If it is not an archive, is truncated or damaged, or its arrays are larger.
+    """
+    try:
+        with path.open("rb") as file, zipfile.ZipFile(file) as archive:
+            total = sum(member.file_size for member in archive.infolist())
+            if total > most_bytes:
+                raise ValueError(f"its arrays take {total} bytes, more than {most_bytes}")
+            return {
+                member.filename.removesuffix(".npy"): decode_array(_member(archive, member))
+                for member in archive.infolist()
+            }
+    except OSError:
+        raise
+    except Exception as error:  # errors of zipfile and NumPy for damaged data have no common base
+        raise ValueError(f"no whole NumPy archive: {error}") from error
+
+
+def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
+    """Bytes of a member; decompression stops at the size that its header states."""
+    with archive.open(member) as file:
+        return file.read(member.file_size)
+
+
+def decode_array(data: bytes) -> np.ndarray:
+    """Decode the bytes of a NumPy file (.npy); its size is checked before allocation.
+
+    Raises:
+        ValueError: If they are not such a file, hold objects, or are fewer than the header states.
+    """
+    file = io.BytesIO(data)
+    try:
+        major, _ = np.lib.format.read_magic(file)
+        read_header = {
+            1: np.lib.format.read_array_header_1_0,
+            2: np.lib.format.read_array_header_2_0,
+        }[major]
+        shape, is_fortran, dtype = read_header(file)
+    except Exception as error:  # NumPy raises SyntaxError, TokenError and others
+        raise ValueError(f"no whole NumPy array: {error}") from error
+    if dtype.hasobject or dtype.itemsize == 0:
+        raise ValueError(f"it holds {dtype}, not numbers")
+    size, rest = math.prod(shape) * dtype.itemsize, len(data) - file.tell()
+    if min(shape, default=0) < 0 or size > rest:
+        raise ValueError(f"its header states {size} bytes, and it has {rest}")
+    values = np.frombuffer(data, dtype, math.prod(shape), file.tell())
+    return values.reshape(shape, order="F" if is_fortran else "C").copy(order="K")
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write indented JSON in the given key order; NaN is an error."""
+    text = json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False)
+    write_bytes(path, (text + "\n").encode())
+
+
+def is_new_folder(folder: Path) -> bool:
+    """Return whether a folder is missing, or contains at most temporary files."""
+    if not folder.exists():
+        return True
+    return folder.is_dir() and all(is_temporary(path.name) for path in folder.iterdir())
+
+
+def require_new_folder(folder: Path) -> None:
+    """Check that an output folder is missing or empty.
+
+    Raises:
+        InputError: If it is not empty, or is a file.
+    """
+    if not is_new_folder(folder):
+        raise InputError(f"{folder} exists. Give a new or empty folder.")
+
+
+def files_in(folder: Path) -> list[Path]:
+    """All files in a folder and its subfolders, sorted."""
+    return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write rows as CSV with a header: all names, in the order of their first occurrence."""
+    text = io.StringIO()
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    writer = csv.DictWriter(text, names, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_bytes(path, text.getvalue().encode())
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 checksum of a file, in hexadecimal.
+
+    Raises:
+        OSError: If the file cannot be read.
+    """
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

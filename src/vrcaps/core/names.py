@@ -1,0 +1,130 @@
+"""Names in data and files in folders, checked before their use as paths.
+
+External data may contain any text as the name of a sequence, a split or a file. A valid name is a
+relative path that stays below its folder, even if links are followed.
+"""
+
+from __future__ import annotations
+
+import os
+import unicodedata
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import Any
+
+from vrcaps.core.errors import InputError
+
+_LONGEST = 180
+"""Bytes of a name in UTF-8; formats make it a file name, of 255 at most with its endings."""
+_UNSEEN = ("Cc", "Cs", "Zl", "Zp")
+"""Unicode categories of control characters, halves of pairs, and ends of lines and paragraphs."""
+_TURNING = ("LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI")
+"""Classes of characters that change the direction of writing, so that a name looks like another."""
+_SYSTEM_FILES = ("thumbs.db", "desktop.ini", "__macosx", "icon\r")
+"""Files and folders, in lower case, that Windows and macOS add to a user's folders."""
+
+
+def require_name(noun: str, name: Any) -> str:
+    """Check that a name in data is a valid relative path on every system.
+
+    Args:
+        noun: Kind of the named object, for messages.
+        name: The name; slashes separate folders.
+
+    Returns:
+        The name.
+
+    Raises:
+        InputError: If it is not text, empty, absolute, leads upwards, or has control characters.
+    """
+    if not (isinstance(name, str) and _is_relative(name)):
+        shown = repr(name)
+        shown = shown if len(shown) <= 80 else f"{shown[:77]}..."
+        raise InputError(
+            f"The name of a {noun} is {shown}. Allowed: a relative path of at most {_LONGEST} "
+            "bytes without '..', backslashes and control characters."
+        )
+    return name
+
+
+def _is_relative(name: str) -> bool:
+    windows = PureWindowsPath(name)
+    parts = PurePosixPath(name).parts
+    return (
+        0 < len(name.encode(errors="replace")) <= _LONGEST
+        and bool(parts)
+        and not windows.anchor
+        and not windows.drive
+        and all(part.strip(" .") for part in parts)
+        and not any(_is_control(character) for character in name)
+    )
+
+
+def _is_control(character: str) -> bool:
+    """Whether a character is a backslash, or one that a terminal does not show as text."""
+    return (
+        character == "\\"
+        or unicodedata.category(character) in _UNSEEN
+        or unicodedata.bidirectional(character) in _TURNING
+    )
+
+
+def inside(folder: Path, name: Any) -> Path:
+    """Path of a file named in data, below a folder, with links followed.
+
+    Args:
+        folder: Folder that must contain the file.
+        name: Relative path in the data.
+
+    Returns:
+        ``folder / name``.
+
+    Raises:
+        InputError: If it is not text, or leads out of the folder.
+    """
+    if not isinstance(name, (str, Path)) or "\0" in str(name):
+        raise InputError(f"A file in {folder} has the name {name!r}. Allowed: a relative path.")
+    path = folder / name
+    if not _leads_into(path, folder):
+        raise _leads_out(path, folder)
+    return path
+
+
+def require_links_inside(folder: Path) -> None:
+    """Check that no link in a folder or its subfolders leads out of it; hidden ones may.
+
+    Raises:
+        InputError: If one does; states its path.
+    """
+    for place, folders, files in os.walk(folder):
+        folders[:] = [name for name in folders if not is_hidden(Path(name))]
+        for path in (Path(place, name) for name in (*folders, *files)):
+            if path.is_symlink() and not _leads_into(path, folder):
+                raise _leads_out(path, folder)
+
+
+def listed(folder: Path, pattern: str) -> list[Path]:
+    """Files and folders that match a pattern, sorted, without hidden and system files.
+
+    Names that start with a dot are hidden, such as the `._*` that macOS adds next to each file.
+
+    Args:
+        folder: Folder to search.
+        pattern: As in `Path.glob`; ``**`` is any depth.
+    """
+    return sorted(p for p in folder.glob(pattern) if not is_hidden(p.relative_to(folder)))
+
+
+def is_hidden(path: Path) -> bool:
+    """Return whether a relative path has a part that is hidden or added by a system."""
+    return any(part.startswith(".") or part.lower() in _SYSTEM_FILES for part in path.parts)
+
+
+def _leads_into(path: Path, folder: Path) -> bool:
+    return Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder))
+
+
+def _leads_out(path: Path, folder: Path) -> InputError:
+    return InputError(
+        f"{path} leads out of {folder}. Allowed: files in that folder. Copy them there, or give "
+        "the folder that holds them all."
+    )

@@ -1,0 +1,1 @@
+"""Training runs: their folders and the threads that they use."""

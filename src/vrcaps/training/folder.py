@@ -1,0 +1,99 @@
+"""Folder of a training: its settings and versions, so that it resumes with the same result."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+from vrcaps import __version__
+from vrcaps.config.plain_files import decode_json
+from vrcaps.core.build_info import core_sha256, versions
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import is_new_folder, write_json
+
+SETTINGS = "settings.json"
+
+
+def begin_training(
+    out: Path,
+    plain: dict[str, Any],
+    packages: tuple[str, ...],
+    *,
+    is_forced: bool = False,
+    growing: tuple[str, ...] = (),
+) -> None:
+    """Create the folder of a training, or check that it belongs to the same one.
+
+    Args:
+        out: Folder: new, empty, or of the same training.
+        plain: Settings as plain values.
+        packages: Packages that the result's bytes depend on.
+        is_forced: Resume even if vrcaps or a package has changed since the start of the training.
+        growing: Dotted paths of settings that may have grown; the new values are written.
+
+    Raises:
+        InputError: If the folder holds something else, or a training of other settings or versions.
+    """
+    path = out / SETTINGS
+    made_with = {"vrcaps": __version__, "core": core_sha256(), **versions(packages)}
+    if not path.is_file():
+        if not is_new_folder(out):
+            raise InputError(f"{out} holds no training. Give a new or empty folder.")
+        out.mkdir(parents=True, exist_ok=True)
+        write_json(path, {"made_with": made_with, "settings": plain})
+        return
+    try:
+        found = decode_json(path.read_bytes(), path)
+        before, versions_before = found["settings"], found["made_with"]
+    except (InputError, LookupError, TypeError) as error:
+        raise InputError(f"{path} is damaged. Give a new folder.") from error
+    grown = _with_grown(before, plain, growing)
+    changed = _differences(grown, plain)
+    if changed:
+        raise InputError(
+            f"{out} holds a training with other settings: {', '.join(changed[:5])}. Give a new "
+            "folder, or the settings that it was begun with."
+        )
+    newer = _differences(versions_before, made_with)
+    if newer and not is_forced:
+        raise InputError(
+            f"{out} was begun with other versions: {', '.join(newer)}. Its result would not be the "
+            "same. Give a new folder, or --force to go on."
+        )
+    if grown != before:
+        write_json(path, {**found, "settings": plain})
+
+
+def _with_grown(before: Any, now: Any, growing: tuple[str, ...]) -> Any:
+    """Copy of a plain tree with the numbers at some paths raised to those of another tree."""
+    raised = copy.deepcopy(before)
+    for path in growing:
+        *groups, name = path.split(".")
+        own, new = raised, now
+        for group in groups:
+            own, new = (tree.get(group) if isinstance(tree, dict) else None for tree in (own, new))
+        if isinstance(own, dict) and isinstance(new, dict):
+            old, value = own.get(name), new.get(name)
+            if isinstance(old, int | float) and isinstance(value, int | float) and value > old:
+                own[name] = value
+    return raised
+
+
+def _differences(before: Any, now: Any, at: str = "") -> list[str]:
+    """Paths at which two plain trees differ, with both values."""
+    if isinstance(before, dict) and isinstance(now, dict):
+        keys = sorted({*before, *now})
+        return [
+            line
+            for key in keys
+            for line in _differences(before.get(key), now.get(key), f"{at}.{key}".strip("."))
+        ]
+    if before is None and now == []:  # a list that an older version did not know
+        return []
+    return [] if before == now else [f"{at} was {_short(before)}, now {_short(now)}"]
+
+
+def _short(value: Any) -> str:
+    text = str(value)
+    return text if len(text) <= 24 else f"{text[:12]}…"

@@ -32,7 +32,7 @@ from vrcaps.world.model import Model, posture_transform
 BATCHES = 31
 LIMIT = 2.0
 COUNT = 8
-FRAMES, RATE, WARM, MOST_CONTROL = 9, 2.0, 100, 200.0
+FRAMES, RATE, WARM, MAX_CONTROL = 9, 2.0, 100, 200.0
 CONTROL_HEAD = ("magnet held by", "control steps", "median", "p10 to p90", "claimed")
 HEAD = ("8 sources", "distance", "a wrench, median", "p10 to p90", "claimed")
 
@@ -89,7 +89,7 @@ def control_rows() -> list[tuple[str, ...]]:
         run.program.control = timed(run.program.control, taken)
         list(run.steps())
         low, median, high = np.quantile(taken[WARM:], [0.1, 0.5, 0.9])
-        said = f"≤ {MOST_CONTROL:g} µs: {'yes' if median <= MOST_CONTROL else 'NO'}"
+        said = f"≤ {MAX_CONTROL:g} µs: {'yes' if median <= MAX_CONTROL else 'NO'}"
         actuator = "a free hand" if arm is None else "the Panda"
         spread = f"{low:.0f} to {high:.0f} µs"
         rows.append((actuator, str(len(taken) - WARM), f"{median:.0f} µs", spread, said))

@@ -31,7 +31,7 @@ BATCH, WORKERS, CHANNELS = 8, 2, ("rgb", "depth")
 SECONDS, ROUNDS = 4.0, 5
 """Of the clock for each rate; times that a first batch is waited for."""
 LATENCIES_MS = (1, 20, 50)
-LEAST_RATE, MOST_SECONDS = 300.0, 2.0
+MIN_RATE, MAX_SECONDS = 300.0, 2.0
 PLAN = """
 capsule = "mirocam"
 channels = ["rgb", "depth"]
@@ -59,13 +59,13 @@ def main() -> None:
 
 8 recordings of {args.size} frames, rgb and depth, 320 × 320; batches of {BATCH}, shuffled; \
 {os.cpu_count()} processors.
-Claimed: {LEAST_RATE:.0f} frames a second with {WORKERS} workers.
+Claimed: {MIN_RATE:.0f} frames a second with {WORKERS} workers.
 
 {table(HEAD, rows)}
 
 From a web server that waits before each answer, {WORKERS} workers of 8 threads; median of \
 {ROUNDS} (lowest–highest).
-Claimed: the first batch in less than {MOST_SECONDS:.0f} s, from `vrcaps.data.open` on.
+Claimed: the first batch in less than {MAX_SECONDS:.0f} s, from `vrcaps.data.open` on.
 
 {table(HEAD_REMOTE, remote)}
 """
@@ -126,7 +126,7 @@ def processor_time(loader: Any) -> float:
 
 def row(name: str, found: float, used: float) -> tuple[str, ...]:
     """A line of the table of local files; the claim is of frames with workers."""
-    verdict = ("yes" if found >= LEAST_RATE else "NO") if name.startswith("`") else ""
+    verdict = ("yes" if found >= MIN_RATE else "NO") if name.startswith("`") else ""
     return name, f"{found:.0f}", f"{used * 1e3:.2f} ms", verdict
 
 
@@ -140,7 +140,7 @@ def remote_row(folder: Path, latency_ms: float) -> tuple[str, ...]:
         f"{latency_ms} ms",
         f"{middle:.2f} s ({seconds[0]:.2f}–{seconds[-1]:.2f})",
         f"{rates[len(rates) // 2]:.0f} ({rates[0]:.0f}–{rates[-1]:.0f})",
-        "yes" if middle < MOST_SECONDS else "NO",
+        "yes" if middle < MAX_SECONDS else "NO",
     )
 
 

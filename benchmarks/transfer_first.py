@@ -33,7 +33,7 @@ STARTS = {SCRATCH: SCRATCH, IMAGENET: IMAGENET, LONG: IMAGENET}
 """What arms begin with that learn from no other images before."""
 PUBLISHED = "published"
 """Weights of vrcaps as they are: `depth.safetensors` of the folder of weights."""
-_MOST_LARGE, _MOST_DEPTH = 400, 2000
+_MAX_LARGE, _MAX_DEPTH = 400, 2000
 """Most of our frames that super-resolution and depth learn from, evenly spread."""
 _UNITYCAM = (156.0418, 155.7529, 178.5604, 181.8043, 360.0)
 """fx, fy, cx, cy and width [px] of UnityCam's `cam.txt`, for frames that have none beside them."""
@@ -140,7 +140,7 @@ def _first_samples(setup: Setup, cell: Cell, learner: AnyLearner) -> tuple[Sampl
     if cell.arm.endswith("unitycam"):
         sequences = unitycam(setup.real["unitycam"])
         if task.kind != DEPTH:
-            sequences = [_large(evenly(sequences, _MOST_LARGE), 4 * learner.size).sequence()]
+            sequences = [_large(evenly(sequences, _MAX_LARGE), 4 * learner.size).sequence()]
         samples = samples_of(learner, sequences)
         return samples, samples
     urls = setup.ours_of(cell)
@@ -149,7 +149,7 @@ def _first_samples(setup: Setup, cell: Cell, learner: AnyLearner) -> tuple[Sampl
     elif isinstance(learner, MaskLearner):
         parts = our_masks(urls, learner.classes, learner.size)
     else:
-        many = _MOST_DEPTH if task.kind == DEPTH else _MOST_LARGE
+        many = _MAX_DEPTH if task.kind == DEPTH else _MAX_LARGE
         chosen = [
             evenly(part, most) for part, most in zip(our_sequences(urls), (many, 100), strict=True)
         ]

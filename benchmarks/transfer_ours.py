@@ -22,7 +22,7 @@ Urls = tuple[str, ...]
 """Folders or URLs of data sets."""
 MIN_FRACTION = 0.005
 """Part of an image that a lesion must take to give the image its class."""
-_MOST_OF_RAREST = 3
+_MAX_OF_RAREST = 3
 """Images of a class are at most so many times those of the rarest."""
 _NEGATIVES = 0.2
 """Part of the images for masks that show none of the lesions."""
@@ -124,7 +124,7 @@ def our_classes(urls: Urls, classes: Sequence[str], size: int) -> tuple[Pictures
     def pictures(frames: Sequence[OurFrame]) -> Pictures:
         shown = np.array([frame.shown or "" for frame in frames])
         members = [np.flatnonzero(shown == name) for name in classes]
-        most = _MOST_OF_RAREST * min(len(found) for found in members)
+        most = _MAX_OF_RAREST * min(len(found) for found in members)
         chance = rng.stream(0, "benchmarks/classes")
         chosen = np.sort(np.concatenate([chance.permutation(found)[:most] for found in members]))
         images = [disc_only(frames[k].image) for k in chosen]

@@ -34,7 +34,7 @@ from vrcaps.scenario.scenario import OrganGenerated, Scenario
 ORGANS = ("colon", "stomach", "small-bowel", "full-tract")
 CAPSULES = ("mirocam", "pillcam-colon2", "pillcam-sb3")
 MOTIONS = (FlyThrough(), RandomViews())
-MOST_CLIPPED, MOST_CLIPPED_ANY, MOST_BLACK, LONGEST_STEP = 0.05, 0.2, 0.5, 5.0 * MM
+MAX_CLIPPED, MAX_CLIPPED_ANY, MAX_BLACK, LONGEST_STEP = 0.05, 0.2, 0.5, 5.0 * MM
 HEAD = ("recording", "mean luminance", "clipped", "black", "largest step [mm]", "holds")
 
 
@@ -58,9 +58,9 @@ class Measured:
     def holds(self) -> bool:
         """Whether the claim holds."""
         return bool(
-            np.median(self.clipped) <= MOST_CLIPPED
-            and self.clipped.max() <= MOST_CLIPPED_ANY
-            and np.median(self.black) <= MOST_BLACK
+            np.median(self.clipped) <= MAX_CLIPPED
+            and self.clipped.max() <= MAX_CLIPPED_ANY
+            and np.median(self.black) <= MAX_BLACK
             and self.step <= LONGEST_STEP
         )
 

@@ -54,7 +54,7 @@ def largest(organ: OrganSurface, lesion: Lesion) -> tuple[Lesion, LesionPair]:
             if not isinstance(lesion, SizedLesion):
                 raise
             limits = settings_of(type(lesion))["size"].limits
-            if limits is None or 0.9 * lesion.size < limits.least:
+            if limits is None or 0.9 * lesion.size < limits.min:
                 raise
             lesion = replace(lesion, size=round(0.9 * lesion.size / MM) * MM)
 

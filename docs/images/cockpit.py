@@ -28,7 +28,7 @@ NEAR = np.array([0.03, -0.08, 0.05])
 """From where the capsule is looked at closely [m]."""
 KEYS = (("a", 1.0), ("s", 1.5), ("e", 1.5))
 """Keys, and for how much simulated time each is held [s]."""
-MOST_FRAMES = 40
+MAX_FRAMES = 40
 
 
 def main(path: Path) -> None:
@@ -41,7 +41,7 @@ def main(path: Path) -> None:
             tab = opened(browser.new_page(viewport=SIZE), cockpit.gate.address)
             drive(tab, cockpit, path)
             scenario = cockpit.session.drive.save()
-        scenario = replace(scenario, frames=min(scenario.frames, MOST_FRAMES))
+        scenario = replace(scenario, frames=min(scenario.frames, MAX_FRAMES))
         episode = record(scenario, folder / "episode")
         with open_episodes([episode], port=PORT) as (page, gate):
             tab = opened(browser.new_page(viewport=SIZE), gate.address)

@@ -21,7 +21,7 @@ from vrcaps.learn.evaluation import Evaluation, write_evaluation  # noqa: E402
 from vrcaps.learn.masks import MaskLearner  # noqa: E402
 from vrcaps.learn.model_card import train_command  # noqa: E402
 from vrcaps.learn.presets import settings_of  # noqa: E402
-from vrcaps.learn.publish import MOST_BYTES, publish  # noqa: E402
+from vrcaps.learn.publish import MAX_BYTES, publish  # noqa: E402
 from vrcaps.learn.published import INDEX, VARIABLE, find_weights, read_index  # noqa: E402
 from vrcaps.learn.samples import samples_of  # noqa: E402
 from vrcaps.learn.sfm import SfmLearner  # noqa: E402
@@ -251,7 +251,7 @@ def test_what_cannot_be_published_is_one_clear_line(run, place, tmp_path, monkey
     (broken / "progress.csv").unlink()
     with pytest.raises(InputError, match=r"Cannot read .*progress\.csv"):
         publish(broken, place, notes="n")
-    monkeypatch.setattr(publishing, "MOST_BYTES", 10)
+    monkeypatch.setattr(publishing, "MAX_BYTES", 10)
     with pytest.raises(InputError, match="Allowed: up to 10; train a smaller encoder"):
         publish(run, place, notes="n")
     assert not place.exists()
@@ -261,7 +261,7 @@ def test_our_published_weights_are_whole_and_have_cards():
     for entry in read_index(str(OURS)).values():
         path = OURS / entry.file
         assert (file_sha256(path), path.stat().st_size) == (entry.sha256, entry.bytes)
-        assert entry.bytes <= MOST_BYTES
+        assert entry.bytes <= MAX_BYTES
         assert entry.sha256 in (OURS / f"{entry.name}.md").read_text("utf-8")
     named = {path.name for path in OURS.iterdir() if path.is_file()} - {INDEX}
     assert named == {

@@ -13,7 +13,7 @@ from vrcaps.learn.classes import ClassLearner  # noqa: E402
 from vrcaps.learn.fit import Fit  # noqa: E402
 from vrcaps.learn.published import read_index  # noqa: E402
 from vrcaps.learn.responses import (  # noqa: E402
-    LEAST_RESPONSE,
+    MIN_RESPONSE,
     probes,
     require_responses,
     responses,
@@ -54,9 +54,9 @@ def test_no_published_network_ignores_its_inputs(entry) -> None:
     trained = read_weights(OURS / entry.file)
     by_probes = responses(trained, probes(trained))
     assert set(by_probes) >= {f"output 0 by {name}" for name in trained.learner.input_names}
-    assert min(by_probes.values()) > LEAST_RESPONSE
+    assert min(by_probes.values()) > MIN_RESPONSE
     by_image = {k: v for k, v in responses(trained, samples(trained)).items() if "image" in k}
-    assert min(by_image.values()) > LEAST_RESPONSE
+    assert min(by_image.values()) > MIN_RESPONSE
 
 
 @pytest.mark.slow

@@ -356,7 +356,7 @@ def test_damage_is_one_clear_line(
 
 
 def test_a_scene_of_too_many_triangles_is_refused(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(gltf, "_MOST_VALUES", 30)
+    monkeypatch.setattr(gltf, "_MAX_VALUES", 30)
     nodes = [{"mesh": 0}] * 2
     path = box().write(tmp_path / "a.glb", [PRIMITIVE], nodes=nodes, scenes=[{"nodes": [0, 1]}])
     with pytest.raises(InputError, match="its scene has more than 30 vertices and triangles"):

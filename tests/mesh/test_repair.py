@@ -470,7 +470,7 @@ def test_what_stays_crowded_is_an_error_that_says_where(monkeypatch):
 def test_too_many_crowded_edges_are_refused_soon(monkeypatch):
     """Random triangles between few vertices, and a book of thousands of pages."""
     rng = np.random.default_rng(0)
-    monkeypatch.setattr(manifold, "_MOST_WORK", 3_000)
+    monkeypatch.setattr(manifold, "_MAX_WORK", 3_000)
     soup = Mesh(rng.normal(size=(40, 3)), rng.integers(0, 40, (900, 3)))
     pages = np.arange(2, 900)
     book = np.column_stack([np.zeros_like(pages), np.ones_like(pages), pages])

@@ -253,7 +253,7 @@ def test_files_being_written_count_as_used_space(folder: Path, monkeypatch):
         part.write_bytes(bytes(size))
         cached_organ("b", make_organ)
         assert {p.name for p in path.parent.iterdir()} == {"a.npz", "b.npz", part.name}
-        monkeypatch.setattr(cache, "_MOST_BYTES", 2.5 * size)
+        monkeypatch.setattr(cache, "_MAX_BYTES", 2.5 * size)
         cached_organ("c", make_organ)
         assert {p.name for p in path.parent.iterdir()} == {"c.npz", part.name}
 
@@ -266,10 +266,10 @@ def test_organs_used_longest_ago_make_room(folder: Path, monkeypatch: pytest.Mon
         os.utime(path, (age, age))
     size = path.stat().st_size
     cached_organ("a", make_organ)
-    monkeypatch.setattr(cache, "_MOST_BYTES", 2.5 * size)
+    monkeypatch.setattr(cache, "_MAX_BYTES", 2.5 * size)
     cached_organ("d", make_organ)
     assert {path.stem for path in (folder / "organs").iterdir()} == {"a", "d"}
-    monkeypatch.setattr(cache, "_MOST_BYTES", 0)
+    monkeypatch.setattr(cache, "_MAX_BYTES", 0)
     cached_organ("e", make_organ)
     assert {path.stem for path in (folder / "organs").iterdir()} == {"e"}
 
@@ -277,7 +277,7 @@ def test_organs_used_longest_ago_make_room(folder: Path, monkeypatch: pytest.Mon
 def test_passing_organs_are_few_and_drive_out_no_others(folder: Path, monkeypatch):
     cached_organ("mine", make_organ)
     size = (folder / "organs" / "mine.npz").stat().st_size
-    monkeypatch.setattr(cache, "_MOST_PASSING_BYTES", 2.5 * size)
+    monkeypatch.setattr(cache, "_MAX_PASSING_BYTES", 2.5 * size)
     made = []
     with cache.passing_organs():
         for age, name in enumerate(("a", "b", "c", "mine")):

@@ -391,7 +391,7 @@ def test_a_rough_wall_is_not_cut_too_finely(monkeypatch):
 
     monkeypatch.setattr(compute, "_trace", trace)
     monkeypatch.setattr(compute, "mean_radius", lambda vertices, faces: radius)
-    monkeypatch.setattr(compute, "_MOST_INSIDE", 100_000)
+    monkeypatch.setattr(compute, "_MAX_INSIDE", 100_000)
     with pytest.raises(InputError, match="far enough"):
         compute_centerline(wall)
     volume = 0.5 * radius * triangle_areas(wall.vertices[wall.faces]).sum()

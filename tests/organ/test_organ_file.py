@@ -285,7 +285,7 @@ def test_what_a_compact_file_cannot_round_is_stored_exactly(organ, tmp_path: Pat
     found = read_organ(tmp_path / "a.glb")
     assert np.array_equal(found.vertices, odd.vertices)
     assert np.array_equal(found.appearance.height, high)
-    monkeypatch.setattr(compact_textures, "_MOST_SIDE", 8)
+    monkeypatch.setattr(compact_textures, "_MAX_SIDE", 8)
     write_organ(tmp_path / "b.glb", organ, compact=True)
     assert np.array_equal(read_organ(tmp_path / "b.glb").appearance.albedo, organ.appearance.albedo)
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from vrcaps.actuation.magnet_pose_solver import Workspace, WrenchTarget
 
 DIFFERENCE, LONGEST, SHORTEST = 1e-5, 0.25, 1e-7
-DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e6
+DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-3, 1e-9, 1e6
 MU_0 = 1.25663706127e-6
 
 Wrench = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -106,7 +106,7 @@ class PoseSolverTwin:
             slopes, at = self.slopes(pose), self.residuals(pose)
             square = slopes.T @ slopes
             while True:
-                if damping >= MOST_DAMPING:
+                if damping >= MAX_DAMPING:
                     return pose
                 damped = square + damping * max(np.diag(square).max(), 1e-30) * np.eye(5)
                 change = np.linalg.solve(damped, -slopes.T @ at)
@@ -117,7 +117,7 @@ class PoseSolverTwin:
                 damping *= 10.0
             way = np.linalg.norm(tried[:3, 3] - pose[:3, 3]) / self.scale
             bend = np.linalg.norm(tried[:3, 2] - pose[:3, 2])
-            pose, damping = tried, max(0.1 * damping, LEAST_DAMPING)
+            pose, damping = tried, max(0.1 * damping, MIN_DAMPING)
             if way + bend < SHORTEST:
                 break
         return pose

@@ -14,7 +14,7 @@ from vrcaps.actuation.magnet_actuator import ActuatorState
 from vrcaps.actuation.robot_actuator import RobotActuator
 
 NEARER = ((8e-3, 0.08), (2e-3, 0.02))
-UPRIGHT, FARTHEST, MOST_TURN, SLACK, JUMP = 0.2, 0.03, 0.3, 5e-3, 0.5
+UPRIGHT, FARTHEST, MAX_TURN, SLACK, JUMP = 0.2, 0.03, 0.3, 5e-3, 0.5
 
 
 def cut(vector: np.ndarray, most: float) -> np.ndarray:
@@ -49,9 +49,7 @@ def rolled(actuator: RobotActuator, pose: np.ndarray, now: np.ndarray) -> np.nda
 def part_way(start: np.ndarray, target: np.ndarray) -> np.ndarray:
     """The target, or where the way there begins if it is far."""
     turn = turn_between(start, target)
-    part = (
-        turned(start, cut(turn, MOST_TURN)) if np.linalg.norm(turn) > MOST_TURN else target.copy()
-    )
+    part = turned(start, cut(turn, MAX_TURN)) if np.linalg.norm(turn) > MAX_TURN else target.copy()
     part[:3, 3] = start[:3, 3] + cut(target[:3, 3] - start[:3, 3], FARTHEST)
     return part
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _POSITIVE = Range(above=0.0, below=math.inf)
-_NOT_NEGATIVE = Range(least=0.0, below=math.inf)
+_NOT_NEGATIVE = Range(min=0.0, below=math.inf)
 _CONTROLLED_WEIGHT = 200.0 * np.eye(3)
 """Weight of a force error in a controlled direction [1/N]."""
 _OTHER_WEIGHT = 40.0 * np.eye(3)

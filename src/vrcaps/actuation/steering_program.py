@@ -130,9 +130,9 @@ class MagnetSteering:
     magnet: str = "cylinder-76.2"
     arm: str | None = None
     arm_base: tuple[float, float, float] | None = None
-    standoff: Annotated[float, Range(above=0.0, most=1.0, unit="m")] = 4.0 * CM
+    standoff: Annotated[float, Range(above=0.0, max=1.0, unit="m")] = 4.0 * CM
     wall: Literal["upper", "lower"] = "lower"
-    speed: Annotated[float, Range(above=0.0, most=1.0, unit="m/s")] = 5.0 * MM
+    speed: Annotated[float, Range(above=0.0, max=1.0, unit="m/s")] = 5.0 * MM
     end: Annotated[float, Range(0.0, 1.0)] = 1.0
     gains: ControllerGains = GENTLE_GAINS
     pose: Literal["true", "located"] = "true"
@@ -142,7 +142,7 @@ class MagnetSteering:
     command_file: FileRef | str | None = None
     joystick_speed: Annotated[float, Range(above=0.0, below=math.inf)] = 5.0 * CM
     joystick_angular_speed: Annotated[float, Range(above=0.0, below=math.inf)] = 0.5
-    period: Annotated[float, Range(above=0.0, most=0.05, unit="s")] = 0.01
+    period: Annotated[float, Range(above=0.0, max=0.05, unit="s")] = 0.01
 
     def __post_init__(self) -> None:
         if self.command_file is not None:

@@ -24,7 +24,7 @@ _RESERVED = ("capsule", "contact", "hall", "localized", "magnet", "patient", "wa
 """First words of an episode's own folders and columns; a camera's columns start with its name."""
 
 _WIDEST_PX = 16384
-MOST_PIXELS = 2**26
+MAX_PIXELS = 2**26
 """Maximum number of pixels of an image, 8192 × 8192: a tiny file may declare any size."""
 _ORTHONORMAL = 1e-6
 _IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -145,7 +145,7 @@ class Camera:
             is_valid = isinstance(size, int) and 1 <= size <= _WIDEST_PX
             require(is_valid, f"{what} {name}", size, f"a whole number from 1 to {_WIDEST_PX}")
         size = self.width * self.height
-        require(size <= MOST_PIXELS, f"{what} number of pixels", size, f"1 to {MOST_PIXELS}")
+        require(size <= MAX_PIXELS, f"{what} number of pixels", size, f"1 to {MAX_PIXELS}")
         pose = np.array(self.rotation, float)
         is_rigid = pose.shape == (3, 3) and np.abs(pose @ pose.T - np.eye(3)).max() <= _ORTHONORMAL
         is_rigid = bool(is_rigid and np.linalg.det(pose) > 0.0 and np.isfinite(self.position).all())

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _NEAR = 1e-4
 _FIT_POINTS = 400
-_LEAST_SLOPE = 0.05
+_MIN_SLOPE = 0.05
 _FEWEST_PX = 8
 
 
@@ -110,8 +110,8 @@ def _rising_fit(
     widest = angle[-1]
     terms = np.stack([(angle / widest) ** (2 * j) * angle / (2 * j + 1) for j in range(5)], axis=-1)
     columns = terms @ powers.T
-    rest = radius - columns[:, 0] - _LEAST_SLOPE * columns[:, 1:].sum(axis=1)
-    slopes = np.array([1.0, *(nnls(columns[:, 1:], rest)[0] + _LEAST_SLOPE)])
+    rest = radius - columns[:, 0] - _MIN_SLOPE * columns[:, 1:].sum(axis=1)
+    slopes = np.array([1.0, *(nnls(columns[:, 1:], rest)[0] + _MIN_SLOPE)])
     power = slopes @ powers
     return tuple(float(power[j] / ((2 * j + 1) * widest ** (2 * j))) for j in range(1, 5))
 

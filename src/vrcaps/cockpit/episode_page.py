@@ -25,7 +25,7 @@ from vrcaps.recording.pictures import legend, limits_of, picture
 if TYPE_CHECKING:
     import viser
 
-MOST_EPISODES = 2
+MAX_EPISODES = 2
 _SIDE_WIDTH = 400.0
 _SECONDS_PER_UPDATE = 1.0 / 30.0
 _SECONDS_PER_MARK = 0.25
@@ -233,7 +233,7 @@ def open_episodes(
         MissingExtraError: If the extra `cockpit` is not installed.
     """
     require_viser()
-    if not 1 <= len(folders) <= MOST_EPISODES:
+    if not 1 <= len(folders) <= MAX_EPISODES:
         raise InputError(f"{len(folders)} episodes are given. Allowed: one, or two side by side.")
     episodes = [read_episode(folder) for folder in folders]
     path = None if estimate is None else read_path_estimate(estimate, episodes[0])

@@ -8,10 +8,10 @@ _PLENTY = 24.0
 """Images per second expected with shadows that enable them again."""
 _MEMORY = 12.0
 """Number of images over which times are averaged."""
-_MOST_TIMES_LONGER = 3.0
+_MAX_TIMES_LONGER = 3.0
 """Maximum ratio of the times of an image with shadows and without, by direct light. Higher ratios
 are measured while the machine also starts a drive or opens a browser."""
-_LEAST_TIME = 2.0
+_MIN_TIME = 2.0
 """Minimum time [s] between changes, so that images do not flicker."""
 
 
@@ -40,14 +40,14 @@ class LiveShadows:
         self._mean = mean = mean + (seconds - mean) / _MEMORY
         if not self.is_allowed:
             self._change(now, are_left_out=False)
-        elif now - self._changed < _LEAST_TIME:
+        elif now - self._changed < _MIN_TIME:
             return
         elif not self.are_left_out:
             if mean > 1.0 / _ENOUGH:
                 self._with_shadows, self._times_longer = mean, 0.0
                 self._change(now, are_left_out=True)
         else:
-            measured = min(self._with_shadows / mean, _MOST_TIMES_LONGER)
+            measured = min(self._with_shadows / mean, _MAX_TIMES_LONGER)
             self._times_longer = self._times_longer or measured
             if mean * self._times_longer < 1.0 / _PLENTY:
                 self._change(now, are_left_out=False)

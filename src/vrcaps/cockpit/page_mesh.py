@@ -12,7 +12,7 @@ from vrcaps.core.geometry import triangle_areas
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-_MOST_FACES = 12_000
+_MAX_FACES = 12_000
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class PageMesh:
 
 
 def coarse_mesh(
-    points: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"], most: int = _MOST_FACES
+    points: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"], most: int = _MAX_FACES
 ) -> PageMesh:
     """Decimate a wall to a triangle count by vertex clustering (Rossignac & Borrel, 1993).
 

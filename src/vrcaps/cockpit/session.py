@@ -22,7 +22,7 @@ from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.rollout import Rollout
 from vrcaps.recording.source_organ import with_stored_organ
 from vrcaps.scenario.build import build, resolve
-from vrcaps.scenario.scenario import MOST_FRAMES, Scenario
+from vrcaps.scenario.scenario import MAX_FRAMES, Scenario
 from vrcaps.tissue.motility.migrating_complex import Front
 from vrcaps.world.model import posture_transform
 from vrcaps.world.schedule import (
@@ -78,7 +78,7 @@ def cockpit_scenario(scenario: Scenario) -> Scenario:
     magnet = replace(magnet, waypoints=(), command_file=None, joystick=still)
     orders = {"posture_changes": (), "insufflation": (), "flushes": (), "phase_three": ()}
     motion = replace(motion, magnet=magnet, **orders)
-    return resolve(replace(scenario, motion=motion, frames=MOST_FRAMES))
+    return resolve(replace(scenario, motion=motion, frames=MAX_FRAMES))
 
 
 class Session:

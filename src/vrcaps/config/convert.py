@@ -2,9 +2,10 @@
 
 A field's type is the schema: ``bool``, ``int``, ``float``, ``str``, ``None``, ``Literal``, ``Any``,
 tuples, dataclasses and unions of these. Infinity is the text ``inf``. If a union has several
-dataclasses, the key ``kind`` selects the class by its class variable `kind`. Missing keys of a
-table are taken from the default value of that table's field. A dataclass whose files differ from
-its fields registers its expansion with `register_shorthand`.
+dataclasses, the key ``kind`` selects the class by its class variable `kind`. A base class that
+`register_family` names stands for the union of its family's classes. Missing keys of a table are
+taken from the default value of that table's field. A dataclass whose files differ from its fields
+registers its expansion with `register_shorthand`.
 
 A field with ``metadata={"unit": "mm"}`` holds SI units in Python. With ``units=True`` its key is
 ``<name>_mm`` and its value is in that unit, converted exactly; otherwise keys and values are SI.
@@ -34,6 +35,7 @@ _WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: 
 
 
 _SHORTHANDS: dict[type, Callable[[dict[str, Any]], dict[str, Any]]] = {}
+_FAMILIES: dict[type, Mapping[str, type]] = {}
 
 
 class _NotAllowedError(ValueError):
@@ -57,6 +59,16 @@ def register_shorthand(cls: type, expand: Callable[[dict[str, Any]], dict[str, A
     _SHORTHANDS[cls] = expand
 
 
+def register_family(base: type, members: Mapping[str, type]) -> None:
+    """Let fields of type `base` hold any class of a family that users can extend.
+
+    Args:
+        base: Base class or protocol of the family.
+        members: Dataclasses by kind, such as a `Registry`; read whenever a value is converted.
+    """
+    _FAMILIES[base] = members
+
+
 def to_plain(value: Any, declared: Any, *, units: bool = False) -> Any:
     """Convert a value of the declared type to plain form.
 
@@ -75,7 +87,7 @@ def to_plain(value: Any, declared: Any, *, units: bool = False) -> Any:
         }
         if units:
             plain = {key: item for key, item in plain.items() if item is not None}
-        tagged = len(_classes(declared)) > 1
+        tagged = "" not in _classes(declared)
         return {"kind": value.kind, **plain} if tagged else plain  # type: ignore[attr-defined]
     if isinstance(value, tuple):
         types_ = _item_types(_member(declared, tuple), len(value))
@@ -118,6 +130,7 @@ def _converter(units: bool) -> Converter:
     converter.register_structure_hook(Any, lambda plain, _: as_floats(plain))
     converter.register_structure_hook_func(lambda t: t is dict, lambda p, _: _metadata(p))
     for predicate, factory in (
+        (lambda t: t in _FAMILIES, _union_hook),
         (is_dataclass, _table_hook),
         (lambda t: get_origin(t) is tuple, _tuple_hook),
         (lambda t: get_origin(t) in (Union, types.UnionType), _union_hook),
@@ -168,18 +181,16 @@ def _note(index: int, item: Any) -> str:
 
 
 def _union_hook(converter: Converter, declared: Any, units: bool) -> Callable[[Any, Any], Any]:
-    classes = _classes(declared)
-
     def structure(plain: Any, _: Any) -> Any:
+        classes = _classes(declared)
         if isinstance(plain, Mapping) and classes:
-            cls = next(iter(classes.values()))
-            if len(classes) > 1:
-                plain = dict(plain)
-                kind = plain.pop("kind", None)
-                if not isinstance(kind, str) or kind not in classes:
-                    raise _UnknownKindError(kind, classes)
-                cls = classes[kind]
-            return converter.structure(plain, cls)
+            if "" in classes:
+                return converter.structure(plain, classes[""])
+            plain = dict(plain)
+            kind = plain.pop("kind", None)
+            if not isinstance(kind, str) or kind not in classes:
+                raise _UnknownKindError(kind, classes)
+            return converter.structure(plain, classes[kind])
         for member in _members(declared):
             if _fits(member, plain):
                 return converter.structure(plain, member)
@@ -332,9 +343,15 @@ def _item_types(declared: Any, count: int) -> tuple[Any, ...]:
     return (items[0],) * count if items[-1] is ... else items
 
 
-def _classes(declared: Any) -> dict[str, type]:
-    """Dataclasses of a union by kind; those without a kind, next to others, have no plain form."""
-    classes = [m for m in _members(declared) if isinstance(m, type) and is_dataclass(m)]
+def _classes(declared: Any) -> Mapping[str, type]:
+    """Dataclasses of a union by kind; the only one, by an empty text.
+
+    Dataclasses without a kind, next to others, have no plain form.
+    """
+    members = _members(declared)
+    if families := [_FAMILIES[m] for m in members if m in _FAMILIES]:
+        return families[0]
+    classes = [m for m in members if isinstance(m, type) and is_dataclass(m)]
     if len(classes) == 1:
         return {"": classes[0]}
     return {getattr(cls, "kind"): cls for cls in classes if hasattr(cls, "kind")}  # noqa: B009

@@ -15,28 +15,28 @@ class Range:
     """Limits of a number, for `Annotated[float, Range(above=0.0)]`; None and ``inf`` are open.
 
     Attributes:
-        least: Minimum, inclusive.
-        most: Maximum, inclusive.
+        min: Minimum, inclusive.
+        max: Maximum, inclusive.
         above: Lower bound, exclusive.
         below: Upper bound, exclusive.
         unit: Unit, for messages.
     """
 
-    least: float = -math.inf
-    most: float = math.inf
+    min: float = -math.inf
+    max: float = math.inf
     above: float = -math.inf
     below: float = math.inf
     unit: str = ""
 
     def __contains__(self, value: float) -> bool:
-        return self.least <= value <= self.most and self.above < value < self.below
+        return self.min <= value <= self.max and self.above < value < self.below
 
     def __str__(self) -> str:
-        low = f"above {_text(self.above)}" if self.above > -math.inf else _text(self.least)
-        high = f"below {_text(self.below)}" if self.below < math.inf else _text(self.most)
+        low = f"above {_text(self.above)}" if self.above > -math.inf else _text(self.min)
+        high = f"below {_text(self.below)}" if self.below < math.inf else _text(self.max)
         unit = f" {self.unit}" if self.unit else ""
-        if not math.isfinite(min(self.most, self.below)):
-            is_open = self.above > -math.inf or self.least == -math.inf
+        if not math.isfinite(min(self.max, self.below)):
+            is_open = self.above > -math.inf or self.min == -math.inf
             return (low if is_open else f"{low}{unit} or more") + (unit if is_open else "")
         return f"{low} to {high}{unit}"
 

@@ -22,7 +22,7 @@ from vrcaps.core.errors import InputError, StorageError
 from vrcaps.core.locks import file_lock
 from vrcaps.core.temporary_files import is_temporary, remove_stale, temporary_beside
 
-MOST_BYTES = 2**32
+MAX_BYTES = 2**32
 """Maximum size of the arrays of one archive, since a header may state any."""
 
 
@@ -111,7 +111,7 @@ def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
         np.savez_compressed(file, **arrays)  # pyright: ignore[reportArgumentType]
 
 
-def read_arrays(path: Path, most_bytes: int = MOST_BYTES) -> dict[str, np.ndarray]:
+def read_arrays(path: Path, most_bytes: int = MAX_BYTES) -> dict[str, np.ndarray]:
     """Read the arrays of a NumPy archive.
 
     Args:

@@ -14,7 +14,7 @@ from typing import Any
 
 from vrcaps.core.errors import InputError, require
 from vrcaps.recording.episode import Episode, read_episode
-from vrcaps.scenario.scenario import MOST_FRAMES
+from vrcaps.scenario.scenario import MAX_FRAMES
 
 ABOUT = "about"
 """Key in an entry of the ledger."""
@@ -67,8 +67,8 @@ def require_about(about: dict[str, Any]) -> None:
         InputError: If a number is out of range, or a table is missing.
     """
     frames, seconds = about.get("frames"), about.get("seconds")
-    is_count = type(frames) is int and 0 < frames <= MOST_FRAMES
-    require(is_count, "about.frames", repr(frames), f"1 to {MOST_FRAMES}")
+    is_count = type(frames) is int and 0 < frames <= MAX_FRAMES
+    require(is_count, "about.frames", repr(frames), f"1 to {MAX_FRAMES}")
     is_number = isinstance(seconds, int | float) and not isinstance(seconds, bool)
     is_time = is_number and 0.0 < float(seconds or 0.0) < math.inf
     require(is_time, "about.seconds", repr(seconds), "a finite number above 0")

@@ -68,9 +68,9 @@ class DatasetSettings:
     """
 
     name: str
-    seed: Annotated[int, Range(least=0)] = 0
-    patients: Annotated[int, Range(least=1, most=10**6)] = 1
-    repeats: Annotated[int, Range(least=1, most=10**6)] = 1
+    seed: Annotated[int, Range(min=0)] = 0
+    patients: Annotated[int, Range(min=1, max=10**6)] = 1
+    repeats: Annotated[int, Range(min=1, max=10**6)] = 1
     split: Split = field(default_factory=Split)
     stratify: tuple[str, ...] = ()
     license: str = "unknown"

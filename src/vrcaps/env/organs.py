@@ -19,7 +19,7 @@ Organ = OrganGenerated | OrganFile | OrganSurface | str
 """An organ, or a text in the syntax of `parse_organs`."""
 
 _SEEDS = re.compile(r"(\d{1,9})(?:-(\d{1,9}))?")
-_MOST_SEEDS = 100_000
+_MAX_SEEDS = 100_000
 
 
 def organs_of(given: Iterable[Organ]) -> Iterator[OrganGenerated | OrganFile | OrganSurface]:
@@ -55,7 +55,7 @@ def parse_organs(text: str) -> list[OrganGenerated | OrganFile]:
         raise InputError(
             f"The organ is {text!r}. Allowed: rising seeds, such as {name}:{last}-{first}."
         )
-    require(last - first < _MOST_SEEDS, "The number of seeds", last - first + 1, "up to 100,000")
+    require(last - first < _MAX_SEEDS, "The number of seeds", last - first + 1, "up to 100,000")
     return [OrganGenerated(name, seed=seed) for seed in range(first, last + 1)]
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from vrcaps.env.simulation import Simulation
 
-_LEAST_UNSEEN = 0.005
+_MIN_UNSEEN = 0.005
 """Unseen fraction below which the reward `log-gain` levels off."""
 
 
@@ -73,7 +73,7 @@ def _log_gain(simulation: Simulation, reward: Reward) -> Float[np.ndarray, " n"]
     Therefore the last hundredths are worth seeking, which `area-gain` hardly rewards.
     """
     unseen = 1.0 - simulation.seen(reward.level)
-    return np.log1p(_area_gain(simulation, reward) / (unseen + _LEAST_UNSEEN))
+    return np.log1p(_area_gain(simulation, reward) / (unseen + _MIN_UNSEEN))
 
 
 def _paper_gain(simulation: Simulation, reward: Reward) -> Float[np.ndarray, " n"]:

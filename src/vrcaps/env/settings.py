@@ -28,7 +28,7 @@ from vrcaps.world.model import posture_transform
 
 _LONGEST = 7 * 86400.0
 """Maximum duration of an episode [s], a week, since files of policies may state any."""
-_MOST_CELLS = 1024
+_MAX_CELLS = 1024
 
 
 @dataclass(frozen=True)
@@ -74,16 +74,16 @@ class EnvSettings:
     posture: str = "supine"
     lesions: tuple[AnyLesion, ...] = ()
     dynamics: Literal["quasi-static", "physics"] = "quasi-static"
-    substep: Annotated[float, Range(above=0.0, most=1e-3, unit="s")] = 2e-4
+    substep: Annotated[float, Range(above=0.0, max=1e-3, unit="s")] = 2e-4
     tissue: Tissue = field(default_factory=Tissue)
     randomization: Randomization = field(default_factory=Randomization)
     start: Start = field(default_factory=Start)
-    control_period: Annotated[float, Range(above=0.0, most=1.0, unit="s")] = 5.0 / 30.0
-    episode_time: Annotated[float, Range(above=0.0, most=_LONGEST, unit="s")] = 60.0
-    stuck_time: Annotated[float, Range(above=0.0, most=_LONGEST, unit="s")] = 20.0
-    max_speed: Annotated[float, Range(above=0.0, most=1e3, unit="m/s")] = 1.5
+    control_period: Annotated[float, Range(above=0.0, max=1.0, unit="s")] = 5.0 / 30.0
+    episode_time: Annotated[float, Range(above=0.0, max=_LONGEST, unit="s")] = 60.0
+    stuck_time: Annotated[float, Range(above=0.0, max=_LONGEST, unit="s")] = 20.0
+    max_speed: Annotated[float, Range(above=0.0, max=1e3, unit="m/s")] = 1.5
     criteria: CoverageCriteria = field(default_factory=CoverageCriteria)
-    num_points: Annotated[int, Range(least=64, most=2**20)] = 4096
+    num_points: Annotated[int, Range(min=64, max=2**20)] = 4096
     grid: tuple[int, int] = (32, 16)
 
     def __post_init__(self) -> None:
@@ -100,8 +100,8 @@ class EnvSettings:
             raise InputError(
                 f"observations are {', '.join(names) or 'empty'}. Allowed: at least one, each once."
             )
-        is_grid = min(self.grid) >= 1 and max(self.grid) <= _MOST_CELLS
-        require(is_grid, "grid", self.grid, f"1 to {_MOST_CELLS} cells each way")
+        is_grid = min(self.grid) >= 1 and max(self.grid) <= _MAX_CELLS
+        require(is_grid, "grid", self.grid, f"1 to {_MAX_CELLS} cells each way")
 
     def __deepcopy__(self, memo: object) -> EnvSettings:
         """Return itself, since it is immutable and organs in memory are large."""

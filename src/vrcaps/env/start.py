@@ -26,7 +26,7 @@ class Start:
 
     fraction: tuple[float, float] = (0.1, 0.9)
     angle: tuple[float, float] = (0.0, 0.0)
-    settle: Annotated[float, Range(least=0.0, most=10.0, unit="s")] = 0.5
+    settle: Annotated[float, Range(min=0.0, max=10.0, unit="s")] = 0.5
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -32,7 +32,7 @@ def read_exr(path: Path) -> Float[np.ndarray, "h w"]:
     """Read the red channel of an image.
 
     Raises:
-        InputError: If the file cannot be read, has no red channel, or exceeds `MOST_PIXELS`.
+        InputError: If the file cannot be read, has no red channel, or exceeds `MAX_PIXELS`.
         MissingExtraError: If OpenEXR is not installed.
     """
     exr = _openexr()

@@ -26,7 +26,7 @@ from vrcaps import _core
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.config.plain_files import decode_json
 from vrcaps.core.errors import InputError, import_extra, reading
-from vrcaps.core.files import MOST_BYTES
+from vrcaps.core.files import MAX_BYTES
 from vrcaps.core.names import inside, listed
 from vrcaps.core.transforms import matrix_from_unit_quaternion, transform_from
 from vrcaps.formats import foxglove_schemas as foxglove
@@ -281,8 +281,8 @@ def _reading(path: Path) -> Iterator[Any]:
         found = mcap.make_reader(file, validate_crcs=True)
         summary = found.get_summary()
         chunks = [] if summary is None else summary.chunk_indexes
-        if any(chunk.uncompressed_size > MOST_BYTES for chunk in chunks):
-            raise ValueError(f"a chunk states more than {MOST_BYTES} bytes")
+        if any(chunk.uncompressed_size > MAX_BYTES for chunk in chunks):
+            raise ValueError(f"a chunk states more than {MAX_BYTES} bytes")
         yield found
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from vrcaps.core.errors import InputError, MissingExtraError, reading
 from vrcaps.core.files import write_bytes
-from vrcaps.recording.image_files import MOST_PIXELS, decode_image, require_pixels
+from vrcaps.recording.image_files import MAX_PIXELS, decode_image, require_pixels
 
 if TYPE_CHECKING:
     from numpy.typing import DTypeLike, NDArray
@@ -47,7 +47,7 @@ def read_rgb(path: Path) -> NDArray:
     """Color image [h w 3] of 8 bits: the highest bits of deeper ones, gray as three equal planes.
 
     Raises:
-        InputError: If the file cannot be read, or is larger than `MOST_PIXELS`.
+        InputError: If the file cannot be read, or is larger than `MAX_PIXELS`.
     """
     with reading(path):
         return _as_rgb(_stored(path, as_color=True))
@@ -204,7 +204,7 @@ def _read_tiff(path: Path, as_color: bool) -> NDArray:
     try:
         with tifffile.TiffFile(path) as file:
             page = file.series[0].keyframe
-            if file.series[0].size > 4 * MOST_PIXELS:
+            if file.series[0].size > 4 * MAX_PIXELS:
                 raise ValueError(f"it states an array of shape {file.series[0].shape}")
             require_pixels(page.imagewidth, page.imagelength)
             if as_color and int(page.photometric) not in _PLAIN_TIFF:

@@ -13,8 +13,8 @@ from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError, require
 from vrcaps.learn.fit import Fit
 from vrcaps.learn.learner import (
-    MOST_CLASSES,
-    MOST_SIZE,
+    MAX_CLASSES,
+    MAX_SIZE,
     Batch,
     Figure,
     Sample,
@@ -60,14 +60,14 @@ class ClassLearner:
     """
 
     classes: tuple[str, ...] = (NORMAL, "polyp", "ulcer")
-    size: Annotated[int, Range(32, MOST_SIZE)] = 192
+    size: Annotated[int, Range(32, MAX_SIZE)] = 192
     encoder: str = ENCODER
     hides: tuple[Overlay, ...] = ("corners", "insert")
     min_fraction: Annotated[float, Range(0.0, 1.0)] = 0.005
     dropout: Annotated[float, Range(0.0, below=1.0)] = 0.2
     brightness: Annotated[float, Range(1.0, 10.0)] = 1.3
     tint: Annotated[float, Range(1.0, 10.0)] = 1.25
-    zoom: Annotated[float, Range(above=0.0, most=1.0)] = 0.7
+    zoom: Annotated[float, Range(above=0.0, max=1.0)] = 0.7
 
     kind: ClassVar[str] = "classes"
     input_names: ClassVar[tuple[str, ...]] = ("image",)
@@ -76,8 +76,8 @@ class ClassLearner:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        is_few = 1 < len(set(self.classes)) <= MOST_CLASSES
-        require(is_few, "classes of images", self.classes[:9], f"2 to {MOST_CLASSES} names")
+        is_few = 1 < len(set(self.classes)) <= MAX_CLASSES
+        require(is_few, "classes of images", self.classes[:9], f"2 to {MAX_CLASSES} names")
 
     def items(self, sequence: FrameSequence) -> Iterable[int]:
         """Return the frames that have one of the classes.

@@ -22,8 +22,8 @@ from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError
 from vrcaps.learn.fit import Fit, require_size
 from vrcaps.learn.learner import (
-    MOST_SIZE,
-    MOST_WEIGHT,
+    MAX_SIZE,
+    MAX_WEIGHT,
     Batch,
     Figure,
     Sample,
@@ -74,14 +74,14 @@ class DepthLearner:
         zoom: Minimum side of a random crop, relative to the frame; 1 is the whole frame.
     """
 
-    size: Annotated[int, Range(32, MOST_SIZE)] = 192
+    size: Annotated[int, Range(32, MAX_SIZE)] = 192
     encoder: str = ENCODER
     has_light_cue: bool = True
-    gradient_weight: Annotated[float, Range(0.0, MOST_WEIGHT)] = 0.5
+    gradient_weight: Annotated[float, Range(0.0, MAX_WEIGHT)] = 0.5
     brightness: Annotated[float, Range(1.0, 10.0)] = 1.2
     tint: Annotated[float, Range(1.0, 10.0)] = 1.2
     gamma: Annotated[float, Range(1.0, 10.0)] = 1.15
-    zoom: Annotated[float, Range(above=0.0, most=1.0)] = 0.6
+    zoom: Annotated[float, Range(above=0.0, max=1.0)] = 0.6
 
     kind: ClassVar[str] = "depth"
     input_names: ClassVar[tuple[str, ...]] = ("image", "ray")

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
     from vrcaps.learn.fit import Fit
 
-MOST_SIZE = 2048
+MAX_SIZE = 2048
 """Maximum side of a network's images [px], since a checkpoint may state any."""
-MOST_CLASSES = 1000
+MAX_CLASSES = 1000
 """Maximum number of classes of a network."""
-MOST_WEIGHT = 1e6
+MAX_WEIGHT = 1e6
 """Maximum weight of a loss term."""
 Sample = dict[str, Any]
 """Arrays of one frame at the network's size; `image` is uint8 [s s 3]. Values that are not arrays

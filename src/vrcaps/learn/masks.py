@@ -16,8 +16,8 @@ from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError, require
 from vrcaps.learn.fit import Fit, require_size
 from vrcaps.learn.learner import (
-    MOST_CLASSES,
-    MOST_SIZE,
+    MAX_CLASSES,
+    MAX_SIZE,
     Batch,
     Figure,
     Sample,
@@ -58,11 +58,11 @@ class MaskLearner:
     """
 
     classes: tuple[str, ...] = (LESION,)
-    size: Annotated[int, Range(32, MOST_SIZE)] = 192
+    size: Annotated[int, Range(32, MAX_SIZE)] = 192
     encoder: str = ENCODER
     brightness: Annotated[float, Range(1.0, 10.0)] = 1.3
     tint: Annotated[float, Range(1.0, 10.0)] = 1.25
-    zoom: Annotated[float, Range(above=0.0, most=1.0)] = 0.6
+    zoom: Annotated[float, Range(above=0.0, max=1.0)] = 0.6
 
     kind: ClassVar[str] = "masks"
     input_names: ClassVar[tuple[str, ...]] = ("image",)
@@ -72,8 +72,8 @@ class MaskLearner:
     def __post_init__(self) -> None:
         check_fields(self)
         require_size(self.size)
-        is_few = 0 < len(self.classes) <= MOST_CLASSES
-        require(is_few, "number of classes of masks", len(self.classes), f"1 to {MOST_CLASSES}")
+        is_few = 0 < len(self.classes) <= MAX_CLASSES
+        require(is_few, "number of classes of masks", len(self.classes), f"1 to {MAX_CLASSES}")
 
     def items(self, sequence: FrameSequence) -> Iterable[int]:
         """Return all frames of a sequence with images and masks.

@@ -6,7 +6,7 @@ from typing import Any
 
 from vrcaps.learn.networks import require_torch
 
-_MOST_GRADIENT = 1.0
+_MAX_GRADIENT = 1.0
 """Maximum norm of the gradients, by clipping."""
 
 
@@ -33,7 +33,7 @@ class Optimized:
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         clip = require_torch().nn.utils.clip_grad_norm_
-        clip(self.network.parameters(), _MOST_GRADIENT)
+        clip(self.network.parameters(), _MAX_GRADIENT)
         self.optimizer.step()
 
     def state(self) -> dict[str, Any]:

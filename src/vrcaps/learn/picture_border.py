@@ -30,7 +30,7 @@ BLACK = 24
 """Maximum channel value of the border around an endoscope's picture [of 255]."""
 _FILLED = 0.02
 """Minimum fraction of brighter pixels of a row or column that belongs to the picture."""
-_MOST_INSERT = 0.3
+_MAX_INSERT = 0.3
 """Maximum fraction of non-tissue colors that are inserts; larger fractions are due to the light,
 such as narrow-band imaging."""
 _METRIC = ("depth",)
@@ -110,7 +110,7 @@ def view_of(
     if kind in _METRIC and sequence.episode is None:
         rows, columns = bright_part(image)
         found = inserts(image[rows, columns])
-        is_insert = found & (found.mean() < _MOST_INSERT)
+        is_insert = found & (found.mean() < _MAX_INSERT)
     part = np.ascontiguousarray(image[rows, columns])
     if camera is not None:
         camera = _part_of(camera, rows, columns)

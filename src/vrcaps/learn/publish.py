@@ -24,7 +24,7 @@ from vrcaps.learn.training import BEST, PROGRESS, TrainSettings
 from vrcaps.learn.weights import Trained, read_weights
 from vrcaps.training.folder import SETTINGS
 
-MOST_BYTES = 25 * 10**6
+MAX_BYTES = 25 * 10**6
 """Maximum size of a published file."""
 
 
@@ -62,8 +62,8 @@ def publish(
     check_name(name, trained.learner.kind)
     require_responses(trained)
     sha256, size = file_sha256(best), best.stat().st_size
-    allowed = f"up to {MOST_BYTES:,}; train a smaller encoder"
-    require(size <= MOST_BYTES, f"The size of {best} [bytes]", f"{size:,}", allowed)
+    allowed = f"up to {MAX_BYTES:,}; train a smaller encoder"
+    require(size <= MAX_BYTES, f"The size of {best} [bytes]", f"{size:,}", allowed)
     training, scored = _by_name(
         _training(run, trained), [_evaluation(path, sha256) for path in evaluations]
     )

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from vrcaps.learn.weights import Trained
 
-LEAST_RESPONSE = 0.01
+MIN_RESPONSE = 0.01
 """Minimum change of each output, relative to its root mean square. Outputs of the published
 networks change by 0.05 or more between the probes."""
 _SIDE = 256
@@ -61,11 +61,11 @@ def require_responses(trained: Trained) -> None:
         InputError: If an output is the same for all images.
     """
     for name, change in responses(trained, probes(trained)).items():
-        if name.endswith(" by image") and not change > LEAST_RESPONSE:
+        if name.endswith(" by image") and not change > MIN_RESPONSE:
             raise InputError(
                 f"The network of the task {trained.learner.kind!r} gives the same output for all "
                 f"images: {name.removesuffix(' by image')} changes by {change:.2g} of its size. "
-                f"Allowed: above {LEAST_RESPONSE:g}. Train it for longer."
+                f"Allowed: above {MIN_RESPONSE:g}. Train it for longer."
             )
 
 

@@ -34,7 +34,7 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import invert
 from vrcaps.learn.depth import MIDDLE, DepthLearner, depth_of, depth_picture, image_and_rays
 from vrcaps.learn.fit import Fit, require_size
-from vrcaps.learn.learner import MOST_SIZE, MOST_WEIGHT, Batch, Figure, Sample, with_gain
+from vrcaps.learn.learner import MAX_SIZE, MAX_WEIGHT, Batch, Figure, Sample, with_gain
 from vrcaps.learn.networks import ENCODER, dense_network, motion_network, require_torch
 from vrcaps.learn.samples import batch_of
 from vrcaps.learn.view_synthesis import (
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from vrcaps.learn.weights import Trained
 
 _NEIGHBORS = ("before", "after")
-_LEAST_COSINE = 0.05
+_MIN_COSINE = 0.05
 """Minimum cosine of the angle between a ray and the axis: near a right angle, depth along the axis
 does not determine the distance."""
 
@@ -77,14 +77,14 @@ class SfmLearner:
         supervision: Weight of the loss on true distances and motions; 0 needs no labels.
     """
 
-    size: Annotated[int, Range(32, MOST_SIZE)] = 192
+    size: Annotated[int, Range(32, MAX_SIZE)] = 192
     encoder: str = ENCODER
     step: Annotated[int, Range(1, 1000)] = 1
-    photometric_weight: Annotated[float, Range(0.0, MOST_WEIGHT)] = 1.0
-    smoothness_weight: Annotated[float, Range(0.0, MOST_WEIGHT)] = 0.1
-    geometry_weight: Annotated[float, Range(0.0, MOST_WEIGHT)] = 0.5
+    photometric_weight: Annotated[float, Range(0.0, MAX_WEIGHT)] = 1.0
+    smoothness_weight: Annotated[float, Range(0.0, MAX_WEIGHT)] = 0.1
+    geometry_weight: Annotated[float, Range(0.0, MAX_WEIGHT)] = 0.5
     matches_brightness: bool = True
-    supervision: Annotated[float, Range(0.0, MOST_WEIGHT)] = 0.0
+    supervision: Annotated[float, Range(0.0, MAX_WEIGHT)] = 0.0
 
     kind: ClassVar[str] = "sfm"
     input_names: ClassVar[tuple[str, ...]] = ("image", "ray")
@@ -247,7 +247,7 @@ def _motion_error(motion: Any, T_other_own: Any) -> Any:
 def _distances(batch: Batch) -> Batch:
     """True distances along rays, in the form of true depth for `DepthLearner`."""
     along = batch["ray"][:, 2]
-    return {"depth": batch["depth"] / along.where(along > _LEAST_COSINE, np.nan)}
+    return {"depth": batch["depth"] / along.where(along > _MIN_COSINE, np.nan)}
 
 
 def _depth_of(output: NDArray, sample: Sample) -> NDArray:

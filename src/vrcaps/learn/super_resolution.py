@@ -28,8 +28,8 @@ from vrcaps.learn.attention_unet import attention_unet
 from vrcaps.learn.feature_losses import content_loss, feature_distance, style_loss
 from vrcaps.learn.fit import Fit
 from vrcaps.learn.learner import (
-    MOST_SIZE,
-    MOST_WEIGHT,
+    MAX_SIZE,
+    MAX_WEIGHT,
     Batch,
     Figure,
     Sample,
@@ -69,15 +69,15 @@ class SuperResolutionLearner:
     """
 
     factor: Literal[2, 4, 8] = 4
-    size: Annotated[int, Range(32, MOST_SIZE)] = 192
+    size: Annotated[int, Range(32, MAX_SIZE)] = 192
     validation_size: Annotated[int, Range(32, 8192)] = 512
     generator: Literal["edsr", "attention-unet"] = "edsr"
     blocks: Annotated[int, Range(1, 128)] = 16
     halvings: Annotated[int, Range(1, 8)] = 5
     features: Annotated[int, Range(8, 1024)] = 64
-    adversarial: Annotated[float, Range(0.0, MOST_WEIGHT)] = 0.0
-    content: Annotated[float, Range(0.0, MOST_WEIGHT)] = 0.0
-    style: Annotated[float, Range(0.0, MOST_WEIGHT)] = 0.0
+    adversarial: Annotated[float, Range(0.0, MAX_WEIGHT)] = 0.0
+    content: Annotated[float, Range(0.0, MAX_WEIGHT)] = 0.0
+    style: Annotated[float, Range(0.0, MAX_WEIGHT)] = 0.0
     feature_encoder: str = ENCODER
 
     kind: ClassVar[str] = "super-resolution"

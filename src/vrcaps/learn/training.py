@@ -70,7 +70,7 @@ class TrainSettings:
     batch: Annotated[int, Range(1)] = 8
     rate: Annotated[float, Range(above=0.0)] = 5e-4
     weight_decay: Annotated[float, Range(0.0)] = 1e-2
-    fraction: Annotated[float, Range(above=0.0, most=1.0)] = 1.0
+    fraction: Annotated[float, Range(above=0.0, max=1.0)] = 1.0
     evaluate_every: Annotated[int, Range(1)] = 500
     evaluation_frames: Annotated[int, Range(1)] = 400
     freeze_batch_norm: bool = False

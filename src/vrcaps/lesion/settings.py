@@ -85,7 +85,7 @@ class Setting:
         parts = [str(word) for word in self.words]
         if self.limits is not None and self.limits != LENGTH:
             scale = MM if self.is_length else 1.0
-            low, high = self.limits.least / scale, self.limits.most / scale
+            low, high = self.limits.min / scale, self.limits.max / scale
             parts.append(f"{low:g} to {high:g}{' mm' if self.is_length else ''}")
         return ", ".join(parts)
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     Points = Float[np.ndarray, "n 3"]
 
-_MOST_STEPS = 100_000
+_MAX_STEPS = 100_000
 _ABOVE = 1e-3
 """Height above a magnet's face at which its lines start, as a fraction of its length: points on the
 face itself would count as inside."""
@@ -45,7 +45,7 @@ def field_lines(
             `SourceSet.field`.
     """
     require(0.0 < step < np.inf, "step", step, "above 0 m")
-    require(1 <= most <= _MOST_STEPS, "most", most, f"1 to {_MOST_STEPS}")
+    require(1 <= most <= _MAX_STEPS, "most", most, f"1 to {_MAX_STEPS}")
     field = SourceSet(sources)
     points = np.array(starts, float).reshape(-1, 3)
     lines = [[point] for point in points]

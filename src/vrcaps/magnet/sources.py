@@ -24,7 +24,7 @@ MAGNETIC_CONSTANT = 1.25663706127e-6
 """μ₀ [N/A²] (CODATA 2022), as in the compiled core."""
 _ORTHONORMAL = 1e-6
 _LARGEST_LAYERS = 100
-_LEAST_POINTS = 4
+_MIN_POINTS = 4
 
 
 def _identity() -> np.ndarray:
@@ -297,9 +297,9 @@ class FieldMap:
 
     def __post_init__(self) -> None:
         shape = np.shape(self.flux_density)
-        if len(shape) != 4 or shape[3] != 3 or min(shape[:3]) < _LEAST_POINTS:
+        if len(shape) != 4 or shape[3] != 3 or min(shape[:3]) < _MIN_POINTS:
             raise InputError(
-                f"A field map of shape {shape}. Allowed: nx ny nz 3, {_LEAST_POINTS} or more "
+                f"A field map of shape {shape}. Allowed: nx ny nz 3, {_MIN_POINTS} or more "
                 "points along each axis."
             )
         if not np.isfinite(self.flux_density).all():

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _NO_SURFACE = (0, 1, 2, 3)  # modes of points and lines
 _INSTANCING = "EXT_mesh_gpu_instancing"
-_MOST_VALUES = 50_000_000  # vertices and triangles of a scene, some 100 times a fine wall
+_MAX_VALUES = 50_000_000  # vertices and triangles of a scene, some 100 times a fine wall
 
 
 def read_gltf(path: Path) -> Mesh:
@@ -56,9 +56,9 @@ def _all_parts(file: GltfFile) -> list[Mesh]:
         for primitive in mesh["primitives"]:
             for part in _parts(file, entry, mesh, primitive, (transform, places)):
                 count += len(part.vertices) + len(part.faces)
-                if count > _MOST_VALUES:
+                if count > _MAX_VALUES:
                     raise ValueError(
-                        f"its scene has more than {_MOST_VALUES} vertices and triangles"
+                        f"its scene has more than {_MAX_VALUES} vertices and triangles"
                     )
                 parts.append(drop_unused_vertices(part))
     return parts

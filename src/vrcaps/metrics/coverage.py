@@ -60,8 +60,8 @@ class CoverageCriteria:
     """
 
     max_depth: Annotated[float, Range(above=0.0, below=math.inf, unit="m")] = 0.05
-    min_pixel_density: Annotated[float, Range(least=0.0, unit="pixels/m²")] = 4e6
-    max_incidence: Annotated[float, Range(above=0.0, most=math.pi / 2, unit="rad")] = math.radians(
+    min_pixel_density: Annotated[float, Range(min=0.0, unit="pixels/m²")] = 4e6
+    max_incidence: Annotated[float, Range(above=0.0, max=math.pi / 2, unit="rad")] = math.radians(
         70.0
     )
     min_gray: Annotated[float, Range(0.0, 1.0)] = 0.08

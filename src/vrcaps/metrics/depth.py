@@ -27,7 +27,7 @@ DepthAlignment = Literal["none", "median", "scale", "scale-and-shift"]
 """Alignment of the estimate to the truth before evaluation: none; ratio of medians; least-squares
 factor; least-squares factor and offset (Ranftl et al., TPAMI 2022, eq. 3, in depth)."""
 
-_LEAST_DEPTH = 1e-6
+_MIN_DEPTH = 1e-6
 """Minimum depth to which estimates are raised, so that the logarithm is defined [m]."""
 
 
@@ -72,7 +72,7 @@ def depth_errors(
         UnknownNameError: If the alignment does not exist.
     """
     d, t = _both(estimate, truth)
-    d = np.maximum(_aligned(d, t, align), _LEAST_DEPTH)
+    d = np.maximum(_aligned(d, t, align), _MIN_DEPTH)
     ratio = np.maximum(d / t, t / d)
     difference = d - t
     return DepthErrors(

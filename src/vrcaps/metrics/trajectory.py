@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 TrajectoryAlignment = Literal["none", "se3", "sim3"]
 """Alignment of an estimate: none, a rigid motion, or a rigid motion and a scale."""
 
-_LEAST_POSES = 3
+_MIN_POSES = 3
 """Minimum number of positions that determine a rotation."""
 
 
@@ -73,7 +73,7 @@ def fit_similarity(
     """
     require_one_shape(source, target)
     count = len(source)
-    require(count >= _LEAST_POSES, "number of positions", count, f"{_LEAST_POSES} or more")
+    require(count >= _MIN_POSES, "number of positions", count, f"{_MIN_POSES} or more")
     center, goal = source.mean(axis=0), target.mean(axis=0)
     covariance = (target - goal).T @ (source - center) / len(source)
     u, d, vt = np.linalg.svd(covariance)

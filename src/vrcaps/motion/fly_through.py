@@ -74,10 +74,10 @@ class FlyThrough:
     end: Annotated[float, Range(0.0, 1.0)] = 0.97
     speed: Annotated[float | None, Range(above=0.0, unit="m/s")] = None
     whole: bool = False
-    speed_variation: Annotated[float, Range(least=0.0, below=1.0)] = 0.3
-    drift: Annotated[float, Range(least=0.0, below=1.0)] = 0.3
+    speed_variation: Annotated[float, Range(min=0.0, below=1.0)] = 0.3
+    drift: Annotated[float, Range(min=0.0, below=1.0)] = 0.3
     tilt: Annotated[float, Range(0.0, math.pi / 4, unit="rad")] = 0.15
-    roll: Annotated[float, Range(least=0.0, unit="rad")] = 0.6
+    roll: Annotated[float, Range(min=0.0, unit="rad")] = 0.6
     smoothness: Annotated[float, Range(above=0.0, unit="m")] = 0.06
     margin: Annotated[float, Range(above=0.0, unit="m")] = 2.0 * MM
     rigid_wall: bool = False

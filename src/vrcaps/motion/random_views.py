@@ -22,7 +22,7 @@ from vrcaps.world.wall_displacement import WallDisplacement
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-_MOST_DRAWS = 4000
+_MAX_DRAWS = 4000
 _HIT_SLACK = 0.5 * MM
 """Tolerated gap between line of sight and target: the wall is curved, triangles are flat."""
 
@@ -55,7 +55,7 @@ class RandomViews:
     lesion_fraction: Annotated[float, Range(0.0, 1.0)] = 0.8
     nearest: Annotated[float, Range(above=0.0, unit="m")] = 8.0 * MM
     farthest: Annotated[float, Range(above=0.0, unit="m")] = 50.0 * MM
-    obliqueness: Annotated[float, Range(least=0.0, below=math.pi / 2, unit="rad")] = 75.0 * DEG
+    obliqueness: Annotated[float, Range(min=0.0, below=math.pi / 2, unit="rad")] = 75.0 * DEG
     tilt: Annotated[float, Range(0.0, math.pi / 2, unit="rad")] = 30.0 * DEG
     margin: Annotated[float, Range(above=0.0, unit="m")] = 2.0 * MM
     rigid_wall: bool = False
@@ -102,7 +102,7 @@ def random_views(
     instance = model.organ.instance
     lesions = [np.flatnonzero(instance == number) for number in np.unique(instance[instance > 0])]
     left = np.arange(frames)
-    for _ in range(_MOST_DRAWS):
+    for _ in range(_MAX_DRAWS):
         targets = _targets(lesions, len(instance), is_of_lesion[left], rng)
         drawn, is_seen = _drawn(model, settings, targets, rng)
         poses[left[is_seen]] = drawn[is_seen]
@@ -111,7 +111,7 @@ def random_views(
             return poses
     raise InputError(
         f"{model.device.name} in {model.organ.name}: {len(left)} of {frames} views find no place, "
-        f"in {_MOST_DRAWS} draws each, with nearest {settings.nearest:g} m and margin "
+        f"in {_MAX_DRAWS} draws each, with nearest {settings.nearest:g} m and margin "
         f"{settings.margin:g} m: {fit_text(model)} Allow less of both, inflate the organ, or take "
         "a smaller capsule."
     )

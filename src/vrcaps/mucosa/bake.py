@@ -33,7 +33,7 @@ MAX_SIDE = 16384
 DEFAULT_TEXELS_PER_MM = 8.0
 """Default texture density that 95 % of the wall should reach."""
 
-_MOST_STRETCH = 1.6  # limit of a texel's stretch relative to the mean that more texels compensate
+_MAX_STRETCH = 1.6  # limit of a texel's stretch relative to the mean that more texels compensate
 
 _BLUR = 0.03
 """Standard deviation of the transition between segments, as a fraction of the length."""
@@ -141,7 +141,7 @@ def _meters_per_uv(organ: OrganSurface) -> tuple[float, float]:
 def _worst_compression(organ: OrganSurface, scale: tuple[float, float]) -> float:
     """Texel width in the wider direction, relative to the mean, exceeded on 5 % of the wall.
 
-    Not below 1, and not above `_MOST_STRETCH`: more texels do not repair bad coordinates.
+    Not below 1, and not above `_MAX_STRETCH`: more texels do not repair bad coordinates.
     """
     corners = organ.vertices[organ.faces]
     area = triangle_areas(corners)
@@ -150,7 +150,7 @@ def _worst_compression(organ: OrganSurface, scale: tuple[float, float]) -> float
     order = np.argsort(stretch)
     covered = np.cumsum(area[is_face][order])
     least = stretch[order][np.searchsorted(covered, 0.05 * covered[-1])]
-    return float(np.clip(1.0 / max(least, 1e-9), 1.0, _MOST_STRETCH))
+    return float(np.clip(1.0 / max(least, 1e-9), 1.0, _MAX_STRETCH))
 
 
 def _texture_size(

@@ -37,13 +37,13 @@ _MAKERS = ("core", "mesh", "organ", "mucosa", "anatomy", "lesion")
 _MAKER_MODULES = ("config/limits", "scenario/build")
 """Other modules used by them, and their caller."""
 
-_MOST_BYTES = 10 * 10**9
+_MAX_BYTES = 10 * 10**9
 """Maximum size of the cache; beyond it the least recently used organs are removed.
 
 These include organs of older versions, which no other version reads.
 """
 
-_MOST_PASSING_BYTES = 4 * 10**9
+_MAX_PASSING_BYTES = 4 * 10**9
 """Maximum size for organs that are needed only briefly (`passing_organs`)."""
 
 _is_passing: ContextVar[bool] = ContextVar("is_passing", default=False)
@@ -129,7 +129,7 @@ def _cached(
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write(path, made)
-        _forget_unused(path.parent, _MOST_PASSING_BYTES if _is_passing.get() else _MOST_BYTES)
+        _forget_unused(path.parent, _MAX_PASSING_BYTES if _is_passing.get() else _MAX_BYTES)
     except OSError as error:
         warnings.warn(
             f"Cannot write to the cache folder {path.parent}: {error.strerror}. The organ is made "

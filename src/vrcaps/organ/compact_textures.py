@@ -31,7 +31,7 @@ ALBEDO_STEP = 5
 RELIEF_STEP = 64 * HEIGHT_STEP
 """Step to which relief is rounded [m], 3.8 µm."""
 
-MOST_NORMALS = 1 << 23
+MAX_NORMALS = 1 << 23
 """Maximum number of texels of the normal texture, which is for viewers only."""
 
 ROUGHNESS_QUALITY, NORMAL_QUALITY = 30, 75  # of lossy WebP
@@ -40,12 +40,12 @@ _ALBEDO = {"lossless": True, "exact": True, "method": 1, "quality": 30}  # far l
 _RELIEF = {**_ALBEDO, "quality": 0}  # files 1 % larger than at 30, a third faster
 _ZERO = 32768 + 128  # code of height 0, so that small heights share their high byte
 _KEPT_TEXELS = 1 << 20  # above which coding is slow
-_MOST_SIDE = 16383  # limit of WebP
+_MAX_SIDE = 16383  # limit of WebP
 
 
 def webp_fits(appearance: Appearance) -> bool:
     """Check that WebP can hold the textures."""
-    return max(appearance.albedo.shape) <= _MOST_SIDE
+    return max(appearance.albedo.shape) <= _MAX_SIDE
 
 
 def compact_files(appearance: Appearance, scale: tuple[float, float]) -> dict[str, bytes]:
@@ -59,7 +59,7 @@ def compact_files(appearance: Appearance, scale: tuple[float, float]) -> dict[st
     """
 
     def make() -> dict[str, bytes]:
-        albedo, roughness, normals = texture_images(appearance, scale, MOST_NORMALS)
+        albedo, roughness, normals = texture_images(appearance, scale, MAX_NORMALS)
         files = {
             "albedo": albedo_webp(albedo),
             "roughness": roughness_webp(roughness),

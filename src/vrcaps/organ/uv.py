@@ -20,7 +20,7 @@ _RESOLUTION = 2048  # texels per side for which the atlas is packed
 _PADDING = 4  # texels between charts at that resolution
 _CHART_FRACTION = 0.02  # maximum part of the wall in one chart; large charts are slow to flatten
 _SHARP = 0.5  # cosine of the angle between faces, below which no chart spans their edge
-_MOST_WORK = 6e8  # sharp edges times faces, proportional to time: about 1.5 minutes
+_MAX_WORK = 6e8  # sharp edges times faces, proportional to time: about 1.5 minutes
 _CHART_COST = 1.0  # maximum distortion of a growing chart (xatlas metric; its default is 2)
 
 
@@ -136,18 +136,18 @@ def _require_smooth(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "
     """Reject a wall with so many sharp edges that nearly every face would be a separate chart.
 
     Raises:
-        InputError: If the work would exceed `_MOST_WORK`.
+        InputError: If the work would exceed `_MAX_WORK`.
     """
     edges = find_edges(faces)
     normals = unit(triangle_normals(vertices[faces]))
     one, other = (edges.with_count(2) // 3).T
     num_smooth = np.count_nonzero((normals[one] * normals[other]).sum(axis=1) > _SHARP)
     num_sharp = len(edges.counts) - num_smooth
-    if num_sharp * len(faces) > _MOST_WORK:
+    if num_sharp * len(faces) > _MAX_WORK:
         raise InputError(
             f"{num_sharp} of the wall's {len(edges.counts)} edges turn by more than 60° or are "
             f"open: with {len(faces)} faces, texture charts would take minutes. Allowed: up to "
-            f"{_MOST_WORK / len(faces):.0f} such edges. Smooth the wall, or give it fewer faces."
+            f"{_MAX_WORK / len(faces):.0f} such edges. Smooth the wall, or give it fewer faces."
         )
 
 

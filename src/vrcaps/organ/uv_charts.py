@@ -23,7 +23,7 @@ _SIDE = 30 * MM  # approximate side of a chart
 _NUM_ROUNDS = 11
 _GROUP = 48  # charts flattened at once
 _GROWTH_ROUNDS = (6, 8, 10)
-_MOST_GROWTH = 1.25  # maximum growth of a squeezed face per such round
+_MAX_GROWTH = 1.25  # maximum growth of a squeezed face per such round
 _ANGLES = np.linspace(-0.25, 0.25, 16, endpoint=False) * np.pi
 _STEPS = 2.0**26  # coordinate quantization that hides the last bits of the solver
 
@@ -147,7 +147,7 @@ def _relax(
         flat = _opposite_edges(place[index])
         if number in _GROWTH_ROUNDS:
             least = np.abs(_least_stretch(edges, flat))
-            growth = np.clip(1.0 / np.maximum(least, 0.1), 1.0, _MOST_GROWTH)
+            growth = np.clip(1.0 / np.maximum(least, 0.1), 1.0, _MAX_GROWTH)
             edges = edges * growth[:, None, None]
         cosine = (weight * (edges * flat).sum(axis=2)).sum(axis=1)
         sine = (weight * _cross(edges, flat)).sum(axis=1)

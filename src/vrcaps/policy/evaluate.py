@@ -41,9 +41,9 @@ class Plan:
         worlds: Number of parallel episodes.
     """
 
-    seeds: Annotated[int, Range(least=1)] = 80
-    episodes: Annotated[int, Range(least=1, most=_SEEDS_APART)] = 5
-    worlds: Annotated[int, Range(least=1)] = 20
+    seeds: Annotated[int, Range(min=1)] = 80
+    episodes: Annotated[int, Range(min=1, max=_SEEDS_APART)] = 5
+    worlds: Annotated[int, Range(min=1)] = 20
 
     def __post_init__(self) -> None:
         check_fields(self)

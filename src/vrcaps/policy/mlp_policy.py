@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from vrcaps.env.vector_env import CapsuleVectorEnv
 
 _FORMAT = 1
-_MOST_BYTES = 2**28
+_MAX_BYTES = 2**28
 """Maximum size of the arrays of a policy's file."""
 _KEPT = (
     *("task", "actuation", "observations", "capsule", "control_period", "episode_time"),
@@ -152,7 +152,7 @@ def read_mlp_policy(path: Path) -> MlpPolicy:
             each other or the observations, or values that are not finite.
     """
     try:
-        arrays = read_arrays(path, _MOST_BYTES)
+        arrays = read_arrays(path, _MAX_BYTES)
         header = decode_json(str(arrays["header"]), path)
         written, plain = header["vrcaps"], dict(header["settings"])
         count = sum(name.endswith("/weight") for name in arrays)

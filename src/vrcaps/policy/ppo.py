@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from stable_baselines3 import PPO
     from stable_baselines3.common.running_mean_std import RunningMeanStd
 
-_COUNT = Range(least=1)
-_SHARE = Range(least=0.0, most=1.0)
+_COUNT = Range(min=1)
+_SHARE = Range(min=0.0, max=1.0)
 
 
 @dataclass(frozen=True)
@@ -57,15 +57,15 @@ class PpoSettings:
     hidden: tuple[int, ...] = (256, 256)
     batch: Annotated[int, _COUNT] = 2048
     epochs: Annotated[int, _COUNT] = 8
-    learning_rate: Annotated[float, Range(above=0.0, most=1.0)] = 3e-4
+    learning_rate: Annotated[float, Range(above=0.0, max=1.0)] = 3e-4
     is_annealed: bool = True
     gamma: Annotated[float, _SHARE] = 0.99
     gae_lambda: Annotated[float, _SHARE] = 0.95
-    clip: Annotated[float, Range(above=0.0, most=1.0)] = 0.2
-    entropy: Annotated[float, Range(least=0.0)] = 1e-3
-    initial_std: Annotated[float, Range(above=0.0, most=2.0)] = 0.6
+    clip: Annotated[float, Range(above=0.0, max=1.0)] = 0.2
+    entropy: Annotated[float, Range(min=0.0)] = 1e-3
+    initial_std: Annotated[float, Range(above=0.0, max=2.0)] = 0.6
     is_normalized: bool = True
-    evaluate_every: Annotated[int, Range(least=0)] = 5
+    evaluate_every: Annotated[int, Range(min=0)] = 5
     evaluation_episodes: Annotated[int, _COUNT] = 8
 
     def __post_init__(self) -> None:

@@ -29,7 +29,7 @@ from vrcaps.recording.stored_organ import organ_name, read_stored_organ, require
 from vrcaps.recording.table import FrameTable, decode_table, require_table
 from vrcaps.recording.walls import decode_wall, wall_path
 from vrcaps.render.channels import CHANNELS, Frame
-from vrcaps.scenario.scenario import MOST_FRAMES, Scenario, scenario_from_plain
+from vrcaps.scenario.scenario import MAX_FRAMES, Scenario, scenario_from_plain
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Float32
@@ -380,7 +380,7 @@ def require_head(head: dict[str, Any], where: str) -> None:
         is_count = type(count) is int and count > 0
         require(is_count, f"{where}: wall.num_vertices", repr(count), "a whole number above 0")
     frames = head["frames"]
-    require(0 < frames <= MOST_FRAMES, f"{where}: frames", frames, f"1 to {MOST_FRAMES}")
+    require(0 < frames <= MAX_FRAMES, f"{where}: frames", frames, f"1 to {MAX_FRAMES}")
     unknown = sorted(set(head["channels"]) - set(CHANNELS))
     if unknown:
         raise UnknownNameError("channel", unknown[0], CHANNELS)

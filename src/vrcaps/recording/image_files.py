@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.camera.camera import MOST_PIXELS
+from vrcaps.camera.camera import MAX_PIXELS
 from vrcaps.core.files import atomic_write, decode_array
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def decode_image(data: bytes, suffix: str) -> NDArray:
     """Stored pixel values of an image, given the bytes of a file with this suffix.
 
     Raises:
-        ValueError: If they are not such an image, or have more than `MOST_PIXELS`.
+        ValueError: If they are not such an image, or have more than `MAX_PIXELS`.
     """
     if suffix == ".npy":
         return decode_array(data)
@@ -55,7 +55,7 @@ def require_pixels(width: int, height: int) -> None:
     """Check the image size declared in a header, before the pixels are decoded.
 
     Raises:
-        ValueError: If it has no pixels, or more than `MOST_PIXELS`.
+        ValueError: If it has no pixels, or more than `MAX_PIXELS`.
     """
-    if not 0 < width * height <= MOST_PIXELS:
-        raise ValueError(f"it states {width} x {height} pixels; allowed are 1 to {MOST_PIXELS}")
+    if not 0 < width * height <= MAX_PIXELS:
+        raise ValueError(f"it states {width} x {height} pixels; allowed are 1 to {MAX_PIXELS}")

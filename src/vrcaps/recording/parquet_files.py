@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vrcaps.core.errors import reading
-from vrcaps.core.files import MOST_BYTES
+from vrcaps.core.files import MAX_BYTES
 
 if TYPE_CHECKING:
     import pyarrow.parquet as pq
@@ -24,7 +24,7 @@ def open_parquet(source: Path | bytes, name: object) -> Iterator[pq.ParquetFile]
 
     Raises:
         InputError: If it is damaged or the block cannot read it, or if a row group declares more
-            than `MOST_BYTES`.
+            than `MAX_BYTES`.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -35,6 +35,6 @@ def open_parquet(source: Path | bytes, name: object) -> Iterator[pq.ParquetFile]
     ):
         about = file.metadata
         sizes = [about.row_group(k).total_byte_size for k in range(about.num_row_groups)]
-        if not all(0 <= size <= MOST_BYTES for size in sizes):
-            raise ValueError(f"a group of rows states {max(sizes)} bytes; {MOST_BYTES} are allowed")
+        if not all(0 <= size <= MAX_BYTES for size in sizes):
+            raise ValueError(f"a group of rows states {max(sizes)} bytes; {MAX_BYTES} are allowed")
         yield file

@@ -15,7 +15,7 @@ from vrcaps.core.units import UM
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_MOST_PACKED = 2**24 - 2
+_MAX_PACKED = 2**24 - 2
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,8 @@ class Encoding:
         if self.is_mask:
             return np.where(values, np.uint8(255), np.uint8(0))
         if self.is_packed:
-            is_valid = -1 <= values.min() <= values.max() <= _MOST_PACKED
-            require(is_valid, "A number of a channel", values.max(), f"-1 to {_MOST_PACKED}")
+            is_valid = -1 <= values.min() <= values.max() <= _MAX_PACKED
+            require(is_valid, "A number of a channel", values.max(), f"-1 to {_MAX_PACKED}")
             return np.stack([(values + 1) >> shift for shift in (0, 8, 16)], -1).astype(np.uint8)
         if self.scale is None:
             if np.dtype(self.dtype).kind == "u":

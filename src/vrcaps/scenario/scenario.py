@@ -29,7 +29,7 @@ from vrcaps.world.model import posture_transform
 SOURCE_ORGAN = "source_organ.glb"
 """File in the folder of an episode with the organ, if it was recorded from memory."""
 
-MOST_FRAMES = 10**6
+MAX_FRAMES = 10**6
 """Maximum number of frames of a recording: their names have six digits."""
 
 DEFAULT_CHANNELS = ("rgb", "depth", "normal", "label", "instance")
@@ -52,7 +52,7 @@ class OrganGenerated:
     """
 
     name: str = "colon"
-    seed: Annotated[int, Range(least=0)] = 0
+    seed: Annotated[int, Range(min=0)] = 0
     distension: Distension | None = None
     mucosa: str | FileRef | None = None
 
@@ -139,9 +139,9 @@ class Scenario:
     capsule: str | Device = "mirocam"
     posture: str = "supine"
     motion: AnyMotion = field(default_factory=FlyThrough)
-    frames: Annotated[int, Range(1, MOST_FRAMES)] = 100
+    frames: Annotated[int, Range(1, MAX_FRAMES)] = 100
     fps: Annotated[float | None, Range(above=0.0)] = None
-    seed: Annotated[int, Range(least=0)] = 0
+    seed: Annotated[int, Range(min=0)] = 0
     channels: tuple[str, ...] = DEFAULT_CHANNELS
     render: RenderSettings = field(default_factory=RenderSettings)
     wall: bool = False

@@ -55,12 +55,10 @@ class Imu:
 
     position_capsule: tuple[float, float, float] = (0.0, 0.0, 0.0)
     rate: Annotated[float, Range(above=0.0, below=np.inf, unit="Hz")] = 100.0
-    accelerometer_noise: Annotated[float, Range(least=0.0, below=np.inf)] = (
-        160e-6 * _STANDARD_GRAVITY
-    )
-    gyroscope_noise: Annotated[float, Range(least=0.0, below=np.inf)] = 0.007 * DEG
-    accelerometer_walk: Annotated[float, Range(least=0.0, below=np.inf)] = 2e-4
-    gyroscope_walk: Annotated[float, Range(least=0.0, below=np.inf)] = 2e-5
+    accelerometer_noise: Annotated[float, Range(min=0.0, below=np.inf)] = 160e-6 * _STANDARD_GRAVITY
+    gyroscope_noise: Annotated[float, Range(min=0.0, below=np.inf)] = 0.007 * DEG
+    accelerometer_walk: Annotated[float, Range(min=0.0, below=np.inf)] = 2e-4
+    gyroscope_walk: Annotated[float, Range(min=0.0, below=np.inf)] = 2e-5
     accelerometer_range: Annotated[float, Range(above=0.0)] = 16.0 * _STANDARD_GRAVITY
     gyroscope_range: Annotated[float, Range(above=0.0)] = 2000.0 * DEG
 

@@ -27,7 +27,7 @@ class Magnetometer:
     """
 
     position_capsule: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    noise: Annotated[float, Range(least=0.0, below=np.inf)] = 0.5e-6
+    noise: Annotated[float, Range(min=0.0, below=np.inf)] = 0.5e-6
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     range: Annotated[float, Range(above=0.0)] = 2.5e-3
 

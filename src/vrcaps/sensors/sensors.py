@@ -36,11 +36,11 @@ class HallPad:
     """
 
     width: Annotated[float, Range(above=0.0, below=math.inf)] = 0.35
-    count: Annotated[int, Range(least=2)] = 8
+    count: Annotated[int, Range(min=2)] = 8
     gap: Annotated[float, Range(above=-math.inf, below=math.inf)] = 50.0 * MM
     range: Annotated[float, Range(above=0.0)] = 50e-3
-    gain_error: Annotated[float, Range(least=0.0, below=math.inf)] = 0.005
-    offset_error: Annotated[float, Range(least=0.0, below=math.inf)] = 1e-6
+    gain_error: Annotated[float, Range(min=0.0, below=math.inf)] = 0.005
+    offset_error: Annotated[float, Range(min=0.0, below=math.inf)] = 1e-6
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -49,8 +49,8 @@ class TrackingSensors:
     imu: Imu = field(default_factory=Imu)
     hall: HallPad = field(default_factory=HallPad)
     earth_field: tuple[float, float, float] = EARTH_FIELD
-    position_error: Annotated[float, Range(above=0.0, most=0.1, unit="m")] = 5.0 * MM
-    angle_error: Annotated[float, Range(above=0.0, most=0.5, unit="rad")] = 10.0 * DEG
+    position_error: Annotated[float, Range(above=0.0, max=0.1, unit="m")] = 5.0 * MM
+    angle_error: Annotated[float, Range(above=0.0, max=0.5, unit="rad")] = 10.0 * DEG
 
     def __post_init__(self) -> None:
         check_fields(self)

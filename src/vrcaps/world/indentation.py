@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _PIECE = 1.0 / 16.0
 """Maximum side of a piece of a triangle, as a fraction of the capsule's radius."""
-_MOST_PARTS = 32
+_MAX_PARTS = 32
 """Maximum number of parts per side, for triangles of any size."""
 _BITS = np.array([1, 2, 4])
 
@@ -100,7 +100,7 @@ def _divided(corners: np.ndarray, longest: float) -> np.ndarray:
     if not len(corners):
         return corners
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
-    parts = int(np.clip(np.ceil(sides.max() / longest), 1, _MOST_PARTS))
+    parts = int(np.clip(np.ceil(sides.max() / longest), 1, _MAX_PARTS))
     first, second = np.mgrid[: parts + 1, : parts + 1].reshape(2, -1)
     pointing, upside_down = first + second < parts, (first > 0) & (second > 0)
     upside_down &= first + second <= parts

@@ -79,7 +79,7 @@ def test_rows_in_order_stay_and_others_come_into_order():
     base = np.linspace(0.0, 1.0, 200)
     shift = np.random.default_rng(0).normal(0.0, 0.02, (200, 7))
     rows = rows_module._in_order(base, shift)
-    least = rows_module._LEAST_GAP / 199
+    least = rows_module._MIN_GAP / 199
     assert np.diff(rows, axis=0).min() > (1.0 - 1e-9) * least
     assert np.abs(rows - base[:, None]).max() <= np.abs(shift).max()
     gentle = 0.08 * np.sin(2.0 * np.pi * (base[:, None] + np.arange(7) / 7))

@@ -9,7 +9,7 @@ from vrcaps.cli.benchmarks.stage import Stage
 @pytest.mark.slow
 def test_a_short_run_measures_every_claim(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(world, "make_organ", lambda *_, **__: stage.model.organ)
-    monkeypatch.setattr(world, "_LEAST_DOF", 0)
+    monkeypatch.setattr(world, "_MIN_DOF", 0)
     report = world.measure(stage.num_triangles, 2)
     assert [claim.unit for claim in report.claims] == [
         "per second",

@@ -167,7 +167,7 @@ def test_a_nifti_that_says_too_much_is_refused_before_it_is_read(tmp_path, size,
 
 def test_a_slice_of_too_many_pixels_is_refused_unread(tmp_path, monkeypatch) -> None:
     write_dicom(tmp_path, small())
-    monkeypatch.setattr(read_dicom, "_MOST_PIXELS", 15)
+    monkeypatch.setattr(read_dicom, "_MAX_PIXELS", 15)
     monkeypatch.setattr(read_dicom, "_read_pixels", lambda path: pytest.fail("read"))
     with pytest.raises(InputError, match=r"have 12 × 16 pixels. Allowed: sides up to 15"):
         read_volume(tmp_path)
@@ -185,7 +185,7 @@ def test_files_of_several_images_are_refused_unread(tmp_path, monkeypatch) -> No
 
 def test_a_series_of_too_many_voxels_is_refused(tmp_path, monkeypatch) -> None:
     write_dicom(tmp_path, small())
-    monkeypatch.setattr(volume, "_MOST_VOXELS", 1000)
+    monkeypatch.setattr(volume, "_MAX_VOXELS", 1000)
     with pytest.raises(InputError, match=r"says that it holds 1\.15e\+03 voxels"):
         read_volume(tmp_path)
 

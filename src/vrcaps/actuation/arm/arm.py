@@ -69,7 +69,7 @@ class Link:
         radius: Radius [m].
     """
 
-    frame: Annotated[int, Range(least=0)]
+    frame: Annotated[int, Range(min=0)]
     start: tuple[float, float, float] = _in("mm")
     end: tuple[float, float, float] = _in("mm")
     radius: Annotated[float, Range(above=0.0)] = _in("mm")

@@ -30,7 +30,7 @@ FLEXURE_REACH = 5 * CM
 _SPACING = 12.5 * MM
 _GAP = 4 * MM
 _NUM_STEPS = 150
-_NUM_TRIES, _MOST_MISSING = 80, 2
+_NUM_TRIES, _MAX_MISSING = 80, 2
 
 # Waypoints of the segments in a mean body, patient frame [cm]: x left, y posterior, z up, origin
 # at the center of the abdomen at the height of the navel. Each segment starts at the end of the
@@ -77,7 +77,7 @@ def generate_course(parameters: ColonParameters, rng: np.random.Generator) -> Co
         InputError: If no such course fits into the abdomen.
     """
     wanted = float(parameters.flexures - 5)
-    nearest, least = None, _MOST_MISSING + 1
+    nearest, least = None, _MAX_MISSING + 1
     for attempt in range(_NUM_TRIES):
         bends = _draw_bends(parameters, max(round(wanted), 0), rng)
         course = _relax(parameters, bends, 1.0 + min(0.02 * attempt, 0.8), rng)

@@ -34,7 +34,7 @@ class ColonSegment:
 
     length: Annotated[float, Range(0.03, 1.5, unit="m")]
     diameter: Annotated[float, Range(0.02, 0.09, unit="m")]
-    haustra_spacing: Annotated[float, Range(least=0.01, unit="m")] = 30 * MM
+    haustra_spacing: Annotated[float, Range(min=0.01, unit="m")] = 30 * MM
     fold_height: Annotated[float, Range(0.0, 0.012, unit="m")] = 7 * MM
     triangularity: float = 0.05
 

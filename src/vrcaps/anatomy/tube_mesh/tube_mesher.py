@@ -33,7 +33,7 @@ _ROW_TO_COLUMN = 0.8
 _LOCAL = 25 * MM
 _DRIFT = 70 * MM
 _FEWEST = 6
-_LEAST_GAP = 0.33
+_MIN_GAP = 0.33
 """Minimum fraction of the plain row spacing that equal steps over folds may leave."""
 _STRAIGHT = 15
 """Number of rows over which columns keep their direction."""
@@ -135,11 +135,11 @@ def _pace(
 def _in_order(
     base: Float[np.ndarray, " rows"], shift: Float[np.ndarray, "rows k"]
 ) -> Float[np.ndarray, "rows k"]:
-    """Shifted rows, kept `_LEAST_GAP` of their plain distance apart by the smallest maximum change.
+    """Shifted rows, kept `_MIN_GAP` of their plain distance apart by the smallest maximum change.
 
     They are midway between the lowest such rows above the shifted ones and the highest below.
     """
-    floor = _LEAST_GAP * base[:, None]
+    floor = _MIN_GAP * base[:, None]
     rest = base[:, None] + shift - floor
     above = np.maximum.accumulate(rest, axis=0)
     below = np.minimum.accumulate(rest[::-1], axis=0)[::-1]

@@ -26,7 +26,7 @@ class Distortion(CameraEffect):
             at the center implies.
     """
 
-    strength: Annotated[float, Range(least=0.0, below=0.5)]
+    strength: Annotated[float, Range(min=0.0, below=0.5)]
 
     name = "distortion"
     severities = (

@@ -21,7 +21,7 @@ class DomeBubbles(SceneEffect):
         count: Number of bubbles on each end.
     """
 
-    count: Annotated[int, Range(least=0)]
+    count: Annotated[int, Range(min=0)]
 
     name = "dome_bubbles"
     severities = ({"count": 0}, {"count": 1}, {"count": 2}, {"count": 4}, {"count": 9})

@@ -52,13 +52,13 @@ class Droplets(ImageEffect):
         speed: Speed at which all drops slide across the dome [m/s]; drops that leave re-enter.
     """
 
-    count: Annotated[int, Range(least=1, most=200)]
+    count: Annotated[int, Range(min=1, max=200)]
     radius: float = 0.5 * MM
-    spread: Annotated[float, Range(least=0.0, most=1.0)] = 0.4
+    spread: Annotated[float, Range(min=0.0, max=1.0)] = 0.4
     contact_angle: Annotated[float, Range(above=0.0, below=0.5 * np.pi, unit="rad")] = 50.0 * DEG
     ior: Annotated[float, Range(above=1.0, below=3.0)] = 1.333
     distance: Annotated[float, Range(above=0.0, below=1.0, unit="m")] = 5.0 * MM
-    speed: Annotated[float, Range(least=0.0, below=0.1, unit="m/s")] = 0.0
+    speed: Annotated[float, Range(min=0.0, below=0.1, unit="m/s")] = 0.0
 
     name = "droplets"
     severities = (

@@ -21,7 +21,7 @@ class FieldOfView(CameraEffect):
         magnification: Factor on the focal length; above 1 the field of view is narrower.
     """
 
-    magnification: Annotated[float, Range(least=0.1, most=10.0)]
+    magnification: Annotated[float, Range(min=0.1, max=10.0)]
 
     name, short = "field_of_view", "fov"
     severities = (

@@ -21,8 +21,8 @@ class Jpeg(ImageEffect):
             fits; None is no limit.
     """
 
-    quality: Annotated[int, Range(least=1, most=100)]
-    max_bytes: Annotated[int | None, Range(least=1, unit="bytes")] = None
+    quality: Annotated[int, Range(min=1, max=100)]
+    max_bytes: Annotated[int | None, Range(min=1, unit="bytes")] = None
 
     name = "jpeg"
     severities = (None, {"quality": 90}, {"quality": 75}, {"quality": 50}, {"quality": 25})

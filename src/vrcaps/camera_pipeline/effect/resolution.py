@@ -21,7 +21,7 @@ class Resolution(CameraEffect):
         scale: Pixels per side, relative to the camera's own.
     """
 
-    scale: Annotated[float, Range(above=0.0, most=4.0)]
+    scale: Annotated[float, Range(above=0.0, max=4.0)]
 
     name = "resolution"
     severities = (None, {"scale": 0.75}, {"scale": 0.5}, {"scale": 0.375}, {"scale": 0.25})

@@ -60,7 +60,7 @@ class Smears(ImageEffect):
     coverage: Annotated[float, Range(above=0.0, below=1.0)] = 0.4
     substance: Substance = "mucus"
     width: Annotated[float, Range(above=0.0, below=1.0, unit="m")] = 1.2 * MM
-    aspect_ratio: Annotated[float, Range(least=1.0)] = 4.0
+    aspect_ratio: Annotated[float, Range(min=1.0)] = 4.0
     distance: Annotated[float, Range(above=0.0, below=1.0, unit="m")] = 5.0 * MM
 
     name = "smears"

@@ -26,9 +26,9 @@ class SpecularReflection(SceneEffect):
         ior: Refractive index of the wall below it, 1 (no reflection) or more.
     """
 
-    clearcoat: Annotated[float, Range(least=0.0, most=1.0)]
-    clearcoat_gloss: Annotated[float, Range(least=0.0, most=1.0)] = 0.93
-    ior: Annotated[float, Range(least=1.0, below=3.0)] = 1.4
+    clearcoat: Annotated[float, Range(min=0.0, max=1.0)]
+    clearcoat_gloss: Annotated[float, Range(min=0.0, max=1.0)] = 0.93
+    ior: Annotated[float, Range(min=1.0, below=3.0)] = 1.4
 
     name = "specular"
     severities = (

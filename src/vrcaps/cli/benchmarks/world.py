@@ -46,7 +46,7 @@ _REST = 1.0
 _FRAME = 1.0 / 60.0
 _COARSER = 2e-4
 _FEM_STEP, _FEM_EDGE = 5e-3, 22.0 * MM
-_LEAST_DOF = 20_000
+_MIN_DOF = 20_000
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ def _finite_elements(stage: Stage, num_rounds: int) -> tuple[Claim, Table]:
     times = _timed(lambda: wall.step(force, _FEM_STEP), num_rounds)
     note = f"{wall.num_dof} degrees of freedom, linear, a step of {1e3 * _FEM_STEP:g} ms"
     table = Table("Finite elements", ("ms", "ms of processors"), (times.row("step", note, 1e3),))
-    if wall.num_dof < _LEAST_DOF:
+    if wall.num_dof < _MIN_DOF:
         reason = f"{wall.num_dof} degrees of freedom are too few"
         return replace(claims.FINITE_ELEMENTS, reason=reason), table
     return replace(claims.FINITE_ELEMENTS, measured=Spread.of(1.0 / times.cpu)), table

@@ -55,8 +55,8 @@ class ArmActuation:
 
     arm: str = "panda"
     magnet: str = "cylinder-76.2"
-    fraction: Annotated[float, Range(above=0.0, most=1.0)] = 0.1
-    standoff: Annotated[float, Range(above=0.0, most=1.0, unit="m")] = 4.0 * CM
+    fraction: Annotated[float, Range(above=0.0, max=1.0)] = 0.1
+    standoff: Annotated[float, Range(above=0.0, max=1.0, unit="m")] = 4.0 * CM
 
     kind: ClassVar[str] = "arm"
 

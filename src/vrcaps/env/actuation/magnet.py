@@ -47,10 +47,10 @@ class MagnetActuation:
     """
 
     magnet: str = "cylinder-76.2"
-    speed: Annotated[float, Range(above=0.0, most=1.0, unit="m/s")] = 5.0 * CM
-    angular_speed: Annotated[float, Range(above=0.0, most=10.0, unit="rad/s")] = 1.0
-    standoff: Annotated[float, Range(above=0.0, most=1.0, unit="m")] = 4.0 * CM
-    reach: Annotated[float, Range(above=0.0, most=1.0, unit="m")] = 20.0 * CM
+    speed: Annotated[float, Range(above=0.0, max=1.0, unit="m/s")] = 5.0 * CM
+    angular_speed: Annotated[float, Range(above=0.0, max=10.0, unit="rad/s")] = 1.0
+    standoff: Annotated[float, Range(above=0.0, max=1.0, unit="m")] = 4.0 * CM
+    reach: Annotated[float, Range(above=0.0, max=1.0, unit="m")] = 20.0 * CM
 
     kind: ClassVar[str] = "magnet"
 

@@ -36,8 +36,8 @@ class Wrench:
     """
 
     mode: Literal["continuous", "discrete"] = "continuous"
-    force: Annotated[float, Range(least=0.0, most=2.0, unit="N")] = 0.02
-    torque: Annotated[float, Range(least=0.0, most=0.05, unit="N·m")] = 1e-4
+    force: Annotated[float, Range(min=0.0, max=2.0, unit="N")] = 0.02
+    torque: Annotated[float, Range(min=0.0, max=0.05, unit="N·m")] = 1e-4
     is_weightless: bool = False
     frame: Literal["world", "capsule"] = "world"
 

@@ -36,9 +36,9 @@ class MapObservation:
     """
 
     egocentric: bool = False
-    scales: Annotated[int, Range(least=1, most=8)] = 4
-    size: Annotated[int, Range(least=2, most=256)] = 16
-    factor: Annotated[float, Range(least=1.0, most=4.0)] = 2.0
+    scales: Annotated[int, Range(min=1, max=8)] = 4
+    size: Annotated[int, Range(min=2, max=256)] = 16
+    factor: Annotated[float, Range(min=1.0, max=4.0)] = 2.0
 
     kind: ClassVar[str] = "map"
     name: ClassVar[str] = "map"

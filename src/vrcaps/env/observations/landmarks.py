@@ -65,7 +65,7 @@ class LandmarksObservation:
         frame: Axes of all vectors: the capsule's, or the world's for actions in the world frame.
     """
 
-    regions: Annotated[int, Range(least=0, most=64)] = 6
+    regions: Annotated[int, Range(min=0, max=64)] = 6
     frame: Literal["capsule", "world"] = "capsule"
 
     kind: ClassVar[str] = "landmarks"

@@ -27,7 +27,7 @@ class CoverageTask:
     """
 
     level: CoverageLevel = "visible"
-    target: Annotated[float, Range(above=0.0, most=1.0)] = 0.98
+    target: Annotated[float, Range(above=0.0, max=1.0)] = 0.98
 
     kind: ClassVar[str] = "coverage"
 

@@ -35,9 +35,9 @@ class InspectTask:
     """
 
     level: CoverageLevel = "resolved"
-    dwell: Annotated[float, Range(above=0.0, most=60.0, unit="s")] = 1.0
-    fraction: Annotated[float, Range(above=0.0, most=1.0)] = 0.2
-    most: Annotated[int, Range(least=1, most=1000)] = 32
+    dwell: Annotated[float, Range(above=0.0, max=60.0, unit="s")] = 1.0
+    fraction: Annotated[float, Range(above=0.0, max=1.0)] = 0.2
+    most: Annotated[int, Range(min=1, max=1000)] = 32
 
     kind: ClassVar[str] = "inspect"
 

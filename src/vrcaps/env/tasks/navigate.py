@@ -35,7 +35,7 @@ class NavigateTask:
     """
 
     goal: float | str = 1.0
-    tolerance: Annotated[float, Range(above=0.0, most=0.1, unit="m")] = 2.0 * CM
+    tolerance: Annotated[float, Range(above=0.0, max=0.1, unit="m")] = 2.0 * CM
 
     kind: ClassVar[str] = "navigate"
 

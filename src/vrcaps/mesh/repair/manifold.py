@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _FIN_AREA = 0.01  # of the whole; an open patch smaller than this is a fin, not wall
 _NUDGE = 1e-3  # fraction of the way to a vertex's neighbors; separates cut sheets
 _MAX_PASSES = 10
-_MOST_WORK = 300_000  # of pairing the faces of nonmanifold edges, in steps of some 20 µs
+_MAX_WORK = 300_000  # of pairing the faces of nonmanifold edges, in steps of some 20 µs
 
 
 def split_nonmanifold(mesh: Mesh) -> tuple[Mesh, Int[np.ndarray, " n"], list[Repair]]:
@@ -214,7 +214,7 @@ def _pair_faces(
             around = fans.of(corners).tobytes()
             is_same = around == before and not is_stuck
             work += 1 if is_same else 10 + (len(halves) // 3) ** 2
-            if work > _MOST_WORK:
+            if work > _MAX_WORK:
                 raise InputError(
                     f"{len(nonmanifold)} edges join more than two triangles, too many to part. "
                     "Remove doubled and stray triangles, or make a new mesh of the surface."

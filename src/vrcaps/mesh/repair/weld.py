@@ -27,7 +27,7 @@ _MERGE_TOLERANCE = 1e-6  # of the bounding box's diagonal; a few float32 steps
 _THIN = 1e-5  # height over longest edge, below which a triangle has no usable normal
 _NEEDLE = 0.01  # shortest over longest edge, below which a thin triangle is a needle
 _MAX_PASSES = 10
-_MOST_PAIRS = 50_000_000  # of near vertices: 1 GB
+_MAX_PAIRS = 50_000_000  # of near vertices: 1 GB
 
 
 def merge_vertices(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
@@ -65,7 +65,7 @@ def _require_apart(points: Float[np.ndarray, "n 3"], tolerance: float) -> None:
     steps = np.minimum((points - points.min(axis=0)) / tolerance, 1 << 20)  # at most 10⁶
     cells = steps.astype(np.int64)
     counts = np.unique(cells @ [1 << 42, 1 << 21, 1], return_counts=True)[1]
-    if (counts.astype(float) ** 2).sum() > len(points) + _MOST_PAIRS:
+    if (counts.astype(float) ** 2).sum() > len(points) + _MAX_PAIRS:
         raise InputError(
             f"{counts.max()} different vertices lie within {tolerance:.2g} m of each other, a "
             "millionth of the mesh. Remove stray vertices, or check its unit."

@@ -29,11 +29,11 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _VOXELS_PER_RADIUS = 10.0
-_MOST_INSIDE = 8_000_000  # voxels of a lumen, searched within seconds
+_MAX_INSIDE = 8_000_000  # voxels of a lumen, searched within seconds
 _REFINEMENTS = 3
 _END_FRACTION = 1 / 3  # of the length, to measure the width of an end
 _REACH = 3.0  # radii from the curve within which the lumen is covered
-_MOST_LEFT_OUT = 0.1  # of the lumen may lie beyond that reach
+_MAX_LEFT_OUT = 0.1  # of the lumen may lie beyond that reach
 _NUM_PROBES = 20_000  # points in the lumen to estimate that fraction
 
 _log = logging.getLogger(__name__)
@@ -78,7 +78,7 @@ def compute_centerline(
     radius = mean_radius(vertices, faces)
     # A rough wall has a large area and so a small mean radius, which would give too fine voxels.
     volume = 0.5 * radius * float(triangle_areas(vertices[faces]).sum())
-    least = (volume / _MOST_INSIDE) ** (1 / 3)
+    least = (volume / _MAX_INSIDE) ** (1 / 3)
     if voxel is None:
         voxel = max(radius / _VOXELS_PER_RADIUS, least)
     centerline = _trace(mesh, (voxel, least), start, end)
@@ -147,7 +147,7 @@ def _warn(grid: LumenGrid, centerline: Centerline, handles: int, num_cut: int) -
             handles,
         )
     left_out = _left_out(grid, centerline)
-    if left_out > _MOST_LEFT_OUT:
+    if left_out > _MAX_LEFT_OUT:
         _log.warning(
             "THE CENTERLINE LEAVES OUT %.0f %% OF THE LUMEN: it jumps from loop to loop or goes "
             "into one branch only. Its length and segments are wrong. Part touching loops in the "

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 _WALL_COST = 2.0  # of a step next to the wall, in steps through free lumen
 _SLENDER = 3.0  # maximum volume of an end pouch, in cubes of its depth
-_LEAST_DEPTH = 4.0  # minimum depth of an end pouch [voxels]
+_MIN_DEPTH = 4.0  # minimum depth of an end pouch [voxels]
 _CENTRAL = 4.0  # exponent of the wall distance that weights a pouch's voxels
 
 
@@ -96,7 +96,7 @@ def _pouch_depth(depth: Float[np.ndarray, "x y z"]) -> float:
     """Minimum depth [voxels] whose volume is at most `_SLENDER` cubes of it."""
     depth = np.sort(depth[np.isfinite(depth)])
     slender = np.arange(1, len(depth) + 1) <= _SLENDER * depth**3
-    slender &= depth >= _LEAST_DEPTH
+    slender &= depth >= _MIN_DEPTH
     return float(depth[np.argmax(slender)]) if slender.any() else float(depth[-1])
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 MAX_VOXELS = 30_000_000
-_MOST_CROSSINGS = 50_000_000  # of triangle bounding boxes with grid lines: 10 GB
+_MAX_CROSSINGS = 50_000_000  # of triangle bounding boxes with grid lines: 10 GB
 _COARSE_VOXELS = 1_000_000  # of the first pass, which measures volume and diameter
 
 
@@ -155,7 +155,7 @@ def grid_crossings(
     first = np.ceil(corners[..., :2].min(axis=1)).astype(int)
     span = np.floor(corners[..., :2].max(axis=1)).astype(int) - first + 1
     count = np.maximum(span, 0).prod(axis=1)
-    if count.sum() > _MOST_CROSSINGS:
+    if count.sum() > _MAX_CROSSINGS:
         raise InputError(
             f"The triangles lie over {count.sum():.1g} grid lines, more than those of a wall do. "
             "Their vertices are in disorder: export the mesh again."

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 _CENTERING = 3.0  # a step costs clearance^-3, which prevents short cuts near the wall
-_LEAST_SPAN = 3.0  # minimum distance between the two ends [voxels]
+_MIN_SPAN = 3.0  # minimum distance between the two ends [voxels]
 _GAP_COST = 1e4  # of a step outside the lumen, in steps next to the wall
 
 _log = logging.getLogger(__name__)
@@ -57,7 +57,7 @@ def find_path(
         last = far_end(grid, first, outside)
     if first is None or last is None:
         return None
-    if np.linalg.norm(last - first) < _LEAST_SPAN:
+    if np.linalg.norm(last - first) < _MIN_SPAN:
         where = grid.points(np.stack([first, last])).round(5).tolist()
         raise InputError(
             f"The centerline would go from {where[0]} to {where[1]} m, which is one place. "

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _UNEVEN = 0.5  # maximum displacement of a slice, relative to the slice spacing
 _THIN = 1.5  # ratio of slice spacing to slice thickness above which slices may be missing
-_MOST_PIXELS = 4096  # maximum side of a slice; scanners produce up to 2048
+_MAX_PIXELS = 4096  # maximum side of a slice; scanners produce up to 2048
 
 
 def read_dicom(
@@ -154,10 +154,10 @@ def _require_slices(series: Series, folder: Path) -> None:
             "which is not supported. Convert the folder to NIfTI, for example with `dcm2niix "
             f"-z y {folder}`, or export the series as one file for each slice."
         )
-    if max(series.columns, series.rows) > _MOST_PIXELS:
+    if max(series.columns, series.rows) > _MAX_PIXELS:
         raise InputError(
             f"Slices of series {series.text} in {folder} say that they have {series.columns} × "
-            f"{series.rows} pixels. Allowed: sides up to {_MOST_PIXELS}. Export the series again."
+            f"{series.rows} pixels. Allowed: sides up to {_MAX_PIXELS}. Export the series again."
         )
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 _SAME_GRID = 0.02  # maximum distance, in voxels, between the nodes of two aligned grids
 
 
-_MOST_VOXELS = 1 << 30
+_MAX_VOXELS = 1 << 30
 
 
 def require_voxels(count: int, source: object) -> None:
@@ -25,9 +25,9 @@ def require_voxels(count: int, source: object) -> None:
     Raises:
         InputError: If it has more than 2³⁰ voxels (2 GiB), such as 512 × 512 × 4096.
     """
-    if count > _MOST_VOXELS:
+    if count > _MAX_VOXELS:
         raise InputError(
-            f"{source} says that it holds {count:.3g} voxels. Allowed: up to {_MOST_VOXELS:.3g}. "
+            f"{source} says that it holds {count:.3g} voxels. Allowed: up to {_MAX_VOXELS:.3g}. "
             "Crop or coarsen the scan."
         )
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _TOLERANCE = 0.15  # maximum relative excess of a patch's error over the least
 _TRIED = 4  # sources searched for each patch
 _REUSE = 0.6  # relative penalty of a position for each earlier use
-_MOST_USED = 4.0  # maximum number of uses counted
+_MAX_USED = 4.0  # maximum number of uses counted
 _MASKED = 3.0  # penalty of a patch entirely of filled-in pixels [median differences]
 _FEATHER = 1.0  # standard deviation of the seam's blur [px]
 _SIDES = ("left", "top", "right", "bottom")
@@ -138,7 +138,7 @@ class _Search:
             cost = self._differences(there * mask[..., None], overlaps, tried) / mask.sum()
         middle = float(np.median(cost))
         cost = cost + 1e-4 + middle * (0.02 + _MASKED * self.masked[tried])
-        cost *= 1.0 + _REUSE * np.minimum(self.used[tried], _MOST_USED)
+        cost *= 1.0 + _REUSE * np.minimum(self.used[tried], _MAX_USED)
         good = np.flatnonzero(cost.ravel() <= (1.0 + _TOLERANCE) * float(cost.min()))
         chosen = good[int(self.rng.integers(len(good)))]
         k, row, column = (int(n) for n in np.unravel_index(chosen, cost.shape))

@@ -20,7 +20,7 @@ _FLATTEST = 0.1
 """Fraction of the blocks of a brightness that are considered flat: texture adds variance."""
 _CORRELATION = (1.0 + 2.0 * (4.0 / 6.0) ** 2 + 2.0 * (1.0 / 6.0) ** 2) ** 2
 """Sum of the squared autocorrelation of white noise after the filter [1 -2 1] both ways."""
-MOST_ELECTRONS = 1e6
+MAX_ELECTRONS = 1e6
 """Full well above which noise is negligible."""
 _NUM_LEVELS, _FEWEST_LEVELS, _FEWEST_BLOCKS = 12, 3, 30
 
@@ -67,7 +67,7 @@ def fit_noise(frames: Frames) -> NoiseModel | None:
         residuals, start, bounds=(-60.0, 0.0), loss="huber", f_scale=0.1
     )
     slope, offset = np.exp(fit.x).tolist()
-    if np.median((slope * brightness + offset) / rounding) < 1.0 or slope < 1.0 / MOST_ELECTRONS:
+    if np.median((slope * brightness + offset) / rounding) < 1.0 or slope < 1.0 / MAX_ELECTRONS:
         return None
     return NoiseModel(1.0 / slope, float(np.sqrt(offset)) / slope, brightness, variance)
 

@@ -18,7 +18,7 @@ NUM_RINGS = 24
 ENVELOPE = 0.9
 """Quantile of a ring's pixels that is its brightness, so that the dark lumen does not count."""
 _NUM_PARTS = 8
-_MOST_RISE = 0.3
+_MAX_RISE = 0.3
 """Maximum k1 of a vignetting: with more, light would increase from the center, unlike any lens."""
 _FEWEST = 200
 """Minimum number of pixels of all frames in a ring."""
@@ -90,7 +90,7 @@ class VignettingProfile:
     @property
     def is_clear(self) -> bool:
         """True if the frames darken towards the edge significantly."""
-        return self.k1 <= _MOST_RISE and 1.0 - self.rim > 2.0 * self.deviation
+        return self.k1 <= _MAX_RISE and 1.0 - self.rim > 2.0 * self.deviation
 
 
 def mean_transmission(

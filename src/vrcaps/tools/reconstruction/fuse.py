@@ -19,7 +19,7 @@ from vrcaps.tools.reconstruction.volume import Volume
 if TYPE_CHECKING:
     from jaxtyping import UInt8
 
-LEAST_COSINE = 0.05
+MIN_COSINE = 0.05
 """Minimum cosine of a ray to the axis: near 90°, depth along the axis does not give distance."""
 
 
@@ -62,7 +62,7 @@ def fuse(
         raise InputError(f"Fusing depth needs a calibrated camera, which {sequence.name} has not.")
     poses = sequence.Ts_world_camera
     cosine = unproject_pixels(camera, pixel_grid(camera.width, camera.height))[..., 2]
-    cosine = np.where(cosine > LEAST_COSINE, cosine, np.nan)
+    cosine = np.where(cosine > MIN_COSINE, cosine, np.nan)
     volume = Volume(settings.voxel)
     for index in range(len(sequence)):
         distance = sequence.image("depth", index) / cosine

@@ -20,12 +20,12 @@ from vrcaps.metrics.trajectory import Similarity
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-_MOST_STEPS = 60
+_MAX_STEPS = 60
 _CONVERGED = 1e-4
 """Relative change of the error below which registration stops."""
 _EXACT = 1e-8
 """Error at which registration also stops [m]: nearest points have 32-bit precision."""
-_MOST_POINTS = 20_000
+_MAX_POINTS = 20_000
 _USED = 0.9
 """Fraction of the points, the nearest, used in a step; the others may be off the surface."""
 _SOFT = 1e-2
@@ -62,7 +62,7 @@ def register(points: Float[np.ndarray, "n 3"], surface: Mesh, *, scale: bool) ->
     normals = unit(triangle_normals(surface.vertices[surface.faces]))
     found, errors = Similarity(np.eye(3), np.zeros(3), 1.0), []
     best, least = found, np.inf
-    for _ in range(_MOST_STEPS):
+    for _ in range(_MAX_STEPS):
         moved = apply(found, points)
         nearest, face = wall.closest_point(np.ascontiguousarray(moved))
         distance = np.linalg.norm(nearest - moved, axis=1)
@@ -94,7 +94,7 @@ def registered(mesh: Mesh, surface: Mesh, *, scale: bool) -> tuple[Mesh, Registr
     Raises:
         InputError: If it has fewer than 10 vertices.
     """
-    step = 1 + len(mesh.vertices) // _MOST_POINTS
+    step = 1 + len(mesh.vertices) // _MAX_POINTS
     found = register(mesh.vertices[::step], surface, scale=scale)
     return replace(mesh, vertices=apply(found.similarity, mesh.vertices)), found
 

@@ -24,7 +24,7 @@ _SAMPLED = 200
 """Features of an image used to choose candidates."""
 _CANDIDATES = 6
 """Number of images that each image is fully compared with (Brown 2007, section 3: m = 6)."""
-_LEAST_INLIERS, _INLIER_PART = 8.0, 0.3
+_MIN_INLIERS, _INLIER_PART = 8.0, 0.3
 """A pair is accepted if its inliers exceed 8 + 0.3 of its matches."""
 _TRIALS, _CONFIDENCE = 4000, 0.999
 
@@ -125,7 +125,7 @@ def homography_pair(
     """
     cv2 = opencv()
     found = matches(one.descriptors, other.descriptors)
-    if len(found) <= _LEAST_INLIERS:
+    if len(found) <= _MIN_INLIERS:
         return None
     first, second = one.points[found[:, 0]], other.points[found[:, 1]]
     homography, mask = cv2.findHomography(
@@ -139,7 +139,7 @@ def homography_pair(
 
 def is_trusted(num_inliers: int, num_matches: int) -> bool:
     """True if a pair of images is accepted, by its number of inliers (Brown 2007, eq. 13)."""
-    return num_inliers > _LEAST_INLIERS + _INLIER_PART * num_matches
+    return num_inliers > _MIN_INLIERS + _INLIER_PART * num_matches
 
 
 def image_pairs(features: Sequence[Features], tolerance: float) -> list[Pair]:

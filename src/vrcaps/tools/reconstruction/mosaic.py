@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _WIDEST = 2.5
 """Maximum tangent to the axis in a mosaic: 68°; beyond, a plane stretches too far."""
-_MOST_SCALE = 3.0
+_MAX_SCALE = 3.0
 """Scale factor above which an image is excluded."""
 _WIDEST_SEAM = 1 / 16
 """Width of the seams of the lowest band, relative to the shorter side; each band halves it."""
@@ -74,7 +74,7 @@ def _is_sane(homography: np.ndarray, camera: Camera) -> bool:
     # The local scale of areas, det H / (h₃ · p)³.
     area = np.linalg.det(homography) / ahead**3
     middle = area[len(area) // 2]
-    return bool((ahead > 0.0).all() and _MOST_SCALE**-2 < middle < _MOST_SCALE**2)
+    return bool((ahead > 0.0).all() and _MAX_SCALE**-2 < middle < _MAX_SCALE**2)
 
 
 def mosaic_camera(

@@ -19,7 +19,7 @@ from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import invert
 from vrcaps.recording.frame_sequence import FrameSequence
-from vrcaps.tools.reconstruction.fuse import LEAST_COSINE
+from vrcaps.tools.reconstruction.fuse import MIN_COSINE
 from vrcaps.tools.reconstruction.highlights import without_highlights
 from vrcaps.tools.reconstruction.matching import likely_pairs, sift_features
 from vrcaps.tools.reconstruction.pair_graph import chained, connected
@@ -120,7 +120,7 @@ def _field(camera: Camera) -> tuple[Bool[np.ndarray, "h w"], float]:
     from scipy.ndimage import binary_erosion
 
     rays = unproject_pixels(camera, pixel_grid(camera.width, camera.height))
-    is_seen = binary_erosion(rays[..., 2] > LEAST_COSINE, iterations=_RIM_PX)
+    is_seen = binary_erosion(rays[..., 2] > MIN_COSINE, iterations=_RIM_PX)
     steps = np.linalg.norm(np.diff(rays, axis=1), axis=2)
     return is_seen, float(np.nanmedian(steps[is_seen[:, 1:]]))
 

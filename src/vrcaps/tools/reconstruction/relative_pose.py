@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _TRIALS, _CONFIDENCE = 200, 0.999
 """Maximum number of RANSAC trials, and the required probability of an outlier-free one."""
-_LEAST_COSINE = 0.2
+_MIN_COSINE = 0.2
 """Minimum cosine of a ray to the axis for P3P, which uses rays as points of the plane z = 1."""
 
 
@@ -130,7 +130,7 @@ def _hypotheses(
 ) -> Iterator[list[Float[np.ndarray, "4 4"]]]:
     """Generate the poses of one random set of three matches after the other."""
     cv2 = opencv()
-    usable = found[other.rays[found[:, 1], 2] > _LEAST_COSINE]
+    usable = found[other.rays[found[:, 1], 2] > _MIN_COSINE]
     if len(usable) < 3:
         return
     chance = rng.stream(0, "reconstruction/pose-pair", *numbers)

@@ -23,7 +23,7 @@ _SIDE = 8
 """Voxels along a block's side."""
 _TRUNCATION = 4.0
 """Truncation distance [voxels]."""
-_MOST_VOXELS = 4 * 10**8
+_MAX_VOXELS = 4 * 10**8
 """Maximum size of the box around all blocks, which marching cubes needs as a whole."""
 
 
@@ -142,7 +142,7 @@ class Volume:
         keys = np.array(list(self._slots))
         low = keys.min(axis=0)
         blocks = keys.max(axis=0) - low + 1
-        if np.prod(blocks.astype(float)) * _SIDE**3 > _MOST_VOXELS:
+        if np.prod(blocks.astype(float)) * _SIDE**3 > _MAX_VOXELS:
             size = ", ".join(f"{side:.3f}" for side in blocks * _SIDE * self.voxel)
             raise InputError(
                 f"What was seen spans {size} m, too much for voxels of {1e3 * self.voxel:.3g} mm. "

@@ -31,10 +31,10 @@ from playwright.sync_api import Page, sync_playwright
 from cockpit_client import measure
 from validation import parser, table, write_section
 from vrcaps.cli.cockpit import Cockpit as CockpitCommand
-from vrcaps.cockpit.camera_images import LiveImage, Look
 from vrcaps.cockpit.cockpit import Cockpit, open_cockpit
-from vrcaps.cockpit.panels.camera_panel import CameraPanel
-from vrcaps.cockpit.view import View
+from vrcaps.cockpit.panels.view_panels import CameraPanel
+from vrcaps.cockpit.session.camera_images import LiveImage, Look
+from vrcaps.cockpit.session.clock import View
 
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 WINDOWS = {"small": ((900, 300), 0.2), "large": ((1400, 850), 1.0)}

@@ -18,7 +18,7 @@ import pytest
 
 from tiny_dataset import write_tiny_plan
 from vrcaps.cli import main
-from vrcaps.cockpit.drive import COMMANDS_CSV, DRIVE_JSON, make_folder
+from vrcaps.cockpit.session.drive import COMMANDS_CSV, DRIVE_JSON, make_folder
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import file_sha256, files_in
 from vrcaps.mucosa.texture import MucosaTexture, write_texture

@@ -17,7 +17,7 @@ from playwright.sync_api import Page, sync_playwright
 
 from vrcaps.cli.cockpit import Cockpit as CockpitCommand
 from vrcaps.cockpit.cockpit import Cockpit, open_cockpit
-from vrcaps.cockpit.episode_page import open_episodes
+from vrcaps.cockpit.episodes.episode_page import open_episodes
 from vrcaps.cockpit.panels.scene_panel import ScenePanel
 from vrcaps.recording.recorder import record
 

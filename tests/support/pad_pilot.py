@@ -19,8 +19,8 @@ from vrcaps.policy.navigator import Guide
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-    from vrcaps.cockpit.session import Session
-    from vrcaps.cockpit.view import View
+    from vrcaps.cockpit.session.clock import View
+    from vrcaps.cockpit.session.session import Session
 
 PAD = """
 window.pad = {id: "Test Pad", index: 0, connected: true, mapping: "standard",

@@ -1,14 +1,10 @@
-"""Browser access beyond the public API of the page's library, in one module.
-
-The page's library, viser, supports neither gamepads nor held keys. `InputBridge` sends a script to
-every browser that reads both and writes them to a text field of the page, which the library
-transfers over the page's own connection.
-"""
+"""Private parts of the page's library: keys, gamepads and frame rates of browsers."""
 
 from __future__ import annotations
 
 import json
 import math
+import time as wall_clock
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.resources import files
@@ -169,3 +165,60 @@ def run_javascript(server: viser.ViserServer, source: str) -> None:
     from viser._messages import RunJavascriptMessage
 
     server._websock_server.queue_message(RunJavascriptMessage(source=source))
+
+
+_RATE_MARK = "vrcaps-frames:"
+"""Prefix of the text field's value, by which the browser's script finds the field."""
+_SHORTEST, _LONGEST = 1.0 / 20.0, 1.0
+"""Range of the time between updates of the scene [s]."""
+_SLOW, _FAST = 15.0, 35.0
+"""Frames per second below which updates become rarer, and above which more frequent."""
+_RARER, _MORE_FREQUENT = 1.5, 0.85
+"""Factors on the time between updates, per message of a browser."""
+_STALE = 3.0
+"""Age [s] above which a browser's message is ignored."""
+
+
+class Pace:
+    """Time between updates of the scene, set by the slowest browser.
+
+    Attributes:
+        interval: Time between updates [s].
+    """
+
+    def __init__(self) -> None:
+        self.interval = _SHORTEST
+        self._rates: dict[int, tuple[float, float]] = {}
+
+    def note(self, client: int, rate: float) -> None:
+        """Register the frame rate of a browser [1/s]."""
+        now = wall_clock.monotonic()
+        self._rates[client] = (rate, now)
+        slowest = min(known for known, at in self._rates.values() if now - at < _STALE)
+        if slowest < _SLOW:
+            self.interval = min(_LONGEST, _RARER * self.interval)
+        elif slowest > _FAST:
+            self.interval = max(_SHORTEST, _MORE_FREQUENT * self.interval)
+
+
+def listen_to_frame_rates(server: viser.ViserServer, pace: Pace) -> None:
+    """Let all browsers with the page open report their frame rate."""
+    field = server.gui.add_text("frames", _RATE_MARK, order=1e6)
+
+    @field.on_update
+    def _(event: Any) -> None:
+        rate = parse_rate(event.target.value)
+        if event.client_id is not None and rate is not None:
+            pace.note(event.client_id, rate)
+
+    run_javascript(server, files("vrcaps.cockpit").joinpath("frame_rate.js").read_text("utf-8"))
+
+
+def parse_rate(text: str) -> float | None:
+    """Parse the frame rate that a browser's script wrote; None for anything else."""
+    words = text.removeprefix(_RATE_MARK).split()
+    try:
+        rate = float(words[0]) if text.startswith(_RATE_MARK) and words else -1.0
+    except ValueError:
+        return None
+    return rate if 0.0 <= rate < 1e4 else None

@@ -2,32 +2,25 @@
 
 from __future__ import annotations
 
-import io
 import itertools
-import logging
-import secrets
 import shutil
-import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vrcaps.cockpit.gate import Gate, OneLine, guarded, require_free
 from vrcaps.cockpit.page import Page
 from vrcaps.cockpit.panels import PANELS
-from vrcaps.cockpit.session import Session
-from vrcaps.core.errors import InputError, import_extra
+from vrcaps.cockpit.server import Gate, dock, make_gate, require_viser, serving
+from vrcaps.cockpit.session.session import Session
+from vrcaps.core.errors import InputError
 from vrcaps.policy.policy import read_policy
 
 if TYPE_CHECKING:
     import viser
 
     from vrcaps.scenario.scenario import Scenario
-
-_SWITCHING = 1e-3
-"""Time [s] for which a thread may hold the interpreter."""
 
 
 class Cockpit:
@@ -170,68 +163,3 @@ def open_cockpit(
             yield cockpit
         finally:
             cockpit.close()
-
-
-def make_gate(host: str, port: int) -> Gate:
-    """Create the gate of an address, with a new token.
-
-    Raises:
-        InputError: If the port is invalid or in use, or the host is not of this machine.
-    """
-    require_free(host, port)
-    return Gate(host, port, secrets.token_urlsafe(32))
-
-
-def require_viser() -> None:
-    """Check that the page's library is installed.
-
-    Raises:
-        MissingExtraError: If it is not.
-    """
-    import_extra("viser", "cockpit")
-
-
-@contextmanager
-def serving(gate: Gate, say: Callable[[str], None]) -> Iterator[viser.ViserServer]:
-    """Serve the page behind a gate within a `with` block.
-
-    Raises:
-        InputError: If another program took the port in the meantime.
-    """
-    switching = sys.getswitchinterval()
-    sys.setswitchinterval(_SWITCHING)  # the simulation resumes as soon as its step is computed
-    server = _make_server(gate, say)
-    try:
-        yield server
-    finally:
-        sys.setswitchinterval(switching)
-        with redirect_stdout(io.StringIO()):
-            server.stop()
-
-
-def _make_server(gate: Gate, say: Callable[[str], None]) -> viser.ViserServer:
-    """Create the page's server, without content.
-
-    Raises:
-        InputError: If another program took the port in the meantime.
-    """
-    import viser
-
-    logger = logging.getLogger("websockets.server")
-    logger.filters[:] = [kept for kept in logger.filters if not isinstance(kept, OneLine)]
-    logger.addFilter(OneLine(say))
-    with guarded(gate), redirect_stdout(io.StringIO()):  # it prints addresses without a token
-        server = viser.ViserServer(gate.host, gate.port, label="vrcaps", verbose=False)
-    if server.get_port() != gate.port:
-        server.stop()
-        raise InputError(f"Port {gate.port} was taken meanwhile. Give another --port.")
-    server.gui.configure_theme(
-        control_width="large", dark_mode=True, show_logo=False, show_share_button=False
-    )
-    dock(server)
-    return server
-
-
-def dock(server: viser.ViserServer) -> None:
-    """Dock the page's main panel."""
-    server.gui.main_panel.dock_left()

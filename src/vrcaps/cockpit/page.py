@@ -10,18 +10,23 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from vrcaps.cockpit.browser import DriverInput, InputBridge, parse_input
-from vrcaps.cockpit.camera_images import CameraImages, LiveImage
-from vrcaps.cockpit.gate import is_loopback
-from vrcaps.cockpit.pace import Pace, listen_to_frame_rates
-from vrcaps.cockpit.seen_wall import SeenWall
+from vrcaps.cockpit.browser import (
+    DriverInput,
+    InputBridge,
+    Pace,
+    listen_to_frame_rates,
+    parse_input,
+)
+from vrcaps.cockpit.server import is_loopback
+from vrcaps.cockpit.session.camera_images import CameraImages, LiveImage
+from vrcaps.cockpit.session.seen_wall import SeenWall
 from vrcaps.core.errors import InputError, VrcapsError
 
 if TYPE_CHECKING:
     import viser
 
-    from vrcaps.cockpit.session import Session
-    from vrcaps.cockpit.view import View
+    from vrcaps.cockpit.session.clock import View
+    from vrcaps.cockpit.session.session import Session
     from vrcaps.scenario.scenario import Scenario
 
 _SECONDS_PER_UPDATE = 1.0 / 20.0

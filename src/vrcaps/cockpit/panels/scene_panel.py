@@ -9,13 +9,15 @@ import numpy as np
 
 from vrcaps.actuation.arm.kinematics import frames
 from vrcaps.actuation.robot_actuator import RobotActuator
-from vrcaps.cockpit.arm_shapes import link_meshes
-from vrcaps.cockpit.colorings import coloring_names, make_coloring
-from vrcaps.cockpit.magnet_node import MagnetNode
-from vrcaps.cockpit.organ_colors import Coloring, LiveWall
-from vrcaps.cockpit.page_mesh import coarse_mesh
-from vrcaps.cockpit.patient_node import PatientNode
-from vrcaps.cockpit.scene_nodes import (
+from vrcaps.cockpit.scene.colorings import (
+    Coloring,
+    LiveWall,
+    coarse_mesh,
+    coloring_names,
+    make_coloring,
+)
+from vrcaps.cockpit.scene.magnet_node import MagnetNode, link_meshes
+from vrcaps.cockpit.scene.nodes import (
     CUT_AXES,
     Cut,
     OrganNode,
@@ -25,11 +27,12 @@ from vrcaps.cockpit.scene_nodes import (
     aim,
     move,
 )
+from vrcaps.cockpit.scene.patient_node import PatientNode
 from vrcaps.magnet.presets import read_magnet
 
 if TYPE_CHECKING:
     from vrcaps.cockpit.page import Page
-    from vrcaps.cockpit.view import View
+    from vrcaps.cockpit.session.clock import View
 
 _SECONDS_PER_WALL = 0.5
 """Real time between updates of the wall and its colors."""

@@ -1,0 +1,1 @@
+"""Page of recorded episodes: scene, charts and player."""

@@ -1,0 +1,159 @@
+"""Scene of episodes: organ, patient, magnet, and each episode's capsule and path."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps.cockpit.scene.colorings import coarse_mesh, coloring_names, make_coloring
+from vrcaps.cockpit.scene.magnet_node import MagnetNode
+from vrcaps.cockpit.scene.nodes import CUT_AXES, Cut, OrganNode, add_capsule, add_path, aim, move
+from vrcaps.cockpit.scene.patient_node import PatientNode
+from vrcaps.core.transforms import transform_points
+from vrcaps.magnet.presets import read_magnet
+from vrcaps.motion.dynamics import Dynamics
+from vrcaps.organ.read_organ import read_organ
+
+if TYPE_CHECKING:
+    import viser
+    from jaxtyping import Float
+
+    from vrcaps.cockpit.episodes.episode_charts import PathEstimate
+    from vrcaps.cockpit.scene.colorings import Color
+    from vrcaps.recording.episode import Episode
+
+EPISODE_COLORS: tuple[Color, ...] = ((255, 190, 40), (80, 200, 255))
+ESTIMATE_COLOR: Color = (255, 90, 160)
+
+
+class EpisodeScene:
+    """Scene of one or two episodes; organ, patient and magnet are those of the first."""
+
+    def __init__(self, server: viser.ViserServer, episodes: Sequence[Episode]) -> None:
+        self._scene, self._episodes, first = server.scene, episodes, episodes[0]
+        self._surface = read_organ(first.organ_path)
+        self._T_world_patient = np.array(first.head["T_world_patient"])
+        self._vertices = transform_points(self._T_world_patient, self._surface.vertices)
+        self._mesh = coarse_mesh(self._vertices, self._surface.faces)
+        self._walls = RecordedWalls(first, self._vertices) if "wall" in first.head else None
+        self._wall_frame = 0
+        self._organ = OrganNode(self._scene, self._mesh)
+        self._patient = PatientNode(self._scene, self._surface.vertices)
+        self._patients = _poses(first, "patient")
+        self._magnet, self._magnets = self._add_magnet(first), _poses(first, "magnet")
+        self._capsules = [self._add_episode(k, episode) for k, episode in enumerate(episodes)]
+        self._estimate: PathEstimate | None = None
+        self._guess: Any = None
+        self._drawn: tuple[object, ...] = ()
+        above = self._vertices if self._magnets is None else self._magnets[:1, :3, 3]
+        high = np.maximum(self._vertices.max(axis=0), above.max(axis=0))
+        aim(server, self._vertices.min(axis=0), high)
+        self._add_controls(server.gui)
+
+    def show(self, indices: Sequence[int]) -> None:
+        """Move all nodes to a frame of each episode."""
+        for capsule, episode, index in zip(self._capsules, self._episodes, indices, strict=True):
+            move(capsule, episode.Ts_world_capsule[index])
+        frame = indices[0]
+        if self._estimate is not None:
+            place = self._estimate.place_of(frame)
+            self._guess.visible = place is not None
+            if place is not None:
+                move(self._guess, self._estimate.estimated[place])
+        lies = self._T_world_patient if self._patients is None else self._patients[frame]
+        self._patient.show(lies, is_visible=self._has_patient.value)
+        if self._walls is not None and frame != self._wall_frame:
+            self._wall_frame = frame
+            self._organ.move(self._walls.at(frame))
+        if self._magnet is not None and self._magnets is not None:
+            self._magnet.show(self._magnets[frame], has_lines=self._has_lines.value)
+
+    def show_estimate(self, estimate: PathEstimate) -> None:
+        """Draw an estimated path and its capsule."""
+        if self._guess is None:
+            device = self._episodes[0].head["capsule"]
+            self._guess = add_capsule(
+                *(self._scene, "/estimate/capsule", device["length_m"], device["radius_m"]),
+                ESTIMATE_COLOR,
+            )
+        add_path(self._scene, "/estimate/path", estimate.estimated[:, :3, 3], ESTIMATE_COLOR)
+        self._estimate = estimate
+
+    def draw_organ(self) -> bool:
+        """Draw the organ according to the controls; return whether any control had changed."""
+        cut = Cut(self._cut_axis.value, self._cut_fraction.value)
+        drawn = (self._color.value, cut, self._opacity.value)
+        wanted = (*drawn, self._has_patient.value, self._has_lines.value)
+        if wanted == self._drawn:
+            return False
+        if drawn != self._drawn[:3]:
+            coloring = make_coloring(self._color.value, self._surface, self._mesh)
+            self._organ.set_opacity(self._opacity.value)
+            self._organ.draw(self._vertices, coloring, cut)
+            self._wall_frame = -1
+            self._legend.content = coloring.legend()
+        self._drawn = wanted
+        return True
+
+    def _add_controls(self, gui: viser.GuiApi) -> None:
+        with gui.add_folder("Scene"):
+            names = coloring_names(self._surface, is_live=False)
+            self._color = gui.add_dropdown("Color by", names)
+            self._opacity = gui.add_slider("Opacity", 0.1, 1.0, 0.05, 0.35)
+            self._cut_axis = gui.add_dropdown("Cut across", CUT_AXES)
+            self._cut_fraction = gui.add_slider("Cut at", 0.0, 1.0, 0.05, 0.5)
+            self._has_lines = gui.add_checkbox(
+                "Field lines", True, visible=self._magnet is not None
+            )
+            self._has_patient = gui.add_checkbox("Patient and table", True)
+            self._legend = gui.add_markdown("")
+
+    def _add_episode(self, number: int, episode: Episode) -> Any:
+        """Add capsule and path of an episode."""
+        color, device = EPISODE_COLORS[number], episode.head["capsule"]
+        places = episode.Ts_world_capsule[:, :3, 3]
+        if len(places) >= 2:
+            add_path(self._scene, f"/path-{number}", places, color)
+        name = f"/capsule-{number}"
+        return add_capsule(self._scene, name, device["length_m"], device["radius_m"], color)
+
+    def _add_magnet(self, episode: Episode) -> MagnetNode | None:
+        """Add the magnet that steered the capsule, if there was one."""
+        motion = episode.scenario.motion
+        if not isinstance(motion, Dynamics) or motion.magnet is None:
+            return None
+        return MagnetNode(self._scene, read_magnet(motion.magnet.magnet))
+
+
+class RecordedWalls:
+    """Walls of an episode recorded with `--wall`, as vertices of its organ."""
+
+    def __init__(self, episode: Episode, vertices: Float[np.ndarray, "n 3"]) -> None:
+        """Match each vertex of the file to a vertex of the organ.
+
+        Args:
+            episode: Episode with walls.
+            vertices: Vertices of the organ at rest in the world [m]. The file repeats some of them
+                at texture seams.
+        """
+        from scipy.spatial import KDTree
+
+        self._episode, self._rest = episode, vertices
+        self._places = KDTree(vertices).query(episode.organ.vertices)[1]
+
+    def at(self, frame: int) -> Float[np.ndarray, "n 3"]:
+        """Vertices of the organ at a frame in the world [m].
+
+        Raises:
+            InputError: If the file of that frame is missing or damaged.
+        """
+        moved = self._rest.copy()
+        moved[self._places] = self._episode.wall(frame).vertices
+        return moved
+
+
+def _poses(episode: Episode, body: str) -> np.ndarray | None:
+    """Poses of a body at each frame; None if they were not recorded."""
+    return episode.table.poses(body) if f"{body}_qw" in episode.table.columns else None

@@ -1,0 +1,1 @@
+"""Simulation of a drive: its thread, input, files, coverage and live images."""

@@ -1,0 +1,379 @@
+"""Simulation thread: consumes commands, publishes snapshots."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time as wall_clock
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.actuation.steering_program import JoystickCommand, MagnetSteering
+from vrcaps.cockpit.session.clock import Clock, View
+from vrcaps.cockpit.session.drive import Drive, make_folder
+from vrcaps.cockpit.session.operator import Operator
+from vrcaps.core.errors import InputError, UnknownNameError, VrcapsError
+from vrcaps.motion.dynamics import Dynamics
+from vrcaps.motion.rollout import Rollout
+from vrcaps.recording.source_organ import with_stored_organ
+from vrcaps.scenario.build import build, resolve
+from vrcaps.scenario.scenario import MAX_FRAMES, Scenario
+from vrcaps.tissue.motility.migrating_complex import Front
+from vrcaps.world.model import posture_transform
+from vrcaps.world.schedule import (
+    Flush,
+    Insufflation,
+    PostureChange,
+    insufflation_at,
+    patient_at,
+)
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.camera_pipeline.effects import Effects
+    from vrcaps.motion.motion import MotionState
+    from vrcaps.motion.rollout import Moment
+    from vrcaps.render.settings import RenderSettings
+
+TURN_SECONDS = 5.0
+"""Duration of a turn of the patient."""
+
+INFLATE_SECONDS = 3.0
+"""Duration of a change of insufflation."""
+
+FRONT_SECONDS = 2.0
+"""Minimum time between starts of phase III."""
+
+_SECONDS_PER_VIEW = 1.0 / 40.0
+"""Minimum real time between views."""
+
+_SECONDS_PER_SAVE = 1.0
+"""Real time between saves of the drive."""
+
+_AHEAD = 0.1
+"""Delay [s] of a requested turn or insufflation, to start later than all completed steps."""
+
+
+class _Jump(Exception):
+    """Ends a walk through the rollout, to jump to another checkpoint or to close."""
+
+
+def cockpit_scenario(scenario: Scenario) -> Scenario:
+    """Return the scenario of a drive: a magnet steered by joystick, and explicit settings.
+
+    A scenario without dynamics, or without a magnet, gets the default ones; waypoints and recorded
+    commands are replaced by the driver.
+    """
+    motion = scenario.motion
+    if not isinstance(motion, Dynamics):
+        motion = Dynamics(start=getattr(motion, "start", Dynamics.start), substep=2e-4)
+    magnet = motion.magnet or MagnetSteering(arm="panda")
+    still = (JoystickCommand(0.0),)
+    magnet = replace(magnet, waypoints=(), command_file=None, joystick=still)
+    orders = {"posture_changes": (), "insufflation": (), "flushes": (), "phase_three": ()}
+    motion = replace(motion, magnet=magnet, **orders)
+    return resolve(replace(scenario, motion=motion, frames=MAX_FRAMES))
+
+
+class Session:
+    """Interactive simulation: steps a rollout in real time, without waiting for viewers.
+
+    All methods may be called from any thread. `view` is the latest instant.
+
+    Attributes:
+        scenario: Simulated scenario.
+        model: Organ and capsule.
+        rollout: Simulation.
+        clock: Paces and pauses the simulation.
+        operator: Steers the magnet.
+        drive: Files of the drive.
+        on_message: Called with each message for the user.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        folder: Path,
+        *,
+        on_message: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        """Build the world.
+
+        Args:
+            scenario: Scenario to simulate, see `cockpit_scenario`.
+            folder: New or empty folder for the drive.
+            on_message: Called with each message for the user.
+
+        Raises:
+            InputError: If the scenario is invalid or the folder is not empty.
+        """
+        make_folder(folder)
+        self.scenario = cockpit_scenario(with_stored_organ(scenario, folder))
+        self.on_message = on_message
+        self.model, rollout = build(self.scenario)
+        assert isinstance(rollout, Rollout)
+        assert rollout.program is not None
+        self.rollout = rollout
+        self.clock, self.operator = Clock(), Operator(rollout.program)
+        rollout.program.operator = self.operator
+        self.drive = Drive(folder, self.operator, self.scenario_so_far)
+        self.view: View | None = None
+        self._lock = threading.Lock()
+        self._poses: list[Float[np.ndarray, "4 4"]] = []
+        self._snapshots: dict[str, MotionState] = {}
+        self._last: MotionState | None = None
+        self._goto: tuple[MotionState | None] | None = None
+        self._is_closed = False
+        self._published = (0, 0.0)
+        self._saved = threading.Event()
+        self._threads = [
+            threading.Thread(target=run, name=f"vrcaps-{name}", daemon=True)
+            for name, run in (("simulation", self._run), ("save", self._autosave))
+        ]
+
+    def start(self) -> None:
+        """Start the simulation and the saving."""
+        for thread in self._threads:
+            thread.start()
+
+    def close(self) -> None:
+        """Stop the simulation and save the drive."""
+        self._is_closed = True
+        self.clock.wake()
+        self._saved.set()
+        for thread in self._threads:
+            if thread.is_alive():
+                thread.join()
+        self._save()
+
+    @property
+    def poses(self) -> Float[np.ndarray, "n 4 4"]:
+        """`T_world_capsule` of each completed frame."""
+        with self._lock:
+            return np.array(self._poses).reshape(-1, 4, 4)
+
+    @property
+    def snapshots(self) -> tuple[str, ...]:
+        """Names of the available snapshots."""
+        return tuple(self._snapshots)
+
+    def scenario_so_far(self) -> Scenario:
+        """Scenario of the drive so far: completed frames, turns and insufflations."""
+        with self._lock:
+            frames = max(1, len(self._poses))
+        return replace(self.scenario, motion=self.rollout.settings, frames=frames)
+
+    def step_frame(self) -> None:
+        """Pause after one more frame."""
+        with self._lock:
+            frame = len(self._poses)
+        self.clock.run(until=frame / self.rollout.fps + 1e-6)
+
+    def keep_snapshot(self) -> str:
+        """Store the last completed frame; return the name of the snapshot.
+
+        Raises:
+            InputError: If there is no frame yet.
+        """
+        with self._lock:
+            state = self._last
+            if state is None:
+                raise InputError("There is no frame yet. Wait for the first.")
+            name = f"{state.frame / self.rollout.fps:.2f} s"
+            self._snapshots[name] = state
+            return name
+
+    def go_back(self, name: str) -> None:
+        """Rewind to a snapshot; later commands are dropped.
+
+        Raises:
+            UnknownNameError: If there is no such snapshot.
+        """
+        if name not in self._snapshots:
+            raise UnknownNameError("snapshot", name, self._snapshots)
+        self._jump(self._snapshots[name])
+
+    def reset(self) -> None:
+        """Rewind to the first frame."""
+        self._jump(None)
+
+    def turn(self, posture: str) -> None:
+        """Turn the patient.
+
+        Raises:
+            InputError: If the patient is still being turned.
+            UnknownNameError: If there is no such posture.
+        """
+        posture_transform(posture)
+        begin, settings = self._begin_of_order(), self.rollout.settings
+        changes = settings.posture_changes
+        if changes and begin < changes[-1].time + changes[-1].duration:
+            raise InputError(f"The patient is still being turned to {changes[-1].posture}.")
+        changes = (*changes, PostureChange(posture, begin, TURN_SECONDS))
+        self.rollout.change(replace(settings, posture_changes=changes))
+
+    def insufflate(self, factor: float) -> None:
+        """Inflate or deflate the gut to a factor on its radius.
+
+        Raises:
+            InputError: If the factor is invalid or a change is in progress.
+        """
+        begin, settings = self._begin_of_order(), self.rollout.settings
+        entries = settings.insufflation
+        if entries and begin <= entries[-1].time:
+            raise InputError("The gut is still taking on the insufflation before.")
+        now = insufflation_at(entries, begin)
+        ramp = (Insufflation(begin, now), Insufflation(begin + INFLATE_SECONDS, factor))
+        self.rollout.change(replace(settings, insufflation=(*entries, *ramp)))
+
+    def flush(self) -> None:
+        """Wash off bubbles and chyme around the capsule.
+
+        Raises:
+            InputError: If there are none, or a flush is in progress.
+        """
+        begin, settings = self._begin_of_order(), self.rollout.settings
+        contents = self.rollout.model.lumen_contents
+        if contents is None or not len(contents.spheres):
+            raise InputError(
+                "Neither bubbles nor chyme are in the lumen. Choose some with a new drive."
+            )
+        flushes = settings.flushes
+        if flushes and begin <= flushes[-1].time + flushes[-1].duration:
+            raise InputError("The flush before is still under way.")
+        self.rollout.change(replace(settings, flushes=(*flushes, Flush(begin))))
+
+    def start_phase_three(self) -> None:
+        """Start phase III of the migrating motor complex at the capsule.
+
+        Raises:
+            InputError: If it does not occur there, or has just started.
+            UnknownNameError: If there is no muscle for a segment of the wall.
+        """
+        self.rollout.add_muscle()
+        begin, settings = self._begin_of_order(), self.rollout.settings
+        fronts = settings.phase_three
+        if fronts and begin < fronts[-1].time + FRONT_SECONDS:
+            raise InputError("Phase III is already beginning.")
+        fronts = (*fronts, Front(begin, self.rollout.front_arc_length))
+        self.rollout.change(replace(settings, phase_three=fronts))
+
+    def change_look(self, render: RenderSettings, effects: Effects) -> None:
+        """Set the look of later recordings of the drive; the simulation does not change."""
+        self.scenario = replace(self.scenario, render=render, effects=effects)
+
+    def _begin_of_order(self) -> float:
+        """Next tenth of a second [s] that no step has reached yet."""
+        return math.ceil(10.0 * (max(0.0, self.rollout.world.time) + _AHEAD)) / 10.0
+
+    def _jump(self, state: MotionState | None) -> None:
+        with self._lock:
+            self._goto = (state,)
+        self.clock.wake()
+
+    def _run(self) -> None:
+        """Run the simulation; the thread's function."""
+        start: MotionState | None = None
+        while not self._is_closed:
+            try:
+                self._rewind(start)
+                for moment in self.rollout.moments(start, self._tick, _always):
+                    self._keep(moment)
+            except _Jump:
+                with self._lock:
+                    start = self._goto[0] if self._goto else self._last
+                    self._goto = None
+            except VrcapsError as error:
+                start = self._last
+                self.clock.pause()
+                self.on_message(f"{error} Paused at the last frame; go on, go back or reset.")
+                time = 0.0 if start is None else start.frame / self.rollout.fps
+                while self.clock.holds(time) and not (self._is_closed or self._goto):
+                    self._saved.wait(0.05)
+                if self._goto:
+                    start, self._goto = self._goto[0], None
+
+    def _rewind(self, state: MotionState | None) -> None:
+        """Drop everything after a checkpoint."""
+        frame = 0 if state is None else state.frame
+        time = frame / self.rollout.fps
+        self.operator.rewind(time)
+        settings = self.rollout.settings
+        turns = tuple(change for change in settings.posture_changes if change.time <= time)
+        entries = settings.insufflation
+        ramps = list(zip(entries[::2], entries[1::2], strict=True))
+        kept = tuple(entry for ramp in ramps if ramp[0].time <= time for entry in ramp)
+        flushes = tuple(flush for flush in settings.flushes if flush.time <= time)
+        fronts = tuple(front for front in settings.phase_three if front.time <= time)
+        commands = {"insufflation": kept, "flushes": flushes, "phase_three": fronts}
+        self.rollout.change(replace(settings, posture_changes=turns, **commands))
+        with self._lock:
+            self._last = state
+            del self._poses[frame:]
+            self._snapshots = {
+                name: kept for name, kept in self._snapshots.items() if kept.frame <= frame
+            }
+
+    def _keep(self, moment: Moment) -> None:
+        """Store a completed frame and its checkpoint."""
+        with self._lock:
+            self._poses[moment.index :] = [moment.state.T_world_capsule]
+            self._last = moment.checkpoint or self._last
+
+    def _tick(self, simulated: float, duration: float) -> None:
+        """Publish a step and wait until the next is due; called after each step."""
+        del simulated, duration
+        time = self.rollout.world.time
+        self._publish()
+        if time >= 0.0:
+            self.clock.wait(time)
+        if self._is_closed or self._goto is not None:
+            raise _Jump
+
+    def _publish(self) -> None:
+        """Publish a view, if the last is old enough or time is about to stop."""
+        number, shown = self._published
+        now = wall_clock.perf_counter()
+        if now - shown < _SECONDS_PER_VIEW and not self.clock.is_paused:
+            return
+        program = self.rollout.program
+        assert program is not None
+        status = program.controller.status
+        self._published = (number + 1, now)
+        self.view = View(
+            number=number + 1,
+            frame=max(0, len(self._poses) - 1),
+            state=self.rollout.world.state,
+            T_world_patient=patient_at(
+                self.model.T_world_patient,
+                self.rollout.settings.posture_changes,
+                self.rollout.world.time,
+            ),
+            T_world_magnet=status.actuator.T_world_magnet,
+            T_world_requested=program.controller.requested,
+            joint_angles=status.actuator.joint_angles,
+            limit=status.actuator.limit,
+            lost=status.lost,
+            achieved_speed=self.clock.achieved,
+            is_paused=self.clock.is_paused,
+        )
+
+    def _autosave(self) -> None:
+        """Save the drive periodically; the thread's function."""
+        while not self._saved.wait(_SECONDS_PER_SAVE):
+            self._save()
+
+    def _save(self) -> None:
+        try:
+            self.drive.save()
+        except OSError as error:
+            self.on_message(f"Cannot save the drive in {self.drive.folder}: {error.strerror}.")
+
+
+def _always() -> bool:
+    return True

@@ -1,6 +1,6 @@
 """Which cameras see a stomach soonest: one policy and one planner with four designs of a capsule.
 
-Writes a section of docs/validation.md and docs/images/capsule_designs.png. Interrupted, the same
+Writes a section of docs/results/validation.md and docs/images/capsule_designs.png. Interrupted, the same
 command goes on.
 
     python benchmarks/capsule_designs.py [--size SEEDS] [--run FOLDER]

@@ -43,7 +43,7 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.units import CM, MM
 from vrcaps.organ.measure import measure_organ
 
-PAGE = ROOT / "docs" / "anatomy.md"
+PAGE = ROOT / "docs" / "concepts" / "anatomy.md"
 _TITLE = """# Anatomy of generated patients
 
 The script named above each table writes it; nobody types results.

@@ -1,4 +1,4 @@
-"""`make figures`: docs/validation.md, docs/benchmarks.md and the figures of README.md, anew.
+"""`make figures`: docs/results/validation.md, docs/results/benchmarks.md and the figures of README.md, anew.
 
 Each command measures into a page of its own; what it wrote enters the page of docs/ when it has
 ended well. Those whose section is of today's sources are skipped, so that an interrupted run goes

@@ -1,7 +1,7 @@
 """Table: size and time of image files by codec, for a labeled frame; who can open each.
 
 Renders frames of a flight through the default colon and codes each channel in memory, so that no
-disk counts. Times are of one processor. Writes a section of docs/datasets.md. For example:
+disk counts. Times are of one processor. Writes a section of docs/concepts/datasets.md. For example:
 ``python benchmarks/frame_codecs.py --size 12``.
 """
 

@@ -1,4 +1,4 @@
-"""Draw docs/gallery.md: each organ, segment, distension, lesion and grade, as capsules see them.
+"""Draw docs/reference/gallery.md: each organ, segment, distension, lesion and grade, as capsules see them.
 
     python benchmarks/gallery.py                    # everything
     python benchmarks/gallery.py --only lesions     # some sheets again
@@ -27,7 +27,7 @@ from vrcaps.lesion.polyp import PATTERNS
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.world.model import Model, State
 
-PAGE = ROOT / "docs" / "gallery.md"
+PAGE = ROOT / "docs" / "reference" / "gallery.md"
 TILE_PX = 200
 LUMINANCE = 0.15
 """Mean linear luminance of each frame; that of real capsule frames."""

@@ -1,7 +1,7 @@
 """Claim: making a data set takes no more memory the longer it runs.
 
 Makes many short recordings of a small tube in this process, one for each patient, and compares the
-resident memory after all with that after the 50th. Writes a section of docs/datasets.md and
+resident memory after all with that after the 50th. Writes a section of docs/concepts/datasets.md and
 fails where it has grown by more than 5 %. For example: ``python benchmarks/memory_dataset.py``.
 """
 

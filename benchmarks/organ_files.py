@@ -2,7 +2,7 @@
 
 Renders a flight through the default colon with the textures as each coding gives them back, and
 compares with the exact ones; then measures the two files of `write_organ`. Writes the table in
-docs/datasets.md. For example: ``python benchmarks/organ_files.py --size 24``.
+docs/concepts/datasets.md. For example: ``python benchmarks/organ_files.py --size 24``.
 """
 
 from __future__ import annotations

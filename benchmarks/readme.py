@@ -103,7 +103,7 @@ the same process, in turns with ours.
 
 {figures}
 
-All tables: [speed](docs/benchmarks.md), [validation](docs/validation.md). `make figures` writes
+All tables: [speed](docs/results/benchmarks.md), [validation](docs/results/validation.md). `make figures` writes
 them and these lines.
 """
 

@@ -1,7 +1,7 @@
 """Claim: every generated wall has at least 8 texels per mm on 95 % of its area, baked in 30 s.
 
 Density is that in the direction in which a face's texels are widest; 8 bytes a texel are held by
-the organ, and 10.7 by a renderer with its mip levels. Writes the table into docs/mucosa.md:
+the organ, and 10.7 by a renderer with its mip levels. Writes the table into docs/concepts/mucosa.md:
 ``python benchmarks/speed_bake.py``.
 """
 
@@ -88,7 +88,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("organs", nargs="*", default=ORGANS, help=f"of {', '.join(ORGANS)}")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "mucosa.md")
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "concepts" / "mucosa.md")
     arguments = parser.parse_args()
     rows = []
     for name in arguments.organs:

@@ -6,7 +6,7 @@ half of Mitsuba's direct light and AOV in the fastest set-up found, compiled by 
 of the same by `mi.render`; a sixth of MuJoCo's rgb, depth and segmentation.
 Sources: https://github.com/trimesh/embreex, https://www.mitsuba-renderer.org, https://mujoco.org
 
-    python benchmarks/speed_peers.py [--quick] [--only embree] [--out docs/benchmarks.md]
+    python benchmarks/speed_peers.py [--quick] [--only embree] [--out docs/results/benchmarks.md]
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from validation import ROOT
 from vrcaps.cli.benchmarks.page import table, write_section
 from vrcaps.metrics.bootstrap import Interval
 
-PAGE = ROOT / "docs" / "sim-to-real.md"
+PAGE = ROOT / "docs" / "results" / "sim-to-real.md"
 SCRIPT = "benchmarks/sim_to_real.py"
 COMMAND = f"python {SCRIPT} --run runs/transfer --report"
 FIGURE = "images/sim-to-real-{}.png"

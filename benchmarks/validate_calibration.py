@@ -43,7 +43,7 @@ BOARD = Board(8, 9, 2e-3)
 MARGIN, TEXELS = 20, 16
 """White squares around the board, and texels of a square's side."""
 TILT = 40.0 * DEG
-PAGE = ROOT / "docs" / "calibration.md"
+PAGE = ROOT / "docs" / "how-to" / "calibration.md"
 
 
 def photographs() -> list[tuple[str, ...]]:

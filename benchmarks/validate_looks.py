@@ -26,7 +26,7 @@ from looks_statistics import compare, refitted_gains
 from validation import ROOT, table, write_section
 
 DATA = ROOT.parent / "shared" / "data"
-PAGE = ROOT / "docs" / "gallery.md"
+PAGE = ROOT / "docs" / "reference" / "gallery.md"
 PATIENTS_AND_FRAMES = {
     "clean_colon": (2, 20),
     "capsule_non_bleeding": (2, 20),
@@ -158,7 +158,7 @@ HEAD_CHANNELS = (
 
 TEXT = r"""## Color, gradients and highlights, beside real frames
 
-`python benchmarks/validate_looks.py --out docs/gallery.md`: our frames beside real ones of seven
+`python benchmarks/validate_looks.py --out docs/reference/gallery.md`: our frames beside real ones of seven
 classes (human capsule frames of WCEBleedGen, colonoscopies of EndoAngel and HyperKvasir), and the
 three synthetic frames published with VR-Caps beside the same. Color is CIE L\*a\*b\*: distances
 are in its units, root of the sum of squares over the three channels; smaller is more alike.

@@ -1,4 +1,4 @@
-"""Write the tables of docs/lesions.md from the declarations of the lesions.
+"""Write the tables of docs/concepts/lesions.md from the declarations of the lesions.
 
     python docs/lesion_tables.py
 

@@ -65,7 +65,7 @@ def test_program_of_the_front_page_runs(tmp_path: Path) -> None:
 
 
 def test_scenario_of_the_quickstart_is_one(tmp_path: Path) -> None:
-    (text,) = code_blocks("docs/quickstart.md", "toml")
+    (text,) = code_blocks("docs/tutorials/quickstart.md", "toml")
     (tmp_path / "scenario.toml").write_text(text)
     scenario = read_scenario(tmp_path / "scenario.toml")
     assert scenario.organ == OrganFile("colon.ply", unit="mm")
@@ -74,14 +74,14 @@ def test_scenario_of_the_quickstart_is_one(tmp_path: Path) -> None:
 
 def test_scenarios_of_the_format_are_some(tmp_path: Path) -> None:
     motions = []
-    for number, text in enumerate(code_blocks("docs/episode-format.md", "toml")):
+    for number, text in enumerate(code_blocks("docs/reference/episode-format.md", "toml")):
         path = tmp_path / f"{number}.toml"
         path.write_text(text)
         motions.append(read_scenario(path).motion)
     assert [type(motion) for motion in motions] == [FlyThrough, Dynamics]
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/quickstart.md", "CONTRIBUTING.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/tutorials/quickstart.md", "CONTRIBUTING.md"])
 def test_links_inside_the_project_lead_somewhere(page: str) -> None:
     text = (ROOT / page).read_text()
     targets = [t for t in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", text) if "://" not in t]

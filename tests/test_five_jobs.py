@@ -14,7 +14,7 @@ import trimesh
 import vrcaps
 from tubes import straight_gut
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "quickstart.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "tutorials" / "quickstart.md"
 MAX_STATEMENTS = 6
 
 

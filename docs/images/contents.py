@@ -124,7 +124,7 @@ if __name__ == "__main__":
     parser.add_argument("--only", nargs="*", default=list(SHEETS), choices=list(SHEETS))
     for chosen in parser.parse_args().only:
         draw_sheet(chosen)
-    page = DOCS / "contents.md"
+    page = DOCS / "concepts" / "contents.md"
     text = page.read_text()
     before, after = text.split(START)[0], text.split(STOP)[1]
     page.write_text(f"{before}{START}\n{table()}\n{STOP}{after}")

@@ -83,5 +83,5 @@ def draw_sheet(path: Path) -> None:
 
 if __name__ == "__main__":
     draw_sheet(DOCS / "images" / "effects.jpg")
-    page = DOCS / "effects.md"
+    page = DOCS / "concepts" / "effects.md"
     page.write_text(with_tables(page.read_text(encoding="utf-8")), encoding="utf-8")

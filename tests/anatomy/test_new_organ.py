@@ -1,4 +1,4 @@
-"""The organ that docs/extending.md adds, run as it stands there."""
+"""The organ that docs/how-to/extending.md adds, run as it stands there."""
 
 import re
 from pathlib import Path
@@ -13,7 +13,7 @@ from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.segments import ORGANS
 from vrcaps.tissue.motility.segment import MOTILITIES, segment_motilities
 
-PAGE = Path(__file__).parents[2] / "docs" / "extending.md"
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "extending.md"
 
 
 @pytest.fixture

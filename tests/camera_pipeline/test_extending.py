@@ -1,4 +1,4 @@
-"""The lens and the effect that docs/extending.md adds."""
+"""The lens and the effect that docs/how-to/extending.md adds."""
 
 from pathlib import Path
 
@@ -10,14 +10,14 @@ from vrcaps.camera.derive import focal_length_px, scaled_lens
 from vrcaps.camera_pipeline.effect.base import Effect
 from vrcaps.camera_pipeline.effects import EFFECTS
 
-PAGE = (Path(__file__).parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "extending.md").read_text(encoding="utf-8")
 
 
 def example(heading: str) -> dict:
     """Names that the first code under a heading defines."""
     code = PAGE.split(f"## {heading}\n")[1].split("```python\n")[1].split("```")[0]
     names: dict = {"__name__": __name__}
-    exec(compile(code, "docs/extending.md", "exec"), names)
+    exec(compile(code, "docs/how-to/extending.md", "exec"), names)
     return names
 
 

@@ -82,4 +82,4 @@ def test_the_cohort_is_a_plan_that_a_person_can_read() -> None:
 
 
 def test_the_page_shows_the_cohort() -> None:
-    assert COHORT.read_text() in (ROOT / "docs" / "datasets.md").read_text()
+    assert COHORT.read_text() in (ROOT / "docs" / "concepts" / "datasets.md").read_text()

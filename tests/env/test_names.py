@@ -17,7 +17,7 @@ from vrcaps.env.settings import env_settings  # noqa: E402
 from vrcaps.lesion import Polyp  # noqa: E402
 from vrcaps.scenario.scenario import OrganFile, OrganGenerated  # noqa: E402
 
-PAGE = Path(__file__).parents[2] / "docs" / "environments.md"
+PAGE = Path(__file__).parents[2] / "docs" / "concepts" / "environments.md"
 KINDS = "Observation Actuation Settings Randomization Tissue Drag Polyp VecEnv ParallelEnv Wrench"
 PART = re.compile(
     rf"[A-Z][A-Za-z0-9]*(?:{KINDS.replace(' ', '|')})|Randomization|Tissue|Drag|Polyp"

@@ -1,4 +1,4 @@
-"""The tables of docs/lesions.md are those of the lesions' declarations."""
+"""The tables of docs/concepts/lesions.md are those of the lesions' declarations."""
 
 import importlib.util
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The kind of lesion that docs/extending.md adds, run as it stands there."""
+"""The kind of lesion that docs/how-to/extending.md adds, run as it stands there."""
 
 import re
 from pathlib import Path
@@ -13,7 +13,7 @@ from vrcaps.lesion.registry import describe_kind
 from vrcaps.mesh.edges import face_areas
 from vrcaps.mesh.mesh import Mesh
 
-PAGE = Path(__file__).parents[2] / "docs" / "extending.md"
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "extending.md"
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""The motion that docs/extending.md adds, run as it stands there."""
+"""The motion that docs/how-to/extending.md adds, run as it stands there."""
 
 import re
 from pathlib import Path
@@ -8,7 +8,7 @@ import pytest
 
 from vrcaps.recording.table import make_table
 
-PAGE = Path(__file__).parents[2] / "docs" / "extending.md"
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "extending.md"
 
 
 @pytest.fixture

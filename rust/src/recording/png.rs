@@ -57,7 +57,7 @@ impl Image {
         let mut encoder = png::Encoder::new(&mut file, self.width, self.height);
         encoder.set_color(self.color);
         encoder.set_depth(self.depth);
-        // Slower settings take over ten times as long for a seventh less (docs/datasets.md).
+        // Slower settings take over ten times as long for a seventh less (docs/concepts/datasets.md).
         encoder.set_compression(png::Compression::Fast);
         encoder.set_filter(png::Filter::Paeth);
         let mut writer = encoder.write_header()?;

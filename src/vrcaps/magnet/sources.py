@@ -1,6 +1,6 @@
 """Sources of a magnetic field, each with a pose: +z of frame `magnet` is along the moment.
 
-Laws and limits are in `docs/magnets.md`. Currents are right-handed about +z.
+Laws and limits are in `docs/concepts/magnets.md`. Currents are right-handed about +z.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 MUCUS_TINT = (1.2, 2.8, 1.45)
 """Reflectance of bile-stained mucus relative to the wall, red, green, blue: median ratio of yellow
-to red areas in seven real frames of clean colons (docs/mucosa.md)."""
+to red areas in seven real frames of clean colons (docs/concepts/mucosa.md)."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Mucosa:
     """Parameters of a mucosa.
 
     Colors are those at which frames with indirect light match the colors of real frames
-    (`benchmarks/fit_appearance.py`, docs/gallery.md). There were no real frames of the stomach; its
+    (`benchmarks/fit_appearance.py`, docs/reference/gallery.md). There were no real frames of the stomach; its
     colors change like the colon's, less in blue, as it has less bile. Shapes and sizes are chosen
     by eye.
 

@@ -1,6 +1,6 @@
 """Coded textures of a compact organ file, a fifth of the size at the same appearance.
 
-The cost of each choice is in docs/datasets.md, written by benchmarks/organ_files.py.
+The cost of each choice is in docs/concepts/datasets.md, written by benchmarks/organ_files.py.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 A field of `Frame` declares a channel: its type and, in `channel(...)`, its meaning, requirements,
 storage and display. The renderer, recordings, previews, checks and the tables in docs/ read these
-declarations. To add a channel, see docs/extending.md.
+declarations. To add a channel, see docs/how-to/extending.md.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ M ξ/τ is the drag of the lumen contents, by which momentum decays with the rel
 sinks freely at g τ = 0.98 m/s, and a force 1 mN above friction moves a capsule of 3 g at 33 mm/s.
 Effects of momentum are absent: a capsule does not coast, bounce or swing. Where it does in
 `physics`, pushed by a wrench or in a fall, the two differ; led by a magnet they agree, see
-docs/validation.md.
+docs/results/validation.md.
 """
 
 from __future__ import annotations

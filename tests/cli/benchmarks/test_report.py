@@ -51,7 +51,7 @@ def test_what_was_not_measured_is_neither() -> None:
 
 
 def test_page_holds_claims_tables_and_reasons(tmp_path: Path) -> None:
-    out = tmp_path / "docs" / "benchmarks.md"
+    out = tmp_path / "docs" / "results" / "benchmarks.md"
     show_report(REPORT, out, Console(quiet=True))
     page = out.read_text("utf-8")
     assert "| fast | ≥ 100 per second | 123 (99.9–150) | pass | a paper \\| page 3 |" in page

@@ -28,7 +28,7 @@ help:
 	@echo "make test-servers  run the tests that start a Ray cluster or an S3 server, in two minutes"
 	@echo "make check  lint, format and type checks"
 	@echo "make docs   build the documentation site into site"
-	@echo "make figures  measure anew what docs/results/validation.md, docs/results/benchmarks.md and README state;"
+	@echo "make figures  measure the tables of docs/results again;"
 	@echo "            goes on where it stopped; ONLY='path radiosity' measures those by part of the name"
 	@echo "make wheel  build a wheel into dist and try it in a clean environment"
 	@echo "make constraints  pin the newest versions of all dependencies in constraints.txt"

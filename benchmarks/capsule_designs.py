@@ -1,7 +1,7 @@
 """Which cameras see a stomach soonest: one policy and one planner with four designs of a capsule.
 
-Writes a section of docs/results/validation.md and docs/images/capsule_designs.png. Interrupted, the same
-command goes on.
+Writes a section of docs/results/validation.md and docs/images/capsule_designs.png. Interrupted, the
+same command resumes.
 
     python benchmarks/capsule_designs.py [--size SEEDS] [--run FOLDER]
 """
@@ -53,7 +53,7 @@ sees it.
 
 {table(("policy", "capsule", *FIGURES), rows)}
 
-![Coverage over time by design](images/{IMAGE.name})"""
+![Coverage over time by design](../images/{IMAGE.name})"""
     write_section(given.out, Path(__file__).name, text)
 
 

@@ -1,4 +1,4 @@
-"""`make figures`: docs/results/validation.md, docs/results/benchmarks.md and the figures of README.md, anew.
+"""`make figures`: validation.md, benchmarks.md and summary.md of docs/results.
 
 Each command measures into a page of its own; what it wrote enters the page of docs/ when it has
 ended well. Those whose section is of today's sources are skipped, so that an interrupted run goes
@@ -109,7 +109,7 @@ KEPT = ("benchmarks/speed_cycles.py", "benchmarks/validate_lerobot.py")
 
 
 def main() -> None:
-    """Measure what is asked for or out of date, then write README.md."""
+    """Measure what is asked for or out of date, then write the summary."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", nargs="*", default=[], help="parts of names")
     parser.add_argument("--list", action="store_true", help="what there is, and how old it is")

@@ -1,4 +1,4 @@
-"""Draw docs/reference/gallery.md: each organ, segment, distension, lesion and grade, as capsules see them.
+"""Draw docs/reference/gallery.md: organs, segments, distensions, lesions and grades.
 
     python benchmarks/gallery.py                    # everything
     python benchmarks/gallery.py --only lesions     # some sheets again
@@ -294,7 +294,7 @@ def section(sheet: Sheet) -> str:
     commands = "\n".join(sheet.commands)
     return (
         f"## {sheet.title}\n\n{sheet.text}\n\n![{sheet.title}: {sheet.text}]"
-        f"(images/gallery_{sheet.name}.jpg)\n\n```\n{commands}\n```\n"
+        f"(../images/gallery_{sheet.name}.jpg)\n\n```\n{commands}\n```\n"
     )
 
 

@@ -1,8 +1,8 @@
 """Claim: making a data set takes no more memory the longer it runs.
 
 Makes many short recordings of a small tube in this process, one for each patient, and compares the
-resident memory after all with that after the 50th. Writes a section of docs/concepts/datasets.md and
-fails where it has grown by more than 5 %. For example: ``python benchmarks/memory_dataset.py``.
+resident memory after all with that after the 50th. Writes a section of docs/concepts/datasets.md
+and fails where it has grown by more than 5 %. For example: ``python benchmarks/memory_dataset.py``.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Writes the figures of README.md from the tables of docs/: `python benchmarks/readme.py`."""
+"""Write docs/results/summary.md from the tables of the results: `python benchmarks/readme.py`."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from validation import PAGE, ROOT, SPEED_PAGE
 from vrcaps.cli.benchmarks.page import read_sections, table
 from vrcaps.core.files import write_bytes
 
-README = ROOT / "README.md"
-_BEGIN, _END = "<!-- figures -->\n", "<!-- /figures -->"
+SUMMARY = ROOT / "docs" / "results" / "summary.md"
 _NOT_MEASURED = "not measured"
 
 _BENCH, _SCRIPT = "vrcaps bench ", "benchmarks/"
@@ -96,20 +95,22 @@ FIGURES = (
 """What is measured, the section that has it, and the figure: `{column | first cell}` of a row, or
 the `{least column}` or `{most column}` of all rows."""
 
-_TEXT = """On 2 cores of an AMD EPYC with AVX-512; 320 × 320 pixels, 6 LEDs, a generated colon of
+_TEXT = """# Summary
+
+On 2 cores of an AMD EPYC with AVX-512; 320 × 320 pixels, 6 LEDs, a generated colon of
 104,000 triangles, camera inside; medians, in brackets p10 to p90. A *complete frame* is color,
 depth, ray distance, normal, label, instance and arc length. Peers run from their own packages in
 the same process, in turns with ours.
 
 {figures}
 
-All tables: [speed](docs/results/benchmarks.md), [validation](docs/results/validation.md). `make figures` writes
-them and these lines.
+All tables: [speed](benchmarks.md), [validation](validation.md). `make figures` writes them and this
+page.
 """
 
 
 def write() -> None:
-    """Put today's figures between their marks in README.md."""
+    """Write the summary of the latest measurements."""
     sections = read_sections(PAGE) | read_sections(SPEED_PAGE)
     rows = []
     for what, section, template in FIGURES:
@@ -119,9 +120,7 @@ def write() -> None:
         if _NOT_MEASURED not in figure:
             rows.append((what, figure, f"`{command}`"))
     text = _TEXT.format(figures=table(("", "measured", "command"), rows))
-    page = README.read_text(encoding="utf-8")
-    before, rest = page.split(_BEGIN, 1)
-    write_bytes(README, (before + _BEGIN + text + _END + rest.split(_END, 1)[1]).encode())
+    write_bytes(SUMMARY, text.encode())
 
 
 def read_rows(text: str) -> Iterator[dict[str, str]]:

@@ -19,7 +19,7 @@ from vrcaps.metrics.bootstrap import Interval
 PAGE = ROOT / "docs" / "results" / "sim-to-real.md"
 SCRIPT = "benchmarks/sim_to_real.py"
 COMMAND = f"python {SCRIPT} --run runs/transfer --report"
-FIGURE = "images/sim-to-real-{}.png"
+FIGURE = "../images/sim-to-real-{}.png"
 ARM_TITLES = {
     "scratch": "from scratch",
     "imagenet": "ImageNet",

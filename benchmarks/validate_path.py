@@ -137,8 +137,8 @@ as much, and z² grows with the number of images: 1.6 instead of 1.2 on the colo
 1.3 instead of 1.1 on the smooth one, at 24 images of 64 paths.
 
 Where a smooth normal faces away from a path, Mitsuba loses the light, while here the normal is bent
-(docs/concepts/rendering.md): on the colon's own triangles with smooth normals this is 0.2 % of the mean, and
-no noise. With flat faces both integrate the same on just these triangles.
+(docs/concepts/rendering.md): on the colon's own triangles with smooth normals this is 0.2 % of the
+mean, and no noise. With flat faces both integrate the same on just these triangles.
 """
     write_section(given.out, Path(__file__).name, text)
 

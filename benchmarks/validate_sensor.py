@@ -168,8 +168,9 @@ def main() -> None:
     ]
     text = (
         "## Lens and sensor\n\n"
-        "`python benchmarks/validate_sensor.py`: [stages of lens and sensor](effects.md) against "
-        f"their formulas, from images of {arguments.size} x {arguments.size} sites (photon "
+        "`python benchmarks/validate_sensor.py`: [stages of lens and sensor]"
+        "(../concepts/effects.md) "
+        f"against their formulas, from images of {arguments.size} x {arguments.size} sites (photon "
         "transfer, 14 bits) and of the MiroCam's camera.\n\n"
         f"{table(HEAD, measured)}\n"
     )

@@ -10,7 +10,10 @@ from vrcaps.cli.benchmarks import page as pages
 from vrcaps.cli.benchmarks.report import PAGE_TITLE as SPEED_TITLE
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE, SPEED_PAGE = ROOT / "docs" / "results" / "validation.md", ROOT / "docs" / "results" / "benchmarks.md"
+PAGE, SPEED_PAGE = (
+    ROOT / "docs" / "results" / "validation.md",
+    ROOT / "docs" / "results" / "benchmarks.md",
+)
 DATASET_PAGE = ROOT / "docs" / "concepts" / "datasets.md"
 DATA = ROOT.parent / "shared" / "data" / "organs"
 """Optional organs from CT; rows that need them are left out where it is absent."""

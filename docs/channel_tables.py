@@ -38,7 +38,7 @@ def encodings() -> str:
     return "\n".join(lines)
 
 
-TABLES = {"conventions.md": meanings, "episode-format.md": encodings}
+TABLES = {"reference/conventions.md": meanings, "reference/episode-format.md": encodings}
 
 
 def with_table(text: str, table: str) -> str:

@@ -12,7 +12,7 @@ from vrcaps.core.units import CM, MM
 from vrcaps.lesion import LESIONS, Colitis, Polyp
 from vrcaps.lesion.registry import describe_kind
 
-PAGE = Path(__file__).parent / "lesions.md"
+PAGE = Path(__file__).parent / "concepts" / "lesions.md"
 
 
 def table(head: list[str], rows: list[list[str]]) -> str:

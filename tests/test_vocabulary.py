@@ -1,4 +1,4 @@
-"""Words: public names, keys, columns and flags use the field's terms (docs/reference/glossary.md)."""
+"""Public names, keys, columns and flags use the field's terms (docs/reference/glossary.md)."""
 
 from __future__ import annotations
 

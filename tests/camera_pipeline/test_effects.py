@@ -142,5 +142,7 @@ def test_what_cannot_be(given: dict, match: str) -> None:
 
 
 def test_tables_of_the_page_follow_from_the_effects() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "concepts" / "effects.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "concepts" / "effects.md").read_text(
+        encoding="utf-8"
+    )
     assert with_tables(page) == page, "run python docs/images/effects.py"

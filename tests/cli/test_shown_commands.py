@@ -15,7 +15,7 @@ from vrcaps.scenario.scenario import Scenario
 ROOT = Path(__file__).parents[2]
 PAGES = (
     ROOT / "README.md",
-    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted((ROOT / "docs").rglob("*.md")),
     *sorted((ROOT / "examples").glob("*.py")),
     *sorted((ROOT / "src/vrcaps/cli").glob("*.py")),
 )

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 _SIDE, _FREQUENCIES = 64, 16
 """Side of the gray image [px], and number of frequencies kept per axis."""
 NEAR = 0.12
-"""Maximum fraction of different signs of near-duplicates; `docs/concepts/learning.md` has the error rates of
-this threshold."""
+"""Maximum fraction of different signs of near-duplicates; `docs/concepts/learning.md` has the error
+rates of this threshold."""
 _AT_ONCE = 2048
 
 

@@ -69,9 +69,9 @@ def organ_glb(
     [m] hold those of the organ, the mesh's ``extras`` the label names and lesions.
 
     For `read_organ`, ``asset.extras`` names a buffer view for each array of the organ that glTF
-    would round, in the patient frame and in its own type (docs/reference/episode-format.md). Reading it
-    back gives identical values to the last bit. The same organ gives the same bytes, returned in
-    pieces.
+    would round, in the patient frame and in its own type (docs/reference/episode-format.md).
+    Reading it back gives identical values to the last bit. The same organ gives the same bytes,
+    returned in pieces.
 
     A compact file takes a fifth of the space. Its textures are coded with a small loss
     (`compact_textures`), and vertex attributes in single precision are not stored again exactly.

@@ -54,7 +54,8 @@ def inverse(
     Closed form with up to eight branches; empty if the pose cannot be reached.
 
     Raises:
-        InputError: If the arm has no closed form (see `docs/concepts/magnets.md`) or the pose is not finite.
+        InputError: If the arm has no closed form (docs/concepts/magnets.md) or the pose is not
+            finite.
     """
     _require_closed_form(arm)
     found = arm.core.inverse(_poses(T_base_flange), [last_angle])[0]

@@ -161,7 +161,8 @@ TEXT = r"""## Color, gradients and highlights, beside real frames
 `python benchmarks/validate_looks.py --out docs/reference/gallery.md`: our frames beside real ones
 of seven classes (human capsule frames of WCEBleedGen, colonoscopies of EndoAngel and HyperKvasir),
 and the three synthetic frames published with VR-Caps next to the same. Color is CIE L\*a\*b\*:
-distances are in its units, root of the sum of squares over the three channels; smaller is more alike.
+distances are in its units, root of the sum of squares over the three channels; smaller is more
+alike.
 
 - *mean*, *spread*: Wasserstein-1 distance between the frames' means, and between their standard
   deviations. *gradient*: the same distance between the pooled histograms of the gradient's
@@ -200,9 +201,9 @@ distances are in its units, root of the sum of squares over the three channels; 
   lesions are looked at.
 - Lens and sensor are the stages of [effects](../concepts/effects.md), their severities sampled for
   each frame (`benchmarks/looks_camera.py`): vignette, bloom, lateral color, noise; in capsules
-  defocus and mosaic. Exposure follows the mean luminance of the real frames, as automatic
-  exposure does, with a deviation of 0.25 in its logarithm; red and blue gain deviate by {red:.2f} and {blue:.2f} in
-  theirs, since real frames come from many cameras.
+  defocus and mosaic. Exposure follows the mean luminance of the real frames, as automatic exposure
+  does, with a deviation of 0.25 in its logarithm; red and blue gain deviate by {red:.2f} and
+  {blue:.2f} in theirs, since real frames come from many cameras.
 
 What gives ours away: of 42 frames in a sheet of `--mixed FOLDER/mixed.png` one who knows both named
 all 42 rightly (41 before mucus, stain and stool), by shape: our lumen is a regular tube, triangular

@@ -18,10 +18,10 @@ from vrcaps.core.transforms import invert, matrix_from_quaternion, transform_fro
 from vrcaps.formats.read_format import read_format
 from vrcaps.formats.stored_images import image_size, read_plane, read_rgb
 from vrcaps.formats.yaml_files import read_yaml
-from vrcaps.learn.depth import DepthLearner, depth_of
-from vrcaps.learn.fit import Fit
+from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.picture_border import bright_part
 from vrcaps.learn.samples import batch_of
+from vrcaps.learn.tasks.depth import DepthTask, depth_of
 from vrcaps.metrics.depth import depth_errors
 from vrcaps.recording.frame_sequence import FrameSequence
 
@@ -193,10 +193,10 @@ def depth_values(estimate: Estimate, images: Sequence[DepthImage]) -> dict[str, 
 
 def by_network(trained: Any) -> Estimate:
     """Estimates of a trained network."""
-    learner: DepthLearner = trained.learner
+    learner: DepthTask = trained.learner
 
     def estimate(image: np.ndarray, camera: Camera) -> np.ndarray:
-        fit = Fit(image.shape[0], image.shape[1], learner.size)
+        fit = Letterbox(image.shape[0], image.shape[1], learner.size)
         output = trained(batch_of([learner.inputs(image, fit, camera)], trained.device))[0]
         return fit.back(depth_of(output))
 
@@ -205,7 +205,7 @@ def by_network(trained: Any) -> Estimate:
 
 def by_mean(sequences: Sequence[FrameSequence], size: int, most: int = 300) -> Estimate:
     """The mean depth of the training images at each place of the image, whatever it shows."""
-    learner = DepthLearner(size=size)
+    learner = DepthTask(size=size)
     logs = [np.log(learner.sample(*frame)["depth"]) for frame in evenly(sequences, most)]
     with np.errstate(invalid="ignore"):
         known = np.isfinite(logs)
@@ -213,7 +213,7 @@ def by_mean(sequences: Sequence[FrameSequence], size: int, most: int = 300) -> E
     mean = np.exp(np.where(known.any(axis=0), total, np.median(total)))
 
     def estimate(image: np.ndarray, camera: Camera) -> np.ndarray:
-        return Fit(image.shape[0], image.shape[1], size).back(mean)
+        return Letterbox(image.shape[0], image.shape[1], size).back(mean)
 
     return estimate
 

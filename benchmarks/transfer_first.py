@@ -20,11 +20,11 @@ from vrcaps.camera.lens import LensPinhole
 from vrcaps.config.convert import to_plain
 from vrcaps.core.errors import InputError
 from vrcaps.formats.read_format import read_format
-from vrcaps.learn.classes import ClassLearner
-from vrcaps.learn.first_network import IMAGENET, SCRATCH
-from vrcaps.learn.masks import MaskLearner
-from vrcaps.learn.registry import AnyLearner
+from vrcaps.learn.initialize import IMAGENET, SCRATCH
+from vrcaps.learn.registry import AnyTask
 from vrcaps.learn.samples import Samples, samples_of
+from vrcaps.learn.tasks.classification import ClassificationTask
+from vrcaps.learn.tasks.segmentation import SegmentationTask
 from vrcaps.learn.training import CHECKPOINT, WEIGHTS, train
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.tools.reconstruction.estimates import with_depth
@@ -58,7 +58,7 @@ def first_weights(setup: Setup, cell: Cell) -> str:
     return start
 
 
-def first_folder(setup: Setup, cell: Cell, learner: AnyLearner) -> Path:
+def first_folder(setup: Setup, cell: Cell, learner: AnyTask) -> Path:
     """Folder of what a learner learned before; tasks that learn the same have the same."""
     effort = setup.effort(task_of(cell))
     digest = data_digest(setup.ours_of(cell)) if cell.arm.endswith("ours") else "frames"
@@ -67,7 +67,7 @@ def first_folder(setup: Setup, cell: Cell, learner: AnyLearner) -> Path:
     return setup.out / "weights" / name.replace("+", "-")
 
 
-def _learned(setup: Setup, cell: Cell, learner: AnyLearner, start: str) -> str:
+def _learned(setup: Setup, cell: Cell, learner: AnyTask, start: str) -> str:
     """File of weights that a learner learned from images that are not real."""
     effort, out = setup.effort(task_of(cell)), first_folder(setup, cell, learner)
     settings = replace(
@@ -134,7 +134,7 @@ def lacks(setup: Setup, task: Task) -> str:
     return ""
 
 
-def _first_samples(setup: Setup, cell: Cell, learner: AnyLearner) -> tuple[Samples, Samples]:
+def _first_samples(setup: Setup, cell: Cell, learner: AnyTask) -> tuple[Samples, Samples]:
     """Images that are not real, to learn from and to validate with."""
     task = task_of(cell)
     if cell.arm.endswith("unitycam"):
@@ -144,9 +144,9 @@ def _first_samples(setup: Setup, cell: Cell, learner: AnyLearner) -> tuple[Sampl
         samples = samples_of(learner, sequences)
         return samples, samples
     urls = setup.ours_of(cell)
-    if isinstance(learner, ClassLearner):
+    if isinstance(learner, ClassificationTask):
         parts = our_classes(urls, learner.classes, learner.size)
-    elif isinstance(learner, MaskLearner):
+    elif isinstance(learner, SegmentationTask):
         parts = our_masks(urls, learner.classes, learner.size)
     else:
         many = _MAX_DEPTH if task.kind == DEPTH else _MAX_LARGE

@@ -14,7 +14,7 @@ from transfer_pictures import Pictures, disc_only
 from transfer_real import small_image, small_map
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError
-from vrcaps.learn.masks import LESION
+from vrcaps.learn.tasks.segmentation import LESION
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.recording.shown_lesion import lesion_instances, shown_lesion
 

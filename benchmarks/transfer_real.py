@@ -11,7 +11,7 @@ import numpy as np
 from transfer_pictures import Pictures, alike, balanced_folds, disc_only, merged
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.formats.read_format import read_format
-from vrcaps.learn.fit import Fit
+from vrcaps.learn.letterbox import Letterbox
 
 LAYOUTS: Mapping[str, tuple[str, ...]] = {
     "wce_bleedgen": ("bleedgen",),
@@ -155,14 +155,14 @@ def middle(image: np.ndarray, side: int) -> np.ndarray:
 
 
 def small_image(image: np.ndarray, size: int) -> np.ndarray:
-    """An image whose longer side has a size [px], as `Fit` makes it."""
-    fit = Fit(image.shape[0], image.shape[1], size)
+    """An image whose longer side has a size [px], as `Letterbox` makes it."""
+    fit = Letterbox(image.shape[0], image.shape[1], size)
     return np.ascontiguousarray(fit.image(image)[fit.place])
 
 
 def small_map(values: np.ndarray, size: int) -> np.ndarray:
     """A map of such an image, each value that of the nearest pixel."""
-    fit = Fit(values.shape[0], values.shape[1], size)
+    fit = Letterbox(values.shape[0], values.shape[1], size)
     return np.ascontiguousarray(fit.nearest(values, 0)[fit.place])
 
 

@@ -36,12 +36,12 @@ from transfer_setup import Setup, frames_of, settings_of, task_of
 from transfer_tasks import DEPTH, DEPTH_TASK, Effort
 from vrcaps.config.convert import to_plain
 from vrcaps.core.files import file_sha256, files_in
-from vrcaps.learn.first_network import first_network
-from vrcaps.learn.registry import AnyLearner
+from vrcaps.learn.checkpoint import TrainedNetwork, read_weights
+from vrcaps.learn.initialize import initialized_network
+from vrcaps.learn.registry import AnyTask
 from vrcaps.learn.samples import Samples
 from vrcaps.learn.training import WEIGHTS, TrainSettings, train
-from vrcaps.learn.validation import Found, validate
-from vrcaps.learn.weights import Trained, read_weights
+from vrcaps.learn.validation import EvaluationResult, validate
 from vrcaps.training.threads import exact_torch
 
 WITHOUT_LEARNING = ("constant", "mean", "light")
@@ -71,11 +71,11 @@ def _transfer(setup: Setup, cell: Cell) -> tuple[dict[str, list[float]], list[in
     judged = Samples(learner, frames_of(held))
     if cell.arm == GENERAL:
         samples = [judged.next(k) for k in range(len(judged))]
-        found = Found({}, [enlarged(sample["image"]) for sample in samples], samples)
+        found = EvaluationResult({}, [enlarged(sample["image"]) for sample in samples], samples)
         return task.values(found), held.groups.tolist()
     if cell.fraction == 0.0:
-        network = first_network(learner, first_weights(setup, cell))
-        trained = Trained(learner, network.to(setup.device).eval(), {}, setup.device)
+        network = initialized_network(learner, first_weights(setup, cell))
+        trained = TrainedNetwork(learner, network.to(setup.device).eval(), {}, setup.device)
         return task.values(validate(trained, judged)), held.groups.tolist()
     steps = setup.effort(task).steps * (LONG_FACTOR if cell.arm == LONG else 1)
     settings = settings_of(setup, cell, learner, steps)
@@ -136,7 +136,7 @@ def made_of(setup: Setup, cell: Cell) -> dict[str, str]:
     return {"basis": digest_of(basis), "first": first, **names}
 
 
-def _plain(learner: AnyLearner) -> Any:
+def _plain(learner: AnyTask) -> Any:
     """A learner's settings as plain values."""
     return to_plain(TrainSettings(learner), TrainSettings)["learner"]
 

@@ -11,9 +11,9 @@ from transfer_ours import Urls
 from transfer_pictures import Pictures
 from transfer_tasks import PRESETS, Effort, Task, task_named
 from vrcaps.core.errors import InputError
-from vrcaps.learn.first_network import SCRATCH
-from vrcaps.learn.registry import AnyLearner
-from vrcaps.learn.training import Machine, TrainSettings
+from vrcaps.learn.initialize import SCRATCH
+from vrcaps.learn.registry import AnyTask
+from vrcaps.learn.training import ComputeSettings, TrainSettings
 from vrcaps.recording.frame_sequence import FrameSequence
 
 
@@ -40,9 +40,9 @@ class Setup:
     variants: Mapping[str, str] | None = None
 
     @property
-    def machine(self) -> Machine:
+    def machine(self) -> ComputeSettings:
         """What computes."""
-        return Machine(self.device)
+        return ComputeSettings(self.device)
 
     def effort(self, task: Task) -> Effort:
         """Effort of a task."""
@@ -69,7 +69,7 @@ def task_of(cell: Cell) -> Task:
     return task_named(cell.task)
 
 
-def settings_of(setup: Setup, cell: Cell, learner: AnyLearner, steps: int) -> TrainSettings:
+def settings_of(setup: Setup, cell: Cell, learner: AnyTask, steps: int) -> TrainSettings:
     """Settings that all trainings of a task have in common."""
     effort = setup.effort(task_of(cell))
     return TrainSettings(

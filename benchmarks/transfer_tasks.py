@@ -21,13 +21,13 @@ from transfer_real import (
     read_large,
     read_masks,
 )
-from vrcaps.learn.classes import ClassLearner, class_probabilities
-from vrcaps.learn.depth import DepthLearner
-from vrcaps.learn.learner import Sample
-from vrcaps.learn.masks import LESION, MaskLearner
-from vrcaps.learn.registry import AnyLearner
-from vrcaps.learn.super_resolution import SuperResolutionLearner, image_of
-from vrcaps.learn.validation import Found
+from vrcaps.learn.registry import AnyTask
+from vrcaps.learn.task import Sample
+from vrcaps.learn.tasks.classification import ClassificationTask, class_probabilities
+from vrcaps.learn.tasks.depth import DepthTask
+from vrcaps.learn.tasks.segmentation import LESION, SegmentationTask
+from vrcaps.learn.tasks.super_resolution import SuperResolutionTask, image_of
+from vrcaps.learn.validation import EvaluationResult
 from vrcaps.metrics.image_quality import psnr, ssim
 from vrcaps.metrics.masks import dice
 from vrcaps.recording.shown_lesion import NORMAL
@@ -128,7 +128,7 @@ class Task:
         """Kinds of lesions among its classes."""
         return tuple(kind for kind in self.kinds if kind != "normal")
 
-    def first_learners(self, effort: Effort) -> tuple[AnyLearner, ...]:
+    def first_learners(self, effort: Effort) -> tuple[AnyTask, ...]:
         """What is learned from our images before the real ones, one after another.
 
         One network learned masks of all kinds of lesions. It went on to masks of any lesion, with
@@ -139,20 +139,20 @@ class Task:
         if self.kind not in ("classes", "masks"):
             return (self.learner(effort),)
         size, brightness, tint = effort.size, 1.5, 1.35
-        kinds = MaskLearner(OUR_LESIONS, size, brightness=brightness, tint=tint)
+        kinds = SegmentationTask(OUR_LESIONS, size, brightness=brightness, tint=tint)
         if self.kind == "masks":
             return kinds, replace(kinds, classes=(LESION,))
-        return kinds, ClassLearner(OUR_CLASSES, size, brightness=brightness, tint=tint)
+        return kinds, ClassificationTask(OUR_CLASSES, size, brightness=brightness, tint=tint)
 
-    def learner(self, effort: Effort) -> AnyLearner:
+    def learner(self, effort: Effort) -> AnyTask:
         """The learner, for images of a preset's size."""
         if self.kind == "classes":
-            return ClassLearner(classes=self.kinds, size=effort.size)
+            return ClassificationTask(classes=self.kinds, size=effort.size)
         if self.kind == "masks":
-            return MaskLearner(classes=self.kinds, size=effort.size)
+            return SegmentationTask(classes=self.kinds, size=effort.size)
         if self.kind == DEPTH:
-            return DepthLearner(size=effort.size)
-        return SuperResolutionLearner(
+            return DepthTask(size=effort.size)
+        return SuperResolutionTask(
             size=effort.size, validation_size=4 * effort.size, blocks=6, features=32
         )
 
@@ -160,7 +160,7 @@ class Task:
         """The real images, in memory."""
         return _read(self, folder, effort)
 
-    def values(self, found: Found) -> dict[str, list[float]]:
+    def values(self, found: EvaluationResult) -> dict[str, list[float]]:
         """What the figure follows from, of each image that was judged."""
         pairs = list(zip(found.outputs, found.samples, strict=True))
         if self.kind == "classes":

@@ -17,13 +17,13 @@ import numpy as np
 from validation import ROOT, parser, table, write_section
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import MM
-from vrcaps.learn.first_network import IMAGENET
-from vrcaps.learn.published import find_weights
-from vrcaps.learn.registry import AnyLearner
+from vrcaps.learn.checkpoint import TrainedNetwork, read_weights
+from vrcaps.learn.hub import find_weights
+from vrcaps.learn.initialize import IMAGENET
+from vrcaps.learn.registry import AnyTask
 from vrcaps.learn.samples import samples_of
-from vrcaps.learn.sfm import SfmLearner, estimated_trajectory
-from vrcaps.learn.training import WEIGHTS, Machine, TrainSettings, train
-from vrcaps.learn.weights import Trained, read_weights
+from vrcaps.learn.tasks.sfm import SfmTask, estimated_trajectory
+from vrcaps.learn.training import WEIGHTS, ComputeSettings, TrainSettings, train
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.metrics.depth import depth_errors, mean_depth_errors
 from vrcaps.metrics.surface import surface_distances
@@ -62,7 +62,7 @@ def main() -> None:
     for organ in RUNS:
         sequence = recorded(organ, given.size, given.run)
         networks = {"network of ours": read_weights(find_weights("depth"))}
-        learner = read_weights(given.sfm, task="sfm").learner if given.sfm else SfmLearner(96)
+        learner = read_weights(given.sfm, task="sfm").learner if given.sfm else SfmTask(96)
         for name, start in (("ImageNet", IMAGENET), ("ours", given.sfm)):
             if not start:
                 continue
@@ -100,19 +100,19 @@ def recorded(organ: str, frames: int, folder: Path) -> FrameSequence:
 
 
 def learned(
-    sequence: FrameSequence, learner: AnyLearner, start: str, steps: int, out: Path
-) -> Trained:
+    sequence: FrameSequence, learner: AnyTask, start: str, steps: int, out: Path
+) -> TrainedNetwork:
     """A network of sfm that learned from the run."""
     settings = TrainSettings(
         learner, start=start, steps=steps, batch=4, evaluate_every=steps, evaluation_frames=20
     )
     samples = samples_of(learner, [sequence])
-    train(settings, samples, samples, out, machine=Machine("cpu"), is_forced=True)
+    train(settings, samples, samples, out, machine=ComputeSettings("cpu"), is_forced=True)
     return read_weights(out / WEIGHTS)
 
 
 def organ_rows(
-    organ: str, sequence: FrameSequence, networks: dict[str, Trained]
+    organ: str, sequence: FrameSequence, networks: dict[str, TrainedNetwork]
 ) -> list[tuple[str, ...]]:
     """Rows of one run: each depth with true poses, and with each estimate of them."""
     truth = sequence.Ts_world_camera

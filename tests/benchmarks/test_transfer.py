@@ -33,10 +33,10 @@ from vrcaps.camera.lens import LensPinhole
 from vrcaps.cli.benchmarks.page import read_sections
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.data.plan import read_plan
-from vrcaps.learn.first_network import IMAGENET
-from vrcaps.learn.masks import LESION
+from vrcaps.learn.checkpoint import read_weights
+from vrcaps.learn.initialize import IMAGENET
+from vrcaps.learn.tasks.segmentation import LESION
 from vrcaps.learn.training import WEIGHTS
-from vrcaps.learn.weights import read_weights
 from vrcaps.metrics.bootstrap import Interval
 from vrcaps.metrics.classification import confusion_matrix, f1_scores
 

@@ -18,20 +18,20 @@ from vrcaps.learn.adversary import (  # noqa: E402
     patch_discriminator,
 )
 from vrcaps.learn.attention_unet import attention_unet  # noqa: E402
+from vrcaps.learn.checkpoint import read_weights  # noqa: E402
 from vrcaps.learn.feature_losses import (  # noqa: E402
     content_loss,
     feature_distance,
     gram_matrix,
     style_loss,
 )
-from vrcaps.learn.optimized import Optimized  # noqa: E402
+from vrcaps.learn.optimized import NetworkOptimizer  # noqa: E402
 from vrcaps.learn.samples import batch_of, samples_of  # noqa: E402
-from vrcaps.learn.super_resolution import SuperResolutionLearner  # noqa: E402
-from vrcaps.learn.training import BEST, Machine, TrainSettings, train  # noqa: E402
-from vrcaps.learn.weights import read_weights  # noqa: E402
+from vrcaps.learn.tasks.super_resolution import SuperResolutionTask  # noqa: E402
+from vrcaps.learn.training import BEST, ComputeSettings, TrainSettings, train  # noqa: E402
 from vrcaps.recording.frame_sequence import FrameSequence  # noqa: E402
 
-SMALL = SuperResolutionLearner(
+SMALL = SuperResolutionTask(
     2, 32, generator="attention-unet", halvings=2, features=16, adversarial=0.01
 )
 FULL = replace(SMALL, content=3e-4, style=1e-4)
@@ -84,7 +84,7 @@ def test_full_loss_is_the_sum_of_its_terms():
     assert float(alone.detach()) == pytest.approx(told["pixel"], rel=1e-5)
     against["loss"].backward()  # does not teach the generator
     assert all(one.grad is None for one in network.parameters())
-    assert SuperResolutionLearner().adversary() is None
+    assert SuperResolutionTask().adversary() is None
 
 
 def test_attention_takes_the_mean_of_places_that_are_all_alike():
@@ -103,7 +103,7 @@ def test_attention_takes_the_mean_of_places_that_are_all_alike():
 def test_discriminator_learns_to_tell_enlarged_images_from_true_ones():
     torch.manual_seed(0)
     batch, network = _batch(SMALL, 8), SMALL.network(is_pretrained=False)
-    taught = Optimized(patch_discriminator(16), weight_decay=0.0, momentum=0.5)
+    taught = NetworkOptimizer(patch_discriminator(16), weight_decay=0.0, momentum=0.5)
     # On white noise bicubic enlargement is plainly not the truth.
     batch["truth"] = torch.randint(0, 255, (8, 3, 32, 32)).to(torch.uint8)
     for _ in range(20):
@@ -140,12 +140,12 @@ def test_feature_network_serves_gradients_and_leaves_random_numbers():
 
 def test_preset_of_the_paper_states_the_papers_figures():
     """Incetan et al. 2021, section 3.6: 256 to 1024 pixels, 100 epochs of 6,400 images."""
-    settings = presets.settings_of(SuperResolutionLearner(), "paper", [], "", [])
+    settings = presets.settings_of(SuperResolutionTask(), "paper", [], "", [])
     learner = settings.learner
     assert (learner.factor, learner.size, learner.generator) == (4, 1024, "attention-unet")
     assert settings.steps * settings.batch == 100 * 6400
     assert min(learner.adversarial, learner.content, learner.style) > 0.0
-    assert presets.settings_of(SuperResolutionLearner(), "default", [], "", []).learner.style == 0.0
+    assert presets.settings_of(SuperResolutionTask(), "default", [], "", []).learner.style == 0.0
 
 
 def test_bad_input_is_one_clear_line(monkeypatch):
@@ -180,7 +180,7 @@ def _train(learner, out, report=lambda progress: None, **changes):
     samples = samples_of(learner, [STRIPES])
     settings = TrainSettings(learner, start="scratch", batch=4, evaluate_every=2, weight_decay=0.0)
     settings = replace(settings, **changes)
-    return train(settings, samples, samples, out, machine=Machine("cpu"), report=report)
+    return train(settings, samples, samples, out, machine=ComputeSettings("cpu"), report=report)
 
 
 @pytest.mark.slow

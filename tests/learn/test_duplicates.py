@@ -10,9 +10,9 @@ from scipy.ndimage import gaussian_filter
 from small_frames import small_sequence
 from vrcaps import cli
 from vrcaps.core.errors import InputError
-from vrcaps.learn.depth import DepthLearner
 from vrcaps.learn.duplicates import NEAR, image_hash, near_duplicates, without_duplicates
 from vrcaps.learn.samples import Samples
+from vrcaps.learn.tasks.depth import DepthTask
 from vrcaps.recording.image_files import write_images
 
 COUNT, HEIGHT, WIDTH = 24, 96, 120
@@ -104,7 +104,7 @@ def _samples(name, images):
     values = {"time": np.arange(len(images), dtype=float)}
     for field, value in (("load", load), ("values", values)):
         object.__setattr__(sequence, field, value)
-    return Samples(DepthLearner(size=32), [(sequence, k) for k in range(len(images))])
+    return Samples(DepthTask(size=32), [(sequence, k) for k in range(len(images))])
 
 
 @pytest.fixture

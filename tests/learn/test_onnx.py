@@ -12,25 +12,25 @@ pytest.importorskip("segmentation_models_pytorch", reason="its package is not in
 
 from vrcaps import cli  # noqa: E402
 from vrcaps.core.errors import InputError  # noqa: E402
-from vrcaps.learn.classes import ClassLearner  # noqa: E402
-from vrcaps.learn.depth import DepthLearner  # noqa: E402
-from vrcaps.learn.masks import MaskLearner  # noqa: E402
+from vrcaps.learn.checkpoint import TrainedNetwork, write_weights  # noqa: E402
 from vrcaps.learn.onnx import onnx_difference, write_onnx  # noqa: E402
 from vrcaps.learn.registry import LEARNERS  # noqa: E402
-from vrcaps.learn.sfm import SfmLearner  # noqa: E402
-from vrcaps.learn.super_resolution import SuperResolutionLearner  # noqa: E402
-from vrcaps.learn.weights import Trained, write_weights  # noqa: E402
+from vrcaps.learn.tasks.classification import ClassificationTask  # noqa: E402
+from vrcaps.learn.tasks.depth import DepthTask  # noqa: E402
+from vrcaps.learn.tasks.segmentation import SegmentationTask  # noqa: E402
+from vrcaps.learn.tasks.sfm import SfmTask  # noqa: E402
+from vrcaps.learn.tasks.super_resolution import SuperResolutionTask  # noqa: E402
 
 SMALL = "test_resnet"
 """An encoder that timm has for tests."""
 TINY = {
     one.kind: one
     for one in (
-        DepthLearner(size=32, encoder=SMALL),
-        MaskLearner(("polyp", "ulcer"), size=32, encoder=SMALL),
-        ClassLearner(size=32, encoder=SMALL),
-        SuperResolutionLearner(2, size=32, blocks=1, features=8),
-        SfmLearner(size=32, encoder=SMALL),
+        DepthTask(size=32, encoder=SMALL),
+        SegmentationTask(("polyp", "ulcer"), size=32, encoder=SMALL),
+        ClassificationTask(size=32, encoder=SMALL),
+        SuperResolutionTask(2, size=32, blocks=1, features=8),
+        SfmTask(size=32, encoder=SMALL),
     )
 }
 
@@ -42,7 +42,7 @@ def _trained(learner):
     with torch.no_grad():
         for parameter in network.parameters():
             parameter.add_(0.02 * torch.randn_like(parameter))
-    return Trained(learner, network.eval(), {})
+    return TrainedNetwork(learner, network.eval(), {})
 
 
 def test_there_is_a_small_learner_of_every_task():

@@ -9,11 +9,11 @@ import pytest
 
 from small_frames import SIDE, small_sequence
 from vrcaps.core.errors import InputError
-from vrcaps.learn.classes import ClassLearner
-from vrcaps.learn.fit import Fit
+from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.overlays import Overlay, tissue_mask
+from vrcaps.learn.tasks.classification import ClassificationTask
 
-LEARNER = ClassLearner(("normal", "polyp"), size=64)
+LEARNER = ClassificationTask(("normal", "polyp"), size=64)
 
 
 @pytest.mark.parametrize(("height", "width"), [(64, 64), (50, 80)])
@@ -22,7 +22,7 @@ def test_corners_and_insert_are_hidden_whatever_is_there(height, width):
     marked = plain.copy()
     marked[: height // 8, : width // 8] = 0
     marked[-height // 3 :, : int(0.4 * width)] = [0, 160, 140]
-    fit = Fit(height, width, 64)
+    fit = Letterbox(height, width, 64)
     images = [LEARNER.inputs(one, fit, None)["image"] for one in (plain, marked)]
     np.testing.assert_array_equal(*images)
     assert (images[0] > 0).any(axis=-1).mean() > 0.3

@@ -128,25 +128,25 @@ def test_the_colonoscope_is_a_camera_for_images_of_its_size(tmp_path) -> None:
 def test_predict_estimates_what_evaluate_scores(tmp_path) -> None:
     """The estimate that is written is that of the sample that is scored, to the step of 10 µm."""
     torch = pytest.importorskip("torch", reason="PyTorch is not installed")
-    from vrcaps.learn.depth import DepthLearner, depth_of
+    from vrcaps.learn.checkpoint import TrainedNetwork
     from vrcaps.learn.predict import predict
     from vrcaps.learn.samples import samples_of
+    from vrcaps.learn.tasks.depth import DepthTask, depth_of
     from vrcaps.learn.validation import validate
-    from vrcaps.learn.weights import Trained
     from vrcaps.recording.image_files import read_image
 
     torch.manual_seed(0)
-    learner = DepthLearner(size=32)
-    trained = Trained(learner, learner.network(is_pretrained=False).eval(), {})
+    learner = DepthTask(size=32)
+    trained = TrainedNetwork(learner, learner.network(is_pretrained=False).eval(), {})
     camera = Camera("a", LensPinhole(fx=50.0, fy=50.0, cx=47.5, cy=31.5), 96, 64)
     one = sequence(framed(), camera)
     found = validate(trained, samples_of(learner, [one]))
     predict(trained, (one,), tmp_path / "out")
     written = read_image(tmp_path / "out" / "a" / "000000.png").astype(float) * 1e-5
     view = view_of("depth", one, framed())
-    from vrcaps.learn.fit import Fit
+    from vrcaps.learn.letterbox import Letterbox
 
-    expected = view.whole(Fit(HEIGHT, WIDTH, 32).back(depth_of(found.outputs[0])))
+    expected = view.whole(Letterbox(HEIGHT, WIDTH, 32).back(depth_of(found.outputs[0])))
     np.testing.assert_allclose(written, expected, atol=0.51e-5)
     assert (written[:TOP] == 0.0).all() and (written[TOP + 2, LEFT + 2 : -14] > 0.0).any()
     blank = replace(one, camera=None)

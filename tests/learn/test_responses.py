@@ -9,18 +9,18 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 
 from small_frames import SIDE, small_sequence  # noqa: E402
 from vrcaps.core.errors import InputError  # noqa: E402
-from vrcaps.learn.classes import ClassLearner  # noqa: E402
-from vrcaps.learn.fit import Fit  # noqa: E402
-from vrcaps.learn.published import read_index  # noqa: E402
+from vrcaps.learn.checkpoint import TrainedNetwork, read_weights  # noqa: E402
+from vrcaps.learn.hub import read_index  # noqa: E402
+from vrcaps.learn.letterbox import Letterbox  # noqa: E402
 from vrcaps.learn.responses import (  # noqa: E402
     MIN_RESPONSE,
     probes,
     require_responses,
     responses,
 )
-from vrcaps.learn.sfm import SfmLearner  # noqa: E402
-from vrcaps.learn.super_resolution import SuperResolutionLearner  # noqa: E402
-from vrcaps.learn.weights import Trained, read_weights  # noqa: E402
+from vrcaps.learn.tasks.classification import ClassificationTask  # noqa: E402
+from vrcaps.learn.tasks.sfm import SfmTask  # noqa: E402
+from vrcaps.learn.tasks.super_resolution import SuperResolutionTask  # noqa: E402
 
 OURS = Path(__file__).parents[2] / "weights"
 PUBLISHED = tuple(read_index(str(OURS)).values())
@@ -40,10 +40,10 @@ def pictures() -> list[np.ndarray]:
     return [*shown, *(np.clip(one, 0, 255).astype(np.uint8) for one in (photo, noise))]
 
 
-def samples(trained: Trained) -> list[dict]:
+def samples(trained: TrainedNetwork) -> list[dict]:
     """Network's inputs of the pictures, all by one camera."""
     camera = small_sequence().camera
-    fit = Fit(SIDE, SIDE, trained.learner.size)
+    fit = Letterbox(SIDE, SIDE, trained.learner.size)
     return [trained.learner.inputs(picture, fit, camera) for picture in pictures()]
 
 
@@ -62,24 +62,24 @@ def test_no_published_network_ignores_its_inputs(entry) -> None:
 @pytest.mark.slow
 def test_a_constant_network_is_found() -> None:
     """A classifier whose last layer is zero, and a network of motion that is."""
-    learner = ClassLearner(("normal", "polyp"), size=32)
-    untrained = Trained(learner, learner.network(is_pretrained=False).eval(), {})
+    learner = ClassificationTask(("normal", "polyp"), size=32)
+    untrained = TrainedNetwork(learner, learner.network(is_pretrained=False).eval(), {})
     found = responses(untrained, probes(untrained))
     assert found == {"output 0 by image": 0.0, "output 1 by image": 0.0}
     with pytest.raises(InputError, match=r"same output for all images: output 0 changes by 0 of"):
         require_responses(untrained)
-    video = SfmLearner(size=32)
+    video = SfmTask(size=32)
     network = video.network(is_pretrained=False).eval()
     for value in network.moves.get_classifier().parameters():
         torch.nn.init.constant_(value, 0.1)
     torch.nn.init.zeros_(network.moves.get_classifier().weight)
     with pytest.raises(InputError, match="motion 0 changes by 0 of"):
-        require_responses(Trained(video, network, {}))
+        require_responses(TrainedNetwork(video, network, {}))
 
 
 def test_enlarging_responds_to_the_image() -> None:
-    learner = SuperResolutionLearner(2, size=32, blocks=1, features=8)
-    trained = Trained(learner, learner.network(is_pretrained=False).eval(), {})
+    learner = SuperResolutionTask(2, size=32, blocks=1, features=8)
+    trained = TrainedNetwork(learner, learner.network(is_pretrained=False).eval(), {})
     require_responses(trained)
     same = probes(trained)[:1] * 3
     assert max(responses(trained, same).values()) == 0.0

@@ -8,18 +8,18 @@ import pytest
 
 from small_frames import COUNT, LENS, SIDE, image_of, small_sequence
 from vrcaps.core.errors import InputError
-from vrcaps.learn.classes import ClassLearner
-from vrcaps.learn.depth import DepthLearner
-from vrcaps.learn.fit import Fit
-from vrcaps.learn.learner import recolored, zoomed
-from vrcaps.learn.masks import MaskLearner
+from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.samples import Samples, samples_of, split_samples
+from vrcaps.learn.task import recolored, zoomed
+from vrcaps.learn.tasks.classification import ClassificationTask
+from vrcaps.learn.tasks.depth import DepthTask
+from vrcaps.learn.tasks.segmentation import SegmentationTask
 from vrcaps.lumen.particles import FIRST_CLUMP
 
 
 @pytest.mark.parametrize("shape", [(48, 48), (30, 90), (101, 57), (640, 480)])
 def test_image_keeps_its_aspect_and_a_map_comes_back(shape):
-    fit = Fit(*shape, 64)
+    fit = Letterbox(*shape, 64)
     rows, columns = fit.place
     height, width = rows.stop - rows.start, columns.stop - columns.start
     assert max(height, width) == 64
@@ -33,15 +33,15 @@ def test_image_keeps_its_aspect_and_a_map_comes_back(shape):
 
 def test_depth_and_ray_are_of_one_pixel():
     sequence = small_sequence()
-    sample = DepthLearner(size=32).sample(sequence, 3)
-    fit = Fit(SIDE, SIDE, 32)
+    sample = DepthTask(size=32).sample(sequence, 3)
+    fit = Letterbox(SIDE, SIDE, 32)
     column, row = fit.pixels[10, 20]
     np.testing.assert_allclose(sample["ray"][10, 20], LENS.unproject([column, row]), atol=1e-6)
     assert sample["depth"][10, 20] == sequence.image("depth", 3)[row, column]
 
 
 def test_rays_turn_with_their_pixels():
-    learner = DepthLearner(size=SIDE // 32 * 32, zoom=1.0)
+    learner = DepthTask(size=SIDE // 32 * 32, zoom=1.0)
     sample = learner.sample(small_sequence(), 0)
     turned = [sample["depth"], sample["depth"].T]
     symmetries = [np.flip(one, axes) for one in turned for axes in ((), (0,), (1,), (0, 1))]
@@ -101,17 +101,17 @@ def test_masks_of_one_kind_of_lesion():
         small_sequence(episode=SimpleNamespace(head={"organ": {"lesions": lesions}})),
         load=lambda channel, index: numbers if channel == "instance" else image_of(channel, index),
     )
-    learner = MaskLearner(size=64, classes=("polyp", "bleeding", "lesion"))
+    learner = SegmentationTask(size=64, classes=("polyp", "bleeding", "lesion"))
     assert len(learner.items(recorded)) == COUNT
     masks = learner.sample(recorded, 0)["mask"]
     assert (masks[..., 0] | masks[..., 1]).tolist() == masks[..., 2].tolist()
     assert 0 < masks[..., 1].sum() < masks[..., 0].sum()
     with pytest.raises(InputError, match="'label'"):
-        MaskLearner(classes=("tumor",)).items(small_sequence())
+        SegmentationTask(classes=("tumor",)).items(small_sequence())
 
 
 def test_mask_turns_with_its_image():
-    learner = MaskLearner(size=64, brightness=1.0, tint=1.0)
+    learner = SegmentationTask(size=64, brightness=1.0, tint=1.0)
     sample = learner.sample(small_sequence(), 1)
     for seed in range(6):
         changed = learner.augmented(sample, np.random.default_rng(seed))
@@ -121,7 +121,7 @@ def test_mask_turns_with_its_image():
 
 def test_patients_are_not_in_both_parts():
     sequences = [small_sequence(k, f"s{k}", patient=str(k // 2)) for k in range(20)]
-    train, held = split_samples(DepthLearner(size=32), sequences)
+    train, held = split_samples(DepthTask(size=32), sequences)
     of = [{one.patient for one, _ in part.frames} for part in (train, held)]
     assert not of[0] & of[1]
     assert len(of[1]) == 2
@@ -130,7 +130,7 @@ def test_patients_are_not_in_both_parts():
 def test_splits_of_the_data_are_kept_and_its_test_part_is_not_touched():
     splits = ("train", "val", "test")
     sequences = [small_sequence(k, split=split) for k, split in enumerate(splits)]
-    train, held = split_samples(DepthLearner(size=32), sequences)
+    train, held = split_samples(DepthTask(size=32), sequences)
     assert {one.split for one, _ in train.frames} == {"train"}
     assert {one.split for one, _ in held.frames} == {"val"}
 
@@ -140,7 +140,7 @@ def test_part_of_what_is_learned_from_is_held_out_where_no_validation_split_is()
     sequences = [
         small_sequence(k, f"s{k}", patient=str(k), split=split) for k, split in enumerate(splits)
     ]
-    train, held = split_samples(DepthLearner(size=32), sequences)
+    train, held = split_samples(DepthTask(size=32), sequences)
     names = [{one.name for one, _ in part.frames} for part in (train, held)]
     assert len(names[0]) == 8
     assert len(names[1]) == 2
@@ -149,7 +149,7 @@ def test_part_of_what_is_learned_from_is_held_out_where_no_validation_split_is()
 
 
 def test_shares_of_a_learning_curve_lie_within_one_another():
-    samples = samples_of(DepthLearner(size=32), [small_sequence()])
+    samples = samples_of(DepthTask(size=32), [small_sequence()])
     small, large = (samples.subset(fraction, seed=1).frames for fraction in (0.25, 0.5))
     assert len(small) == COUNT // 4
     assert {k for _, k in small} < {k for _, k in large}
@@ -163,7 +163,7 @@ def test_damaged_image_is_skipped_counted_and_named():
 
     sequence = small_sequence()
     object.__setattr__(sequence, "load", load)
-    samples = Samples(MaskLearner(size=32), [(sequence, k) for k in range(4)])
+    samples = Samples(SegmentationTask(size=32), [(sequence, k) for k in range(4)])
     assert samples.get(2) is None
     assert np.array_equal(samples.next(2)["image"], samples.get(3)["image"])
     assert samples.skipped == {"small, frame 2": "Cannot read 000002.png: truncated."}
@@ -173,12 +173,12 @@ def test_what_cannot_be_learned_from_is_one_clear_line():
     sequence = small_sequence()
     bare = sequence.with_channels(("rgb",))
     with pytest.raises(InputError, match="needs the channel 'depth', which small has not"):
-        samples_of(DepthLearner(), [bare])
+        samples_of(DepthTask(), [bare])
     with pytest.raises(InputError, match="images without masks"):
-        samples_of(MaskLearner(), [bare])
+        samples_of(SegmentationTask(), [bare])
     with pytest.raises(InputError, match="There is no frame to learn classes from"):
-        samples_of(ClassLearner(classes=("ulcer", "bleeding")), [sequence])
+        samples_of(ClassificationTask(classes=("ulcer", "bleeding")), [sequence])
     with pytest.raises(InputError, match=r"size is 100\. Allowed: multiples of 32"):
-        MaskLearner(size=100)
+        SegmentationTask(size=100)
     with pytest.raises(InputError, match="classes of images"):
-        ClassLearner(classes=("polyp",))
+        ClassificationTask(classes=("polyp",))

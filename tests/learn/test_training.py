@@ -10,18 +10,18 @@ pytest.importorskip("segmentation_models_pytorch", reason="its package is not in
 
 from small_frames import small_sequence  # noqa: E402
 from vrcaps.core.errors import InputError, UnknownNameError  # noqa: E402
-from vrcaps.learn.classes import ClassLearner  # noqa: E402
-from vrcaps.learn.depth import DepthLearner, depth_of, light_cue  # noqa: E402
-from vrcaps.learn.masks import MaskLearner  # noqa: E402
+from vrcaps.learn.checkpoint import read_weights, write_weights  # noqa: E402
 from vrcaps.learn.networks import imagenet_weights  # noqa: E402
 from vrcaps.learn.predict import predict  # noqa: E402
 from vrcaps.learn.samples import batch_of, samples_of  # noqa: E402
-from vrcaps.learn.super_resolution import SuperResolutionLearner  # noqa: E402
-from vrcaps.learn.training import BEST, Machine, TrainSettings, train  # noqa: E402
-from vrcaps.learn.weights import read_weights, write_weights  # noqa: E402
+from vrcaps.learn.tasks.classification import ClassificationTask  # noqa: E402
+from vrcaps.learn.tasks.depth import DepthTask, depth_of, light_cue  # noqa: E402
+from vrcaps.learn.tasks.segmentation import SegmentationTask  # noqa: E402
+from vrcaps.learn.tasks.super_resolution import SuperResolutionTask  # noqa: E402
+from vrcaps.learn.training import BEST, ComputeSettings, TrainSettings, train  # noqa: E402
 
-DEPTH = DepthLearner(size=32)
-CPU = Machine("cpu")
+DEPTH = DepthTask(size=32)
+CPU = ComputeSettings("cpu")
 
 
 def _train(learner, out, report=lambda progress: None, **changes):
@@ -44,7 +44,7 @@ def test_loss_of_the_truth_is_zero_and_its_gradient_is_right():
 
 
 def test_loss_of_masks_ignores_what_lies_beyond_the_image():
-    learner = MaskLearner(size=32)
+    learner = SegmentationTask(size=32)
     mask = torch.zeros(1, 1, 32, 32, dtype=torch.uint8)
     mask[..., 8:16, 8:16], mask[..., 24:, :] = 1, 2
     output = torch.randn(1, 1, 32, 32)
@@ -66,7 +66,7 @@ def test_cue_of_the_light_is_the_logarithm_of_distance():
 
 @pytest.mark.parametrize("factor", [2, 4])
 def test_new_network_for_super_resolution_enlarges_as_bicubic(factor):
-    learner = SuperResolutionLearner(factor, size=32, blocks=1, features=8)
+    learner = SuperResolutionTask(factor, size=32, blocks=1, features=8)
     sequence = small_sequence()
     sample = learner.sample(sequence, 1)
     assert sample["truth"].shape == (48, 48, 3)
@@ -85,7 +85,7 @@ def test_new_network_for_super_resolution_enlarges_as_bicubic(factor):
 @pytest.mark.parametrize("classes", [("normal", "polyp"), ("a", "b", "c", "d")])
 def test_a_new_classifier_gives_all_classes_the_same_chance(classes):
     """Cross entropy then begins at ln c."""
-    learner = ClassLearner(classes, size=32)
+    learner = ClassificationTask(classes, size=32)
     network = learner.network(is_pretrained=False).train()
     batch = {"image": torch.rand(4, 3, 32, 32), "class": torch.tensor([0, 1, 0, 1])}
     assert learner.loss(network, batch)["loss"].item() == pytest.approx(np.log(len(classes)))
@@ -107,7 +107,7 @@ def test_imagenet_weights_know_a_cat():
 
 @pytest.mark.slow
 def test_training_that_was_cut_off_ends_in_the_same_bytes(tmp_path):
-    learner = MaskLearner(size=32)
+    learner = SegmentationTask(size=32)
 
     class Killed(Exception):
         pass
@@ -163,7 +163,7 @@ def test_frozen_batch_normalization_keeps_its_statistics_and_learns(tmp_path):
 
 @pytest.mark.slow
 def test_super_resolution_is_learned(tmp_path):
-    learner = SuperResolutionLearner(2, size=32, blocks=2, features=16)
+    learner = SuperResolutionTask(2, size=32, blocks=2, features=16)
     row = _train(learner, tmp_path, steps=60, evaluate_every=60, rate=3e-3).rows[-1]
     assert row["psnr"] > row["psnr_bicubic"] + 0.3
 
@@ -190,7 +190,7 @@ def test_bad_input_is_one_clear_line(tmp_path):
     with pytest.raises(InputError, match=r"Cannot read .*bad\.safetensors"):
         read_weights(tmp_path / "bad.safetensors")
     with pytest.raises(UnknownNameError, match="encoder of timm"):
-        DepthLearner(encoder="resnet1520").network(is_pretrained=False)
+        DepthTask(encoder="resnet1520").network(is_pretrained=False)
     with pytest.raises(InputError, match="holds numbers that are not finite"):
         _train(DEPTH, tmp_path / "nan", steps=2, start=str(_broken(tmp_path)))
 
@@ -200,7 +200,7 @@ def test_training_that_diverges_ends_in_one_line(tmp_path, monkeypatch):
     def nan_loss(self, network, batch):
         return {"loss": torch.nan * next(network.parameters()).sum()}
 
-    monkeypatch.setattr(DepthLearner, "loss", nan_loss)
+    monkeypatch.setattr(DepthTask, "loss", nan_loss)
     with pytest.raises(InputError, match="The loss is nan at step 0"):
         _train(DEPTH, tmp_path, steps=2)
 

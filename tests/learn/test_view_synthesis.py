@@ -13,11 +13,12 @@ from small_frames import small_sequence  # noqa: E402
 from vrcaps.camera.camera import Camera, pixel_grid  # noqa: E402
 from vrcaps.camera.lens import LensEquidistant, LensKannalaBrandt, LensPinhole  # noqa: E402
 from vrcaps.core.errors import InputError  # noqa: E402
-from vrcaps.learn.depth import MIDDLE  # noqa: E402
-from vrcaps.learn.fit import Fit  # noqa: E402
+from vrcaps.learn.checkpoint import read_weights  # noqa: E402
+from vrcaps.learn.letterbox import Letterbox  # noqa: E402
 from vrcaps.learn.samples import Samples, batch_of  # noqa: E402
-from vrcaps.learn.sfm import SfmLearner, estimated_trajectory  # noqa: E402
-from vrcaps.learn.training import BEST, Machine, TrainSettings, train  # noqa: E402
+from vrcaps.learn.tasks.depth import MIDDLE  # noqa: E402
+from vrcaps.learn.tasks.sfm import SfmTask, estimated_trajectory  # noqa: E402
+from vrcaps.learn.training import BEST, ComputeSettings, TrainSettings, train  # noqa: E402
 from vrcaps.learn.view_synthesis import (  # noqa: E402
     inconsistency_of,
     matched_brightness,
@@ -26,7 +27,6 @@ from vrcaps.learn.view_synthesis import (  # noqa: E402
     predicted,
     smoothness,
 )
-from vrcaps.learn.weights import read_weights  # noqa: E402
 
 SIDE, RADIUS = 32, 0.03
 PINHOLE = LensPinhole(fx=22.0, fy=23.0, cx=15.2, cy=15.9, k1=-0.05, k2=0.01, p1=1e-3, p2=-2e-3)
@@ -44,7 +44,7 @@ def _rays(lens):
 
 
 def _views(lens):
-    return [(Fit(SIDE, SIDE, SIDE), Camera("front", lens, SIDE, SIDE))]
+    return [(Letterbox(SIDE, SIDE, SIDE), Camera("front", lens, SIDE, SIDE))]
 
 
 def _sphere(lens, T_world_camera):
@@ -127,17 +127,21 @@ def test_true_distances_and_motion_predict_the_frame(lens):
 @pytest.mark.slow
 def test_learner_trains_and_writes_a_trajectory(tmp_path):
     pytest.importorskip("segmentation_models_pytorch", reason="its package is not installed")
-    learner, sequence = SfmLearner(size=32), small_sequence()
+    learner, sequence = SfmTask(size=32), small_sequence()
     samples = Samples(learner, [(sequence, k) for k in (1, 2)])
     settings = TrainSettings(learner, start="scratch", steps=2, batch=2, evaluate_every=2)
-    (row,) = train(settings, samples, samples, tmp_path / "run", machine=Machine("cpu")).rows
+    (row,) = train(
+        settings, samples, samples, tmp_path / "run", machine=ComputeSettings("cpu")
+    ).rows
     assert np.isfinite(row["loss"])
     trained = read_weights(tmp_path / "run" / BEST, task="sfm")
     poses = estimated_trajectory(trained, sequence).Ts_world_camera
     assert poses.shape == (len(sequence), 4, 4)
     np.testing.assert_allclose(np.linalg.det(poses[:, :3, :3]), 1.0, atol=1e-5)
     step = np.linalg.inv(poses[4]) @ poses[5]
-    frames = batch_of([{"image": Fit(48, 48, 32).image(sequence.image("rgb", k))} for k in (5, 4)])
+    frames = batch_of(
+        [{"image": Letterbox(48, 48, 32).image(sequence.image("rgb", k))} for k in (5, 4)]
+    )
     with torch.inference_mode():
         motion = trained.network.motion(frames["image"][:1], frames["image"][1:])
     expected = matrix_of(motion)[0].numpy()
@@ -150,7 +154,7 @@ def test_learner_trains_and_writes_a_trajectory(tmp_path):
 
 def test_true_distances_and_motion_cost_nothing_under_supervision():
     sequence = ellipsoid_sequence(EQUIDISTANT, SIDE, SIDE)
-    learner = SfmLearner(size=32, supervision=1.0)
+    learner = SfmTask(size=32, supervision=1.0)
     batch = batch_of([learner.sample(sequence, k) for k in learner.items(sequence)])
     Ts = torch.stack([batch[f"T_{name}_own"] for name in ("before", "after")])
 
@@ -182,7 +186,7 @@ def test_true_distances_and_motion_cost_nothing_under_supervision():
     blind = replace(sequence, channels=("rgb",))
     with pytest.raises(InputError, match="Supervision needs depth, which ball/front has not"):
         learner.items(blind)
-    assert "T_before_own" not in SfmLearner(size=32).sample(sequence, 1)
+    assert "T_before_own" not in SfmTask(size=32).sample(sequence, 1)
 
 
 def test_gradients_are_those_of_finite_differences():

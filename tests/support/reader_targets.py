@@ -385,12 +385,12 @@ def _weights(folder: Path) -> Sequence[Target]:
         import torch
     except ImportError:
         return ()
-    from vrcaps.learn.super_resolution import SuperResolutionLearner
-    from vrcaps.learn.weights import read_weights, write_weights
+    from vrcaps.learn.checkpoint import read_weights, write_weights
+    from vrcaps.learn.tasks.super_resolution import SuperResolutionTask
 
     place = folder / "weights"
     place.mkdir()
-    learner = SuperResolutionLearner(blocks=1, features=8)
+    learner = SuperResolutionTask(blocks=1, features=8)
     write_weights(place / "w.safetensors", learner, learner.network(is_pretrained=False), {})
 
     def read(where: Path) -> None:

@@ -13,7 +13,7 @@ from vrcaps.cli.console import console, progress_bar
 from vrcaps.cli.parts import command_of, part_of
 from vrcaps.cli.paths import require_sources
 from vrcaps.core.errors import InputError
-from vrcaps.learn.registry import LEARNERS, AnyLearner
+from vrcaps.learn.registry import LEARNERS, AnyTask
 
 if TYPE_CHECKING:
     from vrcaps.learn.samples import Samples
@@ -65,7 +65,7 @@ class _Train:
     force: bool = False
     """Resume a training that was started with another version of vrcaps or of a package."""
 
-    part: ClassVar[type[AnyLearner]]
+    part: ClassVar[type[AnyTask]]
 
     def run(self) -> None:
         """Train and report.
@@ -74,14 +74,14 @@ class _Train:
             InputError: If the data are not suitable for training.
         """
         require_sources((*self.data, *self.validation))
-        from vrcaps.learn.published import SUFFIX, find_weights
+        from vrcaps.learn.hub import SUFFIX, find_weights
 
         if self.start.endswith(SUFFIX):
             find_weights(self.start)
         from vrcaps.formats.sources import read_sources
         from vrcaps.learn.presets import settings_of
         from vrcaps.learn.samples import samples_of, split_samples
-        from vrcaps.learn.training import BEST, Machine, Progress, train
+        from vrcaps.learn.training import BEST, ComputeSettings, Progress, train
 
         learner = part_of(self)
         settings = settings_of(
@@ -114,7 +114,7 @@ class _Train:
                 samples,
                 held_out,
                 self.out,
-                machine=Machine(self.device, self.threads),
+                machine=ComputeSettings(self.device, self.threads),
                 is_forced=self.force,
                 tensorboard=self.tensorboard,
                 report=report,
@@ -182,12 +182,12 @@ class _Evaluate:
         require_sources(self.data)
         from vrcaps.core.files import file_sha256, write_csv
         from vrcaps.formats.sources import read_sources
+        from vrcaps.learn.checkpoint import read_weights
         from vrcaps.learn.evaluation import Evaluation, write_evaluation
-        from vrcaps.learn.published import find_weights
+        from vrcaps.learn.hub import find_weights
         from vrcaps.learn.samples import samples_of
         from vrcaps.learn.training import chosen_device
         from vrcaps.learn.validation import validate, write_pictures
-        from vrcaps.learn.weights import read_weights
 
         weights = find_weights(self.weights, self.task)
         trained = read_weights(weights, task=self.task, device=chosen_device(self.device))
@@ -248,13 +248,13 @@ class _Predict:
             InputError: If weights and images do not match.
         """
         require_sources((self.images,))
-        from vrcaps.learn.published import find_weights
+        from vrcaps.learn.hub import find_weights
 
         weights = find_weights(self.weights, self.task)
         from vrcaps.core.files import require_new_folder
+        from vrcaps.learn.checkpoint import read_weights
         from vrcaps.learn.predict import images_of, predict
         from vrcaps.learn.training import chosen_device
-        from vrcaps.learn.weights import read_weights
 
         require_new_folder(self.out)
         field = None if self.fov is None else radians(self.fov)

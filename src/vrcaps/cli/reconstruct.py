@@ -156,8 +156,8 @@ class Reconstruct:
             require_file(self.poses, "a trajectory in the form of TUM")
 
     def _fused(self, sequence: FrameSequence, out: Path) -> tuple[Mesh, np.ndarray]:
-        from vrcaps.learn.published import find_weights
-        from vrcaps.learn.weights import read_weights
+        from vrcaps.learn.checkpoint import read_weights
+        from vrcaps.learn.hub import find_weights
         from vrcaps.tools.reconstruction.estimates import (
             read_depth,
             read_poses,

@@ -28,7 +28,7 @@ class List:
         """
         from rich.table import Table
 
-        from vrcaps.learn.published import read_index, weights_folder
+        from vrcaps.learn.hub import read_index, weights_folder
 
         place = weights_folder()
         table = Table(box=None, padding=(0, 2, 0, 0))
@@ -84,8 +84,8 @@ class Publish:
             require_folder(scored, "an evaluation")
         if self.notes is not None:
             require_file(self.notes, "a file of Markdown")
+        from vrcaps.learn.hub import weights_folder
         from vrcaps.learn.publish import publish
-        from vrcaps.learn.published import weights_folder
 
         place = str(self.out or weights_folder())
         if "://" in place:
@@ -129,9 +129,9 @@ class Export:
             InputError: If there are no such weights.
         """
         from vrcaps.core.errors import MissingExtraError, require
+        from vrcaps.learn.checkpoint import read_weights
+        from vrcaps.learn.hub import find_weights
         from vrcaps.learn.onnx import onnx_difference, write_onnx
-        from vrcaps.learn.published import find_weights
-        from vrcaps.learn.weights import read_weights
 
         require(self.out.suffix == ".onnx", "--out", self.out, "a name that ends in .onnx")
         trained = read_weights(find_weights(self.weights))

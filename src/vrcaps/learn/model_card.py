@@ -15,9 +15,9 @@ from typing import Any
 
 from vrcaps.config.convert import to_plain
 from vrcaps.learn.evaluation import Evaluation
-from vrcaps.learn.learner import INPUTS
-from vrcaps.learn.published import PublishedWeights
-from vrcaps.learn.registry import AnyLearner
+from vrcaps.learn.hub import PublishedWeights
+from vrcaps.learn.registry import AnyTask
+from vrcaps.learn.task import INPUTS
 from vrcaps.learn.training import TrainSettings
 
 _NOTES = "<!-- Below is written by hand; it stays when the weights are published again. -->"
@@ -164,7 +164,7 @@ def _use(entry: PublishedWeights) -> list[str]:
     ]
 
 
-def _settings_text(learner: AnyLearner) -> str:
+def _settings_text(learner: AnyTask) -> str:
     return ", ".join(
         f"{field.name.replace('_', ' ')} {_value_text(getattr(learner, field.name))}"
         for field in fields(learner)

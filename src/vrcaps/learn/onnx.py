@@ -14,15 +14,15 @@ from vrcaps.config.convert import to_plain
 from vrcaps.core import rng
 from vrcaps.core.errors import import_extra
 from vrcaps.core.files import atomic_write
-from vrcaps.learn.learner import INPUTS
+from vrcaps.learn.checkpoint import TrainedNetwork
 from vrcaps.learn.networks import require_torch
-from vrcaps.learn.super_resolution import SuperResolutionLearner
-from vrcaps.learn.weights import Trained
+from vrcaps.learn.task import INPUTS
+from vrcaps.learn.tasks.super_resolution import SuperResolutionTask
 
 _OUTPUT = "output"
 
 
-def write_onnx(path: Path, trained: Trained) -> None:
+def write_onnx(path: Path, trained: TrainedNetwork) -> None:
     """Write a trained network as ONNX atomically.
 
     The batch size is dynamic. For super-resolution the image size is dynamic as well, but for
@@ -31,7 +31,7 @@ def write_onnx(path: Path, trained: Trained) -> None:
 
     Args:
         path: File to write.
-        trained: Learner and network; of `sfm` its distance network.
+        trained: Task and network; of `sfm` its distance network.
 
     Raises:
         MissingExtraError: If onnx is not installed.
@@ -39,7 +39,7 @@ def write_onnx(path: Path, trained: Trained) -> None:
     torch, onnx = require_torch(), import_extra("onnx", "learn")
     learner = trained.learner
     free = {0: "batch"}
-    if isinstance(learner, SuperResolutionLearner):
+    if isinstance(learner, SuperResolutionTask):
         free |= {2: "height", 3: "width"}
     with atomic_write(path) as temporary, warnings.catch_warnings():
         # PyTorch's newer exporter creates the same graph but takes twenty times as long.
@@ -64,7 +64,7 @@ def write_onnx(path: Path, trained: Trained) -> None:
         onnx.save(model, temporary)
 
 
-def onnx_difference(path: Path, trained: Trained) -> float:
+def onnx_difference(path: Path, trained: TrainedNetwork) -> float:
     """Maximum absolute difference between the outputs of an ONNX file and of the network.
 
     It is computed on three random inputs, a batch size other than that of the export.
@@ -81,7 +81,7 @@ def onnx_difference(path: Path, trained: Trained) -> float:
     return float(np.abs(found - expected).max())
 
 
-def _example(trained: Trained, count: int = 2) -> dict[str, Any]:
+def _example(trained: TrainedNetwork, count: int = 2) -> dict[str, Any]:
     """Random inputs [n 3 s s] between 0 and 1."""
     size = trained.learner.size
     chance = rng.stream(0, "learn/onnx", count)

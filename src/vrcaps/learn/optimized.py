@@ -10,7 +10,7 @@ _MAX_GRADIENT = 1.0
 """Maximum norm of the gradients, by clipping."""
 
 
-class Optimized:
+class NetworkOptimizer:
     """A network that AdamW optimizes."""
 
     def __init__(self, network: Any, *, weight_decay: float, momentum: float = 0.9) -> None:

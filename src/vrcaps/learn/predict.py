@@ -18,14 +18,14 @@ from vrcaps.core.names import inside
 from vrcaps.formats.images import file_name
 from vrcaps.formats.sources import read_source
 from vrcaps.formats.tum import trajectory_text
-from vrcaps.learn.depth import LENS_NEEDED
-from vrcaps.learn.fit import Fit
+from vrcaps.learn.checkpoint import TrainedNetwork
+from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.picture_border import PictureView, assumed_camera, input_image, view_of
 from vrcaps.learn.registry import LEARNERS
 from vrcaps.learn.samples import batch_of
-from vrcaps.learn.sfm import SfmLearner, estimated_trajectory
+from vrcaps.learn.tasks.depth import LENS_NEEDED
+from vrcaps.learn.tasks.sfm import SfmTask, estimated_trajectory
 from vrcaps.learn.validation import below_one_another
-from vrcaps.learn.weights import Trained
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.recording.image_files import write_images
 
@@ -68,7 +68,7 @@ def images_of(
 
 
 def predict(
-    trained: Trained,
+    trained: TrainedNetwork,
     sequences: tuple[FrameSequence, ...],
     out: Path,
     *,
@@ -84,7 +84,7 @@ def predict(
     everything is written.
 
     Args:
-        trained: Learner and network.
+        trained: Task and network.
         sequences: Input images.
         out: Output folder, new or empty.
         field_of_view: Angle across the picture [rad] of an assumed lens, if there is no camera.
@@ -101,7 +101,7 @@ def predict(
 
 
 def _write_estimates(
-    trained: Trained,
+    trained: TrainedNetwork,
     sequences: tuple[FrameSequence, ...],
     out: Path,
     field_of_view: float | None,
@@ -123,7 +123,7 @@ def _write_estimates(
             skipped[name] = reason_of(error)
             continue
         read.append((sequence, index))
-        fit = Fit(view.image.shape[0], view.image.shape[1], trained.learner.size)
+        fit = Letterbox(view.image.shape[0], view.image.shape[1], trained.learner.size)
         sample = trained.learner.inputs(view.image, fit, view.camera)
         output = trained(batch_of([sample]))[0]
         path = inside(out, name)
@@ -141,7 +141,7 @@ def _write_estimates(
         progress(number + 1, len(frames))
     if not rows:
         raise InputError(f"No image can be read: {next(iter(skipped.values()), 'there is none')}")
-    if isinstance(trained.learner, SfmLearner):
+    if isinstance(trained.learner, SfmTask):
         _write_trajectories(trained, read, out, field_of_view)
     if len(rows[0]) > 1:
         write_csv(out / f"{trained.learner.kind}.csv", rows)
@@ -155,7 +155,7 @@ def _in_place(view: PictureView, estimate: NDArray) -> NDArray:
 
 
 def _write_trajectories(
-    trained: Trained,
+    trained: TrainedNetwork,
     frames: list[tuple[FrameSequence, int]],
     out: Path,
     field_of_view: float | None,

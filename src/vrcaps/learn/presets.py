@@ -8,10 +8,10 @@ from typing import Any
 
 from vrcaps.config.convert import from_plain, to_plain
 from vrcaps.core.errors import UnknownNameError
-from vrcaps.learn.classes import ClassLearner
-from vrcaps.learn.first_network import SCRATCH
-from vrcaps.learn.registry import AnyLearner
-from vrcaps.learn.super_resolution import SuperResolutionLearner
+from vrcaps.learn.initialize import SCRATCH
+from vrcaps.learn.registry import AnyTask
+from vrcaps.learn.tasks.classification import ClassificationTask
+from vrcaps.learn.tasks.super_resolution import SuperResolutionTask
 from vrcaps.learn.training import TrainSettings
 from vrcaps.scenario.settings import changed, parse_change
 
@@ -27,12 +27,12 @@ _ENDO_L2H: dict[str, Any] = {
 """Super-resolution settings of the paper; the user sets the factor, which is 4 in the paper."""
 
 
-def default(learner: AnyLearner) -> TrainSettings:
+def default(learner: AnyTask) -> TrainSettings:
     """Default settings of vrcaps."""
     return TrainSettings(learner)
 
 
-def paper(learner: AnyLearner) -> TrainSettings:
+def paper(learner: AnyTask) -> TrainSettings:
     """Settings of the paper (Incetan et al. 2021), and default settings where it states none.
 
     Classification: ResNet-152 trained from scratch, 10 epochs of 8,714 images with batch size 32,
@@ -42,18 +42,18 @@ def paper(learner: AnyLearner) -> TrainSettings:
     style losses but never uses them, and the text gives no weights: these weights make each as
     large as the adversarial term at the start of training.
     """
-    if isinstance(learner, SuperResolutionLearner):
+    if isinstance(learner, SuperResolutionTask):
         learner = replace(learner, **_ENDO_L2H)
         return TrainSettings(
             learner, start=SCRATCH, steps=640_000, batch=1, rate=2e-4, weight_decay=0.0
         )
-    if not isinstance(learner, ClassLearner):
+    if not isinstance(learner, ClassificationTask):
         return default(learner)
     learner = replace(learner, encoder="resnet152", size=224)
     return TrainSettings(learner, start=SCRATCH, steps=2723, batch=32, rate=1e-3)
 
 
-def ci(learner: AnyLearner) -> TrainSettings:
+def ci(learner: AnyTask) -> TrainSettings:
     """Smoke-test preset: runs for a minute on one core."""
     learner = replace(learner, size=64)
     return TrainSettings(
@@ -65,7 +65,7 @@ PRESETS = {"ci": ci, "default": default, "paper": paper}
 
 
 def settings_of(
-    learner: AnyLearner,
+    learner: AnyTask,
     preset: str,
     data: Sequence[str],
     start: str,

@@ -15,13 +15,13 @@ from vrcaps.core.files import file_sha256, write_bytes
 from vrcaps.data.ledger import read_plain_plan
 from vrcaps.data.store import open_store
 from vrcaps.formats.registry import FORMATS
+from vrcaps.learn.checkpoint import TrainedNetwork, read_weights
 from vrcaps.learn.evaluation import Evaluation, read_evaluation
+from vrcaps.learn.hub import SUFFIX, PublishedWeights, add_to_index, check_name
 from vrcaps.learn.model_card import Training, card_text, notes_of
-from vrcaps.learn.published import SUFFIX, PublishedWeights, add_to_index, check_name
-from vrcaps.learn.registry import AnyLearner
+from vrcaps.learn.registry import AnyTask
 from vrcaps.learn.responses import require_responses
 from vrcaps.learn.training import BEST, PROGRESS, TrainSettings
-from vrcaps.learn.weights import Trained, read_weights
 from vrcaps.training.folder import SETTINGS
 
 MAX_BYTES = 25 * 10**6
@@ -93,7 +93,7 @@ def _evaluation(folder: Path, sha256: str) -> Evaluation:
     return found
 
 
-def _training(run: Path, trained: Trained) -> Training:
+def _training(run: Path, trained: TrainedNetwork) -> Training:
     """Read the facts of a training from its folder."""
     path = run / SETTINGS
     stated = read_plain(path, "settings")
@@ -149,7 +149,7 @@ def _by_name(training: Training, scored: Sequence[Evaluation]) -> tuple[Training
     return training, [replace(one, data=renamed(one.data)) for one in scored]
 
 
-def _summary(learner: AnyLearner, training: Training, scored: Sequence[Evaluation]) -> str:
+def _summary(learner: AnyTask, training: Training, scored: Sequence[Evaluation]) -> str:
     """One-line summary of the weights with their main metric."""
     meaning = (type(learner).__doc__ or "").partition("\n")[0].rstrip(".")
     figure = learner.figure.name

@@ -3,24 +3,24 @@
 from typing import TypeAlias
 
 from vrcaps.core.errors import UnknownNameError
-from vrcaps.learn.classes import ClassLearner
-from vrcaps.learn.depth import DepthLearner
-from vrcaps.learn.masks import MaskLearner
-from vrcaps.learn.sfm import SfmLearner
-from vrcaps.learn.super_resolution import SuperResolutionLearner
+from vrcaps.learn.tasks.classification import ClassificationTask
+from vrcaps.learn.tasks.depth import DepthTask
+from vrcaps.learn.tasks.segmentation import SegmentationTask
+from vrcaps.learn.tasks.sfm import SfmTask
+from vrcaps.learn.tasks.super_resolution import SuperResolutionTask
 
-AnyLearner: TypeAlias = (
-    DepthLearner | MaskLearner | ClassLearner | SuperResolutionLearner | SfmLearner
+AnyTask: TypeAlias = (
+    DepthTask | SegmentationTask | ClassificationTask | SuperResolutionTask | SfmTask
 )
 
-LEARNERS: dict[str, type[AnyLearner]] = {
+LEARNERS: dict[str, type[AnyTask]] = {
     learner.kind: learner
-    for learner in (DepthLearner, MaskLearner, ClassLearner, SuperResolutionLearner, SfmLearner)
+    for learner in (DepthTask, SegmentationTask, ClassificationTask, SuperResolutionTask, SfmTask)
 }
 """Learners by the names of their tasks."""
 
 
-def learner_named(kind: str) -> type[AnyLearner]:
+def learner_named(kind: str) -> type[AnyTask]:
     """Return the learner of a task.
 
     Raises:

@@ -11,16 +11,16 @@ import numpy as np
 from vrcaps.capsule.catalog import read_device
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError
-from vrcaps.learn.fit import Fit
-from vrcaps.learn.learner import Sample
+from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.networks import require_torch
 from vrcaps.learn.samples import batch_of
-from vrcaps.learn.sfm import SfmLearner
+from vrcaps.learn.task import Sample
+from vrcaps.learn.tasks.sfm import SfmTask
 
 if TYPE_CHECKING:
     from jaxtyping import Float, UInt8
 
-    from vrcaps.learn.weights import Trained
+    from vrcaps.learn.checkpoint import TrainedNetwork
 
 MIN_RESPONSE = 0.01
 """Minimum change of each output, relative to its root mean square. Outputs of the published
@@ -31,14 +31,14 @@ _WAVELENGTHS = (0.5, 0.2, 0.05, 0.3)
 _CAPSULES = ("pillcam-colon2", "mono", "panoramic", "mirocam")
 
 
-def responses(trained: Trained, samples: Sequence[Sample]) -> dict[str, float]:
+def responses(trained: TrainedNetwork, samples: Sequence[Sample]) -> dict[str, float]:
     """Change of each output between samples, relative to its root mean square.
 
     One input changes at a time; the others are those of the first sample.
 
     Args:
-        trained: Learner and network.
-        samples: Two or more inputs of the network, as `Learner.inputs` returns them.
+        trained: Task and network.
+        samples: Two or more inputs of the network, as `Task.inputs` returns them.
 
     Returns:
         The change by the name of the output, its channel and the input, such as
@@ -54,7 +54,7 @@ def responses(trained: Trained, samples: Sequence[Sample]) -> dict[str, float]:
     return found
 
 
-def require_responses(trained: Trained) -> None:
+def require_responses(trained: TrainedNetwork) -> None:
     """Check that each output of a network depends on its image.
 
     Raises:
@@ -69,9 +69,9 @@ def require_responses(trained: Trained) -> None:
             )
 
 
-def probes(trained: Trained) -> list[Sample]:
+def probes(trained: TrainedNetwork) -> list[Sample]:
     """Inputs of a network that differ in color, pattern and lens; the same on every run."""
-    fit = Fit(_SIDE, _SIDE, trained.learner.size)
+    fit = Letterbox(_SIDE, _SIDE, trained.learner.size)
     cameras = [read_device(name).cameras[0] for name in _CAPSULES]
     return [
         trained.learner.inputs(_probe(k), fit, replace(camera, width=_SIDE, height=_SIDE))
@@ -89,10 +89,10 @@ def _probe(number: int) -> UInt8[np.ndarray, "s s 3"]:
     return np.clip(bright[..., None] * _COLORS[number], 0, 255).astype(np.uint8)
 
 
-def _outputs(trained: Trained, batch: dict[str, Any]) -> dict[str, np.ndarray]:
+def _outputs(trained: TrainedNetwork, batch: dict[str, Any]) -> dict[str, np.ndarray]:
     """All outputs [b c …] of a network, by name."""
     found = {"output": trained(batch)}
-    if isinstance(trained.learner, SfmLearner):
+    if isinstance(trained.learner, SfmTask):
         with require_torch().inference_mode():
             image = batch["image"]
             motion = trained.network.motion(image, image.roll(1, 0))

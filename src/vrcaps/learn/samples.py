@@ -10,9 +10,9 @@ import numpy as np
 
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError, reason_of
-from vrcaps.learn.classes import ClassLearner
-from vrcaps.learn.learner import Batch, Learner, Sample
 from vrcaps.learn.networks import require_torch
+from vrcaps.learn.task import Batch, Sample, Task
+from vrcaps.learn.tasks.classification import ClassificationTask
 from vrcaps.recording.frame_sequence import FrameSequence
 
 if TYPE_CHECKING:
@@ -29,12 +29,12 @@ class Samples:
     """Frames that a learner can use.
 
     Attributes:
-        learner: Learner that reads the frames.
+        learner: Task that reads the frames.
         frames: Sequence and index of each frame.
         skipped: Reasons of unreadable frames, by name; they are counted but not used.
     """
 
-    learner: Learner
+    learner: Task
     frames: Sequence[tuple[FrameSequence, int]]
     skipped: dict[str, str] = field(default_factory=dict)
     _kept: dict[int, Sample] = field(default_factory=dict, repr=False)
@@ -85,7 +85,7 @@ class Samples:
         return np.unique(np.linspace(0, len(self) - 1, min(count, len(self))).astype(int))
 
 
-def samples_of(learner: Learner, sequences: Sequence[FrameSequence]) -> Samples:
+def samples_of(learner: Task, sequences: Sequence[FrameSequence]) -> Samples:
     """Collect all usable frames of sequences.
 
     Raises:
@@ -98,7 +98,7 @@ def samples_of(learner: Learner, sequences: Sequence[FrameSequence]) -> Samples:
     return Samples(learner, frames)
 
 
-def split_samples(learner: Learner, sequences: Sequence[FrameSequence]) -> tuple[Samples, Samples]:
+def split_samples(learner: Task, sequences: Sequence[FrameSequence]) -> tuple[Samples, Samples]:
     """Split frames into training and validation frames.
 
     Existing splits `train` and `val` are kept. Data without a `val` split is split by patient if it
@@ -129,9 +129,9 @@ def split_samples(learner: Learner, sequences: Sequence[FrameSequence]) -> tuple
     return Samples(learner, before), Samples(learner, after)
 
 
-def _frames(learner: Learner, sequence: FrameSequence) -> list[tuple[FrameSequence, int]]:
+def _frames(learner: Task, sequence: FrameSequence) -> list[tuple[FrameSequence, int]]:
     """Usable frames of a sequence."""
-    if isinstance(learner, ClassLearner):
+    if isinstance(learner, ClassificationTask):
         sequence = learner.with_classes(sequence)
     return [(sequence, index) for index in learner.items(sequence)]
 

@@ -17,16 +17,16 @@ from vrcaps.config.limits import Range, check_fields
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import atomic_write, write_csv
-from vrcaps.learn.classes import ClassLearner
-from vrcaps.learn.depth import DepthLearner
-from vrcaps.learn.first_network import IMAGENET, first_network, origin
-from vrcaps.learn.learner import Adversarial
+from vrcaps.learn.checkpoint import TrainedNetwork, write_weights
+from vrcaps.learn.initialize import IMAGENET, initialized_network, origin
 from vrcaps.learn.networks import freeze_batch_norm, require_torch
-from vrcaps.learn.optimized import Optimized
-from vrcaps.learn.registry import AnyLearner
+from vrcaps.learn.optimized import NetworkOptimizer
+from vrcaps.learn.registry import AnyTask
 from vrcaps.learn.samples import Samples, batch_of
+from vrcaps.learn.task import Adversarial
+from vrcaps.learn.tasks.classification import ClassificationTask
+from vrcaps.learn.tasks.depth import DepthTask
 from vrcaps.learn.validation import validate, write_pictures
-from vrcaps.learn.weights import Trained, write_weights
 from vrcaps.training.folder import begin_training
 from vrcaps.training.threads import exact_torch
 
@@ -62,7 +62,7 @@ class TrainSettings:
         seed: Random seed.
     """
 
-    learner: AnyLearner = field(default_factory=DepthLearner)
+    learner: AnyTask = field(default_factory=DepthTask)
     data: tuple[str, ...] = ()
     validation: tuple[str, ...] = ()
     start: str = IMAGENET
@@ -98,7 +98,7 @@ class Progress:
 
 
 @dataclass(frozen=True)
-class Machine:
+class ComputeSettings:
     """Compute settings: device and number of threads.
 
     Attributes:
@@ -119,7 +119,7 @@ def train(
     validation: Samples,
     out: Path,
     *,
-    machine: Machine | None = None,
+    machine: ComputeSettings | None = None,
     is_forced: bool = False,
     tensorboard: bool = False,
     report: Callable[[Progress], None] = lambda progress: None,
@@ -144,13 +144,13 @@ def train(
             checkpoint is kept.
         MissingExtraError: If a package is not installed.
     """
-    machine = machine or Machine()
+    machine = machine or ComputeSettings()
     device = chosen_device(machine.device)
     plain = to_plain(settings, TrainSettings)
     plain["frames"] = [len(samples), len(validation)]
     begin_training(out, plain, _PACKAGES, is_forced=is_forced)
     samples = samples.subset(settings.fraction, settings.seed)
-    if isinstance(settings.learner, ClassLearner):
+    if isinstance(settings.learner, ClassificationTask):
         settings.learner.require_classes(samples.frames)
     # Some operations of the learners have no deterministic implementation on a GPU.
     with exact_torch(machine.threads) if device == "cpu" else nullcontext():
@@ -201,7 +201,7 @@ class _Run:
         self.out, self.device, self.learner = out, device, settings.learner
         torch.manual_seed(settings.seed)
         # The channels-last memory format reduces the time of convolutions to two thirds.
-        self.network = first_network(settings.learner, settings.start).to(
+        self.network = initialized_network(settings.learner, settings.start).to(
             device, memory_format=torch.channels_last
         )
         self._origin = origin(settings.start)
@@ -250,7 +250,7 @@ class _Run:
 
     def evaluate(self, writer: Any) -> None:
         """Evaluate, keep the best weights, and write the checkpoint."""
-        trained = Trained(self.learner, self.network.eval(), {}, self.device, threads=None)
+        trained = TrainedNetwork(self.learner, self.network.eval(), {}, self.device, threads=None)
         found = validate(trained, self.validation, self.settings.evaluation_frames)
         value, progress = found.scores[self.learner.figure.name], self.progress
         row = {
@@ -332,13 +332,15 @@ def _adversary(settings: TrainSettings, device: str) -> Any | None:
     return None if found is None else found.to(device)
 
 
-def _optimized(settings: TrainSettings, network: Any, adversary: Any | None) -> list[Optimized]:
+def _optimized(
+    settings: TrainSettings, network: Any, adversary: Any | None
+) -> list[NetworkOptimizer]:
     """The networks to train, each with its optimizer."""
     decay = settings.weight_decay
     if adversary is None:
-        return [Optimized(network, weight_decay=decay)]
+        return [NetworkOptimizer(network, weight_decay=decay)]
     return [
-        Optimized(one, weight_decay=decay, momentum=_ADVERSARIAL_MOMENTUM)
+        NetworkOptimizer(one, weight_decay=decay, momentum=_ADVERSARIAL_MOMENTUM)
         for one in (network, adversary)
     ]
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.learn.learner import Learner, Sample
+from vrcaps.learn.checkpoint import TrainedNetwork
 from vrcaps.learn.samples import Samples, batch_of
-from vrcaps.learn.weights import Trained
+from vrcaps.learn.task import Sample, Task
 
 if TYPE_CHECKING:
     from jaxtyping import UInt8
@@ -22,7 +22,7 @@ _SHOWN = 6
 
 
 @dataclass(frozen=True)
-class Found:
+class EvaluationResult:
     """Result of an evaluation.
 
     Attributes:
@@ -36,11 +36,13 @@ class Found:
     samples: list[Sample]
 
 
-def validate(trained: Trained, samples: Samples, most: int | None = None) -> Found:
+def validate(
+    trained: TrainedNetwork, samples: Samples, most: int | None = None
+) -> EvaluationResult:
     """Evaluate a network on frames; unreadable ones are omitted and noted in `samples.skipped`.
 
     Args:
-        trained: Learner and network.
+        trained: Task and network.
         samples: Frames with ground truth.
         most: Maximum number of frames, evenly spaced; None for all.
 
@@ -62,10 +64,12 @@ def validate(trained: Trained, samples: Samples, most: int | None = None) -> Fou
     scores = dict(learner.scores(outputs, known))
     if losses:
         scores["loss"] = float(np.mean(losses))
-    return Found(scores, outputs, known)
+    return EvaluationResult(scores, outputs, known)
 
 
-def write_pictures(path: Path, learner: Learner, found: Found) -> UInt8[np.ndarray, "h w 3"]:
+def write_pictures(
+    path: Path, learner: Task, found: EvaluationResult
+) -> UInt8[np.ndarray, "h w 3"]:
     """Write a picture of a few frames below one another and return it."""
     from PIL import Image
 

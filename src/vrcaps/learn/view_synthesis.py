@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from vrcaps.learn.fit import Fit
+from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.networks import require_torch
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def predicted(
     own_output: Any,
     T_other_own: Any,
     ray: Any,
-    views: Sequence[tuple[Fit, Camera]],
+    views: Sequence[tuple[Letterbox, Camera]],
 ) -> Predicted:
     """Predict a frame from a neighbor.
 

@@ -309,9 +309,9 @@ def test_depth_of_another_source_begins_at_the_scale_of_the_frames():
 
 def test_depth_by_a_network_is_that_of_the_stitched_image():
     torch = pytest.importorskip("torch", reason="PyTorch is not installed")
-    from vrcaps.learn.depth import DepthLearner
-    from vrcaps.learn.super_resolution import SuperResolutionLearner
-    from vrcaps.learn.weights import Trained
+    from vrcaps.learn.checkpoint import TrainedNetwork
+    from vrcaps.learn.tasks.depth import DepthTask
+    from vrcaps.learn.tasks.super_resolution import SuperResolutionTask
 
     class Constant(torch.nn.Module):
         def forward(self, image, ray):
@@ -321,12 +321,12 @@ def test_depth_by_a_network_is_that_of_the_stitched_image():
     rgb[:5] = 0
     lens = LensPinhole(fx=40.0, fy=40.0, cx=29.5, cy=19.5)
     mosaic = Mosaic(rgb, np.full((40, 60), np.nan, np.float32), Camera("a", lens, 60, 40), 0, (0,))
-    depth, has_scale = estimated_depth(Trained(DepthLearner(size=32), Constant(), {}), mosaic)
+    depth, has_scale = estimated_depth(TrainedNetwork(DepthTask(size=32), Constant(), {}), mosaic)
     assert has_scale
     assert np.isnan(depth[:5]).all()
     np.testing.assert_allclose(depth[5:], 0.02, atol=1e-5)
     with pytest.raises(InputError, match=r"task 'super-resolution'\. Allowed: 'depth' or 'sfm'"):
-        estimated_depth(Trained(SuperResolutionLearner(), Constant(), {}), mosaic)
+        estimated_depth(TrainedNetwork(SuperResolutionTask(), Constant(), {}), mosaic)
 
 
 def test_bad_input_is_one_clear_line(tmp_path):

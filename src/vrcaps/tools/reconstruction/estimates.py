@@ -23,7 +23,7 @@ from vrcaps.render.channels import CHANNELS
 if TYPE_CHECKING:
     from jaxtyping import Float, UInt8
 
-    from vrcaps.learn.weights import Trained
+    from vrcaps.learn.checkpoint import TrainedNetwork
 
 _SLACK = 0.5
 """Maximum difference between the times of a pose and a frame, in frames."""
@@ -121,7 +121,7 @@ def read_depth(folder: Path, sequence: FrameSequence) -> FrameSequence:
     return with_depth(sequence, depth_of)
 
 
-def with_network_depth(sequence: FrameSequence, trained: Trained) -> FrameSequence:
+def with_network_depth(sequence: FrameSequence, trained: TrainedNetwork) -> FrameSequence:
     """Copy of a sequence with depth estimated by a network on access.
 
     Args:
@@ -146,7 +146,7 @@ def with_network_depth(sequence: FrameSequence, trained: Trained) -> FrameSequen
 
 
 def network_depth(
-    trained: Trained, rgb: UInt8[np.ndarray, "h w 3"], camera: Camera
+    trained: TrainedNetwork, rgb: UInt8[np.ndarray, "h w 3"], camera: Camera
 ) -> Float[np.ndarray, "h w"]:
     """Estimate depth z of an image [m] by a network; up to scale for the task `sfm`.
 
@@ -158,12 +158,12 @@ def network_depth(
     Raises:
         InputError: If the weights are of another task.
     """
-    from vrcaps.learn.fit import Fit
+    from vrcaps.learn.letterbox import Letterbox
     from vrcaps.learn.samples import batch_of
 
     require_depth(trained)
     height, width = rgb.shape[:2]
-    fit = Fit(height, width, trained.learner.size)
+    fit = Letterbox(height, width, trained.learner.size)
     sample = trained.learner.inputs(rgb, fit, camera)
     image = trained.learner.files(trained(batch_of([sample]))[0], fit)[".png"]
     depth = CHANNELS["depth"].encoding.decode(image)
@@ -172,7 +172,7 @@ def network_depth(
     return depth
 
 
-def require_depth(trained: Trained) -> None:
+def require_depth(trained: TrainedNetwork) -> None:
     """Check that weights belong to a task that estimates depth.
 
     Raises:

@@ -21,7 +21,7 @@ from vrcaps.tools.reconstruction.stitch import Stitched
 if TYPE_CHECKING:
     from jaxtyping import Float, UInt8
 
-    from vrcaps.learn.weights import Trained
+    from vrcaps.learn.checkpoint import TrainedNetwork
 
 _JUMP = 1.15
 """Ratio of neighboring depths above which they belong to two surfaces."""
@@ -90,8 +90,8 @@ def _depth(mosaic: Mosaic, source: DepthSource) -> tuple[Float[np.ndarray, "h w"
     if source.shading:
         return depth_from_shading(mosaic.rgb, mosaic.camera), False
     if source.weights:
-        from vrcaps.learn.published import find_weights
-        from vrcaps.learn.weights import read_weights
+        from vrcaps.learn.checkpoint import read_weights
+        from vrcaps.learn.hub import find_weights
 
         return estimated_depth(read_weights(find_weights(source.weights)), mosaic)
     if not np.isfinite(mosaic.depth).any():
@@ -127,7 +127,9 @@ def surface_of(
     return Mesh(points.reshape(-1, 3)[used], faces.reshape(-1, 3)), rgb.reshape(-1, 3)[used]
 
 
-def estimated_depth(trained: Trained, mosaic: Mosaic) -> tuple[Float[np.ndarray, "h w"], bool]:
+def estimated_depth(
+    trained: TrainedNetwork, mosaic: Mosaic
+) -> tuple[Float[np.ndarray, "h w"], bool]:
     """Estimate depth z of a stitched image by a network; also return whether it is in meters.
 
     Args:

@@ -15,22 +15,22 @@ from vrcaps.cli.parts import part_of  # noqa: E402
 from vrcaps.core.errors import InputError, StorageError, UnknownNameError  # noqa: E402
 from vrcaps.core.files import file_sha256, files_in  # noqa: E402
 from vrcaps.learn import publish as publishing  # noqa: E402
-from vrcaps.learn.classes import ClassLearner  # noqa: E402
-from vrcaps.learn.depth import DepthLearner  # noqa: E402
 from vrcaps.learn.evaluation import Evaluation, write_evaluation  # noqa: E402
-from vrcaps.learn.masks import MaskLearner  # noqa: E402
+from vrcaps.learn.hub import INDEX, VARIABLE, find_weights, read_index  # noqa: E402
 from vrcaps.learn.model_card import train_command  # noqa: E402
 from vrcaps.learn.presets import settings_of  # noqa: E402
 from vrcaps.learn.publish import MAX_BYTES, publish  # noqa: E402
-from vrcaps.learn.published import INDEX, VARIABLE, find_weights, read_index  # noqa: E402
 from vrcaps.learn.samples import samples_of  # noqa: E402
-from vrcaps.learn.sfm import SfmLearner  # noqa: E402
-from vrcaps.learn.super_resolution import SuperResolutionLearner  # noqa: E402
-from vrcaps.learn.training import BEST, Machine, TrainSettings, train  # noqa: E402
+from vrcaps.learn.tasks.classification import ClassificationTask  # noqa: E402
+from vrcaps.learn.tasks.depth import DepthTask  # noqa: E402
+from vrcaps.learn.tasks.segmentation import SegmentationTask  # noqa: E402
+from vrcaps.learn.tasks.sfm import SfmTask  # noqa: E402
+from vrcaps.learn.tasks.super_resolution import SuperResolutionTask  # noqa: E402
+from vrcaps.learn.training import BEST, ComputeSettings, TrainSettings, train  # noqa: E402
 from vrcaps.recording.image_files import write_images  # noqa: E402
 
 TASK = "super-resolution"
-LEARNER = SuperResolutionLearner(2, size=32, blocks=1, features=8)
+LEARNER = SuperResolutionTask(2, size=32, blocks=1, features=8)
 OURS = Path(__file__).parents[2] / "weights"
 
 
@@ -42,7 +42,7 @@ def run(tmp_path_factory):
         LEARNER, data=("runs/cohort",), start="scratch", steps=2, batch=2, evaluate_every=2
     )
     samples = samples_of(LEARNER, [small_sequence()])
-    train(settings, samples, samples, out, machine=Machine("cpu"))
+    train(settings, samples, samples, out, machine=ComputeSettings("cpu"))
     return out
 
 
@@ -113,11 +113,13 @@ def test_card_holds_the_plan_of_its_data(run, place, tmp_path):
     "settings",
     [
         TrainSettings(),
-        TrainSettings(DepthLearner(256, has_light_cue=False), ("runs/a b", "c3vd:d"), ("v",)),
-        TrainSettings(MaskLearner(("polyp", "ulcer")), ("a",), start="masks", steps=7, rate=1e-4),
-        TrainSettings(ClassLearner(("normal", "bleeding")), ("a",), start="scratch", seed=3),
-        TrainSettings(SfmLearner(step=2), ("a",), fraction=0.1, weight_decay=0.0),
-        TrainSettings(DepthLearner(gamma=1.0), ("a",), start="depth", freeze_batch_norm=True),
+        TrainSettings(DepthTask(256, has_light_cue=False), ("runs/a b", "c3vd:d"), ("v",)),
+        TrainSettings(
+            SegmentationTask(("polyp", "ulcer")), ("a",), start="masks", steps=7, rate=1e-4
+        ),
+        TrainSettings(ClassificationTask(("normal", "bleeding")), ("a",), start="scratch", seed=3),
+        TrainSettings(SfmTask(step=2), ("a",), fraction=0.1, weight_decay=0.0),
+        TrainSettings(DepthTask(gamma=1.0), ("a",), start="depth", freeze_batch_norm=True),
         TrainSettings(replace(LEARNER, validation_size=64), ("a",), batch=3),
     ],
     ids=lambda settings: settings.learner.kind,
@@ -155,10 +157,10 @@ def test_command_predicts_with_published_weights(run, place, tmp_path, capsys):
 
 def test_training_begins_with_published_weights(run, place):
     publish(run, place, notes="For tests.")
-    from vrcaps.learn.first_network import first_network
-    from vrcaps.learn.weights import read_weights
+    from vrcaps.learn.checkpoint import read_weights
+    from vrcaps.learn.initialize import initialized_network
 
-    first = first_network(LEARNER, TASK).state_dict()
+    first = initialized_network(LEARNER, TASK).state_dict()
     expected = read_weights(run / BEST).network.state_dict()
     assert all(torch.equal(first[name], expected[name]) for name in expected)
 
@@ -224,7 +226,7 @@ def test_what_is_not_published_is_one_clear_line(run, place, monkeypatch):
     with pytest.raises(InputError, match=r"sha256 is '/../../../../x'\. Allowed: 64 hexadecimal"):
         find_weights("", TASK)
     monkeypatch.delenv(VARIABLE)
-    monkeypatch.setattr("vrcaps.learn.published._CHECKOUT", place / "none")
+    monkeypatch.setattr("vrcaps.learn.hub._CHECKOUT", place / "none")
     with pytest.raises(InputError, match=r"the installed package has none\. Set VRCAPS_WEIGHTS"):
         find_weights("", TASK)
 

@@ -28,7 +28,7 @@ def require_size(size: int) -> None:
 
 
 @dataclass(frozen=True)
-class Fit:
+class Letterbox:
     """Letterbox transform: scaling that keeps the aspect ratio, centered in a padded square.
 
     Attributes:

@@ -32,11 +32,11 @@ import numpy as np
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import invert
-from vrcaps.learn.depth import MIDDLE, DepthLearner, depth_of, depth_picture, image_and_rays
-from vrcaps.learn.fit import Fit, require_size
-from vrcaps.learn.learner import MAX_SIZE, MAX_WEIGHT, Batch, Figure, Sample, with_gain
+from vrcaps.learn.letterbox import Letterbox, require_size
 from vrcaps.learn.networks import ENCODER, dense_network, motion_network, require_torch
 from vrcaps.learn.samples import batch_of
+from vrcaps.learn.task import MAX_SIZE, MAX_WEIGHT, Batch, Metric, Sample, with_gain
+from vrcaps.learn.tasks.depth import MIDDLE, DepthTask, depth_of, depth_picture, image_and_rays
 from vrcaps.learn.view_synthesis import (
     inconsistency_of,
     matched_brightness,
@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vrcaps.camera.camera import Camera
-    from vrcaps.learn.weights import Trained
+    from vrcaps.learn.checkpoint import TrainedNetwork
 
 _NEIGHBORS = ("before", "after")
 _MIN_COSINE = 0.05
@@ -63,7 +63,7 @@ does not determine the distance."""
 
 
 @dataclass(frozen=True)
-class SfmLearner:
+class SfmTask:
     """Depth up to scale and camera motion, from video without labels.
 
     Attributes:
@@ -89,7 +89,7 @@ class SfmLearner:
     kind: ClassVar[str] = "sfm"
     input_names: ClassVar[tuple[str, ...]] = ("image", "ray")
     output_text: ClassVar[str] = "ln(distance along the ray / 30 mm), up to a scale [b 1 s s]"
-    figure: ClassVar[Figure] = Figure("loss", is_error=True)
+    figure: ClassVar[Metric] = Metric("loss", is_error=True)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -118,7 +118,7 @@ class SfmLearner:
     def sample(self, sequence: FrameSequence, index: int) -> Sample:
         """Return the frame with its rays, its neighbors, and its true depth if known."""
         image = sequence.image("rgb", index)
-        fit = Fit(image.shape[0], image.shape[1], self.size)
+        fit = Letterbox(image.shape[0], image.shape[1], self.size)
         sample = self.inputs(image, fit, sequence.camera)
         for name, offset in zip(_NEIGHBORS, (-self.step, self.step), strict=True):
             sample[name] = fit.image(sequence.image("rgb", index + offset))
@@ -129,7 +129,9 @@ class SfmLearner:
             sample["depth"] = fit.nearest(sequence.image("depth", index), np.nan)
         return {**sample, "view": (fit, sequence.camera)}
 
-    def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Fit, camera: Camera | None) -> Sample:
+    def inputs(
+        self, image: UInt8[np.ndarray, "h w 3"], fit: Letterbox, camera: Camera | None
+    ) -> Sample:
         """Return the image and unit rays, zero where the lens has none.
 
         Raises:
@@ -168,7 +170,7 @@ class SfmLearner:
             if self.supervision > 0.0:
                 terms["labels"] += _motion_error(T_other_own, batch[f"T_{name}_own"])
         if self.supervision > 0.0:
-            terms["labels"] += DepthLearner().output_loss(own, _distances(batch))["loss"]
+            terms["labels"] += DepthTask().output_loss(own, _distances(batch))["loss"]
         weighted = {
             "photometric": 0.5 * self.photometric_weight * terms["photometric"],
             "geometry": 0.5 * self.geometry_weight * terms["geometry"],
@@ -193,7 +195,7 @@ class SfmLearner:
             depth *= np.nanmedian(sample["depth"]) / np.median(depth)
         return depth_picture(depth, sample)
 
-    def files(self, output: NDArray, fit: Fit) -> Mapping[str, NDArray]:
+    def files(self, output: NDArray, fit: Letterbox) -> Mapping[str, NDArray]:
         """Distance along the ray in 16 bits, in steps of 10 µm, at a reference scale of 30 mm."""
         return {".png": CHANNELS["ray_distance"].encoding.encode(fit.back(depth_of(output)))}
 
@@ -203,14 +205,14 @@ class SfmLearner:
 
 
 def estimated_trajectory(
-    trained: Trained, sequence: FrameSequence, frames: Sequence[int] = ()
+    trained: TrainedNetwork, sequence: FrameSequence, frames: Sequence[int] = ()
 ) -> FrameSequence:
     """Predict the trajectory of a sequence, in the frame of its first camera.
 
     Motions between neighboring frames are chained; they are known up to one scale.
 
     Args:
-        trained: Learner and network.
+        trained: Task and network.
         sequence: Frames of one camera.
         frames: Increasing indices of the frames to use; the result has only these. Empty for all.
 
@@ -225,7 +227,7 @@ def estimated_trajectory(
     kept = np.array(frames or range(len(sequence)))
     images = (sequence.image("rgb", int(index)) for index in kept)
     size = trained.learner.size
-    squares = (Fit(image.shape[0], image.shape[1], size).image(image) for image in images)
+    squares = (Letterbox(image.shape[0], image.shape[1], size).image(image) for image in images)
     tensors = (batch_of([{"image": square}])["image"] for square in squares)
     with torch.inference_mode():
         for before, here in pairwise(one.to(trained.device) for one in tensors):
@@ -245,7 +247,7 @@ def _motion_error(motion: Any, T_other_own: Any) -> Any:
 
 
 def _distances(batch: Batch) -> Batch:
-    """True distances along rays, in the form of true depth for `DepthLearner`."""
+    """True distances along rays, in the form of true depth for `DepthTask`."""
     along = batch["ray"][:, 2]
     return {"depth": batch["depth"] / along.where(along > _MIN_COSINE, np.nan)}
 

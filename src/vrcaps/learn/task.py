@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float, UInt8
     from numpy.typing import NDArray
 
-    from vrcaps.learn.fit import Fit
+    from vrcaps.learn.letterbox import Letterbox
 
 MAX_SIZE = 2048
 """Maximum side of a network's images [px], since a checkpoint may state any."""
@@ -36,7 +36,7 @@ Batch = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Figure:
+class Metric:
     """Metric by which the best checkpoint is selected.
 
     Attributes:
@@ -54,7 +54,7 @@ class Figure:
         return best is None or (value < best if self.is_error else value > best)
 
 
-class Learner(Protocol):
+class Task(Protocol):
     """One task: a frozen dataclass whose fields are its settings.
 
     Attributes:
@@ -68,7 +68,7 @@ class Learner(Protocol):
     kind: ClassVar[str]
     input_names: ClassVar[tuple[str, ...]]
     output_text: ClassVar[str]
-    figure: ClassVar[Figure]
+    figure: ClassVar[Metric]
 
     @property
     def size(self) -> int:
@@ -111,7 +111,7 @@ class Learner(Protocol):
         """Compute metrics over samples, from the network's outputs [c s s] or [c]."""
         ...
 
-    def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Fit, camera: Any) -> Sample:
+    def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Letterbox, camera: Any) -> Sample:
         """Return the network's input for an image without ground truth.
 
         Raises:
@@ -123,7 +123,7 @@ class Learner(Protocol):
         """Image, ground truth if available, and output side by side, for inspection."""
         ...
 
-    def files(self, output: NDArray, fit: Fit) -> Mapping[str, NDArray]:
+    def files(self, output: NDArray, fit: Letterbox) -> Mapping[str, NDArray]:
         """Output images of a prediction by file-name suffix."""
         ...
 
@@ -231,6 +231,6 @@ def with_gain(
     return np.stack([changed[image[..., k], k] for k in range(3)], axis=-1)
 
 
-def outputs_of(network: Any, learner: Learner, batch: Batch) -> Any:
+def outputs_of(network: Any, learner: Task, batch: Batch) -> Any:
     """Output of a network in float32, independent of its compute type."""
     return network(*(batch[name] for name in learner.input_names)).float()

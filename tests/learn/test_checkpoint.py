@@ -13,14 +13,14 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 
 from vrcaps.core.errors import InputError
-from vrcaps.learn.classes import ClassLearner
-from vrcaps.learn.depth import DepthLearner
-from vrcaps.learn.masks import MaskLearner
-from vrcaps.learn.sfm import SfmLearner
-from vrcaps.learn.super_resolution import SuperResolutionLearner
-from vrcaps.learn.weights import read_weights, write_weights
+from vrcaps.learn.checkpoint import read_weights, write_weights
+from vrcaps.learn.tasks.classification import ClassificationTask
+from vrcaps.learn.tasks.depth import DepthTask
+from vrcaps.learn.tasks.segmentation import SegmentationTask
+from vrcaps.learn.tasks.sfm import SfmTask
+from vrcaps.learn.tasks.super_resolution import SuperResolutionTask
 
-LEARNER = SuperResolutionLearner(blocks=1, features=8)
+LEARNER = SuperResolutionTask(blocks=1, features=8)
 
 
 @pytest.fixture(scope="module")
@@ -77,13 +77,13 @@ def test_no_memory_is_taken_before_shapes_are_compared(whole, tmp_path, monkeypa
     """The only network that is made of wrong weights has no numbers."""
     path, made = tmp_path / "w.safetensors", []
     path.write_bytes(_changed(whole, _with("features", 1024)))
-    network = SuperResolutionLearner.network
+    network = SuperResolutionTask.network
 
     def noted(self, **options):
         made.append(network(self, **options))
         return made[-1]
 
-    monkeypatch.setattr(SuperResolutionLearner, "network", noted)
+    monkeypatch.setattr(SuperResolutionTask, "network", noted)
     with pytest.raises(InputError, match="do not fit the network"):
         read_weights(path)
     assert [next(one.parameters()).device.type for one in made] == ["meta"]
@@ -127,21 +127,24 @@ def test_whole_weights_are_read(whole, tmp_path):
 @pytest.mark.parametrize(
     ("learner", "setting", "value"),
     [
-        *((one, "size", 4096) for one in (DepthLearner, MaskLearner, ClassLearner, SfmLearner)),
-        *((one, "brightness", 1e9) for one in (DepthLearner, MaskLearner, ClassLearner)),
-        *((one, "tint", 1e9) for one in (DepthLearner, MaskLearner, ClassLearner)),
-        (DepthLearner, "gamma", 1e9),
-        (DepthLearner, "gradient_weight", 1e9),
-        (SfmLearner, "step", 10**9),
-        (SfmLearner, "supervision", 1e9),
-        (SfmLearner, "photometric_weight", 1e9),
-        (SfmLearner, "smoothness_weight", 1e9),
-        (SfmLearner, "geometry_weight", 1e9),
-        (SuperResolutionLearner, "adversarial", 1e9),
-        (SuperResolutionLearner, "style", 1e9),
-        (SuperResolutionLearner, "halvings", 99),
-        (MaskLearner, "classes", ("a",) * 1001),
-        (ClassLearner, "classes", tuple(map(str, range(1001)))),
+        *(
+            (one, "size", 4096)
+            for one in (DepthTask, SegmentationTask, ClassificationTask, SfmTask)
+        ),
+        *((one, "brightness", 1e9) for one in (DepthTask, SegmentationTask, ClassificationTask)),
+        *((one, "tint", 1e9) for one in (DepthTask, SegmentationTask, ClassificationTask)),
+        (DepthTask, "gamma", 1e9),
+        (DepthTask, "gradient_weight", 1e9),
+        (SfmTask, "step", 10**9),
+        (SfmTask, "supervision", 1e9),
+        (SfmTask, "photometric_weight", 1e9),
+        (SfmTask, "smoothness_weight", 1e9),
+        (SfmTask, "geometry_weight", 1e9),
+        (SuperResolutionTask, "adversarial", 1e9),
+        (SuperResolutionTask, "style", 1e9),
+        (SuperResolutionTask, "halvings", 99),
+        (SegmentationTask, "classes", ("a",) * 1001),
+        (ClassificationTask, "classes", tuple(map(str, range(1001)))),
     ],
 )
 def test_settings_of_all_learners_have_upper_limits(learner, setting, value):

@@ -15,14 +15,14 @@ from vrcaps.config.convert import from_plain, to_plain
 from vrcaps.core.errors import InputError, MissingExtraError, VrcapsError, import_extra, reading
 from vrcaps.core.files import atomic_write
 from vrcaps.learn.networks import require_torch
-from vrcaps.learn.registry import LEARNERS, AnyLearner
+from vrcaps.learn.registry import LEARNERS, AnyTask
 from vrcaps.training.threads import exact_torch
 
 _FORMAT, _KEY = "vrcaps-weights/1", "vrcaps"
 
 
 @dataclass(frozen=True)
-class Trained:
+class TrainedNetwork:
     """A learner with its trained network, ready for prediction.
 
     Attributes:
@@ -34,7 +34,7 @@ class Trained:
             None keeps the current setting.
     """
 
-    learner: AnyLearner
+    learner: AnyTask
     network: Any
     about: dict[str, Any]
     device: str = "cpu"
@@ -57,7 +57,7 @@ class Trained:
         return exact_torch(self.threads)
 
 
-def write_weights(path: Path, learner: AnyLearner, network: Any, about: dict[str, Any]) -> None:
+def write_weights(path: Path, learner: AnyTask, network: Any, about: dict[str, Any]) -> None:
     """Write a network's weights atomically.
 
     Args:
@@ -87,7 +87,9 @@ def write_weights(path: Path, learner: AnyLearner, network: Any, about: dict[str
         save_file(tensors, str(temporary), metadata=metadata)
 
 
-def read_weights(path: str | Path, *, task: str | None = None, device: str = "cpu") -> Trained:
+def read_weights(
+    path: str | Path, *, task: str | None = None, device: str = "cpu"
+) -> TrainedNetwork:
     """Read weights that `write_weights` wrote.
 
     Args:
@@ -117,7 +119,7 @@ def read_weights(path: str | Path, *, task: str | None = None, device: str = "cp
     except (VrcapsError, LookupError, ValueError, RuntimeError) as error:
         reason = str(error).splitlines()[0]
         raise InputError(f"{path} does not fit this version of vrcaps: {reason}") from error
-    return Trained(learner, network.to(device).eval(), about, device)
+    return TrainedNetwork(learner, network.to(device).eval(), about, device)
 
 
 def _read_file(path: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -139,7 +141,7 @@ def _read_file(path: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
     return stated if isinstance(stated, dict) else {}, tensors
 
 
-def _network_of(learner: AnyLearner, tensors: dict[str, Any]) -> Any:
+def _network_of(learner: AnyTask, tensors: dict[str, Any]) -> Any:
     """Create a learner's network with the given weights; shapes are compared before allocation.
 
     Raises:

@@ -26,18 +26,18 @@ from vrcaps.core.errors import InputError
 from vrcaps.learn.adversary import deceiving_loss, discriminating_loss, patch_discriminator
 from vrcaps.learn.attention_unet import attention_unet
 from vrcaps.learn.feature_losses import content_loss, feature_distance, style_loss
-from vrcaps.learn.fit import Fit
-from vrcaps.learn.learner import (
+from vrcaps.learn.letterbox import Letterbox
+from vrcaps.learn.networks import ENCODER, feature_network, require_torch
+from vrcaps.learn.task import (
     MAX_SIZE,
     MAX_WEIGHT,
     Batch,
-    Figure,
+    Metric,
     Sample,
     mirrored,
     outputs_of,
     with_gain,
 )
-from vrcaps.learn.networks import ENCODER, feature_network, require_torch
 from vrcaps.metrics.image_quality import psnr, ssim
 from vrcaps.recording.frame_sequence import FrameSequence
 
@@ -50,7 +50,7 @@ _MEASURES = ("psnr", "ssim", "feature_distance")
 
 
 @dataclass(frozen=True)
-class SuperResolutionLearner:
+class SuperResolutionTask:
     """Upsampling of images by a factor of two, four or eight per side.
 
     Attributes:
@@ -83,7 +83,7 @@ class SuperResolutionLearner:
     kind: ClassVar[str] = "super-resolution"
     input_names: ClassVar[tuple[str, ...]] = ("image",)
     output_text: ClassVar[str] = "color from 0 to 1 at the larger size [b 3 fs fs]"
-    figure: ClassVar[Figure] = Figure("psnr", is_error=False)
+    figure: ClassVar[Metric] = Metric("psnr", is_error=False)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -129,7 +129,7 @@ class SuperResolutionLearner:
         small = _resized(truth, truth.shape[0] // self.factor, truth.shape[1] // self.factor)
         return {"image": small, "truth": truth}
 
-    def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Fit, camera: Any) -> Sample:
+    def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Letterbox, camera: Any) -> Sample:
         """Return the image unchanged; the camera is not used."""
         return {"image": image}
 
@@ -198,7 +198,7 @@ class SuperResolutionLearner:
         shown += [sample["truth"]] if "truth" in sample else []
         return np.concatenate([_middle(one, self.size, self.size) for one in shown], axis=1)
 
-    def files(self, output: NDArray, fit: Fit) -> Mapping[str, NDArray]:
+    def files(self, output: NDArray, fit: Letterbox) -> Mapping[str, NDArray]:
         """The upsampled image."""
         return {".png": image_of(output)}
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import subprocess
 import tomllib
 import venv
@@ -10,6 +12,7 @@ from importlib.metadata import metadata, version
 from pathlib import Path
 
 import pytest
+import yaml
 
 import vrcaps
 from waiting import WATCHDOG
@@ -35,6 +38,44 @@ def test_everything_heavy_is_behind_an_extra() -> None:
         "lesions",
         "scale",
     } <= extras
+
+
+def test_the_image_builds_with_the_declared_rust() -> None:
+    crate = tomllib.loads((ROOT / "rust" / "Cargo.toml").read_text())["package"]
+    image = re.search(r"^FROM rust:([\d.]+)-", (ROOT / "Dockerfile").read_text(), re.MULTILINE)
+    assert image is not None
+    assert image[1] == crate["rust-version"]
+
+
+def test_the_image_copies_no_ignored_file() -> None:
+    lines = (ROOT / "Dockerfile").read_text().splitlines()
+    copied = {
+        word
+        for line in lines
+        if line.startswith("COPY") and "--from" not in line
+        for word in line.split()[1:-1]
+    }
+    allowed = (ROOT / ".dockerignore").read_text().splitlines()
+    assert copied == {line[1:] for line in allowed if line.startswith("!")}
+    assert all((ROOT / name).exists() for name in copied)
+
+
+def test_a_release_builds_the_platforms_that_are_tested() -> None:
+    def platforms(name: str) -> list[dict[str, str]]:
+        steps = yaml.safe_load((ROOT / ".github" / "workflows" / name).read_text())
+        return steps["jobs"]["wheel"]["strategy"]["matrix"]["include"]
+
+    assert platforms("release.yml") == platforms("ci.yml")
+    assert len(platforms("release.yml")) == 5
+
+
+def test_citation_and_archive_agree_with_the_package() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    archive = json.loads((ROOT / ".zenodo.json").read_text())
+    assert citation["license"] == archive["license"] == "Apache-2.0"
+    assert citation["version"] == vrcaps.__version__
+    (paper,) = citation["references"]
+    assert [one["identifier"] for one in archive["related_identifiers"]] == [paper["doi"]]
 
 
 def without_compilers(path: str) -> str:

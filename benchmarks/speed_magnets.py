@@ -22,8 +22,16 @@ from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.anatomy.stomach import StomachParameters, generate_stomach
 from vrcaps.capsule.catalog import read_device
 from vrcaps.magnet.field import SourceSet
-from vrcaps.magnet.internal import InternalMagnet
-from vrcaps.magnet.sources import Coil, Cylinder, Dipole, FieldMap, Solenoid, Source, magnet_pose
+from vrcaps.magnet.sources import (
+    Coil,
+    Cylinder,
+    Dipole,
+    FieldMap,
+    InternalMagnet,
+    Solenoid,
+    Source,
+    magnet_pose,
+)
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.rollout import Rollout
 from vrcaps.world.control import Control

@@ -21,16 +21,15 @@ import pinocchio
 from scipy.spatial.transform import Rotation
 
 from validation import options, table, write_section
-from vrcaps.actuation.arm.arm import read_arm
-from vrcaps.actuation.arm.kinematics import forward, nearest
+from vrcaps.actuation.arm.arm import forward, nearest, read_arm
 from vrcaps.core.transforms import transform_from, transform_points
 from vrcaps.magnet.field import field, wrench
-from vrcaps.magnet.internal import InternalMagnet
 from vrcaps.magnet.presets import MAGNETS, dipole_distance, magnet_names, read_magnet
 from vrcaps.magnet.sources import (
     Coil,
     Cylinder,
     Dipole,
+    InternalMagnet,
     Solenoid,
     Source,
     UniformField,

@@ -18,8 +18,8 @@ from validation import options, table, write_section
 from vrcaps.actuation.capsule_target import CapsuleTarget, wall_target
 from vrcaps.actuation.magnet_controller import MagnetController
 from vrcaps.actuation.magnet_pose_solver import Workspace
-from vrcaps.actuation.point_to_point import PointToPointPlanner
 from vrcaps.actuation.steering_program import GENTLE_GAINS
+from vrcaps.actuation.wall_path import PointToPointPlanner
 from vrcaps.anatomy.stomach import StomachParameters, generate_stomach
 from vrcaps.capsule.catalog import read_device
 from vrcaps.core.units import CM, DEG

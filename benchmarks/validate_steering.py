@@ -23,10 +23,9 @@ from tubes import bent_tube, straight_gut
 from vrcaps.actuation.arm.arm import read_arm
 from vrcaps.actuation.arm.arm_with_payload import ArmWithPayload, transverse_mount
 from vrcaps.actuation.capsule_target import CapsuleTarget, centerline_target
-from vrcaps.actuation.magnet_actuator import FreeActuator, MagnetActuator
+from vrcaps.actuation.magnet_actuator import FreeActuator, MagnetActuator, RobotActuator
 from vrcaps.actuation.magnet_controller import ControllerGains, MagnetController
 from vrcaps.actuation.magnet_pose_solver import Workspace
-from vrcaps.actuation.robot_actuator import RobotActuator
 from vrcaps.capsule.catalog import read_device
 from vrcaps.core.transforms import transform_from
 from vrcaps.magnet.presets import read_magnet

@@ -14,7 +14,7 @@ matplotlib.use("agg")
 import matplotlib.pyplot as plt
 from matplotlib.patches import Ellipse
 
-from vrcaps.actuation.arm.kinematics import frames
+from vrcaps.actuation.arm.arm import frames
 from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.anatomy.stomach import StomachParameters, generate_stomach
 from vrcaps.capsule.catalog import read_device

@@ -266,7 +266,7 @@ class ArmWithPayload:
     def lowest(self, magnet: NDArray[np.float64]) -> float: ...
 
 class RobotActuator:
-    """A robot arm that moves its magnet (`vrcaps.actuation.robot_actuator`)."""
+    """A robot arm that moves its magnet (`vrcaps.actuation.magnet_actuator`)."""
 
     def __init__(
         self,

@@ -16,9 +16,8 @@ from vrcaps.actuation.arm.arm_with_payload import (
     magnet_pose_at,
     transverse_mount,
 )
-from vrcaps.actuation.magnet_actuator import FreeActuator, stopping_speed
+from vrcaps.actuation.magnet_actuator import FreeActuator, RobotActuator, stopping_speed
 from vrcaps.actuation.magnet_pose_solver import Workspace
-from vrcaps.actuation.robot_actuator import RobotActuator
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import rotate_by_vector, vector_from_rotation
 from vrcaps.magnet.presets import read_magnet

@@ -11,9 +11,8 @@ from pose_solver_twin import PoseSolverTwin, dipole_field
 from vrcaps.actuation.magnet_pose_solver import MagnetPoseSolver, Workspace, WrenchTarget
 from vrcaps.core.errors import InputError
 from vrcaps.magnet.field import SourceSet, wrench
-from vrcaps.magnet.internal import InternalMagnet
 from vrcaps.magnet.presets import read_magnet
-from vrcaps.magnet.sources import Dipole, UniformField, magnet_pose
+from vrcaps.magnet.sources import Dipole, InternalMagnet, UniformField, magnet_pose
 
 MAGNETS = (InternalMagnet((0, 0, -4e-3), (0, 0, 1.12)),)
 EARTH = 5e-5 * np.array([0.0, 0.6, -0.8])

@@ -10,7 +10,7 @@ from vrcaps.camera.camera import default_exposure
 from vrcaps.capsule.device_file import write_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import transform_from
-from vrcaps.magnet.internal import InternalMagnet
+from vrcaps.magnet.sources import InternalMagnet
 
 DEVICE = vrcaps.Device(
     length=24e-3,

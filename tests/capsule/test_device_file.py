@@ -13,8 +13,8 @@ from vrcaps.capsule.catalog import device_names, read_device
 from vrcaps.capsule.device import Device
 from vrcaps.capsule.device_file import write_device
 from vrcaps.core.errors import InputError
-from vrcaps.magnet.internal import InternalMagnet
 from vrcaps.magnet.presets import read_magnet
+from vrcaps.magnet.sources import InternalMagnet
 
 DEVICE = """
 title = "Mine"

@@ -105,7 +105,7 @@ def test_an_arm_that_does_not_reach_begins_at_rest(monkeypatch: pytest.MonkeyPat
     def fails(self, T_world_magnet, near=None) -> None:
         raise InputError("out of reach")
 
-    monkeypatch.setattr("vrcaps.actuation.robot_actuator.RobotActuator.start", fails)
+    monkeypatch.setattr("vrcaps.actuation.magnet_actuator.RobotActuator.start", fails)
     simulation = started(actuation).simulation
     assert simulation.memory["arm/joints"][0] == pytest.approx(actuation._robot.arm.home)
 

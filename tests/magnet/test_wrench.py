@@ -10,12 +10,12 @@ from scenes import random_directions, random_poses
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import transform_from, transform_points
 from vrcaps.magnet.field import field, wrench
-from vrcaps.magnet.internal import InternalMagnet
 from vrcaps.magnet.sources import (
     MAGNETIC_CONSTANT,
     Coil,
     Cylinder,
     Dipole,
+    InternalMagnet,
     UniformField,
     magnet_pose,
 )

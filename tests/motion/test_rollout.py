@@ -22,9 +22,8 @@ from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.motility.migrating_complex import Front
 from vrcaps.tissue.motility.propulsion import Propulsion
 from vrcaps.tissue.spring_wall import SpringWall
-from vrcaps.world.model import Contact, Model, posture_transform
+from vrcaps.world.model import Contact, Model, mean_contact, posture_transform
 from vrcaps.world.schedule import Flush, Insufflation, PostureChange, Wrench
-from vrcaps.world.step_means import mean_contact
 
 G = 9.80665
 RIGID = Dynamics(start=0.5, deformation="rigid", settle=0.5, substep=5e-4)

@@ -8,7 +8,7 @@ import pytest
 from vrcaps.capsule.catalog import read_device
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.liquid import Liquid
-from vrcaps.magnet.internal import InternalMagnet
+from vrcaps.magnet.sources import InternalMagnet
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.read_mesh import read_mesh
 from vrcaps.recording.check import check_episode

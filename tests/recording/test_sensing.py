@@ -17,8 +17,7 @@ from vrcaps.recording.recorder import record
 from vrcaps.recording.sensing import SensorReadings
 from vrcaps.recording.table import FrameTable
 from vrcaps.scenario.scenario import Scenario, scenario_from_plain, scenario_to_plain
-from vrcaps.sensors.imu import Imu
-from vrcaps.sensors.magnetometer import Magnetometer
+from vrcaps.sensors.imu import Imu, Magnetometer
 from vrcaps.sensors.sensors import HallPad, Sensors, hall_array, sensors_by_name
 from vrcaps.world.model import Model, State
 

@@ -12,9 +12,10 @@ from vrcaps.core.errors import InputError
 from vrcaps.sensors.imu import (
     CapsuleKinematics,
     Imu,
+    Magnetometer,
     read_imu,
+    read_magnetometer,
 )
-from vrcaps.sensors.magnetometer import Magnetometer, read_magnetometer
 
 QUIET = Imu(
     accelerometer_noise=0.0, gyroscope_noise=0.0, accelerometer_walk=0.0, gyroscope_walk=0.0

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vrcaps.actuation.arm.arm import Arm
-from vrcaps.actuation.arm.kinematics import forward
+from vrcaps.actuation.arm.arm import Arm, forward
 
 
 def pose_errors(arm: Arm, angles: np.ndarray, targets: np.ndarray) -> tuple[float, float]:

@@ -8,10 +8,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from vrcaps.actuation.arm.arm import nearest
 from vrcaps.actuation.arm.arm_with_payload import clearances, flange_pose_at, magnet_pose_at
-from vrcaps.actuation.arm.kinematics import nearest
-from vrcaps.actuation.magnet_actuator import ActuatorState
-from vrcaps.actuation.robot_actuator import RobotActuator
+from vrcaps.actuation.magnet_actuator import ActuatorState, RobotActuator
 
 NEARER = ((8e-3, 0.08), (2e-3, 0.02))
 UPRIGHT, FARTHEST, MAX_TURN, SLACK, JUMP = 0.2, 0.03, 0.3, 5e-3, 0.5

@@ -13,12 +13,12 @@ from vrcaps.capsule.catalog import read_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import matrix_from_quaternion, rotate_vectors, transform_from
 from vrcaps.magnet.field import field, wrench
-from vrcaps.magnet.internal import InternalMagnet
 from vrcaps.magnet.sources import (
     MAGNETIC_CONSTANT,
     Coil,
     Cylinder,
     Dipole,
+    InternalMagnet,
     UniformField,
     magnet_pose,
 )

@@ -1,5 +1,5 @@
 //! Robot arm that moves its magnet to a pose within the limits of its joints:
-//! `vrcaps.actuation.robot_actuator`.
+//! `vrcaps.actuation.magnet_actuator`.
 
 use super::arm_chain::{array, pose};
 use super::arm_with_payload::ArmWithPayload;

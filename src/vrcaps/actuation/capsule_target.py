@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from vrcaps.actuation import vectors
 from vrcaps.core.errors import InputError, require
+from vrcaps.core.geometry import length
 from vrcaps.core.transforms import invert, rotate_vectors, transform_points
 from vrcaps.core.units import MM
 from vrcaps.organ.centerline.curve import polyline_points
@@ -101,18 +101,18 @@ def centerline_target(
     k = min(max(int(np.searchsorted(s, arc_length)) - 1, 0), len(s) - 2)
     fraction = (arc_length - s[k]) / max(s[k + 1] - s[k], 1e-12)
     axes = (1.0 - fraction) * line.frames[k] + fraction * line.frames[k + 1]
-    first, second, ahead = (axis / vectors.length(axis) for axis in axes.T)
+    first, second, ahead = (axis / length(axis) for axis in axes.T)
     look = math.cos(yaw) * math.cos(pitch) * (-ahead if is_backward else ahead)
     look = look + math.sin(yaw) * math.cos(pitch) * first - math.sin(pitch) * second
-    look, tangent = rotate_vectors(T_world_patient, np.array([look / vectors.length(look), ahead]))
+    look, tangent = rotate_vectors(T_world_patient, np.array([look / length(look), ahead]))
     vertical = np.array(_UP) if wall == "upper" else -np.array(_UP)
     normal = vertical - tangent * (vertical @ tangent)
     # A vertical part of the gut has no upper wall: use the frame's first axis, across the gut.
-    if vectors.length(normal) < 0.3:
+    if length(normal) < 0.3:
         normal = rotate_vectors(T_world_patient, first[None])[0]
         normal = normal - tangent * (normal @ tangent)
     position = transform_points(T_world_patient, point[None])[0]
-    normal = normal / vectors.length(normal)
+    normal = normal / length(normal)
     return CapsuleTarget(position, look, tangent, normal, parallel_to_wall=pitch == 0.0)
 
 
@@ -155,11 +155,11 @@ def wall_target(
     inward = np.cross(corners[1] - corners[0], corners[2] - corners[0])
     inward = -outward_normals(model, nearest, -inward[None] / np.linalg.norm(inward))[0]
     look = np.asarray(direction, float) - inward * (inward @ np.asarray(direction, float))
-    length = np.linalg.norm(look)
-    if length < 1e-6:
+    norm = np.linalg.norm(look)
+    if norm < 1e-6:
         raise InputError(f"Direction {direction} is at right angles to the wall. Choose another.")
     position = nearest[0] + model.device.radius * inward
-    return CapsuleTarget(position, look / length, None, -inward)
+    return CapsuleTarget(position, look / norm, None, -inward)
 
 
 def outward_normals(

@@ -13,8 +13,7 @@ from vrcaps import _core
 from vrcaps.core.errors import InputError, require
 from vrcaps.core.units import CM
 from vrcaps.magnet.field import SourceSet
-from vrcaps.magnet.internal import InternalMagnet, magnet_rows
-from vrcaps.magnet.sources import MAGNETIC_CONSTANT, magnet_pose
+from vrcaps.magnet.sources import MAGNETIC_CONSTANT, InternalMagnet, magnet_pose, magnet_rows
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -14,10 +14,9 @@ import numpy as np
 from vrcaps.actuation.arm.arm import read_arm
 from vrcaps.actuation.arm.arm_with_payload import ArmWithPayload, transverse_mount
 from vrcaps.actuation.capsule_target import CapsuleTarget, centerline_target, project_to_wall
-from vrcaps.actuation.magnet_actuator import FreeActuator, MagnetActuator
+from vrcaps.actuation.magnet_actuator import FreeActuator, MagnetActuator, RobotActuator
 from vrcaps.actuation.magnet_controller import CapsuleView, ControllerGains, MagnetController
 from vrcaps.actuation.magnet_pose_solver import Workspace
-from vrcaps.actuation.robot_actuator import RobotActuator
 from vrcaps.actuation.wall_path import PathFollower, WallPath, centerline_wall_path
 from vrcaps.config.file_ref import FileRef, file_ref, path_of
 from vrcaps.config.limits import Range, check_fields

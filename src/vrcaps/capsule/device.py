@@ -8,7 +8,7 @@ import numpy as np
 
 from vrcaps.camera.camera import Camera, check_names
 from vrcaps.core.errors import InputError, UnknownNameError, require
-from vrcaps.magnet.internal import InternalMagnet
+from vrcaps.magnet.sources import InternalMagnet
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,8 +18,8 @@ from vrcaps.capsule.device import Device
 from vrcaps.config.convert import from_plain, register_shorthand, to_plain
 from vrcaps.config.plain_files import read_plain, write_toml
 from vrcaps.core.errors import InputError, require
-from vrcaps.magnet.internal import InternalMagnet
 from vrcaps.magnet.presets import read_magnet
+from vrcaps.magnet.sources import InternalMagnet
 
 Vector = tuple[float, float, float]
 

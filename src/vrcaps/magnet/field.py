@@ -16,8 +16,7 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import quaternion_from_matrix
-from vrcaps.magnet.internal import InternalMagnet, magnet_rows
-from vrcaps.magnet.sources import Source, check_pose
+from vrcaps.magnet.sources import InternalMagnet, Source, check_pose, magnet_rows
 
 if TYPE_CHECKING:
     from jaxtyping import Float

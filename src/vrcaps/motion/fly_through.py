@@ -27,9 +27,14 @@ from vrcaps.motion.centerline_follower import (
     make_noise,
 )
 from vrcaps.motion.trajectory import Trajectory, require_inside, velocities_between
-from vrcaps.world.clearance import capsule_clearance, fit_text, push_inside, vital_clearance
+from vrcaps.world.clearance import (
+    WallDisplacement,
+    capsule_clearance,
+    fit_text,
+    push_inside,
+    vital_clearance,
+)
 from vrcaps.world.model import Model
-from vrcaps.world.wall_displacement import WallDisplacement
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float

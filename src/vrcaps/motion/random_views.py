@@ -15,9 +15,8 @@ from vrcaps.core.rng import stream
 from vrcaps.core.transforms import look_along, rotation_from_vector, transform_from
 from vrcaps.core.units import DEG, MM
 from vrcaps.motion.trajectory import Trajectory, capsule_poses
-from vrcaps.world.clearance import capsule_clearance, fit_text, vital_clearance
+from vrcaps.world.clearance import WallDisplacement, capsule_clearance, fit_text, vital_clearance
 from vrcaps.world.model import Model
-from vrcaps.world.wall_displacement import WallDisplacement
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

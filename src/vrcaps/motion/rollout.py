@@ -27,7 +27,7 @@ from vrcaps.motion.step import Command, Step, with_neighbors
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.motility.motility import Motility
 from vrcaps.world.control import Control
-from vrcaps.world.model import Model, State
+from vrcaps.world.model import Model, State, mean_contact, mean_coupling
 from vrcaps.world.schedule import (
     flush_between,
     in_world,
@@ -37,7 +37,6 @@ from vrcaps.world.schedule import (
     wrench_at,
 )
 from vrcaps.world.snapshot import snapshot_arrays, snapshot_from_arrays
-from vrcaps.world.step_means import mean_contact, mean_coupling
 from vrcaps.world.world import World
 
 if TYPE_CHECKING:

@@ -18,8 +18,8 @@ from vrcaps.core.transforms import (
 from vrcaps.core.units import MM
 from vrcaps.motion.motion import MotionState
 from vrcaps.motion.step import Step, with_neighbors
+from vrcaps.world.clearance import WallDisplacement
 from vrcaps.world.model import Model, State
-from vrcaps.world.wall_displacement import WallDisplacement
 
 if TYPE_CHECKING:
     from jaxtyping import Float

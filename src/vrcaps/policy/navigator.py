@@ -20,10 +20,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.actuation.magnet_pose_solver import MagnetPoseSolver, Workspace, WrenchTarget
-from vrcaps.actuation.vectors import clamp_norm
 from vrcaps.actuation.wall_path import WallPath, centerline_wall_path
 from vrcaps.core.errors import InputError
-from vrcaps.core.geometry import unit
+from vrcaps.core.geometry import clamp_norm, unit
 from vrcaps.core.transforms import rotation_from_vector
 from vrcaps.core.units import CM, MM
 from vrcaps.env.actuation.magnet import MagnetActuation

@@ -50,7 +50,7 @@ from vrcaps.render.channels import CHANNELS
 from vrcaps.render.renderer import Renderer
 from vrcaps.scenario.build import build, resolve
 from vrcaps.scenario.scenario import SOURCE_ORGAN, Scenario, scenario_to_plain
-from vrcaps.world.moving_wall import MovingWall
+from vrcaps.world.model import MovingWall
 
 if TYPE_CHECKING:
     from vrcaps.motion.motion import Motion

@@ -18,9 +18,9 @@ from vrcaps.sensors.hall import perturb_calibration, read_hall
 from vrcaps.sensors.imu import (
     CapsuleKinematics,
     read_imu,
+    read_magnetometer,
 )
 from vrcaps.sensors.localize import localize
-from vrcaps.sensors.magnetometer import read_magnetometer
 from vrcaps.sensors.sensors import HallPad, Sensors, hall_array
 
 if TYPE_CHECKING:

@@ -25,8 +25,7 @@ from vrcaps.motion.motion import Motion
 from vrcaps.motion.step import Step
 from vrcaps.organ.surface import face_label
 from vrcaps.recording.parquet_files import open_parquet
-from vrcaps.world.model import Model
-from vrcaps.world.moving_wall import MovingWall
+from vrcaps.world.model import Model, MovingWall
 
 if TYPE_CHECKING:
     import pyarrow as pa

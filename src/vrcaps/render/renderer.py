@@ -22,8 +22,7 @@ from vrcaps.render.planar import crop_margin
 from vrcaps.render.refraction import REFLECTED, RefractedPaths, refract_paths, surface_heights
 from vrcaps.render.sampling import PathSampling, path_sampling, supersampled_radiance
 from vrcaps.render.settings import RenderSettings
-from vrcaps.world.model import Model, State
-from vrcaps.world.moving_wall import MovingWall
+from vrcaps.world.model import Model, MovingWall, State
 
 if TYPE_CHECKING:
     from jaxtyping import Float

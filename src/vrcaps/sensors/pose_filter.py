@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.core.transforms import rotate_by_vector, rotation_vector, transform_from
-from vrcaps.magnet.internal import InternalMagnet
-from vrcaps.magnet.sources import Dipole, magnet_pose
+from vrcaps.magnet.sources import Dipole, InternalMagnet, magnet_pose
 from vrcaps.sensors.imu import Imu
 from vrcaps.sensors.localize import magnet_readings
 from vrcaps.world.control import GRAVITY

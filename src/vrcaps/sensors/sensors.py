@@ -14,8 +14,7 @@ from vrcaps.core.errors import UnknownNameError
 from vrcaps.core.transforms import transform_from
 from vrcaps.core.units import MM
 from vrcaps.sensors.hall import HallArray, hall_grid
-from vrcaps.sensors.imu import Imu
-from vrcaps.sensors.magnetometer import Magnetometer
+from vrcaps.sensors.imu import Imu, Magnetometer
 from vrcaps.world.model import Model
 
 EARTH_FIELD = (0.0, 20e-6, -45e-6)

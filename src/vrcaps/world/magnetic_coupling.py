@@ -12,8 +12,7 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.core.errors import InputError
 from vrcaps.magnet.field import SourceSet
-from vrcaps.magnet.internal import InternalMagnet, magnet_rows
-from vrcaps.magnet.sources import Source, UniformField
+from vrcaps.magnet.sources import InternalMagnet, Source, UniformField, magnet_rows
 from vrcaps.world.control import Control
 from vrcaps.world.core_pose import poses_from_rows, rows_from_poses
 from vrcaps.world.model import Coupling

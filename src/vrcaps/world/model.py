@@ -1,7 +1,8 @@
-"""Constants of a run (`Model`) and its state in each frame (`State`)."""
+"""Constants of a run (`Model`), its state in each frame (`State`), and the wall in a state."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -233,3 +234,52 @@ class State:
     contact: Contact | None = None
     lumen_contents: LumenContents | None = None
     coupling: Coupling | None = None
+
+
+class MovingWall:
+    """One wall that is refitted to a state, once for all queries of that state."""
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        self._wall: Wall | None = None
+        self._vertices: np.ndarray | None = None
+
+    def at(self, state: State) -> Wall:
+        """Wall in a state, valid for queries and images until another state is requested.
+
+        The arrays of a state are assumed not to change.
+        """
+        if state.vertices_world is None:
+            return self.model.wall
+        if self._wall is None:
+            # Built at rest: the hierarchy, and so the choice among equally near triangles, must not
+            # depend on the first requested frame.
+            self._wall = wall_of(self.model.vertices_world, self.model.organ.faces)
+        if self._vertices is not state.vertices_world:
+            self._wall.refit(np.ascontiguousarray(state.vertices_world, np.float64))
+            self._vertices = state.vertices_world
+        return self._wall
+
+
+def mean_contact(contacts: Sequence[Contact]) -> Contact:
+    """Mean force and torque, total work, and the contact patch of the last step."""
+    return replace(
+        contacts[-1],
+        force_world=np.mean([contact.force_world for contact in contacts], axis=0),
+        torque_world=np.mean([contact.torque_world for contact in contacts], axis=0),
+        normal_force_total=float(np.mean([contact.normal_force_total for contact in contacts])),
+        friction_work=float(np.sum([contact.friction_work for contact in contacts])),
+    )
+
+
+def mean_coupling(couplings: Sequence[Coupling | None]) -> Coupling | None:
+    """Mean force and torque, the rest from the last step; None if the last step has none."""
+    last, known = couplings[-1], [coupling for coupling in couplings if coupling is not None]
+    if last is None:
+        return None
+    return replace(
+        last,
+        force_world=np.mean([coupling.force_world for coupling in known], axis=0),
+        torque_world=np.mean([coupling.torque_world for coupling in known], axis=0),
+        is_exact=all(coupling.is_exact for coupling in known),
+    )

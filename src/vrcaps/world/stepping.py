@@ -14,9 +14,8 @@ from vrcaps import _core
 from vrcaps.world.control import GRAVITY, Control, check_steps, loads_in_patient
 from vrcaps.world.lumen_dynamics import LUMEN_SUBSTEP, SUBSTEPS_PER_SWEEP
 from vrcaps.world.magnetic_coupling import rows_after
-from vrcaps.world.model import Contact
+from vrcaps.world.model import Contact, mean_contact
 from vrcaps.world.snapshot import Snapshot
-from vrcaps.world.step_means import mean_contact
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from scenes import random_poses
-from vrcaps.actuation.arm.arm import Arm, Link
+from vrcaps.actuation.arm.arm import Arm, Link, forward, frames
 from vrcaps.actuation.arm.arm_with_payload import (
     ArmWithPayload,
     check_speed,
@@ -20,7 +20,6 @@ from vrcaps.actuation.arm.arm_with_payload import (
     reachability,
     solve_joint_angles,
 )
-from vrcaps.actuation.arm.kinematics import forward, frames
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import transform_points
 from vrcaps.magnet.presets import read_magnet

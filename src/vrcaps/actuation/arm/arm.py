@@ -1,11 +1,11 @@
-"""Robot arm: Denavit-Hartenberg joints, limits and collision capsules from data files."""
+"""Robot arm: Denavit-Hartenberg joints, limits, collisions, forward and inverse kinematics."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from vrcaps.config.convert import from_plain
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.config.plain_files import read_plain
 from vrcaps.core.errors import InputError, require
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 
 def _in(unit: str, **options: Any) -> Any:
@@ -179,3 +182,103 @@ def read_arm(name_or_path: str | Path) -> Arm:
     if "name" in plain:
         raise InputError(f"Unknown key {path.name}: name. The arm is named as its file.")
     return from_plain(Arm, {"name": path.stem, **plain}, at=f"{path.name}:", units=True)
+
+
+def forward(arm: Arm, angles: Float[np.ndarray, "*n j"]) -> Float[np.ndarray, "*n 4 4"]:
+    """Pose ``T_base_flange`` at joint angles [rad]; angles may exceed the limits.
+
+    Raises:
+        InputError: If there is not one finite angle per joint.
+    """
+    angles = _checked(arm, angles)
+    frames = arm.core.frames(angles.reshape(-1, arm.num_joints))
+    return frames[:, -1].reshape(*angles.shape[:-1], 4, 4)
+
+
+def frames(arm: Arm, angles: Float[np.ndarray, "*n j"]) -> Float[np.ndarray, "*n f 4 4"]:
+    """Poses of all joint frames and the flange in the base frame, at joint angles [rad].
+
+    Raises:
+        InputError: If there is not one finite angle per joint.
+    """
+    angles = _checked(arm, angles)
+    poses = arm.core.frames(angles.reshape(-1, arm.num_joints))
+    return poses.reshape(*angles.shape[:-1], arm.num_joints + 1, 4, 4)
+
+
+def jacobian(arm: Arm, angles: Float[np.ndarray, "*n j"]) -> Float[np.ndarray, "*n 6 j"]:
+    """Jacobian of the flange in the base frame: its origin [m] and rotation [rad] per joint angle.
+
+    Raises:
+        InputError: If there is not one finite angle per joint.
+    """
+    angles = _checked(arm, angles)
+    rows = arm.core.jacobian(angles.reshape(-1, arm.num_joints))
+    return rows.reshape(*angles.shape[:-1], 6, arm.num_joints)
+
+
+def inverse(
+    arm: Arm, T_base_flange: Float[np.ndarray, "4 4"], last_angle: float
+) -> Float[np.ndarray, "b j"]:
+    """All angles within limits for a flange pose, with the last joint at `last_angle` [rad].
+
+    Closed form with up to eight branches; empty if the pose cannot be reached.
+
+    Raises:
+        InputError: If the arm has no closed form (docs/concepts/magnets.md) or the pose is not
+            finite.
+    """
+    _require_closed_form(arm)
+    found = arm.core.inverse(_poses(T_base_flange), [last_angle])[0]
+    return found[~np.isnan(found[:, 0])]
+
+
+def nearest(
+    arm: Arm,
+    T_base_flange: Float[np.ndarray, "*n 4 4"],
+    near: Float[np.ndarray, "*n j"],
+    *,
+    rng: np.random.Generator | None = None,
+) -> Float[np.ndarray, "*n j"]:
+    """Angles within limits for flange poses, nearest to `near`; NaN where there are none.
+
+    Nearest is Euclidean in the joint angles, over all branches and over the last joint's angle. An
+    arm without a closed form is solved by damped least squares (Wampler 1986) from `near`, then
+    from its home, then, given `rng`, from 30 random angles; the first solution is returned.
+
+    Raises:
+        InputError: If a pose or an angle is not finite.
+    """
+    targets = _poses(T_base_flange)
+    batch = np.shape(T_base_flange)[:-2]
+    start = np.broadcast_to(_checked(arm, near), (*batch, arm.num_joints))
+    start = np.ascontiguousarray(start).reshape(-1, arm.num_joints)
+    others = np.array([arm.home])
+    if rng is not None:
+        others = np.vstack([others, rng.uniform(arm.lower, arm.upper, (30, arm.num_joints))])
+    return arm.core.nearest(targets, start, others).reshape(*batch, arm.num_joints)
+
+
+def _require_closed_form(arm: Arm) -> None:
+    if not arm.core.has_closed_form:
+        raise InputError(
+            f"Arm {arm.name} is not built like the Panda, so its inverse has no closed form here. "
+            "Use nearest(), which solves it step by step."
+        )
+
+
+def _checked(arm: Arm, angles: np.ndarray) -> np.ndarray:
+    angles = np.ascontiguousarray(angles, float)
+    if angles.shape[-1:] != (arm.num_joints,) or not np.isfinite(angles).all():
+        raise InputError(
+            f"Angles of shape {angles.shape} for arm {arm.name}. "
+            f"Allowed: {arm.num_joints} finite angles [rad], with batch axes before."
+        )
+    return angles
+
+
+def _poses(poses: np.ndarray) -> np.ndarray:
+    poses = np.ascontiguousarray(poses, float)
+    if poses.shape[-2:] != (4, 4) or not np.isfinite(poses).all():
+        raise InputError(f"Poses of shape {poses.shape}. Allowed: finite 4 x 4 matrices.")
+    return poses.reshape(-1, 4, 4)

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.actuation.arm.arm import Arm, Link
-from vrcaps.actuation.arm.kinematics import forward, nearest
+from vrcaps.actuation.arm.arm import Arm, Link, forward, nearest
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import invert
 from vrcaps.magnet.sources import Cylinder, check_pose

@@ -30,7 +30,7 @@ from vrcaps.tissue.fem.wall import FemWall
 from vrcaps.tissue.motility.motility import Motility
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.world.control import Control
-from vrcaps.world.moving_wall import MovingWall
+from vrcaps.world.model import MovingWall
 from vrcaps.world.world import SUBSTEP, World
 
 if TYPE_CHECKING:

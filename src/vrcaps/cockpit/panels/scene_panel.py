@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.actuation.arm.kinematics import frames
-from vrcaps.actuation.robot_actuator import RobotActuator
+from vrcaps.actuation.arm.arm import frames
+from vrcaps.actuation.magnet_actuator import RobotActuator
 from vrcaps.cockpit.scene.colorings import (
     Coloring,
     LiveWall,

@@ -16,7 +16,7 @@ from vrcaps.motion.step import Step
 from vrcaps.recording.pictures import limits_of, picture
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
-from vrcaps.world.moving_wall import MovingWall
+from vrcaps.world.model import MovingWall
 
 if TYPE_CHECKING:
     from jaxtyping import UInt8

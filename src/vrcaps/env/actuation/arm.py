@@ -17,7 +17,7 @@ from vrcaps.actuation.arm.arm_with_payload import (
     magnet_pose_at,
     transverse_mount,
 )
-from vrcaps.actuation.robot_actuator import RobotActuator
+from vrcaps.actuation.magnet_actuator import RobotActuator
 from vrcaps.actuation.steering_program import BASE_BELOW, base_beside, workspace_above
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError, require

@@ -15,9 +15,9 @@ from vrcaps.camera.lens import LensPinhole
 from vrcaps.core.color import linear_from_srgb
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import invert, matrix_from_quaternion, transform_from, transform_points
-from vrcaps.formats.read_format import read_format
-from vrcaps.formats.stored_images import image_size, read_plane, read_rgb
-from vrcaps.formats.yaml_files import read_yaml
+from vrcaps.formats.io import read_format
+from vrcaps.formats.shared.stored_images import image_size, read_plane, read_rgb
+from vrcaps.formats.shared.yaml_files import read_yaml
 from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.picture_border import bright_part
 from vrcaps.learn.samples import batch_of

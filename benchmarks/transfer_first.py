@@ -19,7 +19,7 @@ from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.config.convert import to_plain
 from vrcaps.core.errors import InputError
-from vrcaps.formats.read_format import read_format
+from vrcaps.formats.io import read_format
 from vrcaps.learn.initialize import IMAGENET, SCRATCH
 from vrcaps.learn.registry import AnyTask
 from vrcaps.learn.samples import Samples, samples_of

@@ -10,7 +10,7 @@ import numpy as np
 
 from transfer_pictures import Pictures, alike, balanced_folds, disc_only, merged
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.formats.read_format import read_format
+from vrcaps.formats.io import read_format
 from vrcaps.learn.letterbox import Letterbox
 
 LAYOUTS: Mapping[str, tuple[str, ...]] = {

@@ -20,9 +20,9 @@ import numpy as np
 import vrcaps
 from validation import parser, table, write_section
 from vrcaps.core.units import CM
-from vrcaps.formats.export import export
-from vrcaps.formats.lerobot import LeRobot
-from vrcaps.formats.lerobot_rows import action_rows, state_rows, task_of
+from vrcaps.formats.io import export
+from vrcaps.formats.robotics.lerobot import LeRobot
+from vrcaps.formats.robotics.lerobot_rows import action_rows, state_rows, task_of
 from vrcaps.recording.frame_sequence import FrameSequence
 
 _FRAMES, _FPS = 8, 4.0

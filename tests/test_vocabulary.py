@@ -37,7 +37,7 @@ BANNED_IN = {"camera_pipeline": {"grade", "grades"}, "lumen": {"grade", "grades"
 IN_CORE = {"world": {"press", "shares", "touched", "way"}}
 """Words that names of a folder of the core may have; its Python names are in `_core.pyi`."""
 
-ALLOWED = {"cli/benchmarks": {"quick"}, "formats/coco": {"crowd"}}
+ALLOWED = {"cli/benchmarks": {"quick"}, "formats/detection/coco": {"crowd"}}
 """`vrcaps bench --quick` measures little; a crowd is COCO's term for many of a kind."""
 
 VERBS = (

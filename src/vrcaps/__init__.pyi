@@ -17,7 +17,7 @@ from .capsule.catalog import device_names as device_names
 from .capsule.catalog import read_device as read_device
 from .capsule.device import Device as Device
 from .core.errors import VrcapsError as VrcapsError
-from .formats.read_format import read_format as read_format
+from .formats.io import read_format as read_format
 from .lumen.contents import Contents as Contents
 from .magnet.presets import read_magnet as read_magnet
 from .magnet.sources import magnet_pose as magnet_pose

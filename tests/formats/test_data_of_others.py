@@ -13,9 +13,8 @@ import vrcaps
 from ellipsoid_sequence import ellipsoid_sequence
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.core.errors import InputError, VrcapsError
-from vrcaps.formats.export import export
-from vrcaps.formats.read_format import read_format
-from vrcaps.formats.registry import FORMATS, format_named
+from vrcaps.formats.format import FORMATS
+from vrcaps.formats.io import export, read_format
 
 PLAIN = [kind for kind in FORMATS if kind not in ("coco", "bop", "lerobot", "mcap")]
 """Formats that hold frames and no lesions."""
@@ -32,7 +31,7 @@ def sequence():
 def exported(sequence, tmp_path_factory):
     """A folder of each format."""
     place = tmp_path_factory.mktemp("exported")
-    return {kind: export(format_named(kind)(), [sequence], place / kind) for kind in PLAIN}
+    return {kind: export(FORMATS[kind](), [sequence], place / kind) for kind in PLAIN}
 
 
 @pytest.mark.parametrize("kind", PLAIN)
@@ -136,7 +135,7 @@ def test_two_sequences_with_one_folder_are_one_line(kind, sequence, tmp_path):
     if kind in numbered:
         return
     with pytest.raises(InputError, match=r"would have the (folder|same name)"):
-        export(format_named(kind)(), [sequence, other], tmp_path / "out")
+        export(FORMATS[kind](), [sequence, other], tmp_path / "out")
     assert not list(tmp_path.iterdir())
 
 
@@ -206,7 +205,7 @@ def test_a_time_of_tum_is_finite(exported, tmp_path):
 
 
 def test_damaged_parquet_and_films_are_one_line(tmp_path, sequence):
-    out = export(format_named("hugging-face")(), [sequence], tmp_path / "out")
+    out = export(FORMATS["hugging-face"](), [sequence], tmp_path / "out")
     (path,) = (out / "data").glob("*.parquet")
     path.write_bytes(path.read_bytes()[:-20])
     with pytest.raises(InputError, match=r"Cannot read .*\.parquet"):

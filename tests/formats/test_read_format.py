@@ -7,8 +7,8 @@ import vrcaps
 from ellipsoid_sequence import ellipsoid_sequence
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.formats.export import export
-from vrcaps.formats.tum import Tum
+from vrcaps.formats.io import export
+from vrcaps.formats.slam.tum import Tum
 
 
 def test_options_reach_the_format(tmp_path):

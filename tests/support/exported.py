@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vrcaps.formats.export import export
+from vrcaps.formats.io import export
 
 
 def round_trip(form, sequence, folder):

@@ -16,9 +16,8 @@ from ellipsoid_sequence import ellipsoid_sequence
 from reader_fuzz import InvalidError, Target
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.capsule.device_file import read_device_file, write_device
-from vrcaps.formats.export import export
-from vrcaps.formats.read_format import read_format
-from vrcaps.formats.registry import FORMATS, format_named
+from vrcaps.formats.format import FORMATS
+from vrcaps.formats.io import export, read_format
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.frame_sequence import FrameSequence
 
@@ -113,7 +112,7 @@ def check_poses(poses: np.ndarray) -> None:
 
 def _format(folder: Path, kind: str, sequence: FrameSequence) -> Target:
     options: dict[str, Any] = {"lerobot": {"images": True}, "mcap": {"organ": False}}.get(kind, {})
-    out = export(format_named(kind)(**options), [sequence], folder / kind)
+    out = export(FORMATS[kind](**options), [sequence], folder / kind)
     return Target(kind, out, partial(_read_format, kind))
 
 

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 from vrcaps.cli.options import check_verb, option_error
 from vrcaps.cli.streams import EXIT_BROKEN_PIPE, configure_streams, discard_output, flush_output
 from vrcaps.core.errors import VrcapsError, reason_of
-from vrcaps.formats.registry import FORMATS
+from vrcaps.formats.format import FORMATS
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
@@ -65,8 +65,8 @@ _VERBS = {
     "bench world": ("vrcaps.cli.bench", "World", "Measure the physics."),
     "train coverage": ("vrcaps.cli.train", "Coverage", "Learn to see the whole wall, by PPO."),
     **{
-        f"export {kind}": ("vrcaps.cli.export", kind, summary)
-        for kind, (_, _, summary) in FORMATS.items()
+        f"export {kind}": ("vrcaps.cli.export", kind, FORMATS.summary(kind))
+        for kind in FORMATS.built_in
     },
     **{
         f"{verb} {task}": ("vrcaps.cli.learn", f"{verb}_{task}", f"{meaning} {what}.")
@@ -147,8 +147,9 @@ def _parse(args: Sequence[str]) -> _Command:
         SystemExit: If help was printed, or an argument is missing.
     """
     named = list(takewhile(lambda arg: not arg.startswith("-"), args))
-    check_verb(named, _VERBS, _NOUNS)
-    if not args or (args == named and " ".join(named) in _GROUPS and named[0] not in _VERBS):
+    verbs = _all_verbs(named)
+    check_verb(named, verbs, _NOUNS)
+    if not args or (args == named and " ".join(named) in _GROUPS and named[0] not in verbs):
         sys.stderr.write(_help(named))
         raise SystemExit(EXIT_BAD_INPUT)
     said = io.StringIO()
@@ -160,7 +161,7 @@ def _parse(args: Sequence[str]) -> _Command:
         error = stop.__context__
         while error is not None and not isinstance(error, VrcapsError):
             error = error.__context__
-        verb = named[: 1 + (" ".join(named[:2]) in _VERBS)]
+        verb = named[: 1 + (" ".join(named[:2]) in verbs)]
         error = error or option_error(said.getvalue(), lambda: _help(verb), " ".join(verb))
         if error is not None:
             raise error from None
@@ -197,6 +198,16 @@ def _help(verb: Sequence[str]) -> str:
     return text.getvalue()
 
 
+def _all_verbs(words: Sequence[str]) -> dict[str, tuple[str, str, str]]:
+    """All verbs; plug-ins, which may add formats, are loaded only for `export`."""
+    if list(words[:1]) != ["export"]:
+        return _VERBS
+    added = (kind for kind in FORMATS if f"export {kind}" not in _VERBS)
+    return _VERBS | {
+        f"export {kind}": ("vrcaps.cli.export", kind, FORMATS.summary(kind)) for kind in added
+    }
+
+
 def _verbs(words: Sequence[str]) -> dict[str, tuple[str, str, str]]:
     """Verbs of a command line.
 
@@ -204,7 +215,7 @@ def _verbs(words: Sequence[str]) -> dict[str, tuple[str, str, str]]:
     """
     is_task = words[:1] == ["evaluate"] and words[1:2] != [] and words[1] in _TASKS
     left_out = {"evaluate"} if is_task else {f"evaluate {task}" for task in _TASKS}
-    return {path: verb for path, verb in _VERBS.items() if path not in left_out}
+    return {path: verb for path, verb in _all_verbs(words).items() if path not in left_out}
 
 
 def _not_chosen() -> None:

@@ -13,8 +13,7 @@ from vrcaps.cli.console import console, progress_bar
 from vrcaps.cli.parts import command_of, part_of
 from vrcaps.cli.paths import require_folder
 from vrcaps.core.errors import UnknownNameError
-from vrcaps.formats.format import Format
-from vrcaps.formats.registry import FORMATS, format_named
+from vrcaps.formats.format import FORMATS, Format
 from vrcaps.recording.frame_sequence import SPLITS
 
 
@@ -48,7 +47,7 @@ class Export:
         """
         require_folder(self.source, "an episode or a data set")
         from vrcaps.data.sequences import sequences_of
-        from vrcaps.formats.export import export
+        from vrcaps.formats.io import export
         from vrcaps.formats.rectify import rectified
 
         if self.split is not None and self.split not in SPLITS:
@@ -68,4 +67,4 @@ def __getattr__(kind: str) -> Any:
     if kind not in FORMATS:
         raise AttributeError(kind)
     examples = f"  vrcaps export {kind} runs/colon --out runs/colon-{kind}"
-    return command_of(Export, format_named(kind), examples)
+    return command_of(Export, FORMATS[kind], examples)

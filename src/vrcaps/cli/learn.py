@@ -78,7 +78,7 @@ class _Train:
 
         if self.start.endswith(SUFFIX):
             find_weights(self.start)
-        from vrcaps.formats.sources import read_sources
+        from vrcaps.formats.io import read_sources
         from vrcaps.learn.presets import settings_of
         from vrcaps.learn.samples import samples_of, split_samples
         from vrcaps.learn.training import BEST, ComputeSettings, Progress, train
@@ -181,7 +181,7 @@ class _Evaluate:
         """
         require_sources(self.data)
         from vrcaps.core.files import file_sha256, write_csv
-        from vrcaps.formats.sources import read_sources
+        from vrcaps.formats.io import read_sources
         from vrcaps.learn.checkpoint import read_weights
         from vrcaps.learn.evaluation import Evaluation, write_evaluation
         from vrcaps.learn.hub import find_weights

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from vrcaps.core.errors import InputError
-from vrcaps.formats.registry import FORMATS
+from vrcaps.formats.format import FORMATS
 
 
 def require_folder(folder: str | Path, what: str) -> None:
@@ -40,7 +40,7 @@ def require_file(path: str | Path, what: str) -> None:
 
 
 def require_sources(sources: Iterable[str]) -> None:
-    """Check that the folders of sources of frames exist, see `formats.sources.read_source`.
+    """Check that the folders of sources of frames exist, see `formats.io.read_source`.
 
     Raises:
         InputError: If one does not.

@@ -104,7 +104,7 @@ class Reconstruct:
             InputError: If depth or poses are missing or do not match.
         """
         self._check()
-        from vrcaps.formats.sources import read_source
+        from vrcaps.formats.io import read_source
 
         require_new_folder(self.out)  # before the work
         found = read_source(self.source)
@@ -182,7 +182,7 @@ class Reconstruct:
 
     def _tracked(self, sequence: FrameSequence, out: Path) -> FrameSequence:
         """Frames whose poses odometry could estimate, with these poses."""
-        from vrcaps.formats.tum import trajectory_text
+        from vrcaps.formats.slam.tum import trajectory_text
         from vrcaps.metrics.trajectory import absolute_trajectory_error
         from vrcaps.recording.frame_sequence import CAMERA_POSE
         from vrcaps.tools.reconstruction.estimates import aligned, with_poses

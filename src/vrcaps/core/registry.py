@@ -67,6 +67,11 @@ class Registry(Mapping[str, type[Member]], Generic[Member]):
         self._added[kind] = cls
         return cls
 
+    @property
+    def built_in(self) -> tuple[str, ...]:
+        """Names of the package's own classes; no plug-in is loaded."""
+        return tuple(self._built_in)
+
     def summary(self, name: str) -> str:
         """One-line summary of a member: for a plug-in, the first line of its docstring.
 

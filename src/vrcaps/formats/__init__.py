@@ -1,4 +1,9 @@
-"""External file formats: written from episodes and data sets, read as frame sequences.
+"""Formats: external file layouts, written from episodes and data sets, read as frame sequences.
 
-One file each; `registry` lists them, `export` writes any of them.
+`format` lists them by field, `io` writes and reads any of them, `rectify` resamples to a pinhole.
+The names in `__init__.pyi` are loaded when they are first used.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

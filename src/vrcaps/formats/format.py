@@ -1,18 +1,18 @@
-"""Format protocol, and requirements of a format on the sequences."""
+"""Format protocol, requirements of a format, and the registry of formats."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Protocol
 
-from vrcaps.camera.lens import AnyLens
 from vrcaps.core.errors import InputError
-from vrcaps.recording.frame_sequence import CAMERA_POSE, FrameSequence
+from vrcaps.core.registry import Registry
 
 if TYPE_CHECKING:
-    from vrcaps.render.channels import Channel  # noqa: F401  (named in docstrings)
+    from pathlib import Path
+
+    from vrcaps.recording.frame_sequence import FrameSequence
 
 Advance = Callable[[], None]
 """Called after each written frame."""
@@ -20,17 +20,17 @@ Advance = Callable[[], None]
 
 @dataclass(frozen=True)
 class Needs:
-    """Requirements of a format.
+    """Requirements of a format on the sequences.
 
     Attributes:
-        channels: Image channels that every sequence must have.
-        lenses: Lens models that it supports; None supports any.
+        channels: Image channels that every sequence must have, see `render.channels`.
+        lenses: Kinds of the supported lenses; None supports any.
         poses: Whether camera poses must be known.
-        episode: Whether only episodes can be written, because it stores more than frames.
+        episode: Whether only episodes can be written, because the format stores more than frames.
     """
 
     channels: tuple[str, ...] = ("rgb",)
-    lenses: tuple[type, ...] | None = None
+    lenses: tuple[str, ...] | None = None
     poses: bool = True
     episode: bool = False
 
@@ -67,43 +67,51 @@ class Format(Protocol):
         ...
 
 
-def require_needs(form: Format, sequences: Sequence[FrameSequence]) -> None:
-    """Check that a format can hold sequences.
+def require_channels(kind: str, sequence: FrameSequence, channels: Sequence[str]) -> None:
+    """Check that a sequence has the channels that a format stores.
+
+    Args:
+        kind: Name of the format or layout, for the message.
+        sequence: Sequence to write.
+        channels: Required channels.
 
     Raises:
-        InputError: If it cannot; the message says what is missing and what to do.
+        InputError: If one is missing.
     """
-    if not sequences:
-        raise InputError("There is nothing to export: no recording fits what was asked for.")
-    for sequence in sequences:
-        _require_channels(form, sequence)
-        _require_lens(form, sequence)
-        if form.needs.poses and CAMERA_POSE not in sequence.values:
-            raise InputError(f"{form.kind} needs poses of the camera; {sequence.name} has none.")
-        if form.needs.episode and sequence.episode is None:
-            raise InputError(
-                f"{form.kind} holds more than frames; {sequence.name} is of no episode of vrcaps."
-            )
-
-
-def _require_channels(form: Format, sequence: FrameSequence) -> None:
-    missing = [name for name in form.needs.channels if name not in sequence.channels]
+    missing = [name for name in channels if name not in sequence.channels]
     if missing:
         raise InputError(
-            f"{form.kind} needs the channel {missing[0]!r}, which {sequence.name} has not. "
+            f"{kind} requires the channel {missing[0]!r}; {sequence.name} lacks it. "
             f"Record with --channels {' '.join(dict.fromkeys((*sequence.channels, *missing)))}."
         )
 
 
-def _require_lens(form: Format, sequence: FrameSequence) -> None:
-    lenses = form.needs.lenses
-    if lenses is None:
-        return
-    lens: AnyLens | None = None if sequence.camera is None else sequence.camera.lens
-    if not isinstance(lens, lenses):
-        has = "no camera" if lens is None else f"a lens of kind {lens.kind!r}"
-        allowed = ", ".join(repr(one.kind) for one in lenses)
-        raise InputError(
-            f"{form.kind} holds lenses of kind {allowed}; {sequence.name} has {has}. "
-            "Add --rectify DEGREES to resample to a pinhole of that field of view."
-        )
+_BUILT_IN = {
+    "tum": ("slam.tum:Tum", "TUM RGB-D, for visual SLAM and evo."),
+    "kitti": ("slam.kitti:Kitti", "KITTI odometry, for visual odometry and evo."),
+    "euroc": ("slam.euroc:Euroc", "EuRoC MAV, for visual SLAM."),
+    "vslam-lab": ("slam.vslam_lab:VslamLab", "VSLAM-LAB, for dozens of visual SLAM systems."),
+    "simcol3d": ("endoscopy.simcol3d:SimCol3D", "SimCol3D, for depth and poses of a colonoscope."),
+    "c3vd": ("endoscopy.c3vd:C3vd", "C3VD, for depth, normals and poses of a colonoscope."),
+    "endoslam": ("endoscopy.endoslam:EndoSlam", "EndoSLAM, for depth and poses of a capsule."),
+    "sfmlearner": ("endoscopy.sfmlearner:SfmLearner", "SC-SfMLearner, for depth without labels."),
+    "endomapper": ("endoscopy.endomapper:EndoMapper", "EndoMapper's simulation, with OpenEXR."),
+    "images": ("detection.image_folders:Images", "Image folders by class, or with masks."),
+    "colmap": ("splatting.colmap:Colmap", "COLMAP text model, for Gaussian splatting."),
+    "nerfstudio": ("splatting.nerfstudio:Nerfstudio", "nerfstudio, for radiance fields."),
+    "coco": ("detection.coco:Coco", "COCO lesion instances, for detection and segmentation."),
+    "bop": ("detection.bop:Bop", "BOP, for 6D poses of lesions as objects."),
+    "webdataset": ("storage.webdataset:WebDataset", "WebDataset shards, for sequential reading."),
+    "hugging-face": (
+        "storage.hugging_face:HuggingFace",
+        "Parquet files for Hugging Face.",
+    ),
+    "lerobot": ("robotics.lerobot:LeRobot", "LeRobot v3.0, for imitation learning."),
+    "mcap": ("robotics.mcap:Mcap", "MCAP, for Foxglove."),
+}
+
+FORMATS: Registry[Format] = Registry(
+    "format",
+    {kind: (f"vrcaps.formats.{path}", summary) for kind, (path, summary) in _BUILT_IN.items()},
+)
+"""All formats by name, including those of plug-ins. A format is imported on first use."""

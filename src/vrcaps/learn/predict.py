@@ -15,9 +15,9 @@ from vrcaps.capsule.catalog import read_device
 from vrcaps.core.errors import InputError, reason_of
 from vrcaps.core.files import atomic_folder, write_bytes, write_csv
 from vrcaps.core.names import inside
-from vrcaps.formats.images import file_name
-from vrcaps.formats.sources import read_source
-from vrcaps.formats.tum import trajectory_text
+from vrcaps.formats.detection.image_folders import file_name
+from vrcaps.formats.io import read_source
+from vrcaps.formats.slam.tum import trajectory_text
 from vrcaps.learn.checkpoint import TrainedNetwork
 from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.picture_border import PictureView, assumed_camera, input_image, view_of

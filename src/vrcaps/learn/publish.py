@@ -14,7 +14,7 @@ from vrcaps.core.errors import InputError, VrcapsError, require
 from vrcaps.core.files import file_sha256, write_bytes
 from vrcaps.data.ledger import read_plain_plan
 from vrcaps.data.store import open_store
-from vrcaps.formats.registry import FORMATS
+from vrcaps.formats.format import FORMATS
 from vrcaps.learn.checkpoint import TrainedNetwork, read_weights
 from vrcaps.learn.evaluation import Evaluation, read_evaluation
 from vrcaps.learn.hub import SUFFIX, PublishedWeights, add_to_index, check_name

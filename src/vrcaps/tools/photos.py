@@ -12,7 +12,7 @@ import numpy as np
 from vrcaps.core.errors import InputError, reading
 from vrcaps.core.files import file_sha256
 from vrcaps.core.names import listed
-from vrcaps.formats.stored_images import read_rgb
+from vrcaps.formats.shared.stored_images import read_rgb
 
 if TYPE_CHECKING:
     from jaxtyping import UInt8

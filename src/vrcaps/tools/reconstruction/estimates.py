@@ -12,8 +12,8 @@ import numpy as np
 from vrcaps.camera.camera import Camera, pixel_grid
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import MM
-from vrcaps.formats.images import file_name
-from vrcaps.formats.tum import poses_of
+from vrcaps.formats.detection.image_folders import file_name
+from vrcaps.formats.slam.tum import poses_of
 from vrcaps.metrics.trajectory import TrajectoryAlignment, aligned_poses, fit_similarity
 from vrcaps.motion.trajectory_files import tum_rows
 from vrcaps.recording.frame_sequence import CAMERA_POSE, FrameSequence

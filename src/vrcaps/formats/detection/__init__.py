@@ -1,0 +1,1 @@
+"""Formats for detection, segmentation, classification and object poses: COCO, BOP, images."""

@@ -1,0 +1,1 @@
+"""Formats of robot learning and logging: LeRobot, MCAP."""

@@ -1,0 +1,1 @@
+"""Functions shared by formats: folders, tables, images, cameras."""

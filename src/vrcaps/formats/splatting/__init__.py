@@ -1,0 +1,1 @@
+"""Formats for reconstruction and Gaussian splatting: COLMAP, nerfstudio."""

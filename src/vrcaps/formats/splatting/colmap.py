@@ -1,0 +1,260 @@
+"""COLMAP: text models with rigs, for structure from motion, Gaussian splatting and radiance fields.
+
+A folder per episode holds `images/` and the model in `sparse/0/`. Poses are world to camera,
+quaternions wxyz, lengths meters, pixel centers at 0.5. The cameras of one capsule form a rig, whose
+reference is the first of them; simultaneous images have equal names. Models have no times;
+these are in an additional `times.txt`. Sources:
+https://colmap.github.io/format.html, https://colmap.github.io/rigs.html.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+import numpy as np
+
+from vrcaps.camera.camera import Camera
+from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import write_bytes
+from vrcaps.core.names import inside
+from vrcaps.core.transforms import (
+    invert,
+    matrix_from_unit_quaternion,
+    quaternion_from_matrix,
+    transform_from,
+)
+from vrcaps.formats.format import Needs
+from vrcaps.formats.shared.folders import each_rig, found_folders
+from vrcaps.formats.shared.frame_files import image_loader, read_times, write_times
+from vrcaps.formats.shared.opencv_lens import HALF, MODELS, OPENCV_LENSES, lens_of, opencv_model
+from vrcaps.formats.shared.stored_images import read_rgb
+from vrcaps.formats.splatting.seen_points import SeenPoints, seen_points
+from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
+from vrcaps.recording.image_files import write_images
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from vrcaps.formats.format import Advance
+
+_CAMERAS, _IMAGES, _POINTS, _RIGS = "cameras.txt", "images.txt", "points3D.txt", "rigs.txt"
+_MODEL = "sparse/0"
+
+
+@dataclass(frozen=True)
+class Colmap:
+    """COLMAP text model with rigs: `images/`, `sparse/0/`.
+
+    Attributes:
+        points: Number of wall points sampled over all images; those visible in two or more images
+            become points of the model. They need the channel depth; 0 writes none.
+    """
+
+    points: Annotated[int, Range(0)] = 10000
+
+    kind: ClassVar[str] = "colmap"
+    needs: ClassVar[Needs] = Needs(lenses=OPENCV_LENSES)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    def write(self, sequences: Sequence[FrameSequence], folder: Path, advance: Advance) -> None:
+        """Write a model for each episode.
+
+        Raises:
+            InputError: If points are requested and there is no depth.
+        """
+        for sequence in sequences:
+            if self.points > 0 and "depth" not in sequence.channels:
+                raise InputError(
+                    f"colmap takes points from the channel 'depth', which {sequence.name} has not. "
+                    "Record it, or add --points 0."
+                )
+        for rig, place in each_rig(sequences, folder):
+            model = place / _MODEL
+            model.mkdir(parents=True)
+            points = seen_points(rig, self.points)
+            write_bytes(model / _CAMERAS, _cameras_text(rig).encode())
+            write_bytes(model / _RIGS, _rigs_text(rig).encode())
+            write_bytes(model / "frames.txt", _frames_text(rig).encode())
+            write_bytes(model / _POINTS, _points_text(points).encode())
+            write_bytes(model / _IMAGES, _images_text(rig, points).encode())
+            write_times(place, rig[0])
+            for sequence, name in zip(rig, _prefixes(rig), strict=True):
+                (place / "images" / name).mkdir(parents=True)
+                for k in range(len(sequence)):
+                    path = place / "images" / _image_name(name, k)
+                    write_images([(path, sequence.image("rgb", k))])
+                    advance()
+
+    def read(self, folder: Path) -> tuple[FrameSequence, ...]:
+        """Return a sequence for each camera of each model, with images sorted by name.
+
+        Without `times.txt` the time of a frame is its index.
+
+        Raises:
+            InputError: If it is not in this layout.
+        """
+        return tuple(
+            sequence
+            for place, split in found_folders(folder, _CAMERAS)
+            for sequence in _read_model(place, split)
+        )
+
+
+def _prefixes(rig: Sequence[FrameSequence]) -> list[str]:
+    """Folder names of the cameras' images."""
+    names = [None if one.camera is None else one.camera.name for one in rig]
+    return [f"rig1/{name}" for name in names]
+
+
+def _image_name(prefix: str, index: int) -> str:
+    return f"{prefix}/image{index + 1:06d}.png"
+
+
+def _image_id(rig: Sequence[FrameSequence], camera: int, index: int) -> int:
+    """Image ID from 1: frame by frame, in each camera by camera."""
+    return index * len(rig) + camera + 1
+
+
+def _numbers(values: Sequence[float] | np.ndarray) -> str:
+    return " ".join(f"{value:.15g}" for value in values)
+
+
+def _pose(T_to_from: np.ndarray) -> str:
+    """``QW QX QY QZ TX TY TZ`` of a transform."""
+    return f"{_numbers(quaternion_from_matrix(T_to_from[:3, :3]))} {_numbers(T_to_from[:3, 3])}"
+
+
+def _cameras_text(rig: Sequence[FrameSequence]) -> str:
+    lines = ["# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]"]
+    for number, sequence in enumerate(rig, 1):
+        assert sequence.camera is not None
+        model, parameters = opencv_model(sequence.camera.lens, sequence.name)
+        size = f"{sequence.camera.width} {sequence.camera.height}"
+        lines.append(f"{number} {model} {size} {_numbers([*parameters.values()])}")
+    return "\n".join(lines) + "\n"
+
+
+def _rigs_text(rig: Sequence[FrameSequence]) -> str:
+    """Text of one rig; poses of its cameras are reference to camera."""
+    words = [f"1 {len(rig)} CAMERA 1"]
+    for number, sequence in enumerate(rig[1:], 2):
+        T_camera_reference = invert(sequence.Ts_world_camera[0]) @ rig[0].Ts_world_camera[0]
+        words.append(f"CAMERA {number} 1 {_pose(T_camera_reference)}")
+    header = "# RIG_ID, NUM_SENSORS, REF_SENSOR_TYPE, REF_SENSOR_ID, SENSORS[] as "
+    return f"{header}(SENSOR_TYPE, SENSOR_ID, HAS_POSE, [POSE])\n{' '.join(words)}\n"
+
+
+def _frames_text(rig: Sequence[FrameSequence]) -> str:
+    lines = ["# FRAME_ID, RIG_ID, RIG_FROM_WORLD[], NUM_DATA_IDS, DATA_IDS[]"]
+    for k, T_world_rig in enumerate(rig[0].Ts_world_camera):
+        data = [f"CAMERA {c + 1} {_image_id(rig, c, k)}" for c in range(len(rig))]
+        lines.append(f"{k + 1} 1 {_pose(invert(T_world_rig))} {len(rig)} {' '.join(data)}")
+    return "\n".join(lines) + "\n"
+
+
+def _images_text(rig: Sequence[FrameSequence], points: SeenPoints) -> str:
+    lines = ["# IMAGE_ID, POSE[] world to camera, CAMERA_ID, NAME", "# (X, Y, POINT3D_ID)[]"]
+    prefixes = _prefixes(rig)
+    for k in range(len(rig[0])):
+        for c, sequence in enumerate(rig):
+            pose = _pose(invert(sequence.Ts_world_camera[k]))
+            number = _image_id(rig, c, k)
+            lines.append(f"{number} {pose} {c + 1} {_image_name(prefixes[c], k)}")
+            found, pixels = points.seen[c][k]
+            rows = zip(found + 1, pixels + HALF, strict=True)
+            lines.append(" ".join(f"{x:.4f} {y:.4f} {point}" for point, (x, y) in rows))
+    return "\n".join(lines) + "\n"
+
+
+def _points_text(points: SeenPoints) -> str:
+    """Text of points with their tracks: image ID, and index in the image's list of points."""
+    tracks: list[list[str]] = [[] for _ in points.positions]
+    num_cameras = len(points.seen)
+    for c, frames in enumerate(points.seen):
+        for k, (found, _) in enumerate(frames):
+            for place, point in enumerate(found):
+                tracks[point].append(f"{k * num_cameras + c + 1} {place}")
+    lines = ["# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)"]
+    for number, track in enumerate(tracks):
+        color = " ".join(map(str, points.colors[number]))
+        position = _numbers(points.positions[number])
+        lines.append(f"{number + 1} {position} {color} 0 {' '.join(track)}")
+    return "\n".join(lines) + "\n"
+
+
+def _read_model(place: Path, split: str | None) -> list[FrameSequence]:
+    cameras = {int(row[0]): row for row in _rows(place / _CAMERAS)}
+    mounts = _read_mounts(place / _RIGS)
+    root = _image_root(place)
+    rows = _rows(place / _IMAGES, every=2)
+    sequences = []
+    for number, row in cameras.items():
+        mine = sorted((each for each in rows if int(each[8]) == number), key=lambda each: each[9])
+        if not mine:
+            continue
+        names = [" ".join(each[9:]) for each in mine]
+        folder = Path(names[0]).parent
+        name = folder.name if folder.parts[:1] == ("rig1",) else f"camera{number}"
+        camera = _read_camera(row, name, place).at(mounts.get(number, np.eye(4)))
+        poses = np.array([each[1:8] for each in mine], float)
+        rotations = matrix_from_unit_quaternion(poses[:, :4], place / _IMAGES)
+        Ts_camera_world = transform_from(rotations, poses[:, 4:])
+        times = read_times(root, range(len(mine)), 1.0)
+        values = {TIME: times, CAMERA_POSE: invert(Ts_camera_world)}
+        load = image_loader(
+            {"rgb": [inside(root, f"images/{each}") for each in names]}, {"rgb": read_rgb}
+        )
+        sequences.append(
+            FrameSequence(f"{root.name}/{name}", ("rgb",), values, load, camera, split=split)
+        )
+    return sequences
+
+
+def _image_root(place: Path) -> Path:
+    """Image folder of the scene of a model."""
+    for root in (place.parent.parent, place.parent, place):
+        if (root / "images").is_dir():
+            return root
+    raise InputError(f"There is no folder images beside {place} or above it.")
+
+
+def _rows(path: Path, every: int = 1) -> list[list[str]]:
+    """Words of the lines without comments; of every second one if `every` is 2."""
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, ValueError) as error:
+        raise InputError(f"Cannot read {path}: {error}.") from error
+    rows = [line.split() for line in lines if not line.startswith("#")]
+    rows = rows[::every] if every > 1 else [row for row in rows if row]
+    least = {_CAMERAS: 5, _IMAGES: 10}.get(path.name, 4)
+    for row in (row for row in rows if row):
+        if len(row) < least:
+            raise InputError(f"{path} has a row of {len(row)} words: {' '.join(row)!r}.")
+    return [row for row in rows if row]
+
+
+def _read_camera(row: list[str], name: str, place: Path) -> Camera:
+    parameters = dict(zip(MODELS.get(row[1], ()), map(float, row[4:]), strict=False))
+    lens = lens_of(row[1], parameters, str(place / _CAMERAS))
+    return Camera(name, lens, int(row[2]), int(row[3]))
+
+
+def _read_mounts(path: Path) -> dict[int, np.ndarray]:
+    """Pose of each camera in its rig [m], if there are rigs; the reference has none."""
+    mounts: dict[int, np.ndarray] = {}
+    for row in _rows(path) if path.exists() else []:
+        words = row[4:]
+        while len(words) >= 3:
+            has_pose = words[2] == "1"
+            if has_pose:
+                pose = np.array(words[3:10], float)
+                rotation = matrix_from_unit_quaternion(pose[:4], path)
+                T_camera_rig = transform_from(rotation, pose[4:])
+                mounts[int(words[1])] = invert(T_camera_rig)
+            words = words[10 if has_pose else 3 :]
+    return mounts

@@ -1,0 +1,1 @@
+"""Formats that pack samples into large files: WebDataset, Hugging Face."""

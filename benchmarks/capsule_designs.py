@@ -14,7 +14,7 @@ from pathlib import Path
 from validation import ROOT, parser, table, write_section
 from vrcaps.cli.evaluate import Evaluate
 from vrcaps.core.files import write_bytes
-from vrcaps.tools.evaluation.page import PICTURE, TABLE
+from vrcaps.tools.reports.evaluation import PICTURE, TABLE
 
 POLICIES = ("coverage-ppo", "next-best-view")
 CAPSULES = ("mono", "stereo", "dual", "panoramic")

@@ -24,9 +24,8 @@ from vrcaps.core.units import DEG
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
-from vrcaps.tools.camera_calibration.board import Board
+from vrcaps.tools.camera_calibration.board import Board, find_views
 from vrcaps.tools.camera_calibration.circle import image_circle
-from vrcaps.tools.camera_calibration.corners import find_views
 from vrcaps.tools.camera_calibration.fit import Calibration, calibrate
 from vrcaps.tools.camera_calibration.parameterization import PARAMETERIZATIONS
 from vrcaps.tools.photos import Photo, read_photos

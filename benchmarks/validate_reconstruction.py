@@ -35,8 +35,8 @@ from vrcaps.recording.recorder import record
 from vrcaps.scenario.scenario import OrganGenerated, Scenario
 from vrcaps.tools.reconstruction.compare import compare
 from vrcaps.tools.reconstruction.estimates import aligned, with_network_depth, with_poses
-from vrcaps.tools.reconstruction.fuse import FuseSettings, fuse
-from vrcaps.tools.reconstruction.odometry import OdometrySettings, estimated_poses
+from vrcaps.tools.reconstruction.fusion.fuse import FuseSettings, fuse
+from vrcaps.tools.reconstruction.fusion.odometry import OdometrySettings, estimated_poses
 
 RUNS = {
     "stomach": FlyThrough(whole=True),

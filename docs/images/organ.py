@@ -13,7 +13,7 @@ from PIL import Image
 
 import vrcaps
 from vrcaps.lesion import add_lesions, parse_lesion
-from vrcaps.tools.overview.overview import write_overview
+from vrcaps.tools.reports.overview import write_overview
 
 LESIONS = (
     *("polyp-Ip:size=14mm,segment=sigmoid", "polyp-Is:size=12mm,segment=transverse"),

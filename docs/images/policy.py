@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from vrcaps.cli.evaluate import Evaluate
-from vrcaps.tools.evaluation.page import VIDEO
+from vrcaps.tools.reports.evaluation import VIDEO
 
 POLICY, TIME_S = "coverage-ppo", 15.0
 MOMENTS = (0.0, 0.14, 0.4, 1.0)

@@ -14,7 +14,7 @@ from vrcaps.core.errors import InputError, VrcapsError
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.settings import EnvSettings
 from vrcaps.policy.policy import read_policy
-from vrcaps.tools.evaluation.page import PAGE, PICTURE, TABLE
+from vrcaps.tools.reports.evaluation import PAGE, PICTURE, TABLE
 
 
 def test_an_episode_goes_on_to_the_end_of_its_time() -> None:

@@ -11,7 +11,7 @@ import vrcaps
 from vrcaps.cli import main
 from vrcaps.core.units import MM
 from vrcaps.data.store import open_store
-from vrcaps.tools.dataset_page.sample import sample
+from vrcaps.tools.reports.dataset_sample import sample
 
 
 def test_frames_are_spread_over_recordings_cameras_and_time(made: Path) -> None:

@@ -71,12 +71,15 @@ class CalibrateGeometric:
         require_existing(self.photos, "pictures or videos, or folders of them")
         from vrcaps.capsule.catalog import read_device
         from vrcaps.capsule.device_file import write_device
-        from vrcaps.tools.camera_calibration.board import parse_board
-        from vrcaps.tools.camera_calibration.calibration_report import write_report
+        from vrcaps.tools.camera_calibration.board import find_views, parse_board
         from vrcaps.tools.camera_calibration.circle import image_circle
-        from vrcaps.tools.camera_calibration.corners import find_views
-        from vrcaps.tools.camera_calibration.device import calibrated_device, find_camera
-        from vrcaps.tools.camera_calibration.fit import calibrate, check_fit
+        from vrcaps.tools.camera_calibration.fit import (
+            calibrate,
+            calibrated_device,
+            check_fit,
+            find_camera,
+        )
+        from vrcaps.tools.camera_calibration.report import write_report
         from vrcaps.tools.photos import read_photos
 
         check_out(self.out, overwrite=self.overwrite)

@@ -13,7 +13,7 @@ from vrcaps.cli.console import console, progress_bar
 from vrcaps.cli.paths import require_existing
 
 if TYPE_CHECKING:
-    from vrcaps.tools.photometric_calibration.calibrate_photometric import PhotometricCalibration
+    from vrcaps.tools.photometric_calibration.calibrate import PhotometricCalibration
 
 
 @dataclass(frozen=True)
@@ -66,16 +66,14 @@ class CalibratePhotometric:
         require_existing(self.frames, "pictures or videos, or folders of them")
         from vrcaps.capsule.catalog import read_device
         from vrcaps.capsule.device_file import write_device
-        from vrcaps.tools.camera_calibration.device import find_camera
-        from vrcaps.tools.camera_calibration.fit import sees_image
-        from vrcaps.tools.photometric_calibration.calibrate_photometric import (
+        from vrcaps.tools.camera_calibration.fit import find_camera, sees_image
+        from vrcaps.tools.photometric_calibration.calibrate import (
             calibrate_photometric,
             photometric_device,
+            write_report,
             write_scenario,
         )
-        from vrcaps.tools.photometric_calibration.frames import make_frames
-        from vrcaps.tools.photometric_calibration.jpeg import jpeg_quality
-        from vrcaps.tools.photometric_calibration.photometric_report import write_report
+        from vrcaps.tools.photometric_calibration.frames import jpeg_quality, make_frames
         from vrcaps.tools.photos import read_photos
 
         effects = self.out.with_name(f"{self.out.stem}-effects.toml")

@@ -15,7 +15,7 @@ from vrcaps.core.units import MM
 from vrcaps.metrics.coverage import COVERAGE_LEVELS, CoverageCriteria
 
 if TYPE_CHECKING:
-    from vrcaps.tools.coverage.episode_coverage import EpisodeCoverage
+    from vrcaps.tools.reports.coverage import EpisodeCoverage
 
 COVERAGE_FOLDER = "coverage"
 TABLE, MESH, FIGURE = "coverage.parquet", "coverage.glb", "coverage.png"
@@ -58,9 +58,12 @@ class Coverage:
         """Measure, write and report."""
         require_folder(self.episode, "an episode")
         from vrcaps.recording.episode import read_episode
-        from vrcaps.tools.coverage.coverage_figure import write_coverage_figure
-        from vrcaps.tools.coverage.episode_coverage import episode_coverage
-        from vrcaps.tools.coverage.write_coverage import write_coverage_mesh, write_coverage_table
+        from vrcaps.tools.reports.coverage import (
+            episode_coverage,
+            write_coverage_figure,
+            write_coverage_mesh,
+            write_coverage_table,
+        )
 
         criteria = CoverageCriteria(
             max_depth=self.max_depth * MM,

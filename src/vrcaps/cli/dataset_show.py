@@ -79,8 +79,8 @@ class Show:
         from vrcaps.data.counts import rows_of
         from vrcaps.data.store import open_store
         from vrcaps.data.units import Units
-        from vrcaps.tools.dataset_page.page import write_page
-        from vrcaps.tools.dataset_page.sample import sample
+        from vrcaps.tools.reports.dataset_page import write_page
+        from vrcaps.tools.reports.dataset_sample import sample
 
         store = open_store(self.dataset)
         plan, rows = read_plan_of(store), rows_of(store)

@@ -14,7 +14,7 @@ from vrcaps.core.errors import InputError
 if TYPE_CHECKING:
     from vrcaps.env.settings import EnvSettings
     from vrcaps.policy.policy import Policy
-    from vrcaps.tools.evaluation.subject import Subject
+    from vrcaps.tools.reports.evaluation import Subject
 
 
 @dataclass(frozen=True)
@@ -83,8 +83,8 @@ class Evaluate:
 
     def run(self) -> None:
         """Evaluate, draw and report."""
-        from vrcaps.tools.evaluation.page import VIDEO, write_page
-        from vrcaps.tools.evaluation.run_video import write_run_video
+        from vrcaps.tools.reports.evaluation import VIDEO, write_page
+        from vrcaps.tools.reports.run_video import write_run_video
 
         if not self.policies:
             raise InputError("No policy is given. Allowed: one or more, such as centerline.")
@@ -104,7 +104,7 @@ class Evaluate:
         from vrcaps.policy.evaluate import Plan, evaluate
         from vrcaps.policy.evaluation import Evaluation
         from vrcaps.policy.policy import read_policy
-        from vrcaps.tools.evaluation.subject import Subject
+        from vrcaps.tools.reports.evaluation import Subject
 
         plan = Plan(self.seeds, self.episodes, self.worlds)
         to_judge: list[tuple[Policy, EnvSettings, str]] = []
@@ -183,7 +183,7 @@ def _short(name: str) -> str:
 def _report(subjects: list[Subject]) -> None:
     from rich.table import Table
 
-    from vrcaps.tools.evaluation.subject import summary
+    from vrcaps.tools.reports.evaluation import summary
 
     columns = [summary(subject) for subject in subjects]
     table = Table(title="Medians over all episodes")

@@ -186,7 +186,7 @@ def report_organ(organ: OrganSurface, picture: Path) -> None:
     from rich.table import Table
 
     from vrcaps.organ.measure import measure_organ
-    from vrcaps.tools.overview.overview import write_overview
+    from vrcaps.tools.reports.overview import write_overview
 
     facts = measure_organ(organ)
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))

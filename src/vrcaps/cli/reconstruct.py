@@ -164,7 +164,7 @@ class Reconstruct:
             with_network_depth,
             with_poses,
         )
-        from vrcaps.tools.reconstruction.fuse import FuseSettings, fuse
+        from vrcaps.tools.reconstruction.fusion.fuse import FuseSettings, fuse
 
         settings = FuseSettings(self.voxel_mm * MM, self.max_distance_mm * MM, self.min_views)
         used = sequence
@@ -186,7 +186,7 @@ class Reconstruct:
         from vrcaps.metrics.trajectory import absolute_trajectory_error
         from vrcaps.recording.frame_sequence import CAMERA_POSE
         from vrcaps.tools.reconstruction.estimates import aligned, with_poses
-        from vrcaps.tools.reconstruction.odometry import OdometrySettings, estimated_poses
+        from vrcaps.tools.reconstruction.fusion.odometry import OdometrySettings, estimated_poses
 
         with progress_bar("estimating poses") as progress:
             found = estimated_poses(sequence, OdometrySettings(), progress=progress)
@@ -204,9 +204,9 @@ class Reconstruct:
 
     def _stitched(self, sequence: FrameSequence, out: Path) -> tuple[Mesh, np.ndarray]:
         from vrcaps.tools.reconstruction.estimates import read_depth
-        from vrcaps.tools.reconstruction.stitch import StitchSettings, stitch
-        from vrcaps.tools.reconstruction.stitch_files import write_registration, write_stitched
-        from vrcaps.tools.reconstruction.stitch_surface import DepthSource, wall_surface
+        from vrcaps.tools.reconstruction.stitching.files import write_registration, write_stitched
+        from vrcaps.tools.reconstruction.stitching.stitch import StitchSettings, stitch
+        from vrcaps.tools.reconstruction.stitching.surface import DepthSource, wall_surface
 
         settings = StitchSettings(math.radians(self.field_of_view_deg), self.every)
         if self.depth is not None:

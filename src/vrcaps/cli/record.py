@@ -127,7 +127,7 @@ class Record:
 
 
 def _with_coverage_channels(scenario: Scenario) -> Scenario:
-    from vrcaps.tools.coverage.episode_coverage import COVERAGE_CHANNELS
+    from vrcaps.tools.reports.coverage import COVERAGE_CHANNELS
 
     missing = (name for name in COVERAGE_CHANNELS if name not in scenario.channels)
     return replace(scenario, channels=(*scenario.channels, *missing))

@@ -11,7 +11,7 @@ from tyro.conf import OmitArgPrefixes, Positional
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.cli.paths import require_existing
 from vrcaps.core.units import CM
-from vrcaps.tools.mucosa_from_photos.place_vessels import VesselPlacement
+from vrcaps.tools.mucosa_from_photos.vessels import VesselPlacement
 
 if TYPE_CHECKING:
     from vrcaps.tools.mucosa_from_photos.make_texture import TextureResult
@@ -78,7 +78,7 @@ class Texture:
         from vrcaps.mucosa.texture import check_free, write_texture
         from vrcaps.tools.mucosa_from_photos.make_texture import TextureOptions, make_texture
         from vrcaps.tools.mucosa_from_photos.patches import PhotoScale, check_scale
-        from vrcaps.tools.mucosa_from_photos.texture_report import write_report
+        from vrcaps.tools.mucosa_from_photos.report import write_report
         from vrcaps.tools.photos import read_photos
 
         scale = PhotoScale(self.mm_per_pixel, self.field_width_mm)

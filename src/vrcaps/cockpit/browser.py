@@ -1,4 +1,13 @@
-"""Private parts of the page's library: keys, gamepads and frame rates of browsers."""
+"""Browser input and frame rates, beyond the public API of the page's library, viser.
+
+viser supports neither gamepads nor held keys. `InputBridge` sends a script to every browser that
+reads both and writes them to a text field of the page, which viser transfers over the page's own
+connection.
+
+A browser without a graphics card may take half a second for a frame of the scene. Images that
+arrive meanwhile wait, since the page processes all updates in order. Each browser therefore
+reports its frame rate, and `Pace` reduces the update rate of the scene.
+"""
 
 from __future__ import annotations
 

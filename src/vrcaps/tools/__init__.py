@@ -1,6 +1,7 @@
 """Offline tools around the simulator; the simulator never imports them.
 
-`ct/` builds organs from CT scans, `mucosa_from_photos/` textures from endoscopic photographs,
-`camera_calibration/` and `photometric_calibration/` devices from images of a real capsule,
-`overview/` overview figures of an organ. `photos` reads photographs, `field_of_view` masks them.
+`ct` builds organs from CT scans, `mucosa_from_photos` textures from endoscopic photographs,
+`camera_calibration` and `photometric_calibration` devices from images of a real capsule.
+`reconstruction` estimates the wall from images, by fusion of depth or by stitching. `reports` draws
+organs, coverage, evaluations and data sets. `photos` reads photographs, `field_of_view` masks them.
 """

@@ -14,7 +14,7 @@ from PIL import Image, ImageOps
 
 from vrcaps.core.errors import InputError
 from vrcaps.formats.shared.stored_images import decoded_rgb, image_size, read_plane, read_rgb
-from vrcaps.tools.photometric_calibration.jpeg import jpeg_quality
+from vrcaps.tools.photometric_calibration.frames import jpeg_quality
 from vrcaps.tools.photos import read_photos
 
 

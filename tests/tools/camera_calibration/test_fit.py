@@ -15,19 +15,17 @@ from vrcaps.camera.lens import LensKannalaBrandt, LensPinhole, LensScaramuzza
 from vrcaps.capsule.catalog import read_device
 from vrcaps.capsule.device_file import read_device_file, write_device
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.tools.camera_calibration.board import Board
+from vrcaps.tools.camera_calibration.board import Board, BoardView, find_views
 from vrcaps.tools.camera_calibration.circle import image_circle
-from vrcaps.tools.camera_calibration.corners import BoardView, find_views
-from vrcaps.tools.camera_calibration.device import calibrated_device
 from vrcaps.tools.camera_calibration.fit import (
     Calibration,
     _Problem,
     calibrate,
+    calibrated_device,
     check_fit,
     sees_image,
 )
-from vrcaps.tools.camera_calibration.initial_guess import plane_pose
-from vrcaps.tools.camera_calibration.parameterization import PARAMETERIZATIONS
+from vrcaps.tools.camera_calibration.parameterization import PARAMETERIZATIONS, plane_pose
 from vrcaps.tools.photos import read_photos
 
 BOARD = Board(7, 8, 2e-3)

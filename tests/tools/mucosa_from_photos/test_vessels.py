@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from vrcaps.tools.mucosa_from_photos.place_vessels import VesselPlacement, place_vessels
-from vrcaps.tools.mucosa_from_photos.vessels import find_vessels
+from vrcaps.tools.mucosa_from_photos.vessels import VesselPlacement, find_vessels, place_vessels
 
 BLOOD = np.array([0.2, 1.0, 0.8])
 

@@ -1,4 +1,4 @@
-"""Charts of episodes over time, and the error of an estimated path."""
+"""Charts of episodes over time: speed, forces, clearance and the error of an estimated path."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Panels of the patient: posture, insufflation and flush, and the choices for a new drive."""
+"""Panels of the patient: posture, insufflation, flush, phase III and the next drive."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Panels of images and measurements: camera, look, map and charts."""
+"""Panels of the view: live image, render settings, unrolled map and strip charts."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from vrcaps.cockpit.session.camera_images import LIVE_CHANNELS, LiveImage
 from vrcaps.core.transforms import invert, transform_points
 from vrcaps.core.units import DEG, MM
 from vrcaps.render.settings import Light
-from vrcaps.tools.overview.unroll import dissection, unroll
+from vrcaps.tools.reports.unroll import dissection, unroll
 
 if TYPE_CHECKING:
     from vrcaps.cockpit.page import Page

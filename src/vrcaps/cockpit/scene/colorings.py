@@ -1,4 +1,8 @@
-"""Colorings of the organ: segment, lesion, coverage, contact pressure and stiffness."""
+"""Colorings of the organ in the page: segment, lesion, coverage, contact pressure and stiffness.
+
+The organ is drawn as a decimated mesh, `PageMesh`. The contact law is the same everywhere, so the
+wall is plain except where the capsule presses; there, the fine wall is drawn in color bands.
+"""
 
 from __future__ import annotations
 

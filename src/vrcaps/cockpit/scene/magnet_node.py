@@ -1,4 +1,4 @@
-"""Scene nodes of the magnet, its field lines and the links of a robot arm."""
+"""Scene node of the magnet and its field lines, and meshes of the links of a robot arm."""
 
 from __future__ import annotations
 

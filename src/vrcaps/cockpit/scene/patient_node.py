@@ -1,4 +1,8 @@
-"""Scene node of the patient: outline and table."""
+"""Scene node of the patient: a schematic outline of a lying adult, and a table.
+
+The outline shows head, feet, left and posture. It is not anatomically exact: the sections are
+rounded values of an adult of 1.75 m, and the organ may come from another patient.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Live images of the capsule's camera, rendered as often as time allows."""
+"""Live images of the capsule's camera, rendered as often as time allows.
+
+`LiveShadows` disables shadows while images with shadows are too slow.
+"""
 
 from __future__ import annotations
 

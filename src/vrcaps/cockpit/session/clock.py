@@ -1,4 +1,4 @@
-"""Clock and view of the simulation: pace, pause, and the published state."""
+"""Clock that paces simulated time, and `View`, the published state at one instant."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Drive: saved commands and scenario of a session, and the choices for a new one."""
+"""Files of a drive, from which `record` records it again, and the scenario of the next drive."""
 
 from __future__ import annotations
 

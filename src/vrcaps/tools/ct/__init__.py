@@ -1,6 +1,6 @@
 """Organs from CT: from DICOM series, volumes and label maps to a wall.
 
-`read_volume` and `read_dicom` read scans. `lumen` segments the gas, `cleansing` and
-`air_fluid_interface` handle tagged fluid, `collapse_bridging` collapsed stretches. `fraction`
-measures partial volume, `surface` extracts the wall, `from_ct` builds the organ.
+`read_volume` and `read_dicom` read scans. `lumen` segments the gas, `cleansing` handles tagged
+fluid, `collapse_bridging` collapsed stretches. `fraction` measures partial volume, `surface`
+extracts the wall, `from_ct` builds the organ.
 """

@@ -9,7 +9,7 @@ import numpy as np
 
 from vrcaps.core.errors import UnknownNameError
 from vrcaps.core.units import MM
-from vrcaps.tools.ct.components import connected_parts, grown, renumbered, shrunk
+from vrcaps.tools.ct.lumen import connected_parts, grown, renumbered, shrunk
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int, UInt16

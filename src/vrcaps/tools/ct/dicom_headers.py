@@ -13,7 +13,7 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.files import files_in
 from vrcaps.core.names import is_hidden
 from vrcaps.core.units import MM
-from vrcaps.tools.ct.itk import import_sitk
+from vrcaps.tools.ct.volume import import_sitk
 
 if TYPE_CHECKING:
     import SimpleITK

@@ -16,9 +16,8 @@ from vrcaps.tools.ct.collapse_bridging import (
     connected_by_gaps,
     find_gaps,
 )
-from vrcaps.tools.ct.components import renumbered
 from vrcaps.tools.ct.fraction import LumenFraction, gas_fraction, mask_fraction, number_parts
-from vrcaps.tools.ct.lumen import GAS_THRESHOLD, SPECKS, GasPiece, find_gas
+from vrcaps.tools.ct.lumen import GAS_THRESHOLD, SPECKS, GasPiece, find_gas, renumbered
 from vrcaps.tools.ct.volume import Volume
 
 if TYPE_CHECKING:
@@ -244,8 +243,7 @@ def _organ(
     from vrcaps.mesh.repair import repair
     from vrcaps.organ.centerline import compute_centerline, reversed_centerline
     from vrcaps.organ.read_organ import organ_from_mesh
-    from vrcaps.tools.ct.segments import colon_labels, runs_upwards
-    from vrcaps.tools.ct.surface import extract_wall
+    from vrcaps.tools.ct.surface import colon_labels, extract_wall, runs_upwards
 
     lumen = _largest_part(bridge_gaps(lumen, gaps, CHANNEL_RADIUS) if gaps else lumen)
     report("drawing the wall")

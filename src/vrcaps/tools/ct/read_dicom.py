@@ -9,8 +9,7 @@ import numpy as np
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import MM
 from vrcaps.tools.ct.dicom_headers import Listing, Series, Slice, inverted_sum, list_series
-from vrcaps.tools.ct.itk import import_sitk, itk_reason
-from vrcaps.tools.ct.volume import Volume, hounsfield, require_voxels
+from vrcaps.tools.ct.volume import Volume, hounsfield, import_sitk, itk_reason, require_voxels
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Scan as a voxel grid in the patient frame."""
+"""CT volumes, and the import, messages and grids of SimpleITK."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.core.errors import InputError
+from vrcaps.core.errors import InputError, import_extra
 from vrcaps.core.units import MM
 
 if TYPE_CHECKING:
+    from types import ModuleType
+
+    import SimpleITK
     from jaxtyping import Float, Int, Int16
 
 _SAME_GRID = 0.02  # maximum distance, in voxels, between the nodes of two aligned grids
@@ -186,3 +189,29 @@ def _grid_text(volume: Volume) -> str:
     spacing = " × ".join(f"{d / MM:.3g}" for d in volume.spacing[::-1])
     x, y, z = volume.T_patient_index[:3, 3] / MM
     return f"({size} voxels of {spacing} mm from ({x:.1f}, {y:.1f}, {z:.1f}) mm)"
+
+
+def import_sitk() -> ModuleType:
+    """Import SimpleITK with its warnings off; their conditions are checked here.
+
+    Raises:
+        MissingExtraError: If it is not installed.
+    """
+    sitk = import_extra("SimpleITK", "ct")
+    sitk.ProcessObject.SetGlobalWarningDisplay(False)
+    return sitk
+
+
+def grid_transform(image: SimpleITK.Image) -> Float[np.ndarray, "4 4"]:
+    """`Volume.T_patient_index` of an image, whose own indices run (i, j, k), in millimeters."""
+    direction = np.array(image.GetDirection()).reshape(3, 3)
+    transform = np.eye(4)
+    transform[:3, :3] = (direction * image.GetSpacing())[:, ::-1] * MM
+    transform[:3, 3] = np.array(image.GetOrigin()) * MM
+    return transform
+
+
+def itk_reason(error: RuntimeError) -> str:
+    """Line of an ITK exception that states the cause."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return (lines[-1] if lines else type(error).__name__)[:160].rstrip(".")

@@ -1,4 +1,4 @@
-"""Mucosa texture from endoscopic photographs: image quilting, relief and vessels."""
+"""Mucosa texture from endoscopic photographs: image quilting, relief, roughness and vessels."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy
 
-from vrcaps.core.color import LUMINANCE, srgb_from_log_linear
+from vrcaps.core.color import LUMINANCE, log_luminance, srgb_from_log_linear
 from vrcaps.core.errors import InputError
 from vrcaps.core.rng import stream
 from vrcaps.core.units import MM
@@ -21,11 +21,9 @@ from vrcaps.tools.mucosa_from_photos.patches import (
     choose,
     source_patches,
 )
-from vrcaps.tools.mucosa_from_photos.place_vessels import VesselPlacement, place_vessels
-from vrcaps.tools.mucosa_from_photos.quality import texture_quality
 from vrcaps.tools.mucosa_from_photos.quilt import Quilt, quilt, variants
-from vrcaps.tools.mucosa_from_photos.relief import relief
-from vrcaps.tools.mucosa_from_photos.vessels import VesselPiece
+from vrcaps.tools.mucosa_from_photos.report import texture_quality
+from vrcaps.tools.mucosa_from_photos.vessels import VesselPiece, VesselPlacement, place_vessels
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -33,6 +31,40 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
     from vrcaps.tools.photos import Photo
+
+RELIEF_SLOPE = 0.08
+"""RMS slope of the relief; a single image lit from the lens does not determine it."""
+
+ROUGHNESS = 0.65
+"""Mean perceptual roughness of the wall under its mucus film."""
+
+_ROUGHNESS_SPREAD = 0.04  # hollows hold more mucus and are smoother
+_COARSEST = 0.6e-3  # standard deviation of the low-pass above which color is not relief [m]
+
+
+def relief(
+    log_light: Float[np.ndarray, "n n 3"], texel: float
+) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n"]]:
+    """Estimate height [m] and roughness: darker parts lie deeper.
+
+    With the lamp next to the lens, a pit is darker than its surroundings whichever way it faces, so
+    band-passed log brightness approximates height (Glencross et al. 2008, A perceptually validated
+    model for surface depth hallucination, ACM Trans. Graph. 27(3)). Its amplitude gives an RMS
+    slope of `RELIEF_SLOPE`.
+
+    Args:
+        log_light: Logarithm of reflectance without vessels; tileable.
+        texel: Side of a texel [m].
+    """
+    bright = log_luminance(log_light)
+    fine = scipy.ndimage.gaussian_filter(bright, 0.8, mode="wrap")
+    fine = fine - scipy.ndimage.gaussian_filter(bright, max(2.0, _COARSEST / texel), mode="wrap")
+    slope = np.hypot(*(np.roll(fine, -1, axis) - fine for axis in (0, 1))) / texel
+    steepness = float(np.sqrt(np.mean(slope**2)))
+    height = fine * (RELIEF_SLOPE / steepness if steepness > 0.0 else 0.0)
+    depth = np.clip(fine / max(2.0 * float(fine.std()), 1e-9), -1.0, 1.0)
+    return height.astype(np.float32), (ROUGHNESS + _ROUGHNESS_SPREAD * depth).astype(np.float32)
+
 
 _REDDEST = 0.92  # 99th percentile of linear red light over the texels, at most
 

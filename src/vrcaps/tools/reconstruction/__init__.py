@@ -1,6 +1,6 @@
 """Reconstruction of a wall from images with depth and poses, and its evaluation.
 
-`volume` stores signed distances in blocks, `fuse` fills it from frames and extracts the surface.
-`stitch` instead combines the frames into one image, `stitch_surface` converts that to a surface.
-`compare` measures a surface against the true wall and draws its errors.
+`fusion` fuses depth images into a surface, with poses that are given or estimated by odometry.
+`stitching` combines the images into one and converts it to a surface. `estimates` reads estimated
+depth and poses, `compare` measures a surface against the true wall and draws its errors.
 """

@@ -1,22 +1,79 @@
-"""Image matching: features, matches, and homographies of overlapping images by RANSAC.
+"""Matching of endoscopic images: highlights, features, homographies and the graph of pairs.
 
-After Brown and Lowe, Automatic Panoramic Image Stitching using Invariant Features, IJCV 74(1),
-2007, sections 2 and 3. Nearest neighbors are exact, so that results are reproducible.
+Features and homographies by RANSAC after Brown and Lowe, Automatic Panoramic Image Stitching using
+Invariant Features, IJCV 74(1), 2007, sections 2 and 3. Nearest neighbors are exact, so that
+results are reproducible.
+
+Highlights are detected by Otsu's threshold and inpainted by Telea's method. The threshold applies
+to the excess of the least color channel over its local median, scaled like the greatest channel: a
+highlight adds white light, and mucosa is poor in blue. Brightness itself is unsuitable, as near
+walls are the brightest.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 
-from vrcaps.tools.reconstruction.opencv import opencv
+from vrcaps.core.errors import import_extra
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Float32, Int, UInt8
+
+
+def opencv() -> Any:
+    """Import OpenCV.
+
+    Raises:
+        MissingExtraError: If it is not installed.
+    """
+    return import_extra("cv2", "reconstruct", package="opencv-python-headless")
+
+
+_WINDOW = 0.1
+"""Side of the median's window, relative to the image's shorter side."""
+_LEAST = 24
+"""Minimum excess of a highlight [of 255]; Otsu's threshold always separates, even noise."""
+_GLOW = 1 / 140
+"""Width of the glow around a highlight, relative to the image's shorter side."""
+_REACH_PX = 5
+"""Radius of the inpainting [px]."""
+
+
+def highlights(rgb: UInt8[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
+    """Detect highlights with their glow (Otsu, IEEE Trans. SMC 9(1), 1979).
+
+    Raises:
+        MissingExtraError: If OpenCV is not installed.
+    """
+    cv2 = opencv()
+    side = min(rgb.shape[:2])
+    window = min(255, 2 * max(1, round(_WINDOW * side / 2)) + 1)
+    least, most = (np.ascontiguousarray(part(rgb, axis=2)) for part in (np.min, np.max))
+    around = [cv2.medianBlur(channel, window).astype(np.float32) for channel in (least, most)]
+    brighter = np.maximum(most / np.maximum(around[1], 1.0), 1.0)
+    excess = np.clip(least - around[0] * brighter, 0.0, 255.0).astype(np.uint8)
+    threshold, _ = cv2.threshold(excess, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
+    found = (excess > max(threshold, _LEAST)).astype(np.uint8)
+    glow = 2 * max(1, round(_GLOW * side)) + 1
+    disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (glow, glow))
+    return cv2.dilate(found, disk) > 0
+
+
+def without_highlights(rgb: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
+    """Inpaint the highlights of an image (Telea, J. Graphics Tools 9(1), 2004).
+
+    Raises:
+        MissingExtraError: If OpenCV is not installed.
+    """
+    cv2 = opencv()
+    mask = highlights(rgb).astype(np.uint8)
+    return cv2.inpaint(np.ascontiguousarray(rgb), mask, _REACH_PX, cv2.INPAINT_TELEA)
+
 
 _RATIO = 0.8
 """Maximum ratio of nearest to second-nearest descriptor distance (Lowe, IJCV 60(2), 2004)."""
@@ -173,3 +230,85 @@ def likely_pairs(descriptors: Sequence[Float32[np.ndarray, "n d"]]) -> list[tupl
     return sorted(
         {(min(i, j), max(i, j)) for i in range(count) for j in best[i].tolist() if score[i, j]}
     )
+
+
+class ImagePair(Protocol):
+    """Two overlapping images."""
+
+    @property
+    def first(self) -> int:
+        """Index of one image."""
+        ...
+
+    @property
+    def second(self) -> int:
+        """Index of the other."""
+        ...
+
+    @property
+    def num_inliers(self) -> int:
+        """Number of inlier matches."""
+        ...
+
+
+AnyPair = TypeVar("AnyPair", bound=ImagePair)
+
+
+def connected(count: int, pairs: Sequence[ImagePair]) -> list[int]:
+    """Indices of the images of the largest connected component, sorted; empty without pairs.
+
+    Args:
+        count: Number of images.
+        pairs: Pairs of overlapping images.
+    """
+    from scipy.sparse.csgraph import connected_components
+
+    if not pairs:
+        return []
+    _, number = connected_components(_weights(count, pairs), directed=False)
+    largest = np.bincount(number).argmax()
+    return np.flatnonzero(number == largest).tolist()
+
+
+def chained(
+    count: int,
+    images: Sequence[int],
+    pairs: Sequence[AnyPair],
+    matrix_of: Callable[[AnyPair], Float[np.ndarray, "d d"]],
+) -> tuple[int, dict[int, Float[np.ndarray, "d d"]]]:
+    """Reference image, and the transform of each image to it along the pairs of most inliers.
+
+    The reference is the image with the fewest pairs on the way to the others.
+
+    Args:
+        count: Number of images.
+        images: Images of one component.
+        pairs: Pairs of overlapping images.
+        matrix_of: Returns the transform from the first image of a pair to the second.
+    """
+    from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree, shortest_path
+
+    weights = _weights(count, pairs)
+    weights.data = 1.0 / weights.data  # the minimum spanning tree has the most inliers
+    tree = minimum_spanning_tree(weights)
+    steps = shortest_path(tree, directed=False, unweighted=True, indices=list(images))
+    reference = images[int(steps[:, list(images)].mean(axis=1).argmin())]
+    known = {}
+    for pair in pairs:
+        matrix = matrix_of(pair)
+        known[pair.first, pair.second] = matrix
+        known[pair.second, pair.first] = np.linalg.inv(matrix)
+    found = {reference: np.eye(len(next(iter(known.values()))))}
+    order, before = breadth_first_order(tree, reference, directed=False)
+    for image in order[1:].tolist():
+        parent = int(before[image])
+        found[image] = found[parent] @ known[image, parent]
+    return reference, {image: found[image] for image in sorted(found)}
+
+
+def _weights(count: int, pairs: Sequence[ImagePair]) -> Any:
+    """Sparse matrix of the inlier counts."""
+    from scipy.sparse import csr_array
+
+    at = ([p.first for p in pairs], [p.second for p in pairs])
+    return csr_array(([float(p.num_inliers) for p in pairs], at), shape=(count, count))

@@ -1,1 +1,0 @@
-"""HTML page of a data set's contents: counts, histograms, sample frames."""

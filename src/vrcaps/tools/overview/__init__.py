@@ -1,1 +1,0 @@
-"""Overview figures of an organ."""

@@ -1,0 +1,1 @@
+"""Fusion of depth images into a surface, with poses given or estimated by odometry."""

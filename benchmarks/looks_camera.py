@@ -9,11 +9,10 @@ import numpy as np
 
 from looks_images import disc
 from looks_scenes import Shot, even_exposure
-from vrcaps.camera_pipeline.effect.auto_exposure import AutoExposure
 from vrcaps.camera_pipeline.effect.base import CameraSetup
-from vrcaps.camera_pipeline.effect.bayer_filter import BayerFilter
-from vrcaps.camera_pipeline.effect.jpeg import Jpeg
-from vrcaps.camera_pipeline.effect.white_balance import WhiteBalance
+from vrcaps.camera_pipeline.effect.exposure import AutoExposure
+from vrcaps.camera_pipeline.effect.processing import Jpeg, WhiteBalance
+from vrcaps.camera_pipeline.effect.sensor import BayerFilter
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.camera_pipeline.pipeline import CameraPipeline, SceneRadiance
 from vrcaps.core.color import luminance

@@ -16,12 +16,14 @@ from validation import options, table, write_section
 from vrcaps._core import testing
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.derive import focal_length_px
-from vrcaps.camera_pipeline.effect.auto_exposure import AutoExposure
 from vrcaps.camera_pipeline.effect.base import CameraSetup
-from vrcaps.camera_pipeline.effect.bloom import Bloom
-from vrcaps.camera_pipeline.effect.chromatic_aberration import LateralChromaticAberration
-from vrcaps.camera_pipeline.effect.depth_of_field import DepthOfField
-from vrcaps.camera_pipeline.effect.vignetting import Vignetting
+from vrcaps.camera_pipeline.effect.exposure import AutoExposure
+from vrcaps.camera_pipeline.effect.optics import (
+    Bloom,
+    DepthOfField,
+    LateralChromaticAberration,
+    Vignetting,
+)
 from vrcaps.camera_pipeline.effects import SEVERITIES
 from vrcaps.capsule.catalog import read_device
 from vrcaps.core.units import MM

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from vrcaps.camera_pipeline.effect.adaptive_frame_rate import AdaptiveFrameRate, image_speed
+from vrcaps.camera_pipeline.effect.exposure import AdaptiveFrameRate, image_speed
 from vrcaps.core.errors import InputError
 
 

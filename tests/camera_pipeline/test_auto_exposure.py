@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from vrcaps.camera_pipeline.effect.auto_exposure import AutoExposure
+from vrcaps.camera_pipeline.effect.exposure import AutoExposure
 from vrcaps.core.errors import InputError
 
 

@@ -4,11 +4,9 @@ import pytest
 from shapes import DIRECT, LENSES, make_camera, make_model, sphere
 from vrcaps.camera.camera import camera_rays, pixel_grid, project_points
 from vrcaps.camera.derive import barrel_radius, focal_length_px, scaled_camera
-from vrcaps.camera_pipeline.effect.distortion import Distortion
-from vrcaps.camera_pipeline.effect.dome_bubbles import DomeBubbles
-from vrcaps.camera_pipeline.effect.field_of_view import FieldOfView
-from vrcaps.camera_pipeline.effect.resolution import Resolution
-from vrcaps.camera_pipeline.effect.specular import SpecularReflection
+from vrcaps.camera_pipeline.effect.optics import Distortion, FieldOfView
+from vrcaps.camera_pipeline.effect.scene import DomeBubbles, SpecularReflection
+from vrcaps.camera_pipeline.effect.sensor import Resolution
 from vrcaps.capsule.catalog import device_names, read_device
 from vrcaps.core.errors import InputError
 from vrcaps.organ.surface import Appearance

@@ -11,9 +11,8 @@ from shapes import DIRECT, looking, make_camera, make_model, pinhole, sphere
 from vrcaps._core import testing
 from vrcaps.camera.derive import focal_length_px
 from vrcaps.camera_pipeline.effect.base import CameraSetup, Stage
-from vrcaps.camera_pipeline.effect.depth_of_field import DepthOfField
-from vrcaps.camera_pipeline.effect.droplets import Droplets, DropletsStage, DropMap
-from vrcaps.camera_pipeline.effect.smears import SUBSTANCES, Smears
+from vrcaps.camera_pipeline.effect.dome import SUBSTANCES, Droplets, DropletsStage, DropMap, Smears
+from vrcaps.camera_pipeline.effect.optics import DepthOfField
 from vrcaps.camera_pipeline.effects import SEVERITIES, Effects
 from vrcaps.camera_pipeline.pipeline import CameraPipeline
 from vrcaps.capsule.catalog import read_device

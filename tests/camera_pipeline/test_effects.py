@@ -4,11 +4,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vrcaps.camera_pipeline.effect.adaptive_frame_rate import AdaptiveFrameRate
-from vrcaps.camera_pipeline.effect.auto_exposure import AutoExposure
 from vrcaps.camera_pipeline.effect.base import MAX_SEVERITY
-from vrcaps.camera_pipeline.effect.bayer_filter import BayerFilter
-from vrcaps.camera_pipeline.effect.depth_of_field import DepthOfField
+from vrcaps.camera_pipeline.effect.exposure import AdaptiveFrameRate, AutoExposure
+from vrcaps.camera_pipeline.effect.optics import DepthOfField
+from vrcaps.camera_pipeline.effect.sensor import BayerFilter
 from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES, Effects, parse_effects
 from vrcaps.camera_pipeline.effects_tables import with_tables
 from vrcaps.capsule.catalog import read_device

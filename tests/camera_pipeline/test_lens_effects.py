@@ -7,12 +7,13 @@ from vrcaps._core import testing
 from vrcaps.camera.camera import camera_rays
 from vrcaps.camera.derive import focal_length_px
 from vrcaps.camera_pipeline.effect.base import CameraSetup
-from vrcaps.camera_pipeline.effect.bloom import Bloom
-from vrcaps.camera_pipeline.effect.chromatic_aberration import LateralChromaticAberration
-from vrcaps.camera_pipeline.effect.depth_of_field import DepthOfField
-from vrcaps.camera_pipeline.effect.motion_blur import MotionBlur
-from vrcaps.camera_pipeline.effect.rolling_shutter import RollingShutter
-from vrcaps.camera_pipeline.effect.vignetting import Vignetting
+from vrcaps.camera_pipeline.effect.exposure import MotionBlur, RollingShutter
+from vrcaps.camera_pipeline.effect.optics import (
+    Bloom,
+    DepthOfField,
+    LateralChromaticAberration,
+    Vignetting,
+)
 from vrcaps.capsule.catalog import read_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import MM

@@ -13,14 +13,15 @@ from vrcaps._core import testing
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.derive import scaled_camera
 from vrcaps.camera_pipeline.capsule_cameras import CapsuleCameras
-from vrcaps.camera_pipeline.effect.adaptive_frame_rate import AdaptiveFrameRate
-from vrcaps.camera_pipeline.effect.auto_exposure import AutoExposure
 from vrcaps.camera_pipeline.effect.base import CameraSetup, ImageEffect
-from vrcaps.camera_pipeline.effect.bayer_filter import BayerFilter
-from vrcaps.camera_pipeline.effect.depth_of_field import DepthOfField
-from vrcaps.camera_pipeline.effect.motion_blur import MotionBlur
-from vrcaps.camera_pipeline.effect.rolling_shutter import RollingShutter
-from vrcaps.camera_pipeline.effect.sensor_noise import SensorNoise
+from vrcaps.camera_pipeline.effect.exposure import (
+    AdaptiveFrameRate,
+    AutoExposure,
+    MotionBlur,
+    RollingShutter,
+)
+from vrcaps.camera_pipeline.effect.optics import DepthOfField
+from vrcaps.camera_pipeline.effect.sensor import BayerFilter, SensorNoise
 from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES, Effects
 from vrcaps.camera_pipeline.pipeline import CameraPipeline, PipelineState
 from vrcaps.core.transforms import transform_from

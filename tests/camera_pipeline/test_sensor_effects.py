@@ -10,10 +10,8 @@ from twin_stages import demosaic_twin
 from vrcaps import _core
 from vrcaps._core import testing
 from vrcaps.camera_pipeline.effect.base import CameraSetup
-from vrcaps.camera_pipeline.effect.bayer_filter import BayerFilter
-from vrcaps.camera_pipeline.effect.jpeg import Jpeg
-from vrcaps.camera_pipeline.effect.sensor_noise import SensorNoise
-from vrcaps.camera_pipeline.effect.white_balance import WhiteBalance
+from vrcaps.camera_pipeline.effect.processing import Jpeg, WhiteBalance
+from vrcaps.camera_pipeline.effect.sensor import BayerFilter, SensorNoise
 from vrcaps.core.errors import InputError
 
 MONO = (1.0, 1.0, 1.0)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from vrcaps import cli
-from vrcaps.camera_pipeline.effect.bayer_filter import BayerFilter
+from vrcaps.camera_pipeline.effect.sensor import BayerFilter
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.cli.record import Record
 

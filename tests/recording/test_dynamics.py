@@ -12,7 +12,7 @@ import pytest
 
 from vrcaps import _core
 from vrcaps.camera_pipeline.capsule_cameras import CapsuleCameras
-from vrcaps.camera_pipeline.effect.auto_exposure import AutoExposure
+from vrcaps.camera_pipeline.effect.exposure import AutoExposure
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.core.errors import InputError
 from vrcaps.lesion import Location, Polyp

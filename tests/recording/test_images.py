@@ -5,9 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vrcaps.camera_pipeline.effect.adaptive_frame_rate import AdaptiveFrameRate
-from vrcaps.camera_pipeline.effect.auto_exposure import AutoExposure
-from vrcaps.camera_pipeline.effect.bayer_filter import BayerFilter
+from vrcaps.camera_pipeline.effect.exposure import AdaptiveFrameRate, AutoExposure
+from vrcaps.camera_pipeline.effect.sensor import BayerFilter
 from vrcaps.camera_pipeline.effects import SEVERITIES, Effects
 from vrcaps.capsule.catalog import device_of
 from vrcaps.motion.fly_through import FlyThrough

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_type_hints
 
-from vrcaps.camera_pipeline.effect.adaptive_frame_rate import AdaptiveFrameRate
-from vrcaps.camera_pipeline.effect.auto_exposure import AutoExposure
 from vrcaps.camera_pipeline.effect.base import (
     MAX_SEVERITY,
     CameraEffect,
@@ -15,23 +13,24 @@ from vrcaps.camera_pipeline.effect.base import (
     SceneEffect,
     Severity,
 )
-from vrcaps.camera_pipeline.effect.bayer_filter import BayerFilter
-from vrcaps.camera_pipeline.effect.bloom import Bloom
-from vrcaps.camera_pipeline.effect.chromatic_aberration import LateralChromaticAberration
-from vrcaps.camera_pipeline.effect.depth_of_field import DepthOfField
-from vrcaps.camera_pipeline.effect.distortion import Distortion
-from vrcaps.camera_pipeline.effect.dome_bubbles import DomeBubbles
-from vrcaps.camera_pipeline.effect.droplets import Droplets
-from vrcaps.camera_pipeline.effect.field_of_view import FieldOfView
-from vrcaps.camera_pipeline.effect.jpeg import Jpeg
-from vrcaps.camera_pipeline.effect.motion_blur import MotionBlur
-from vrcaps.camera_pipeline.effect.resolution import Resolution
-from vrcaps.camera_pipeline.effect.rolling_shutter import RollingShutter
-from vrcaps.camera_pipeline.effect.sensor_noise import SensorNoise
-from vrcaps.camera_pipeline.effect.smears import Smears
-from vrcaps.camera_pipeline.effect.specular import SpecularReflection
-from vrcaps.camera_pipeline.effect.vignetting import Vignetting
-from vrcaps.camera_pipeline.effect.white_balance import WhiteBalance
+from vrcaps.camera_pipeline.effect.dome import Droplets, Smears
+from vrcaps.camera_pipeline.effect.exposure import (
+    AdaptiveFrameRate,
+    AutoExposure,
+    MotionBlur,
+    RollingShutter,
+)
+from vrcaps.camera_pipeline.effect.optics import (
+    Bloom,
+    DepthOfField,
+    Distortion,
+    FieldOfView,
+    LateralChromaticAberration,
+    Vignetting,
+)
+from vrcaps.camera_pipeline.effect.processing import Jpeg, WhiteBalance
+from vrcaps.camera_pipeline.effect.scene import DomeBubbles, SpecularReflection
+from vrcaps.camera_pipeline.effect.sensor import BayerFilter, Resolution, SensorNoise
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.rng import stream
 

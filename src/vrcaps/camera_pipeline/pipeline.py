@@ -12,8 +12,8 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.camera.camera import camera_rays
 from vrcaps.camera.derive import half_side_px
-from vrcaps.camera_pipeline.effect.adaptive_frame_rate import image_speed
 from vrcaps.camera_pipeline.effect.base import CameraSetup, FrameContext, ImageEffect, Stage
+from vrcaps.camera_pipeline.effect.exposure import image_speed
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.core.color import LUMINANCE
 from vrcaps.render.channels import Frame
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
     from vrcaps.camera.camera import Camera
-    from vrcaps.camera_pipeline.effect.auto_exposure import AutoExposure
+    from vrcaps.camera_pipeline.effect.exposure import AutoExposure
     from vrcaps.motion.step import Step
     from vrcaps.render.renderer import Renderer
 

@@ -1,19 +1,77 @@
-"""Sensor noise: shot noise, read noise, fixed pattern and quantization."""
+"""Effects of the sensor: resolution, Bayer color filter array, noise."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.camera_pipeline.effect.base import CameraSetup, ImageEffect
-from vrcaps.camera_pipeline.effect.bayer_filter import BayerFilter
-from vrcaps.core.errors import require
+from vrcaps.camera.derive import scaled_camera
+from vrcaps.camera_pipeline.effect.base import CameraEffect, CameraSetup, ImageEffect
+from vrcaps.config.limits import Range
+from vrcaps.core.errors import InputError, require
 
 if TYPE_CHECKING:
     from jaxtyping import Float
+
+    from vrcaps.camera.camera import Camera
+
+
+@dataclass(frozen=True)
+class Resolution(CameraEffect):
+    """Sensor of the same size with fewer and larger pixels.
+
+    Attributes:
+        scale: Pixels per side, relative to the camera's own.
+    """
+
+    scale: Annotated[float, Range(above=0.0, max=4.0)]
+
+    name = "resolution"
+    severities = (None, {"scale": 0.75}, {"scale": 0.5}, {"scale": 0.375}, {"scale": 0.25})
+
+    def on(self, camera: Camera) -> Camera:
+        """Return the camera with this sensor.
+
+        Raises:
+            InputError: If fewer than 8 pixels per side remain.
+        """
+        return scaled_camera(camera, self.scale)
+
+
+BayerPattern = Literal["rggb", "bggr", "grbg", "gbrg"]
+"""Colors of 2 by 2 sites, in row-major order."""
+
+
+@dataclass(frozen=True)
+class BayerFilter(ImageEffect):
+    """Color filter array of the sensor, demosaiced; without it every pixel has all three colors.
+
+    Attributes:
+        pattern: Colors of 2 by 2 sites, in row-major order.
+    """
+
+    pattern: BayerPattern = "rggb"
+
+    name, short = "bayer_filter", "bayer"
+
+    def __post_init__(self) -> None:
+        if self.pattern not in get_args(BayerPattern):
+            allowed = ", ".join(get_args(BayerPattern))
+            raise InputError(f"BayerFilter's pattern is {self.pattern!r}. Allowed: {allowed}.")
+
+    @classmethod
+    def parse(cls, text: str) -> BayerFilter:
+        """Parse a pattern such as `rggb`."""
+        return cls(text)  # type: ignore[arg-type]
+
+    def params(self, setup: CameraSetup) -> tuple[int, int, int, int]:
+        """Color plane of each of the 2 by 2 sites, in row-major order."""
+        a, b, c, d = ("rgb".index(letter) for letter in self.pattern)
+        return a, b, c, d
+
 
 _FIXED = 1 << 62
 """First stream of the fixed pattern, beyond the streams of all frames."""

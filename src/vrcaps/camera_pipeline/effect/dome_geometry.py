@@ -8,7 +8,7 @@ import numpy as np
 
 from vrcaps.camera.camera import camera_rays
 from vrcaps.camera_pipeline.effect.base import CameraSetup
-from vrcaps.camera_pipeline.effect.depth_of_field import DepthOfField
+from vrcaps.camera_pipeline.effect.optics import DepthOfField
 from vrcaps.core.geometry import unit
 from vrcaps.core.rng import stream
 from vrcaps.core.units import MM

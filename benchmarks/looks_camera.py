@@ -16,8 +16,8 @@ from vrcaps.camera_pipeline.effect.sensor import BayerFilter
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.camera_pipeline.pipeline import CameraPipeline, SceneRadiance
 from vrcaps.core.color import luminance
-from vrcaps.motion.step import Step
-from vrcaps.render.planar import crop_margin
+from vrcaps.motion.motion import Step
+from vrcaps.render.sampling import crop_margin
 
 MEAN_LUMINANCE = {True: 0.20, False: 0.15}
 """Linear luminance that an automatic exposure aims at, of colonoscopes and of capsules: the mean

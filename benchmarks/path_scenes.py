@@ -12,7 +12,7 @@ from validation import ROOT  # its import makes the tests' independent renderers
 from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.motion.fly_through import FlyThrough, fly_through
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.renderer import Renderer

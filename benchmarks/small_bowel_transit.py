@@ -24,7 +24,7 @@ sys.path.append(str(ROOT / "tests" / "support"))
 
 from tubes import straight_gut
 from vrcaps.anatomy.small_bowel.parameters import SmallBowelParameters
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.units import CM, MM
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.drag import Drag

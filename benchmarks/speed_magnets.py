@@ -20,7 +20,7 @@ import numpy as np
 from validation import options, table, write_section
 from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.anatomy.stomach import StomachParameters, generate_stomach
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.sources import (
     Coil,

@@ -20,7 +20,7 @@ from validation import options, table, write_section
 from vrcaps import _core
 from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.camera.derive import scaled_camera
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.metrics.view_coverage import ViewCoverage
 from vrcaps.render.batch import render_batch
 from vrcaps.render.renderer import Renderer

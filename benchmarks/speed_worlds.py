@@ -17,7 +17,7 @@ import numpy as np
 from validation import parser, table, write_section
 from vrcaps import _core
 from vrcaps.anatomy.stomach import StomachParameters, generate_stomach
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.units import MM
 from vrcaps.magnet.sources import Cylinder
 from vrcaps.world.control import Control

@@ -17,8 +17,8 @@ import numpy as np
 
 from validation import ROOT, options, table, write_section
 from vrcaps import _core
-from vrcaps.capsule.catalog import read_device
 from vrcaps.capsule.device import Device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.transforms import invert, transform_points
 from vrcaps.core.units import DEG
 from vrcaps.organ.surface import Appearance

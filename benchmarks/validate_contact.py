@@ -22,7 +22,7 @@ sys.path.append(str(ROOT / "tests" / "support"))
 
 from vrcaps import _core
 from vrcaps.anatomy.catalog import generate_organ
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import MM
 from vrcaps.organ.read_organ import read_organ

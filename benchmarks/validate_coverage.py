@@ -21,7 +21,7 @@ from validation import DATA, options, table, write_section
 from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.camera.camera import Camera, in_image, project_points
 from vrcaps.camera.lens import LensEquidistant
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.geometry import triangle_areas
 from vrcaps.core.transforms import invert, transform_points
 from vrcaps.mesh.mesh import wall_of

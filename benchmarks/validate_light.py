@@ -19,7 +19,7 @@ import numpy as np
 
 from validation import options, table, write_section
 from vrcaps.anatomy.catalog import generate_organ
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.motion.fly_through import FlyThrough, fly_through
 from vrcaps.organ.surface import Appearance, OrganSurface
 from vrcaps.render.renderer import Renderer

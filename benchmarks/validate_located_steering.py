@@ -18,11 +18,11 @@ from validation import options, table, write_section
 from vrcaps.actuation.capsule_target import centerline_target
 from vrcaps.actuation.steering_program import MagnetSteering, Waypoint
 from vrcaps.anatomy.stomach import StomachParameters, generate_stomach
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.transforms import rotation_vector
 from vrcaps.motion.dynamics import Dynamics
+from vrcaps.motion.motion import Step
 from vrcaps.motion.rollout import Rollout
-from vrcaps.motion.step import Step
 from vrcaps.world.model import Model, posture_transform
 from vrcaps.world.schedule import Wrench
 

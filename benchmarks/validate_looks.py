@@ -40,7 +40,7 @@ PATIENTS_AND_FRAMES = {
 RED = (0.25, 0.55)
 """Allowed reflectance in red. A deep tissue with the scattering of colon (Marchesini et al. 1994)
 and 0.5 to 5 % of blood (150 g/l; Prahl's table) gives back 0.40 to 0.25 at 620 nm by diffusion
-(`vrcaps.render.narrow_band.diffuse_reflectance`); above it for light collected from other places of
+(`vrcaps.render.imaging.diffuse_reflectance`); above it for light collected from other places of
 the wall and the gains of endoscopes' red."""
 MIXED = 24
 """Frames of ours in the mixed picture, about, and as many real ones."""

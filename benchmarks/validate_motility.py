@@ -19,7 +19,7 @@ from validation import ROOT, options, table, write_section
 sys.path.append(str(ROOT / "tests" / "support"))
 
 from tubes import straight_gut
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.units import CM, MM
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.motility.migrating_complex import MINUTE, MigratingMotorComplex

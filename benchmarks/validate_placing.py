@@ -21,7 +21,7 @@ from vrcaps.actuation.magnet_pose_solver import Workspace
 from vrcaps.actuation.steering_program import GENTLE_GAINS
 from vrcaps.actuation.wall_path import PointToPointPlanner
 from vrcaps.anatomy.stomach import StomachParameters, generate_stomach
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.units import CM, DEG
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import magnet_pose

@@ -18,7 +18,7 @@ import numpy as np
 
 from validation import parser, table, write_section
 from vrcaps.anatomy.catalog import generate_organ
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import rotation_from_vector
 from vrcaps.core.units import MM

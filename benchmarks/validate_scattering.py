@@ -28,7 +28,7 @@ from vrcaps import _core
 from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.derive import scaled_camera
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.motion.fly_through import FlyThrough, fly_through
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.renderer import Renderer

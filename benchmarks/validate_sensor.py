@@ -25,7 +25,7 @@ from vrcaps.camera_pipeline.effect.optics import (
     Vignetting,
 )
 from vrcaps.camera_pipeline.effects import SEVERITIES
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.units import MM
 from vrcaps.render.flow import SUBSAMPLE
 

@@ -26,7 +26,7 @@ from vrcaps.actuation.capsule_target import CapsuleTarget, centerline_target
 from vrcaps.actuation.magnet_actuator import FreeActuator, MagnetActuator, RobotActuator
 from vrcaps.actuation.magnet_controller import ControllerGains, MagnetController
 from vrcaps.actuation.magnet_pose_solver import Workspace
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.transforms import transform_from
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import Coil, Cylinder, Dipole, magnet_pose

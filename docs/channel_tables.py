@@ -10,8 +10,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from vrcaps.render.channel_text import file_text, invalid_text, unit_text, value_text
-from vrcaps.render.channels import CHANNELS
+from vrcaps.render.channels import CHANNELS, file_text, invalid_text, unit_text, value_text
 
 BEGIN, END = "<!-- channels: written by docs/channel_tables.py -->", "<!-- end of channels -->"
 FOLDER = Path(__file__).parent

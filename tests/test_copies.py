@@ -13,7 +13,7 @@ from small_envs import GUT, SHORT_GUT, small_settings
 from tubes import straight_gut, textured
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.camera_pipeline.pipeline import CameraPipeline
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.env.env import CapsuleEnv
 from vrcaps.env.observations.image import ImageObservation
 from vrcaps.env.parallel_env import CapsuleParallelEnv
@@ -23,7 +23,7 @@ from vrcaps.env.vector_env import CapsuleVectorEnv
 from vrcaps.env.views import resized_camera
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import magnet_pose
-from vrcaps.motion.step import Step
+from vrcaps.motion.motion import Step
 from vrcaps.render.renderer import Renderer
 from vrcaps.tissue.motility.migrating_complex import Front
 from vrcaps.tissue.motility.motility import Motility

@@ -17,7 +17,7 @@ import pytest
 from small_envs import small_env
 from tubes import straight_gut, textured
 from vrcaps import _core
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
 from vrcaps.scenario.build import build

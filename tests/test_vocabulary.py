@@ -111,7 +111,7 @@ def test_the_words_of_a_name() -> None:
     assert words("MakeWay") == {"make", "way"}
     assert words("image_speed_px") == {"image", "speed", "px"}
     assert banned(["wall_share", "shared", "--front-way"]) == ["--front-way", "wall_share"]
-    assert banned(["grade"], "lumen/chyme.py") and not banned(["grade"], "lesion/polyp.py")
+    assert banned(["grade"], "lumen/contents.py") and not banned(["grade"], "lesion/polyp.py")
 
 
 def test_public_names_and_keys_use_standard_terms() -> None:

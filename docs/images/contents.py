@@ -14,15 +14,18 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from vrcaps.anatomy.catalog import generate_organ
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.color import luminance
 from vrcaps.core.transforms import look_along, transform_from, transform_points
 from vrcaps.core.units import MM
 from vrcaps.lumen.bowel_preparation import prepared
-from vrcaps.lumen.bubbles import BUBBLE_SEVERITIES, CM2
-from vrcaps.lumen.chyme import CHYME_SEVERITIES
-from vrcaps.lumen.contents import Contents
-from vrcaps.lumen.liquid import LIQUID_SEVERITIES
+from vrcaps.lumen.contents import (
+    BUBBLE_SEVERITIES,
+    CHYME_SEVERITIES,
+    CM2,
+    LIQUID_SEVERITIES,
+    Contents,
+)
 from vrcaps.organ.centerline import interpolate
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings

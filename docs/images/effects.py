@@ -15,11 +15,11 @@ from vrcaps.camera_pipeline.effect.base import MAX_SEVERITY
 from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES, Effects
 from vrcaps.camera_pipeline.effects_tables import with_tables
 from vrcaps.camera_pipeline.pipeline import CameraPipeline, PipelineState
-from vrcaps.capsule.catalog import read_device
 from vrcaps.capsule.device import Device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.lumen.contents import Contents
 from vrcaps.motion.fly_through import FlyThrough, fly_through
-from vrcaps.motion.step import Step
+from vrcaps.motion.motion import Step
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings

@@ -13,9 +13,9 @@ from .camera.lens import LensPinhole as LensPinhole
 from .camera.lens import LensScaramuzza as LensScaramuzza
 from .camera_pipeline.effects import Effects as Effects
 from .camera_pipeline.pipeline import CameraPipeline as CameraPipeline
-from .capsule.catalog import device_names as device_names
-from .capsule.catalog import read_device as read_device
 from .capsule.device import Device as Device
+from .capsule.device_file import device_names as device_names
+from .capsule.device_file import read_device as read_device
 from .core.errors import VrcapsError as VrcapsError
 from .formats.io import read_format as read_format
 from .lumen.contents import Contents as Contents
@@ -24,9 +24,9 @@ from .magnet.sources import magnet_pose as magnet_pose
 from .motion.dynamics import Dynamics as Dynamics
 from .motion.fly_through import FlyThrough as FlyThrough
 from .motion.fly_through import fly_through as fly_through
+from .motion.motion import Step as Step
 from .motion.random_views import RandomViews as RandomViews
 from .motion.replay import Replay as Replay
-from .motion.step import Step as Step
 from .organ.read_organ import read_organ as read_organ
 from .organ.write_organ import write_organ as write_organ
 from .recording.check import check_episode as check_episode

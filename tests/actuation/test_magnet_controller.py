@@ -16,7 +16,7 @@ from vrcaps.actuation.magnet_actuator import FreeActuator
 from vrcaps.actuation.magnet_controller import ControllerGains, MagnetController
 from vrcaps.actuation.magnet_pose_solver import Workspace
 from vrcaps.actuation.steering_program import GENTLE_GAINS
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import invert, transform_from
 from vrcaps.magnet.field import wrench

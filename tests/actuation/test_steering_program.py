@@ -19,7 +19,7 @@ from vrcaps.actuation.steering_program import (
     check_waypoints,
     read_commands,
 )
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.units import DEG
 from vrcaps.motion.dynamics import Dynamics

@@ -21,7 +21,7 @@ from vrcaps.actuation.wall_path import (
     project_path_to_wall,
     straight_wall_path,
 )
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import magnet_pose

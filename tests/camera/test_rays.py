@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vrcaps.camera.camera import camera_rays, pixel_grid, project_points, unproject_pixels
-from vrcaps.capsule.catalog import device_names, read_device
+from vrcaps.capsule.device_file import device_names, read_device
 from vrcaps.core.errors import InputError
 
 CAMERAS = [

@@ -7,7 +7,7 @@ from vrcaps.camera.derive import barrel_radius, focal_length_px, scaled_camera
 from vrcaps.camera_pipeline.effect.optics import Distortion, FieldOfView
 from vrcaps.camera_pipeline.effect.scene import DomeBubbles, SpecularReflection
 from vrcaps.camera_pipeline.effect.sensor import Resolution
-from vrcaps.capsule.catalog import device_names, read_device
+from vrcaps.capsule.device_file import device_names, read_device
 from vrcaps.core.errors import InputError
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.renderer import Renderer

@@ -15,10 +15,10 @@ from vrcaps.camera_pipeline.effect.dome import SUBSTANCES, Droplets, DropletsSta
 from vrcaps.camera_pipeline.effect.optics import DepthOfField
 from vrcaps.camera_pipeline.effects import SEVERITIES, Effects
 from vrcaps.camera_pipeline.pipeline import CameraPipeline
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.units import DEG, MM
-from vrcaps.motion.step import Step
+from vrcaps.motion.motion import Step
 from vrcaps.render.channels import Frame
 from vrcaps.render.renderer import Renderer
 

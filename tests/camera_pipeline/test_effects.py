@@ -10,7 +10,7 @@ from vrcaps.camera_pipeline.effect.optics import DepthOfField
 from vrcaps.camera_pipeline.effect.sensor import BayerFilter
 from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES, Effects, parse_effects
 from vrcaps.camera_pipeline.effects_tables import with_tables
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.config.convert import from_plain, to_plain
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.lumen.contents import Contents

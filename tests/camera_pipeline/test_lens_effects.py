@@ -14,7 +14,7 @@ from vrcaps.camera_pipeline.effect.optics import (
     LateralChromaticAberration,
     Vignetting,
 )
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import MM
 

@@ -26,10 +26,10 @@ from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES, Effects
 from vrcaps.camera_pipeline.pipeline import CameraPipeline, PipelineState
 from vrcaps.core.transforms import transform_from
 from vrcaps.lumen.contents import Contents
-from vrcaps.motion.step import Step
+from vrcaps.motion.motion import Step
 from vrcaps.render.channels import Frame
-from vrcaps.render.planar import crop_margin
 from vrcaps.render.renderer import Renderer
+from vrcaps.render.sampling import crop_margin
 from vrcaps.world.model import State
 
 IMAGE_EFFECTS = sorted(name for name in SEVERITIES if issubclass(EFFECTS[name], ImageEffect))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vrcaps.camera.camera import camera_rays, project_points
-from vrcaps.capsule.catalog import device_names, read_device
+from vrcaps.capsule.device_file import device_names, read_device
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.transforms import invert, rotate_vectors, transform_points
 from vrcaps.core.units import MM

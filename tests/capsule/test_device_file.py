@@ -9,9 +9,8 @@ import pytest
 
 from vrcaps.camera.camera import Led
 from vrcaps.camera.lens import LENSES, LensEquirectangular, LensKannalaBrandt, LensPinhole
-from vrcaps.capsule.catalog import device_names, read_device
 from vrcaps.capsule.device import Device
-from vrcaps.capsule.device_file import write_device
+from vrcaps.capsule.device_file import device_names, read_device, write_device
 from vrcaps.core.errors import InputError
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import InternalMagnet

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from failing import fail
 from vrcaps import cli
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.transforms import transform_from
 from vrcaps.tools.camera_calibration.board import Board, board_image
 

@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from failing import fail
 from vrcaps import cli
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.scenario.scenario import read_scenario
 
 

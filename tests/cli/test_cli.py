@@ -274,7 +274,7 @@ def test_a_demo_never_writes_where_something_is(tmp_path: Path) -> None:
 
 def test_list_names_all_that_goes_by_name(capsys: pytest.CaptureFixture[str]) -> None:
     from vrcaps.anatomy.catalog import ORGANS
-    from vrcaps.capsule.catalog import device_names
+    from vrcaps.capsule.device_file import device_names
     from vrcaps.lesion import LESIONS
     from vrcaps.mucosa.mucosa import MUCOSAE
 

@@ -15,7 +15,7 @@ from tubes import straight_gut
 from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.camera.derive import scaled_camera
 from vrcaps.camera_pipeline.effects import Effects
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.organ.write_organ import write_organ
 from vrcaps.scenario.scenario import Scenario

@@ -12,7 +12,7 @@ from vrcaps.core.files import file_sha256
 from vrcaps.data.check_dataset import check_dataset
 from vrcaps.data.ledger import entries
 from vrcaps.data.store import LocalStore, open_store
-from vrcaps.recording.image_files import write_images
+from vrcaps.recording.frame_files import write_images
 
 
 def enter(made: Path, name: str, **values) -> dict:

@@ -7,7 +7,7 @@ import pytest
 
 from small_envs import GUT
 from tubes import bent_tube
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.transforms import transform_points
 from vrcaps.env.course import Course
 from vrcaps.env.memory import Memory

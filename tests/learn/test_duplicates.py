@@ -13,7 +13,7 @@ from vrcaps.core.errors import InputError
 from vrcaps.learn.duplicates import NEAR, image_hash, near_duplicates, without_duplicates
 from vrcaps.learn.samples import Samples
 from vrcaps.learn.tasks.depth import DepthTask
-from vrcaps.recording.image_files import write_images
+from vrcaps.recording.frame_files import write_images
 
 COUNT, HEIGHT, WIDTH = 24, 96, 120
 

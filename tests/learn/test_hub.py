@@ -27,7 +27,7 @@ from vrcaps.learn.tasks.segmentation import SegmentationTask  # noqa: E402
 from vrcaps.learn.tasks.sfm import SfmTask  # noqa: E402
 from vrcaps.learn.tasks.super_resolution import SuperResolutionTask  # noqa: E402
 from vrcaps.learn.training import BEST, ComputeSettings, TrainSettings, train  # noqa: E402
-from vrcaps.recording.image_files import write_images  # noqa: E402
+from vrcaps.recording.frame_files import write_images  # noqa: E402
 
 TASK = "super-resolution"
 LEARNER = SuperResolutionTask(2, size=32, blocks=1, features=8)

@@ -8,7 +8,7 @@ import pytest
 
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.color import linear_from_srgb, srgb_from_linear
 from vrcaps.core.errors import InputError
 from vrcaps.learn.picture_border import (
@@ -19,8 +19,8 @@ from vrcaps.learn.picture_border import (
     view_of,
 )
 from vrcaps.learn.predict import images_of
+from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import EXPOSURE, FrameSequence
-from vrcaps.recording.image_files import write_images
 
 TOP, LEFT, HEIGHT, WIDTH = 10, 24, 40, 60
 
@@ -133,7 +133,7 @@ def test_predict_estimates_what_evaluate_scores(tmp_path) -> None:
     from vrcaps.learn.samples import samples_of
     from vrcaps.learn.tasks.depth import DepthTask, depth_of
     from vrcaps.learn.validation import validate
-    from vrcaps.recording.image_files import read_image
+    from vrcaps.recording.frame_files import read_image
 
     torch.manual_seed(0)
     learner = DepthTask(size=32)

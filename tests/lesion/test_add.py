@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.distance import pdist
 
 from shapes import DIRECT
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import look_along, transform_from
 from vrcaps.core.units import MM

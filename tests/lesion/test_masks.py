@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from shapes import DIRECT
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.transforms import look_along, transform_from
 from vrcaps.core.units import MM
 from vrcaps.lesion import Bleeding, Colitis, Location, Polyp, add_lesions

@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from tubes import straight_gut
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import rotation_from_vector, transform_from
 from vrcaps.core.units import MM
-from vrcaps.lumen.bubbles import BUBBLE_SEVERITIES, Bubbles
-from vrcaps.lumen.contents import Contents
-from vrcaps.lumen.dome_attachment import dome_sites
+from vrcaps.lumen.contents import BUBBLE_SEVERITIES, Bubbles, Contents
+from vrcaps.lumen.placement import dome_sites
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.world.model import Model
 

@@ -12,11 +12,16 @@ from tubes import straight_gut
 from vrcaps import _core
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import MM
-from vrcaps.lumen.bubbles import BUBBLE_SEVERITIES, Bubbles
-from vrcaps.lumen.chyme import CHYME_SEVERITIES, Chyme
 from vrcaps.lumen.cluster import pack, sizes
-from vrcaps.lumen.contents import Contents
-from vrcaps.lumen.liquid import LIQUID_SEVERITIES, Liquid
+from vrcaps.lumen.contents import (
+    BUBBLE_SEVERITIES,
+    CHYME_SEVERITIES,
+    LIQUID_SEVERITIES,
+    Bubbles,
+    Chyme,
+    Contents,
+    Liquid,
+)
 from vrcaps.lumen.lumen_contents import populate
 from vrcaps.lumen.particles import BUBBLE, FIRST_CLUMP, WHITE, Spheres
 from vrcaps.lumen.placement import place_bubbles, place_chyme, smooth_area

@@ -9,7 +9,7 @@ import pytest
 
 from tubes import straight_gut, tube_about
 from vrcaps.core.units import MM
-from vrcaps.lumen.liquid import Liquid
+from vrcaps.lumen.contents import Liquid
 from vrcaps.lumen.pools import cut_sections, find_pools, level_pools, submerged
 from vrcaps.organ.surface import OrganSurface
 

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vrcaps.capsule.catalog import device_names, read_device
+from vrcaps.capsule.device_file import device_names, read_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import transform_points
 from vrcaps.motion.fly_through import FlyThrough, _free_part, fly_through

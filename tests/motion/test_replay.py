@@ -10,8 +10,7 @@ from vrcaps.core.transforms import (
     transform_from,
 )
 from vrcaps.core.units import DM
-from vrcaps.motion.replay import Replay, replay
-from vrcaps.motion.trajectory_files import read_euroc_csv, read_tum, read_unity_csv
+from vrcaps.motion.replay import Replay, read_euroc_csv, read_tum, read_unity_csv, replay
 
 HEADER = "tX;tY;tZ;rX;rY;rZ;rW;time(s)\n"
 ROWS = [f"{0.1 * i};0;0;0;0;0;1;{0.5 * i}\n" for i in range(6)]

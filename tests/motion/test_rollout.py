@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from tubes import straight_gut
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.transforms import transform_points
 from vrcaps.core.units import CM, MM
 from vrcaps.lumen.contents import Contents
 from vrcaps.motion.dynamics import Dynamics
+from vrcaps.motion.motion import Step
 from vrcaps.motion.rollout import Rollout
-from vrcaps.motion.step import Step
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.fem.deformation import FemDeformation

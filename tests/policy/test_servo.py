@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from small_envs import small_settings
-from vrcaps.capsule.body import homogeneous_body
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device import homogeneous_body
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import rotation_from_vector, transform_from
 from vrcaps.env.actuation.magnet import MagnetActuation

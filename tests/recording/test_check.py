@@ -5,14 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vrcaps.capsule.catalog import read_device
-from vrcaps.lumen.contents import Contents
-from vrcaps.lumen.liquid import Liquid
+from vrcaps.capsule.device_file import read_device
+from vrcaps.lumen.contents import Contents, Liquid
 from vrcaps.magnet.sources import InternalMagnet
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.read_mesh import read_mesh
 from vrcaps.recording.check import check_episode
-from vrcaps.recording.image_files import read_image, write_images
+from vrcaps.recording.frame_files import read_image, write_images
 from vrcaps.recording.recorder import record
 from vrcaps.recording.table import FrameTable, read_table, write_table
 from vrcaps.sensors.sensors import HallPad, Sensors

@@ -20,9 +20,9 @@ from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.dynamics_columns import DYNAMICS_COLUMNS
 from vrcaps.recording import recorder
 from vrcaps.recording.check import check_episode
-from vrcaps.recording.checkpoint import Checkpoint, read_checkpoint
 from vrcaps.recording.episode import read_episode
 from vrcaps.recording.recorder import record
+from vrcaps.recording.resume import Checkpoint, read_checkpoint
 from vrcaps.scenario import build as scenario_module
 from vrcaps.scenario.build import build, resolve
 from vrcaps.scenario.scenario import Scenario, read_scenario, scenario_from_plain, scenario_to_plain

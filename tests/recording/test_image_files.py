@@ -4,7 +4,7 @@ import zlib
 import numpy as np
 import pytest
 
-from vrcaps.recording.image_files import read_image, write_images
+from vrcaps.recording.frame_files import read_image, write_images
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])

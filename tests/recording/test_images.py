@@ -8,7 +8,7 @@ import pytest
 from vrcaps.camera_pipeline.effect.exposure import AdaptiveFrameRate, AutoExposure
 from vrcaps.camera_pipeline.effect.sensor import BayerFilter
 from vrcaps.camera_pipeline.effects import SEVERITIES, Effects
-from vrcaps.capsule.catalog import device_of
+from vrcaps.capsule.device_file import device_of
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.recording.check import check_episode
 from vrcaps.recording.episode import read_episode

@@ -13,14 +13,14 @@ from pathlib import Path
 import pytest
 
 from vrcaps.core.errors import InputError
-from vrcaps.recording.lock import LOCK, recording_lock
 from vrcaps.recording.recorder import record
+from vrcaps.recording.resume import LOCK, recording_lock
 from vrcaps.scenario.scenario import Scenario
 
 HOLD = """
 import sys
 from pathlib import Path
-from vrcaps.recording.lock import recording_lock
+from vrcaps.recording.resume import recording_lock
 with recording_lock(Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.read()

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
 from vrcaps.lesion import parse_lesion
 from vrcaps.motion.fly_through import FlyThrough
@@ -17,7 +17,7 @@ from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.organ.write_organ import write_organ
 from vrcaps.recording.episode import read_episode
-from vrcaps.recording.image_files import read_image
+from vrcaps.recording.frame_files import read_image
 from vrcaps.recording.recorder import record
 from vrcaps.scenario.build import build, resolve
 from vrcaps.scenario.scenario import OrganFile, Scenario, read_scenario

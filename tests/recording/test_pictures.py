@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from vrcaps.recording.episode import read_episode
-from vrcaps.recording.pictures import contact_sheet, limits_of, picture
-from vrcaps.recording.preview import Preview
+from vrcaps.recording.pictures import Preview, contact_sheet, limits_of, picture
 from vrcaps.render.channels import CHANNELS
 
 FRONT = (

@@ -7,7 +7,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.transforms import transform_points
 from vrcaps.motion.dynamics_columns import DYNAMICS_COLUMNS, MAGNET_COLUMNS

@@ -12,9 +12,7 @@ from shapes import DIRECT, RADIUS, looking, make_camera, make_model, patterned, 
 from threads import digests_by_threads
 from vrcaps.camera.camera import Led, camera_rays
 from vrcaps.core.units import MM
-from vrcaps.lumen.bubbles import Bubbles
-from vrcaps.lumen.contents import Contents
-from vrcaps.lumen.liquid import Liquid
+from vrcaps.lumen.contents import Bubbles, Contents, Liquid
 from vrcaps.lumen.lumen_contents import LumenContents
 from vrcaps.lumen.particles import BUBBLE, WHITE, YELLOW, Spheres
 from vrcaps.lumen.pools import Pools

@@ -13,8 +13,8 @@ import pytest
 from shapes import looking, make_camera, make_model, patterned, pinhole, tube
 from threads import digests_by_threads
 from vrcaps.core.errors import InputError, MissingExtraError
-from vrcaps.render.denoise import denoise
 from vrcaps.render.renderer import Renderer
+from vrcaps.render.sampling import denoise
 from vrcaps.render.settings import RenderSettings
 
 PATHS = RenderSettings(light="path", spp=4, max_bounces=3)

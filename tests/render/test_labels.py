@@ -9,7 +9,7 @@ from oracle_embree import EmbreeCaster
 from shapes import DIRECT, LENSES, RADIUS, looking, make_camera, make_model, sphere, tube
 from twin import dot, unit
 from vrcaps.camera.camera import camera_rays
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.transforms import invert, rotate_vectors
 from vrcaps.organ.surface import OrganSurface, face_label
 from vrcaps.render.renderer import Renderer

@@ -10,10 +10,10 @@ import pytest
 from shapes import looking, make_camera, make_model, sphere
 from vrcaps.camera.camera import Led
 from vrcaps.core.errors import InputError
-from vrcaps.lumen.liquid import Liquid
+from vrcaps.lumen.contents import Liquid
 from vrcaps.mucosa.mucosa import ABSORPTION
 from vrcaps.organ.surface import Appearance
-from vrcaps.render.led_light import PHOSPHOR, led_light
+from vrcaps.render.imaging import PHOSPHOR, led_light
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.scattering import diffuse_reflectance, internal_reflectance
 from vrcaps.render.settings import RenderSettings

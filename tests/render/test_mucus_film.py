@@ -10,9 +10,9 @@ import pytest
 from shapes import looking, make_camera, make_model, patterned, tube
 from vrcaps.core.errors import InputError
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.render.mucus_film import apply_mucus_film, covered_fraction, dry_albedo, level_relief
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.scattering import internal_reflectance
+from vrcaps.render.scene import apply_mucus_film, covered_fraction, dry_albedo, level_relief
 from vrcaps.render.settings import RenderSettings
 
 

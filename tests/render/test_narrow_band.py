@@ -10,11 +10,10 @@ import pytest
 from shapes import looking, make_camera, make_model, sphere
 from vrcaps.camera.camera import Led
 from vrcaps.core.color import LUMINANCE, log_linear_from_srgb, srgb_from_log_linear
-from vrcaps.lumen.liquid import Liquid
+from vrcaps.lumen.contents import Liquid
 from vrcaps.mucosa.mucosa import ABSORPTION, MUCOSAE
 from vrcaps.organ.surface import Appearance
-from vrcaps.render.imaging import unmix_chromophores
-from vrcaps.render.narrow_band import blood_density, narrow_band
+from vrcaps.render.imaging import blood_density, narrow_band, unmix_chromophores
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.scattering import diffuse_reflectance, fresnel, internal_reflectance
 from vrcaps.render.settings import RenderSettings

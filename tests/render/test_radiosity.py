@@ -12,8 +12,7 @@ from shapes import DIRECT, looking, make_camera, make_model, patterned, pinhole,
 from threads import digest_at_rest_and_moved, digests_by_threads
 from vrcaps.camera.camera import Camera, Led
 from vrcaps.camera.lens import LensEquidistant
-from vrcaps.lumen.contents import Contents
-from vrcaps.lumen.liquid import Liquid
+from vrcaps.lumen.contents import Contents, Liquid
 from vrcaps.lumen.lumen_contents import LumenContents
 from vrcaps.lumen.particles import WHITE, Spheres
 from vrcaps.lumen.pools import Pools

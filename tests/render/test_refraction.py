@@ -11,8 +11,7 @@ from shapes import DIRECT, RADIUS, looking, make_camera, make_model, pinhole, sp
 from twin_shade import principled
 from vrcaps.camera.camera import Camera, Led, camera_rays
 from vrcaps.core.units import DEG, MM
-from vrcaps.lumen.contents import Contents
-from vrcaps.lumen.liquid import Liquid
+from vrcaps.lumen.contents import Contents, Liquid
 from vrcaps.lumen.lumen_contents import LumenContents
 from vrcaps.lumen.particles import BUBBLE, WHITE, Spheres
 from vrcaps.lumen.pools import Pools

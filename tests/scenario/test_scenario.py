@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vrcaps.camera_pipeline.effects import Effects
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.config.file_ref import FileRef
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.lesion import Location, Polyp

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tubes import straight_gut
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import rotate_by_vector, rotation_vector, transform_from
 from vrcaps.magnet.presets import read_magnet

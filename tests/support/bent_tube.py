@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tubes import bent_tube
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.world.model import Model
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import ndimage
 
 from vrcaps.camera.lens import LensEquidistant
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.tools.photos import Photo
 
 SIZE = 224

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.capsule.body import Body
+from vrcaps.capsule.device import Body
 from vrcaps.core.units import MM
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.spring_wall import SpringWall

@@ -11,7 +11,7 @@ import pytest
 
 from shapes import DIRECT
 from vrcaps import _core
-from vrcaps.capsule.body import Body
+from vrcaps.capsule.device import Body
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.units import MM
 from vrcaps.render.renderer import Renderer

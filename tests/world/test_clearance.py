@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tubes import bent_tube
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.transforms import invert, transform_points
 from vrcaps.core.units import MM
 from vrcaps.motion.fly_through import FlyThrough, fly_through

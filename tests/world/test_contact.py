@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from vrcaps.capsule.body import homogeneous_body
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device import homogeneous_body
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.units import MM
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.spring_wall import SpringWall

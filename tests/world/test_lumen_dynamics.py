@@ -11,13 +11,11 @@ import pytest
 from threads import digests_by_threads
 from tubes import straight_gut
 from vrcaps import _core
-from vrcaps.capsule.body import homogeneous_body
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device import homogeneous_body
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import MM
-from vrcaps.lumen.bubbles import Bubbles
-from vrcaps.lumen.contents import Contents
-from vrcaps.lumen.liquid import Liquid
+from vrcaps.lumen.contents import Bubbles, Contents, Liquid
 from vrcaps.lumen.particles import BUBBLE, WHITE, Spheres
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.tissue import Tissue

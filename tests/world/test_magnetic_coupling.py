@@ -9,7 +9,7 @@ import pytest
 from scipy.special import ellipk
 
 from tubes import bent_tube
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import matrix_from_quaternion, rotate_vectors, transform_from
 from vrcaps.magnet.field import field, wrench

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tubes import straight_gut
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.units import CM, MM
 from vrcaps.organ.surface import OrganSurface

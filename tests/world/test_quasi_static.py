@@ -8,7 +8,7 @@ import pytest
 from fem_shapes import straight_tube
 from made_worlds import as_bytes, worlds_in
 from vrcaps import _core
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.transforms import rotation_from_vector, transform_from
 from vrcaps.core.units import MM

@@ -11,7 +11,7 @@ import pytest
 from made_worlds import as_bytes, worlds_in
 from threads import digests_by_threads
 from tubes import bent_tube
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import rotation_from_vector, transform_from
 from vrcaps.magnet.sources import Cylinder

@@ -13,7 +13,7 @@ use glam::{DMat3, DQuat, DVec3};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::{exceptions::PyValueError, prelude::*};
 
-/// The body of a capsule: `vrcaps.capsule.body.Body`.
+/// The body of a capsule: `vrcaps.capsule.device.Body`.
 #[derive(FromPyObject)]
 pub struct BodyParameters<'py> {
     mass: f64,

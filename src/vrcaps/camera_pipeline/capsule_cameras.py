@@ -10,7 +10,7 @@ from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.camera_pipeline.pipeline import CameraPipeline, Exposure, PipelineState
 
 if TYPE_CHECKING:
-    from vrcaps.motion.step import Step
+    from vrcaps.motion.motion import Step
     from vrcaps.render.channels import Frame
     from vrcaps.render.renderer import Renderer
 

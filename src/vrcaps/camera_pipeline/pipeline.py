@@ -18,14 +18,14 @@ from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.core.color import LUMINANCE
 from vrcaps.render.channels import Frame
 from vrcaps.render.flow import SUBSAMPLE, SurfacePoints
-from vrcaps.render.planar import crop_margin
+from vrcaps.render.sampling import crop_margin
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
     from vrcaps.camera.camera import Camera
     from vrcaps.camera_pipeline.effect.exposure import AutoExposure
-    from vrcaps.motion.step import Step
+    from vrcaps.motion.motion import Step
     from vrcaps.render.renderer import Renderer
 
 _MOTION_CHANNELS = {"foreground_label", "foreground_depth"}

@@ -1,8 +1,10 @@
-"""Device files: a capsule as one small TOML file that round-trips exactly.
+"""Devices by name or file: a capsule as one small TOML file that round-trips exactly.
 
 Each key carries its unit: `_mm`, `_g`, `_hz`, `_deg`, `_px`. See `devices/mirocam.toml`. Besides
 the fields of `Device` a file may contain rings of LEDs (`led_rings`), magnets by `preset` and
 `direction`, and the spectrum of the LEDs as a table of `wavelength_nm` and `power`.
+
+The catalog in `devices/` holds one file per named device.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import numpy as np
 
 from vrcaps.camera.camera import Camera, Led, led_ring
 from vrcaps.capsule.device import Device
+from vrcaps.config.catalog import CatalogFolder
 from vrcaps.config.convert import from_plain, register_shorthand, to_plain
 from vrcaps.config.plain_files import read_plain, write_toml
 from vrcaps.core.errors import InputError, require
@@ -153,3 +156,31 @@ def _expand_device(plain: dict[str, Any]) -> dict[str, Any]:
 register_shorthand(Camera, _expand_camera)
 register_shorthand(InternalMagnet, _expand_magnet)
 register_shorthand(Device, _expand_device)
+
+
+_DEVICES = CatalogFolder(Path(__file__).parent / "devices", "capsule")
+
+
+def device_names() -> tuple[str, ...]:
+    """Names of the catalog's devices, sorted."""
+    return _DEVICES.names()
+
+
+def read_device(name_or_path: str | Path) -> Device:
+    """Read a device of the catalog by its name, or a custom device by the path of its TOML file.
+
+    Raises:
+        UnknownNameError: If the catalog has no device of that name.
+        InputError: If the file does not exist, or describes an impossible device.
+    """
+    return read_device_file(_DEVICES.find(name_or_path))
+
+
+def device_of(given: str | Device) -> Device:
+    """Return a device in memory unchanged, or read it by name or file.
+
+    Raises:
+        InputError: If a file contains no device.
+        UnknownNameError: If no device has the name.
+    """
+    return given if isinstance(given, Device) else read_device(given)

@@ -69,8 +69,7 @@ class CalibrateGeometric:
     def run(self) -> None:
         """Detect the board, fit, report and write."""
         require_existing(self.photos, "pictures or videos, or folders of them")
-        from vrcaps.capsule.catalog import read_device
-        from vrcaps.capsule.device_file import write_device
+        from vrcaps.capsule.device_file import read_device, write_device
         from vrcaps.tools.camera_calibration.board import find_views, parse_board
         from vrcaps.tools.camera_calibration.circle import image_circle
         from vrcaps.tools.camera_calibration.fit import (

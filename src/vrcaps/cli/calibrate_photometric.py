@@ -64,8 +64,7 @@ class CalibratePhotometric:
     def run(self) -> None:
         """Estimate, report and write."""
         require_existing(self.frames, "pictures or videos, or folders of them")
-        from vrcaps.capsule.catalog import read_device
-        from vrcaps.capsule.device_file import write_device
+        from vrcaps.capsule.device_file import read_device, write_device
         from vrcaps.tools.camera_calibration.fit import find_camera, sees_image
         from vrcaps.tools.photometric_calibration.calibrate import (
             calibrate_photometric,

@@ -34,7 +34,7 @@ def _machine() -> list[tuple[str, str]]:
 
     from vrcaps import _core
     from vrcaps.anatomy.catalog import ORGANS
-    from vrcaps.capsule.catalog import device_names
+    from vrcaps.capsule.device_file import device_names
 
     return [
         ("vrcaps", version("vrcaps")),

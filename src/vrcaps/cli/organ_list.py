@@ -19,7 +19,7 @@ class List:
         """Print the tables."""
         from vrcaps.anatomy.catalog import DISTENSIONS, ORGANS, organ_segments
         from vrcaps.camera_pipeline.effects import EFFECTS
-        from vrcaps.capsule.catalog import device_names, read_device
+        from vrcaps.capsule.device_file import device_names, read_device
         from vrcaps.lesion import lesion_library
         from vrcaps.mucosa.mucosa import MUCOSAE
 

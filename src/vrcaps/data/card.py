@@ -27,8 +27,7 @@ from vrcaps.data.ledger import PLAN, failures, read_plain_plan, whole_units
 from vrcaps.data.plan import DatasetSettings, Plan, plan_from_plain
 from vrcaps.data.store import Store
 from vrcaps.data.units import Units
-from vrcaps.render.channel_text import file_text, invalid_text, value_text
-from vrcaps.render.channels import CHANNELS
+from vrcaps.render.channels import CHANNELS, file_text, invalid_text, value_text
 
 CARD = "README.md"
 

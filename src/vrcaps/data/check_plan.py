@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from vrcaps.capsule.catalog import device_of
+from vrcaps.capsule.device_file import device_of
 from vrcaps.core.errors import InputError, VrcapsError
 from vrcaps.data.units import Units
 from vrcaps.scenario.scenario import Scenario

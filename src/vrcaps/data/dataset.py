@@ -13,8 +13,8 @@ from vrcaps.data.ledger import EPISODES, read_entry, read_plain_plan, whole_unit
 from vrcaps.data.store import open_store
 from vrcaps.data.stored_files import episode_files, read_at_once
 from vrcaps.recording.episode import Episode, read_episode
-from vrcaps.recording.episode_files import EpisodeFiles
 from vrcaps.recording.frame_sequence import SPLITS, FrameSequence
+from vrcaps.recording.layout import EpisodeFiles
 
 
 @dataclass(frozen=True)

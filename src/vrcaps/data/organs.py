@@ -21,8 +21,7 @@ from vrcaps.data.store import Store
 from vrcaps.organ.arrays import organ_sha256
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.organ.write_organ import organ_glb
-from vrcaps.recording.episode_files import LocalFiles
-from vrcaps.recording.layout import SHARED_ORGANS, read_head
+from vrcaps.recording.layout import SHARED_ORGANS, LocalFiles, read_head
 
 _ORGAN_FILE = re.compile(rf"{SHARED_ORGANS}/[0-9a-f]{{64}}\.glb")
 

@@ -11,7 +11,7 @@ from functools import lru_cache
 from typing import TypeVar
 
 from vrcaps.data.store import LocalStore, Store, open_store
-from vrcaps.recording.episode_files import EpisodeFiles, LocalFiles
+from vrcaps.recording.layout import EpisodeFiles, LocalFiles
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

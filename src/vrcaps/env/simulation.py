@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.capsule.catalog import device_of
+from vrcaps.capsule.device_file import device_of
 from vrcaps.core.transforms import invert
 from vrcaps.core.units import CM
 from vrcaps.env.course import Course

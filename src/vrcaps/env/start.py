@@ -10,7 +10,7 @@ import numpy as np
 
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError
-from vrcaps.motion.start_pose import start_pose
+from vrcaps.motion.trajectory import start_pose
 from vrcaps.world.model import Model, State
 
 

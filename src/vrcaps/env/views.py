@@ -14,7 +14,7 @@ from vrcaps.camera_pipeline.effect.base import CameraEffect
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.camera_pipeline.pipeline import CameraPipeline, PipelineState
 from vrcaps.env.memory import Memory
-from vrcaps.motion.step import Step
+from vrcaps.motion.motion import Step
 from vrcaps.render.batch import BATCH_CHANNELS, render_batch, renders_batches
 from vrcaps.render.channels import CHANNELS, Frame
 from vrcaps.render.renderer import Renderer

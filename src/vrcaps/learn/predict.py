@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError, reason_of
 from vrcaps.core.files import atomic_folder, write_bytes, write_csv
 from vrcaps.core.names import inside
@@ -26,8 +26,8 @@ from vrcaps.learn.samples import batch_of
 from vrcaps.learn.tasks.depth import LENS_NEEDED
 from vrcaps.learn.tasks.sfm import SfmTask, estimated_trajectory
 from vrcaps.learn.validation import below_one_another
+from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import FrameSequence
-from vrcaps.recording.image_files import write_images
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

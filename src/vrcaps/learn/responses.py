@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError
 from vrcaps.learn.letterbox import Letterbox

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from vrcaps.core.errors import require
 from vrcaps.core.units import MM
-from vrcaps.lumen.bubbles import CM2, Bubbles
-from vrcaps.lumen.chyme import Chyme
-from vrcaps.lumen.contents import Contents
-from vrcaps.lumen.liquid import Liquid
+from vrcaps.lumen.contents import CM2, Bubbles, Chyme, Contents, Liquid
 
 _STOOL, _FOOD = (0.18, 0.10, 0.028), (0.30, 0.21, 0.08)
 """Linear colors of stool and of undigested food, matched to real frames by eye."""

@@ -1,7 +1,8 @@
-"""Settings of the lumen contents: each kind by severity or by parameters."""
+"""Settings of the lumen contents: bubbles, chyme and liquid, by severity or by parameters."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar
@@ -10,9 +11,189 @@ import numpy as np
 
 from vrcaps.core.errors import require
 from vrcaps.core.units import MM
-from vrcaps.lumen.bubbles import BUBBLE_SEVERITIES, Bubbles
-from vrcaps.lumen.chyme import CHYME_SEVERITIES, Chyme
-from vrcaps.lumen.liquid import LIQUID_SEVERITIES, Liquid
+
+CM2 = 1e-4
+"""A square centimeter [m²]."""
+
+
+@dataclass(frozen=True)
+class Bubbles:
+    """Number, size and appearance of bubbles.
+
+    Radii are log-normal, truncated at both ends. Bubbles form rafts of geometrically
+    distributed size.
+
+    Attributes:
+        per_area: Bubbles per area of a smooth wall [1/m²].
+        raft_size: Mean number of bubbles that stick together, 1 or more.
+        radius: Median radius [m].
+        spread: Standard deviation of the logarithm of the radius.
+        smallest: Minimum radius [m].
+        largest: Maximum radius [m].
+        rising: Fraction of rafts that gather where the lumen is highest; the others cling anywhere.
+        burst_rate: Bursts per bubble and second; each is replaced by a new bubble upstream [1/s].
+        on_dome: Number of bubbles initially on each round end of the capsule.
+        landing_rate: Rate at which bubbles settle on a round end that they touch [1/s].
+        release_rate: Rate at which bubbles there detach in liquid [1/s].
+        ior: Refractive index of the film (water: 1.333).
+        border: Width of the thick rim where the film curves away, as a fraction of the radius.
+        gleam: Fraction of light from the surroundings that the rim scatters towards the viewer.
+        stain: Absorption of the rim for red, green and blue.
+        roughness: Roughness α of the film in the specular reflection of an LED.
+        color: Linear color of the surroundings reflected by the film.
+    """
+
+    per_area: float = 0.8 / CM2
+    raft_size: float = 6.0
+    radius: float = 0.65 * MM
+    spread: float = 0.5
+    smallest: float = 0.2 * MM
+    largest: float = 4.0 * MM
+    rising: float = 0.4
+    burst_rate: float = 0.02
+    on_dome: int = 0
+    landing_rate: float = 2.0
+    release_rate: float = 0.05
+    ior: float = 1.333
+    border: float = 0.08
+    gleam: float = 0.3
+    stain: tuple[float, float, float] = (0.5, 0.65, 1.0)
+    roughness: float = 0.03
+    color: tuple[float, float, float] = (0.62, 0.5, 0.34)
+
+    def __post_init__(self) -> None:
+        for name in ("per_area", "spread", "burst_rate", "landing_rate", "release_rate"):
+            value = getattr(self, name)
+            require(0.0 <= value < math.inf, f"Bubbles' {name}", value, "0 or more")
+        for name in ("rising", "gleam"):
+            value = getattr(self, name)
+            require(0.0 <= value <= 1.0, f"Bubbles' {name}", value, "0 to 1")
+        require(1.0 <= self.raft_size < 1e3, "Bubbles' raft_size", self.raft_size, "1 to 1000")
+        require(0 <= self.on_dome <= 1000, "Bubbles' on_dome", self.on_dome, "0 to 1000")
+        require(1.0 < self.ior < 3.0, "Bubbles' ior", self.ior, "above 1 to 3")
+        require(0.0 < self.border < 1.0, "Bubbles' border", self.border, "above 0 to below 1")
+        require(0.0 < self.roughness <= 1.0, "Bubbles' roughness", self.roughness, "above 0 to 1")
+        require_sizes("Bubbles'", self.smallest, self.radius, self.largest)
+
+
+def require_sizes(whose: str, smallest: float, radius: float, largest: float) -> None:
+    """Check the radii of a truncated log-normal distribution.
+
+    Raises:
+        InputError: If they are not positive and in ascending order.
+    """
+    require(
+        0.0 < smallest <= radius <= largest < math.inf,
+        f"{whose} smallest, radius, largest",
+        (smallest, radius, largest),
+        "above 0 m and rising",
+    )
+
+
+BUBBLE_SEVERITIES: tuple[Bubbles, ...] = (
+    Bubbles(per_area=0.0),
+    Bubbles(per_area=0.25 / CM2, raft_size=3.0, on_dome=1),
+    Bubbles(per_area=1.0 / CM2, raft_size=7.0, on_dome=2),
+    Bubbles(per_area=4.0 / CM2, raft_size=14.0, on_dome=4),
+    Bubbles(per_area=16.0 / CM2, raft_size=40.0, radius=0.55 * MM, spread=0.6, on_dome=9),
+)
+"""Bubbles by severity, 0 (none) to 4 (foam)."""
+
+
+@dataclass(frozen=True)
+class Chyme:
+    """Number, size and appearance of particles.
+
+    Radii are log-normal, truncated at both ends. The number of particles per clump is geometric.
+
+    Attributes:
+        per_area: Particles per area of a smooth wall [1/m²].
+        clump_size: Mean number of particles bound together, 1 or more.
+        radius: Median radius of a particle [m].
+        spread: Standard deviation of the logarithm of the radius.
+        smallest: Minimum radius [m].
+        largest: Maximum radius [m].
+        settled: Fraction of clumps that lie where the lumen is lowest; the others stick anywhere.
+        white: Fraction of clumps that are white; the others are yellow.
+        density: Density of a particle [kg/m³].
+        yellow_color: Linear base color of yellow particles.
+        white_color: Linear base color of white particles.
+    """
+
+    per_area: float = 1.0 / CM2
+    clump_size: float = 8.0
+    radius: float = 0.35 * MM
+    spread: float = 0.45
+    smallest: float = 0.1 * MM
+    largest: float = 1.5 * MM
+    settled: float = 0.5
+    white: float = 0.35
+    density: float = 1050.0
+    yellow_color: tuple[float, float, float] = (0.27, 0.205, 0.055)
+    white_color: tuple[float, float, float] = (0.44, 0.37, 0.22)
+
+    def __post_init__(self) -> None:
+        for name in ("per_area", "spread"):
+            value = getattr(self, name)
+            require(0.0 <= value < math.inf, f"Chyme's {name}", value, "0 or more")
+        for name in ("settled", "white"):
+            value = getattr(self, name)
+            require(0.0 <= value <= 1.0, f"Chyme's {name}", value, "0 to 1")
+        require(1.0 <= self.clump_size < 1e3, "Chyme's clump_size", self.clump_size, "1 to 1000")
+        require(0.0 < self.density < math.inf, "Chyme's density", self.density, "above 0 kg/m³")
+        require_sizes("Chyme's", self.smallest, self.radius, self.largest)
+
+
+CHYME_SEVERITIES: tuple[Chyme, ...] = (
+    Chyme(per_area=0.0),
+    Chyme(per_area=0.6 / CM2, clump_size=5.0),
+    Chyme(per_area=3.0 / CM2, clump_size=12.0),
+    Chyme(per_area=12.0 / CM2, clump_size=25.0),
+    Chyme(per_area=40.0 / CM2, clump_size=60.0, radius=0.45 * MM),
+)
+"""Chyme by severity, 0 (none) to 4 (much of the wall hidden)."""
+
+
+@dataclass(frozen=True)
+class Liquid:
+    """Amount and properties of the liquid.
+
+    Attributes:
+        fill: Fraction of the lumen's volume that is liquid, wherever the lumen can hold it.
+        density: Density [kg/m³].
+        viscosity: Dynamic viscosity [Pa·s].
+        ior: Refractive index (water: 1.333).
+        absorption: Absorption coefficient for red, green and blue [1/m]; bile absorbs blue.
+        scattering: Scattering coefficient for red, green and blue [1/m].
+        roughness: Roughness α of the surface in the specular reflection of an LED.
+    """
+
+    fill: float = 0.1
+    density: float = 1005.0
+    viscosity: float = 1.5e-3
+    ior: float = 1.333
+    absorption: tuple[float, float, float] = (35.0, 55.0, 190.0)
+    scattering: tuple[float, float, float] = (14.0, 13.0, 6.0)
+    roughness: float = 0.02
+
+    def __post_init__(self) -> None:
+        require(0.0 <= self.fill < 1.0, "Liquid's fill", self.fill, "0 to below 1")
+        for name in ("density", "viscosity"):
+            value = getattr(self, name)
+            require(0.0 < value < math.inf, f"Liquid's {name}", value, "above 0")
+        require(1.0 < self.ior < 3.0, "Liquid's ior", self.ior, "above 1 to 3")
+        for name in ("absorption", "scattering"):
+            value = getattr(self, name)
+            valid = all(0.0 <= x < math.inf for x in value)
+            require(valid, f"Liquid's {name}", value, "0 or more 1/m for each color")
+        require(0.0 < self.roughness <= 1.0, "Liquid's roughness", self.roughness, "above 0 to 1")
+
+
+LIQUID_SEVERITIES: tuple[Liquid, ...] = tuple(
+    Liquid(fill=fill) for fill in (0.0, 0.03, 0.08, 0.18, 0.35)
+)
+"""Liquid by severity, 0 (none) to 4 (a third full)."""
+
 
 _Kind = TypeVar("_Kind", Bubbles, Chyme, Liquid)
 

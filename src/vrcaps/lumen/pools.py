@@ -10,7 +10,7 @@ import numpy as np
 
 from vrcaps.core.transforms import transform_points
 from vrcaps.core.units import MM
-from vrcaps.lumen.liquid import Liquid
+from vrcaps.lumen.contents import Liquid
 from vrcaps.organ.surface import OrganSurface
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from vrcaps.core.transforms import quaternion_from_matrix
 
 if TYPE_CHECKING:
     from vrcaps.actuation.magnet_controller import ControllerStatus
-    from vrcaps.motion.step import Command
+    from vrcaps.motion.motion import Command
     from vrcaps.sensors.pose_filter import PoseBelief
     from vrcaps.world.model import Contact, Coupling
 

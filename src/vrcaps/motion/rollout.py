@@ -21,9 +21,8 @@ from vrcaps.core.transforms import (
 from vrcaps.core.units import CM
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.motion.dynamics_columns import dynamics_row, estimate_row, magnet_row
-from vrcaps.motion.motion import MotionState
-from vrcaps.motion.start_pose import start_pose
-from vrcaps.motion.step import Command, Step, with_neighbors
+from vrcaps.motion.motion import Command, MotionState, Step, with_neighbors
+from vrcaps.motion.trajectory import start_pose
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.motility.motility import Motility
 from vrcaps.world.control import Control

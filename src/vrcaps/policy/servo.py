@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.actuation.magnet_pose_solver import MagnetPoseSolver, Workspace, WrenchTarget
-from vrcaps.capsule.body import homogeneous_body
+from vrcaps.capsule.device import homogeneous_body
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import rotation_from_vector, vector_from_rotation
 from vrcaps.core.units import MM

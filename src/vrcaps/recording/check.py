@@ -16,19 +16,19 @@ from vrcaps.core.transforms import rotate_vectors
 from vrcaps.core.units import UM
 from vrcaps.lumen.lumen_contents import CHYME
 from vrcaps.mesh.mesh import Mesh, wall_of
-from vrcaps.recording.damage import pictures_of
 from vrcaps.recording.episode import Episode, read_episode
-from vrcaps.recording.episode_files import LocalFiles
+from vrcaps.recording.frame_files import wall_path
 from vrcaps.recording.layout import (
     COMPLETE,
     EPISODE_JSON,
     FRAMES_PARQUET,
+    LocalFiles,
     channel_to_plain,
     read_head,
 )
+from vrcaps.recording.resume import pictures_of
 from vrcaps.recording.sensing import pad_column_names
 from vrcaps.recording.table import POSE_COLUMNS
-from vrcaps.recording.walls import wall_path
 from vrcaps.render.channels import CHANNELS
 
 if TYPE_CHECKING:

@@ -14,20 +14,20 @@ import numpy as np
 from vrcaps.camera.camera import Camera, check_names
 from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.mesh.mesh import Mesh
-from vrcaps.recording.episode_files import EpisodeFiles, LocalFiles
+from vrcaps.recording.frame_files import decode_image, decode_wall, wall_path
 from vrcaps.recording.frame_sequence import CAMERA_POSE, EXPOSURE, TIME, FrameSequence
-from vrcaps.recording.image_files import decode_image
 from vrcaps.recording.layout import (
     COMPLETE,
     EPISODE_JSON,
     FRAMES_PARQUET,
+    EpisodeFiles,
+    LocalFiles,
     camera_from_plain,
     read_head,
 )
 from vrcaps.recording.lazy import lazy
-from vrcaps.recording.stored_organ import organ_name, read_stored_organ, require_organ_name
+from vrcaps.recording.organ_files import organ_name, read_stored_organ, require_organ_name
 from vrcaps.recording.table import FrameTable, decode_table, require_table
-from vrcaps.recording.walls import decode_wall, wall_path
 from vrcaps.render.channels import CHANNELS, Frame
 from vrcaps.scenario.scenario import MAX_FRAMES, Scenario, scenario_from_plain
 

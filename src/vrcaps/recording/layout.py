@@ -1,9 +1,12 @@
-"""Contents of `episode.json` and file layout of an episode."""
+"""File layout of an episode, access to its files, and the contents of `episode.json`."""
 
 from __future__ import annotations
 
-from dataclasses import fields
-from typing import Any
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
+from pathlib import Path, PurePosixPath
+from typing import Any, Protocol
 
 from vrcaps import _core
 from vrcaps.camera.camera import Camera
@@ -12,13 +15,70 @@ from vrcaps.config.convert import from_plain, to_plain
 from vrcaps.config.plain_files import decode_json
 from vrcaps.core.build_info import EPISODE_PACKAGES, core_sha256, versions
 from vrcaps.core.errors import InputError
+from vrcaps.core.names import inside
+from vrcaps.core.temporary_files import scratch_folder
 from vrcaps.organ.arrays import json_safe
-from vrcaps.recording.episode_files import EpisodeFiles
-from vrcaps.recording.walls import wall_to_plain
+from vrcaps.recording.frame_files import wall_to_plain
 from vrcaps.render.channels import CHANNELS
 from vrcaps.scenario.scenario import Scenario, scenario_to_plain
 from vrcaps.sensors.sensors import Sensors, hall_array
 from vrcaps.world.model import Model
+
+
+class EpisodeFiles(Protocol):
+    """Files of an episode by name, such as ``front/rgb/000000.png``."""
+
+    @property
+    def url(self) -> str:
+        """Folder or URL that holds them."""
+        ...
+
+    def read(self, name: str) -> bytes:
+        """Return the bytes of a file.
+
+        Raises:
+            OSError: If it cannot be read.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class LocalFiles:
+    """Files in a local folder."""
+
+    folder: Path
+
+    @property
+    def url(self) -> str:
+        """Path of the folder."""
+        return str(self.folder)
+
+    def read(self, name: str) -> bytes:
+        """Return the bytes of a file; one that a link places outside the folder cannot be read.
+
+        Raises:
+            OSError: If it cannot be read.
+            InputError: If it lies outside.
+        """
+        return inside(self.folder, name).read_bytes()
+
+
+@contextmanager
+def file_here(files: EpisodeFiles, name: str) -> Iterator[Path]:
+    """Path of a file on this machine: the file itself, or a copy that exists during the block.
+
+    Raises:
+        OSError: If it cannot be read.
+    """
+    if isinstance(files, LocalFiles):
+        is_shared = name.startswith("../")  # the organ of its data set
+        yield files.folder / name if is_shared else inside(files.folder, name)
+        return
+    with scratch_folder() as folder:
+        path = folder / PurePosixPath(name).name
+        path.write_bytes(files.read(name))
+        yield path
+
 
 FORMAT = "vrcaps-episode/1"
 EPISODE_JSON = "episode.json"

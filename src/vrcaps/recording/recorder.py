@@ -17,17 +17,9 @@ from vrcaps.camera_pipeline.capsule_cameras import CAPTURED, CapsuleCameras
 from vrcaps.core.errors import InputError, StorageError
 from vrcaps.core.files import sync_folder, write_bytes, write_json
 from vrcaps.core.temporary_files import is_temporary, remove_stale
-from vrcaps.recording.checkpoint import (
-    Checkpoint,
-    read_checkpoint,
-    remove_checkpoint,
-    write_checkpoint,
-)
-from vrcaps.recording.damage import remove_damaged
 from vrcaps.recording.episode import Episode, read_episode
-from vrcaps.recording.episode_files import LocalFiles
+from vrcaps.recording.frame_files import file_vertices, stored_wall, wall_path, write_images
 from vrcaps.recording.frame_writer import FrameWriter
-from vrcaps.recording.image_files import write_images
 from vrcaps.recording.layout import (
     COMPLETE,
     EPISODE_JSON,
@@ -36,16 +28,23 @@ from vrcaps.recording.layout import (
     PREVIEW_MP4,
     RECORDING,
     SHEET_PNG,
+    LocalFiles,
     make_head,
     read_head,
 )
-from vrcaps.recording.lock import LOCK, recording_lock
-from vrcaps.recording.pictures import contact_sheet
-from vrcaps.recording.preview import Preview
+from vrcaps.recording.organ_files import with_stored_organ
+from vrcaps.recording.pictures import Preview, contact_sheet
+from vrcaps.recording.resume import (
+    LOCK,
+    Checkpoint,
+    read_checkpoint,
+    recording_lock,
+    remove_checkpoint,
+    remove_damaged,
+    write_checkpoint,
+)
 from vrcaps.recording.sensing import SensorReadings
-from vrcaps.recording.source_organ import with_stored_organ
 from vrcaps.recording.table import TableRows, write_table
-from vrcaps.recording.walls import file_vertices, stored_wall, wall_path
 from vrcaps.render.channels import CHANNELS
 from vrcaps.render.renderer import Renderer
 from vrcaps.scenario.build import build, resolve

@@ -26,7 +26,7 @@ from vrcaps.sensors.sensors import HallPad, Sensors, hall_array
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-    from vrcaps.motion.step import Step
+    from vrcaps.motion.motion import Step
     from vrcaps.recording.table import FrameTable
     from vrcaps.scenario.scenario import Scenario
     from vrcaps.world.model import Model

@@ -14,13 +14,17 @@ from vrcaps.camera.camera import Camera, camera_rays
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.lumen.lumen_contents import LumenContents
 from vrcaps.render.channels import CHANNELS, Frame
-from vrcaps.render.denoise import load_denoiser
 from vrcaps.render.flow import SurfacePoints, flow, visibility
-from vrcaps.render.led_light import make_imaging
-from vrcaps.render.make_scene import make_scene
-from vrcaps.render.planar import crop_margin
+from vrcaps.render.imaging import make_imaging
 from vrcaps.render.refraction import REFLECTED, RefractedPaths, refract_paths, surface_heights
-from vrcaps.render.sampling import PathSampling, path_sampling, supersampled_radiance
+from vrcaps.render.sampling import (
+    PathSampling,
+    crop_margin,
+    load_denoiser,
+    path_sampling,
+    supersampled_radiance,
+)
+from vrcaps.render.scene import make_scene
 from vrcaps.render.settings import RenderSettings
 from vrcaps.world.model import Model, MovingWall, State
 
@@ -30,12 +34,6 @@ if TYPE_CHECKING:
 
 DEFAULT_CHANNELS = ("rgb", "depth", "ray_distance", "normal", "label", "instance", "arc_length")
 """The channels of a complete labeled frame."""
-
-_MATERIAL_POINT: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
-    "weights": (np.float32, (2,)),
-}
-"""Further arrays filled by the core, with the material point of each pixel: dtype and the shape
-after (height, width)."""
 
 _MOTION_INPUTS = ("position", "face", "weights", "refraction_label")
 _RADIANCE_PLANAR = "radiance_planar"
@@ -376,12 +374,9 @@ def _needs(channels: Sequence[str]) -> set[str]:
 
 def _layout(name: str, camera: Camera) -> tuple[tuple[int, ...], np.dtype]:
     """Shape and dtype of an array that the core fills."""
-    if name in CHANNELS:
-        shape, dtype = CHANNELS[name].shape(camera.height, camera.width), CHANNELS[name].dtype
-    else:
-        dtype, rest = _MATERIAL_POINT[name]
-        shape = (camera.height, camera.width, *rest)
-    return shape, np.dtype(dtype)
+    if name == "weights":  # of the triangle's corners at the material point of each pixel
+        return (camera.height, camera.width, 2), np.dtype(np.float32)
+    return CHANNELS[name].shape(camera.height, camera.width), np.dtype(CHANNELS[name].dtype)
 
 
 def _is_light(name: str) -> bool:

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from vrcaps.core.errors import InputError, UnknownNameError, require
-from vrcaps.render.mucus_film import MAX_THICKNESS_UM
+
+MAX_FILM_UM = 1000.0
+"""Maximum thickness of a mucus film [µm]; thicker liquid is a pool."""
 
 Light = Literal["direct", "radiosity", "path"]
 
@@ -62,7 +64,7 @@ class RenderSettings:
             raise UnknownNameError("light", self.light, get_args(Light))
         if self.scattering and self.light == "direct":
             raise InputError("Scattering goes with light radiosity or path, not direct. Drop one.")
-        film, thickest = self.mucus_film_um or 0.0, MAX_THICKNESS_UM
+        film, thickest = self.mucus_film_um or 0.0, MAX_FILM_UM
         for name, value, valid, allowed in (
             ("Supersampling", self.supersampling, self.supersampling >= 1, "1, 2, 3, …"),
             ("Samples per pixel", self.spp, 1 <= self.spp <= 2**31, "1 to 2147483648"),

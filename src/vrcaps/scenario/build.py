@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.capsule.catalog import device_of
+from vrcaps.capsule.device_file import device_of
 from vrcaps.config.convert import to_plain
 from vrcaps.config.file_ref import FileRef, path_of, with_checksums
 from vrcaps.core.errors import InputError
@@ -18,7 +18,7 @@ from vrcaps.lesion.placement import require_possible
 from vrcaps.organ.organ_file import is_organ_file
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.channels import CHANNELS
-from vrcaps.render.led_light import make_imaging
+from vrcaps.render.imaging import make_imaging
 from vrcaps.scenario.scenario import OrganFile, OrganGenerated, Scenario
 from vrcaps.world.model import Model, posture_transform
 

@@ -13,7 +13,7 @@ from vrcaps.core.transforms import transform_points
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-    from vrcaps.capsule.body import Body
+    from vrcaps.capsule.device import Body
 
 _PIECE = 1.0 / 16.0
 """Maximum side of a piece of a triangle, as a fraction of the capsule's radius."""

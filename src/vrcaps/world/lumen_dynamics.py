@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.capsule.body import Body
+from vrcaps.capsule.device import Body
 from vrcaps.core.rng import stream
 from vrcaps.core.transforms import invert, transform_points
 from vrcaps.core.units import CM

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.capsule.body import Body, homogeneous_body
+from vrcaps.capsule.device import Body, homogeneous_body
 from vrcaps.core.errors import InputError, require
 from vrcaps.core.rng import stream
 from vrcaps.core.transforms import rotate_vectors

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from vrcaps.camera.lens import LensKannalaBrandt, LensPinhole, LensScaramuzza
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 
 
 def rotation_from_vector(vector) -> np.ndarray:

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from tubes import straight_gut
-from vrcaps.capsule.body import homogeneous_body
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device import homogeneous_body
+from vrcaps.capsule.device_file import read_device
 from vrcaps.cockpit.scene.colorings import LiveWall, coarse_mesh, coloring_names, make_coloring
 from vrcaps.cockpit.scene.nodes import Cut, PathNode
 from vrcaps.core.geometry import triangle_areas

@@ -7,11 +7,10 @@ from dataclasses import replace
 import pytest
 
 from vrcaps.camera_pipeline.effects import Effects
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.cockpit.session.drive import Choice, chosen_scenario, magnetic_capsules
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.lumen.bubbles import Bubbles
-from vrcaps.lumen.contents import Contents
+from vrcaps.lumen.contents import Bubbles, Contents
 from vrcaps.scenario.scenario import OrganGenerated, Scenario
 
 BEFORE = Scenario(

@@ -11,7 +11,7 @@ import pytest
 
 from tubes import straight_gut
 from vrcaps.camera.derive import scaled_camera
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.cockpit.session.seen_wall import SeenWall
 from vrcaps.world.model import Model
 from vrcaps.world.schedule import PostureChange, patient_at

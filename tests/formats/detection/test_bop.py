@@ -16,7 +16,7 @@ from vrcaps.formats.detection import lesion_models
 from vrcaps.formats.detection.bop import Bop
 from vrcaps.formats.io import export
 from vrcaps.mesh.ply import read_ply
-from vrcaps.recording.image_files import read_image
+from vrcaps.recording.frame_files import read_image
 
 
 @pytest.fixture(scope="module")

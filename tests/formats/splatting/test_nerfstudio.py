@@ -14,7 +14,7 @@ from vrcaps.camera.lens import LensEquirectangular, LensKannalaBrandt, LensPinho
 from vrcaps.core.errors import InputError
 from vrcaps.formats.io import export
 from vrcaps.formats.splatting.nerfstudio import Nerfstudio
-from vrcaps.recording.image_files import read_image
+from vrcaps.recording.frame_files import read_image
 
 LENSES = {
     "OPENCV": LensPinhole(fx=30.0, fy=31.0, cx=24.25, cy=20.5, k1=-0.02, k2=0.01, k3=2e-3, p1=1e-3),

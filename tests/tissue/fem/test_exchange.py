@@ -16,7 +16,7 @@ from scipy.sparse.linalg import spsolve
 from fem_shapes import full
 from tubes import straight_gut
 from vrcaps import _core
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import transform_points
 from vrcaps.core.units import MM

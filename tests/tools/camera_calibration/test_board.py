@@ -11,7 +11,7 @@ import pytest
 
 from boards import corners, held
 from vrcaps.camera.lens import LensKannalaBrandt
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError, MissingExtraError
 from vrcaps.tools.camera_calibration.board import (
     Board,

@@ -12,8 +12,7 @@ from scipy.stats import chi2
 
 from boards import corners, held
 from vrcaps.camera.lens import LensKannalaBrandt, LensPinhole, LensScaramuzza
-from vrcaps.capsule.catalog import read_device
-from vrcaps.capsule.device_file import read_device_file, write_device
+from vrcaps.capsule.device_file import read_device, read_device_file, write_device
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.tools.camera_calibration.board import Board, BoardView, find_views
 from vrcaps.tools.camera_calibration.circle import image_circle

@@ -11,8 +11,7 @@ import pytest
 from PIL import Image
 
 from made_frames import CAMERA, CENTER, SIZE, Figures, photos
-from vrcaps.capsule.catalog import read_device
-from vrcaps.capsule.device_file import read_device_file, write_device
+from vrcaps.capsule.device_file import read_device, read_device_file, write_device
 from vrcaps.core.errors import InputError
 from vrcaps.scenario.scenario import read_scenario
 from vrcaps.tools.photometric_calibration.calibrate import (

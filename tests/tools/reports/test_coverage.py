@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 import trimesh
 
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.cli import main
 from vrcaps.cli.record import Record
 from vrcaps.core.errors import InputError

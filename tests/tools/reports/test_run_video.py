@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from small_envs import SHORT_GUT, small_settings
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.patient import Patients
 from vrcaps.policy.evaluate import Plan, evaluate
 from vrcaps.policy.evaluation import Evaluation
 from vrcaps.policy.policy import read_policy
-from vrcaps.recording.preview import require_preview
+from vrcaps.recording.pictures import require_preview
 from vrcaps.tools.reports import run_video
 from vrcaps.tools.reports.evaluation import Subject, ends, summary, time_text
 from vrcaps.tools.reports.run_video import faces_first_seen, write_run_video

@@ -11,7 +11,7 @@ use crate::simd::f32x64::*;
 use crate::wall::packet::Pyramid;
 use std::f32::consts::{LOG2_E, PI};
 
-/// What all bubbles have in common: `vrcaps.lumen.bubbles.Bubbles`.
+/// What all bubbles have in common: `vrcaps.lumen.contents.Bubbles`.
 #[derive(Clone, Copy)]
 pub struct Film {
     /// Refractive index of the liquid.

@@ -12,7 +12,7 @@ use std::f32::consts::{LOG2_E, PI};
 /// `Pools::of_vertex` of a vertex in no pool.
 pub const DRY: u16 = 0;
 
-/// What the liquid is: `vrcaps.lumen.liquid.Liquid`.
+/// What the liquid is: `vrcaps.lumen.contents.Liquid`.
 #[derive(Clone, Copy)]
 pub struct Optics {
     /// Refractive index.

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from vrcaps.camera.camera import Camera
     from vrcaps.lumen.contents import Contents
-    from vrcaps.motion.step import Step
+    from vrcaps.motion.motion import Step
     from vrcaps.organ.surface import OrganSurface
 
 Severity = int | tuple[int, int]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from vrcaps.camera_pipeline.effect.base import SceneEffect
 from vrcaps.config.limits import Range
 from vrcaps.core.errors import InputError
-from vrcaps.lumen.bubbles import Bubbles
+from vrcaps.lumen.contents import Bubbles
 
 if TYPE_CHECKING:
     from vrcaps.lumen.contents import Contents

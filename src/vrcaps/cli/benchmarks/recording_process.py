@@ -75,7 +75,7 @@ def peak_memory_gb() -> float | None:
 def _stages(scenario: Scenario, folder: Path) -> dict[str, Any]:
     """Camera, wall, and the time of each stage of a frame in isolation [s]."""
     from vrcaps.core.files import write_bytes
-    from vrcaps.recording.image_files import write_images
+    from vrcaps.recording.frame_files import write_images
     from vrcaps.render.channels import CHANNELS as DECLARED
     from vrcaps.render.renderer import Renderer
     from vrcaps.scenario.build import build, resolve

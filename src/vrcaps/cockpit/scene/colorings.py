@@ -19,7 +19,7 @@ from vrcaps.world.indentation import indentation
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-    from vrcaps.capsule.body import Body
+    from vrcaps.capsule.device import Body
     from vrcaps.cockpit.session.seen_wall import SeenWall
     from vrcaps.organ.surface import OrganSurface
     from vrcaps.tissue.winkler_foundation import WinklerFoundation

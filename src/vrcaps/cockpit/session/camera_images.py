@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from vrcaps.camera_pipeline.capsule_cameras import CapsuleCameras
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.core.errors import VrcapsError
-from vrcaps.motion.step import Step
+from vrcaps.motion.motion import Step
 from vrcaps.recording.pictures import limits_of, picture
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings

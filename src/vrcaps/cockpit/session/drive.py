@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from vrcaps.actuation.steering_program import JOYSTICK_COLUMNS, JoystickCommand
 from vrcaps.camera_pipeline.effect.base import ImageEffect
 from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES
-from vrcaps.capsule.catalog import device_names, device_of, read_device
+from vrcaps.capsule.device_file import device_names, device_of, read_device
 from vrcaps.config.file_ref import FileRef
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import is_new_folder, write_bytes, write_json

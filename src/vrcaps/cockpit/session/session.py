@@ -19,7 +19,7 @@ from vrcaps.cockpit.session.operator import Operator
 from vrcaps.core.errors import InputError, UnknownNameError, VrcapsError
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.rollout import Rollout
-from vrcaps.recording.source_organ import with_stored_organ
+from vrcaps.recording.organ_files import with_stored_organ
 from vrcaps.scenario.build import build, resolve
 from vrcaps.scenario.scenario import MAX_FRAMES, Scenario
 from vrcaps.tissue.motility.migrating_complex import Front

@@ -32,8 +32,8 @@ from vrcaps.formats.shared.folders import write_names
 from vrcaps.formats.shared.frame_files import write_times
 from vrcaps.formats.shared.intrinsics import matrix_of, plain_pinhole
 from vrcaps.formats.shared.stored_images import stored_steps
-from vrcaps.recording.image_files import write_images
-from vrcaps.recording.stored_organ import organ_name
+from vrcaps.recording.frame_files import write_images
+from vrcaps.recording.organ_files import organ_name
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float

@@ -22,7 +22,7 @@ from vrcaps.formats.detection.masks import outlines, run_lengths
 from vrcaps.formats.detection.read_coco import read_coco
 from vrcaps.formats.format import Needs
 from vrcaps.formats.shared.folders import folder_name
-from vrcaps.recording.image_files import write_images
+from vrcaps.recording.frame_files import write_images
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -25,8 +25,8 @@ from vrcaps.formats.format import Needs, require_channels
 from vrcaps.formats.shared.folders import folder_name
 from vrcaps.formats.shared.frame_files import image_loader
 from vrcaps.formats.shared.stored_images import IMAGES, read_plane, read_rgb
+from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import SPLITS, TIME, FrameSequence
-from vrcaps.recording.image_files import write_images
 from vrcaps.recording.shown_lesion import lesion_instances, shown_lesion
 
 if TYPE_CHECKING:

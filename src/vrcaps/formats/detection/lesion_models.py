@@ -15,7 +15,7 @@ from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import vertex_normals, wall_of
 from vrcaps.metrics.point_coverage import octahedral_directions
 from vrcaps.organ.surface import face_label
-from vrcaps.recording.stored_organ import read_stored_organ
+from vrcaps.recording.organ_files import read_stored_organ
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

@@ -15,8 +15,8 @@ from vrcaps.core.names import inside, listed
 from vrcaps.core.narrow import narrow
 from vrcaps.formats.detection.masks import mask_of
 from vrcaps.formats.shared.stored_images import read_rgb
+from vrcaps.recording.frame_files import require_pixels
 from vrcaps.recording.frame_sequence import SPLITS, TIME, FrameSequence
-from vrcaps.recording.image_files import require_pixels
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -38,8 +38,8 @@ from vrcaps.formats.shared.frame_files import (
 )
 from vrcaps.formats.shared.intrinsics import plain_pinhole
 from vrcaps.formats.shared.stored_images import read_numbers, read_plane, read_rgb, write_tiff
+from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
-from vrcaps.recording.image_files import write_images
 from vrcaps.render.encoding import fixed_point
 
 if TYPE_CHECKING:

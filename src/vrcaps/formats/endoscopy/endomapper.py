@@ -35,8 +35,8 @@ from vrcaps.formats.shared.folders import each_folder, found_folders
 from vrcaps.formats.shared.frame_files import by_number, image_loader, matched
 from vrcaps.formats.shared.intrinsics import plain_pinhole
 from vrcaps.formats.shared.stored_images import read_rgb
+from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import FrameSequence
-from vrcaps.recording.image_files import write_images
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

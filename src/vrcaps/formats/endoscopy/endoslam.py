@@ -45,8 +45,8 @@ from vrcaps.formats.shared.stored_images import (
     stored_steps,
     write_rgba,
 )
+from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import TIME, FrameSequence
-from vrcaps.recording.image_files import write_images
 from vrcaps.render.encoding import fixed_point
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import numpy as np
 
 from vrcaps.core.errors import InputError, import_extra, reading
 from vrcaps.core.files import atomic_write
-from vrcaps.recording.image_files import require_pixels
+from vrcaps.recording.frame_files import require_pixels
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -37,8 +37,8 @@ from vrcaps.formats.shared.frame_files import (
 )
 from vrcaps.formats.shared.intrinsics import matrix_text, plain_pinhole, read_matrix_camera
 from vrcaps.formats.shared.stored_images import read_numbers, read_rgb, write_jpeg
+from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import CAMERA_POSE, SPLITS, TIME, FrameSequence
-from vrcaps.recording.image_files import write_images
 from vrcaps.render.encoding import fixed_point
 
 if TYPE_CHECKING:

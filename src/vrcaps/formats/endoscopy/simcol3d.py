@@ -40,8 +40,8 @@ from vrcaps.formats.shared.intrinsics import (
     read_matrix_camera,
 )
 from vrcaps.formats.shared.stored_images import read_plane, read_rgb
+from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
-from vrcaps.recording.image_files import write_images
 from vrcaps.render.encoding import fixed_point
 
 if TYPE_CHECKING:

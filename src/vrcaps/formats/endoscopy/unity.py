@@ -20,7 +20,7 @@ from vrcaps.core.transforms import (
     quaternion_from_matrix,
     transform_from,
 )
-from vrcaps.motion.trajectory_files import WORLD_FROM_Y_UP, Y_UP_CAMERA_FROM_CAMERA
+from vrcaps.motion.replay import WORLD_FROM_Y_UP, Y_UP_CAMERA_FROM_CAMERA
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME
 
 if TYPE_CHECKING:

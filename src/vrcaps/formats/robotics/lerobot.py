@@ -39,7 +39,7 @@ from vrcaps.formats.robotics.lerobot_tables import write_episodes, write_frames,
 from vrcaps.formats.shared.folders import recordings
 from vrcaps.recording.frame_sequence import SPLITS
 from vrcaps.recording.layout import camera_to_plain
-from vrcaps.recording.preview import Preview
+from vrcaps.recording.pictures import Preview
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

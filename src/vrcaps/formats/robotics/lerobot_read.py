@@ -18,8 +18,8 @@ from vrcaps.formats.robotics.lerobot import DEPTH, EPISODES, IMAGES, INFO, NAMES
 from vrcaps.formats.robotics.lerobot_rows import STATE
 from vrcaps.formats.robotics.lerobot_tables import read_rows
 from vrcaps.formats.shared.stored_images import decoded_rgb
+from vrcaps.recording.frame_files import require_pixels
 from vrcaps.recording.frame_sequence import CAMERA_POSE, SPLITS, TIME, FrameSequence
-from vrcaps.recording.image_files import require_pixels
 from vrcaps.recording.layout import camera_from_plain
 from vrcaps.recording.parquet_files import open_parquet
 from vrcaps.recording.table import POSE_COLUMNS

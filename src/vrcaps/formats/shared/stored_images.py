@@ -16,7 +16,7 @@ import numpy as np
 
 from vrcaps.core.errors import InputError, MissingExtraError, reading
 from vrcaps.core.files import write_bytes
-from vrcaps.recording.image_files import MAX_PIXELS, decode_image, require_pixels
+from vrcaps.recording.frame_files import MAX_PIXELS, decode_image, require_pixels
 
 if TYPE_CHECKING:
     from numpy.typing import DTypeLike, NDArray

@@ -15,7 +15,7 @@ from vrcaps.core.transforms import (
     quaternion_from_matrix,
     transform_from,
 )
-from vrcaps.motion.trajectory_files import quaternion_order
+from vrcaps.motion.replay import quaternion_order
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

@@ -34,8 +34,8 @@ from vrcaps.formats.shared.frame_files import (
 )
 from vrcaps.formats.shared.intrinsics import camera_of, matrix_of, plain_pinhole
 from vrcaps.formats.shared.stored_images import read_rgb
+from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
-from vrcaps.recording.image_files import write_images
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

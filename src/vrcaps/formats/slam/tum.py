@@ -30,9 +30,9 @@ from vrcaps.formats.format import Needs
 from vrcaps.formats.shared.folders import each_folder, found_folders, read_rows
 from vrcaps.formats.shared.stored_images import image_size, read_plane, read_rgb, stored_steps
 from vrcaps.formats.shared.timed_rows import nearest_rows
-from vrcaps.motion.trajectory_files import tum_rows
+from vrcaps.motion.replay import tum_rows
+from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
-from vrcaps.recording.image_files import write_images
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

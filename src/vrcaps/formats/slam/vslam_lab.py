@@ -36,8 +36,8 @@ from vrcaps.formats.shared.timed_rows import (
     read_table,
 )
 from vrcaps.formats.shared.yaml_files import numbers_of, read_yaml, yaml_list
+from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
-from vrcaps.recording.image_files import write_images
 from vrcaps.render.encoding import fixed_point
 
 if TYPE_CHECKING:

@@ -32,8 +32,8 @@ from vrcaps.formats.shared.frame_files import image_loader, read_times, write_ti
 from vrcaps.formats.shared.opencv_lens import HALF, MODELS, OPENCV_LENSES, lens_of, opencv_model
 from vrcaps.formats.shared.stored_images import read_rgb
 from vrcaps.formats.splatting.seen_points import SeenPoints, seen_points
+from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
-from vrcaps.recording.image_files import write_images
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

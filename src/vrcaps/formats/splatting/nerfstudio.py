@@ -30,8 +30,8 @@ from vrcaps.formats.shared.folders import each_rig, found_folders
 from vrcaps.formats.shared.frame_files import image_loader, read_times, write_times
 from vrcaps.formats.shared.opencv_lens import OPENCV_LENSES, lens_of, opencv_model
 from vrcaps.formats.shared.stored_images import read_numbers, read_rgb
+from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
-from vrcaps.recording.image_files import write_images
 
 if TYPE_CHECKING:
     from jaxtyping import Float

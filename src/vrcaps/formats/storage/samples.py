@@ -19,8 +19,8 @@ from vrcaps import _core
 from vrcaps.core.errors import InputError, reading
 from vrcaps.formats.shared.folders import folder_name
 from vrcaps.organ.arrays import json_safe
+from vrcaps.recording.frame_files import decode_image
 from vrcaps.recording.frame_sequence import FrameSequence
-from vrcaps.recording.image_files import decode_image
 from vrcaps.recording.layout import camera_from_plain, camera_to_plain, channel_to_plain
 from vrcaps.render.channels import CHANNELS
 

@@ -15,9 +15,9 @@ from vrcaps.core.units import MM
 from vrcaps.formats.detection.image_folders import file_name
 from vrcaps.formats.slam.tum import poses_of
 from vrcaps.metrics.trajectory import TrajectoryAlignment, aligned_poses, fit_similarity
-from vrcaps.motion.trajectory_files import tum_rows
+from vrcaps.motion.replay import tum_rows
+from vrcaps.recording.frame_files import read_image
 from vrcaps.recording.frame_sequence import CAMERA_POSE, FrameSequence
-from vrcaps.recording.image_files import read_image
 from vrcaps.render.channels import CHANNELS
 
 if TYPE_CHECKING:

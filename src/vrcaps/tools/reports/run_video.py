@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.capsule.catalog import device_of
+from vrcaps.capsule.device_file import device_of
 from vrcaps.core.files import write_bytes
 from vrcaps.core.transforms import invert, matrix_from_quaternion, transform_from
 from vrcaps.env.patient import Patients
@@ -18,7 +18,7 @@ from vrcaps.mesh.mesh import wall_of
 from vrcaps.metrics.point_coverage import POINT_LEVELS, mark_points, wall_points
 from vrcaps.policy.evaluate import organ_name
 from vrcaps.policy.evaluation import POSE
-from vrcaps.recording.preview import Preview
+from vrcaps.recording.pictures import Preview
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
 from vrcaps.tools.reports.coverage import LEVEL_COLORS

@@ -9,7 +9,7 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps._core import Wall
-from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.geometry import barycentric, unit
 from vrcaps.core.transforms import invert, transform_from
 from vrcaps.core.units import MM

@@ -11,8 +11,8 @@ from vrcaps.camera.lens import LensEquidistant
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import look_along, transform_from
 from vrcaps.mesh.mesh import Mesh
+from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import FrameSequence
-from vrcaps.recording.image_files import write_images
 from vrcaps.render.channels import CHANNELS
 from vrcaps.tools.reconstruction.compare import compare, write_comparison
 from vrcaps.tools.reconstruction.estimates import read_depth, read_poses, with_depth, with_poses

@@ -9,7 +9,7 @@ import numpy as np
 
 from vrcaps.core.files import write_csv
 from vrcaps.core.units import MM
-from vrcaps.recording.image_files import write_images
+from vrcaps.recording.frame_files import write_images
 from vrcaps.render.channels import CHANNELS
 from vrcaps.tools.reconstruction.matching import Pair, highlights, opencv, without_highlights
 from vrcaps.tools.reconstruction.stitching.stitch import Stitched

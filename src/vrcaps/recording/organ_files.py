@@ -1,19 +1,27 @@
-"""Organ of an episode: a file in its folder, or one of its data set that episodes share."""
+"""Organ files of an episode: the wall at rest, and a source organ that was given in memory.
+
+The wall is a file in the episode's folder, or one of its data set that episodes share.
+"""
 
 from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from vrcaps.core.errors import InputError
+from vrcaps.core.files import file_sha256
+from vrcaps.core.temporary_files import scratch_folder
 from vrcaps.core.transforms import transform_points
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.read_mesh import read_mesh
-from vrcaps.recording.episode_files import EpisodeFiles, file_here
-from vrcaps.recording.layout import ORGAN_GLB, SHARED_ORGANS
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.organ.write_organ import write_organ
+from vrcaps.recording.layout import EPISODE_JSON, ORGAN_GLB, SHARED_ORGANS, EpisodeFiles, file_here
+from vrcaps.scenario.scenario import SOURCE_ORGAN, OrganFile, Scenario
 
 _SHARED = re.compile(rf"\.\./\.\./{SHARED_ORGANS}/[0-9a-f]{{64}}\.glb")
 
@@ -61,3 +69,27 @@ def read_stored_organ(files: EpisodeFiles, head: dict[str, Any]) -> Mesh:
         ) from error
     T_world_patient = np.array(head["T_world_patient"])
     return replace(mesh, vertices=transform_points(T_world_patient, mesh.vertices))
+
+
+def with_stored_organ(scenario: Scenario, out: Path) -> Scenario:
+    """Replace an in-memory organ of a scenario by the organ file in an episode's folder.
+
+    Args:
+        scenario: Scenario to record.
+        out: Folder of the episode: empty, or an episode of the same organ.
+
+    Raises:
+        InputError: If the folder holds an episode of another organ.
+    """
+    if not isinstance(scenario.organ, OrganSurface):
+        return scenario
+    path = out / SOURCE_ORGAN
+    if not (out / EPISODE_JSON).exists():
+        write_organ(path, scenario.organ)
+        return replace(scenario, organ=OrganFile(str(path)))
+    with scratch_folder() as folder:
+        written = folder / SOURCE_ORGAN
+        write_organ(written, scenario.organ)
+        if not path.exists() or file_sha256(written) != file_sha256(path):
+            raise InputError(f"{out} holds an episode of another organ. Give an empty folder.")
+    return replace(scenario, organ=OrganFile(str(path)))

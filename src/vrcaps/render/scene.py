@@ -1,8 +1,9 @@
-"""Mucus film: appearance of the wall under a liquid layer of given thickness, dry to flooded.
+"""Scene of the compiled core: its representation of an organ, with a mucus film on the wall.
 
-Liquid fills the lowest points first. Below texel size it covers the domes of single cells; the
-clearcoat strengthens and the albedo darkens with the covered fraction of the wall. In the relief of
-the texture the liquid levels within a capillary length.
+The film is a liquid layer of given thickness, dry to flooded. Liquid fills the lowest points first.
+Below texel size it covers the domes of single cells; the clearcoat strengthens and the albedo
+darkens with the covered fraction of the wall. In the relief of the texture the liquid levels within
+a capillary length.
 
 An organ's textures and clearcoat are those of a wet wall, as in photographs: a film of more than
 about 10 µm changes only the relief.
@@ -15,19 +16,52 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps import _core
 from vrcaps.core.color import LINEAR, srgb_from_linear
 from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import triangle_areas
-from vrcaps.organ.surface import Appearance, OrganSurface, round_height
-from vrcaps.render.scattering import TISSUE_IOR, internal_reflectance
+from vrcaps.organ.surface import Appearance, OrganSurface, clearcoat_alpha, face_label, round_height
+from vrcaps.render.imaging import Imaging
+from vrcaps.render.scattering import TISSUE_IOR, internal_reflectance, optical_properties
+from vrcaps.render.settings import RenderSettings
 
 if TYPE_CHECKING:
     from jaxtyping import Float, UInt8
 
-MAX_THICKNESS_UM = 1000.0
-"""Maximum thickness of a film [µm]; thicker liquid is a pool."""
+_PLAIN_ALBEDO = (0.52, 0.22, 0.16)
+_PLAIN_ROUGHNESS = 0.5
+_PLAIN = Appearance(np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), np.uint8), np.zeros((1, 1)))
 
-_CELLS = 5e-6
+
+def make_scene(organ: OrganSurface, settings: RenderSettings, imaging: Imaging) -> _core.Scene:
+    """Scene of the core for an organ.
+
+    Args:
+        organ: Organ to render; drawn plain if it has no appearance.
+        settings: Mucus film and scattering.
+        imaging: Colors of the LEDs and the camera.
+    """
+    if settings.mucus_film_um is not None:
+        organ = apply_mucus_film(organ, 1e-6 * settings.mucus_film_um)
+    look, texture = imaging.appearance(organ.appearance or _PLAIN), None
+    albedo = imaging.reflectance(np.array(_PLAIN_ALBEDO))
+    if organ.appearance is not None:
+        height = np.ascontiguousarray(look.height, np.float32)
+        texture = _core.Texture(look.albedo, look.roughness, height)
+    return _core.Scene(
+        np.ascontiguousarray(organ.uv, np.float32),
+        face_label(organ.label, organ.faces),
+        face_label(organ.instance, organ.faces),
+        organ.arc_length.astype(np.float32),
+        texture=texture,
+        albedo=tuple(albedo),
+        roughness=_PLAIN_ROUGHNESS,
+        reflectance=(look.ior, look.clearcoat, clearcoat_alpha(look.clearcoat_gloss)),
+        tissue=optical_properties(imaging.bands_nm) if settings.scattering else None,
+    )
+
+
+_CELL_HEIGHT = 5e-6
 """RMS height of features below texel size [m], the domes of surface cells: an assumption."""
 
 _LIQUID_IOR = 1.335
@@ -36,7 +70,7 @@ _LIQUID_IOR = 1.335
 _CAPILLARY = 2.7e-3
 """Capillary length of water, within which surface tension levels it [m]: √(σ/ρg)."""
 
-_STEPS = 60
+_LEVEL_STEPS = 60
 
 
 def apply_mucus_film(organ: OrganSurface, thickness: float) -> OrganSurface:
@@ -52,7 +86,7 @@ def apply_mucus_film(organ: OrganSurface, thickness: float) -> OrganSurface:
     look = organ.appearance
     if look is None:
         raise InputError(f"{organ.name} has no look of its own, so no film. Drop mucus-film-um.")
-    covered = covered_fraction(thickness / _CELLS)
+    covered = covered_fraction(thickness / _CELL_HEIGHT)
     texel = _texel_size(organ, look)
     wet = replace(
         look,
@@ -120,7 +154,7 @@ def level_relief(
 def _liquid_level(height: Float[np.ndarray, "h w"], thickness: float) -> float:
     """Level of a given volume of liquid per area on a height map [m]."""
     low, high = float(height.min()), float(height.max()) + thickness
-    for _ in range(_STEPS):
+    for _ in range(_LEVEL_STEPS):
         level = 0.5 * (low + high)
         if np.maximum(level - height, 0.0).mean(dtype=float) < thickness:
             low = level

@@ -1,0 +1,157 @@
+"""Resumption of interrupted recordings: folder lock, checkpoint, removal of damaged files."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from vrcaps.config.plain_files import decode_json
+from vrcaps.core.errors import InputError
+from vrcaps.core.files import read_arrays, sync_folder, write_arrays, write_json
+from vrcaps.core.locks import file_lock
+from vrcaps.motion.motion import MotionState
+from vrcaps.recording.episode import Episode
+from vrcaps.recording.frame_files import read_image
+from vrcaps.recording.layout import FRAMES_PARQUET, ORGAN_GLB, PREVIEW_MP4, SHEET_PNG
+from vrcaps.recording.organ_files import organ_name
+from vrcaps.recording.pictures import require_preview
+from vrcaps.recording.table import FrameTable, read_table, write_table
+
+LOCK = ".recording.resume"
+
+
+@contextmanager
+def recording_lock(out: Path) -> Iterator[None]:
+    """Lock a folder for one recorder; create it, and remove it if it is empty after the block.
+
+    Raises:
+        FolderInUseError: If another recorder holds the folder.
+        StorageError: If it cannot be written to.
+    """
+    made = [path for path in (out, *out.parents) if not path.exists()]
+    try:
+        with file_lock(out / LOCK, f"the episode {out}"):
+            yield
+    finally:
+        with contextlib.suppress(OSError):  # it is not empty
+            for path in made:
+                path.rmdir()
+
+
+_FOLDER = ".resume"
+_INDEX = "index.json"
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """State of a recording at a frame; this frame and all earlier ones are complete.
+
+    Attributes:
+        motion: The motion at the frame.
+        table: Rows up to the frame.
+    """
+
+    motion: MotionState
+    table: FrameTable
+
+
+def write_checkpoint(episode: Path, checkpoint: Checkpoint) -> None:
+    """Write a checkpoint, replacing the previous one."""
+    folder = episode / _FOLDER
+    folder.mkdir(exist_ok=True)
+    arrays, table = _paths(folder, checkpoint.motion.frame)
+    write_arrays(arrays, checkpoint.motion.arrays)
+    write_table(table, checkpoint.table)
+    sync_folder(folder)  # the files exist before the index refers to them
+    write_json(folder / _INDEX, {"frame": checkpoint.motion.frame})
+    for path in folder.iterdir():
+        if path not in (arrays, table, folder / _INDEX):
+            path.unlink()
+
+
+def read_checkpoint(episode: Path) -> Checkpoint | None:
+    """Checkpoint of an interrupted recording; None if there is none.
+
+    Raises:
+        InputError: If its files are damaged.
+    """
+    folder = episode / _FOLDER
+    if not (folder / _INDEX).exists():
+        return None
+    try:
+        frame = int(decode_json((folder / _INDEX).read_bytes(), _INDEX)["frame"])
+        path, table = _paths(folder, frame)
+        return Checkpoint(MotionState(frame, read_arrays(path)), read_table(table))
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        raise InputError(
+            f"{folder} is damaged ({error}). Delete it to simulate from the beginning; images that "
+            "are there are kept."
+        ) from error
+
+
+def remove_checkpoint(episode: Path) -> None:
+    """Delete what `write_checkpoint` wrote."""
+    if (episode / _FOLDER).exists():
+        shutil.rmtree(episode / _FOLDER)
+
+
+def _paths(folder: Path, frame: int) -> tuple[Path, Path]:
+    return folder / f"{frame:06d}.npz", folder / f"{frame:06d}.parquet"
+
+
+def remove_damaged(episode: Episode) -> None:
+    """Remove each file of an episode that does not decode, so that it is written again.
+
+    Args:
+        episode: May be unfinished; none of its files have been read before.
+
+    Raises:
+        OSError: If a file cannot be removed.
+    """
+    readers = {**_frames(episode), **pictures_of(episode)}
+    readers[episode.path / FRAMES_PARQUET] = lambda: episode.table
+    if organ_name(episode.head) == ORGAN_GLB:  # a shared organ is not this recorder's to remove
+        readers[episode.organ_path] = partial(_read_organ, episode)
+
+    def remove_if_damaged(path: Path) -> None:
+        try:
+            readers[path]()
+        except (OSError, ValueError):
+            path.unlink()
+
+    with ThreadPoolExecutor() as pool:
+        list(pool.map(remove_if_damaged, [path for path in readers if path.exists()]))
+
+
+def pictures_of(episode: Episode) -> dict[Path, Callable[[], object]]:
+    """Contact sheet and preview, with functions that read them or raise OSError or ValueError."""
+    readers: dict[Path, Callable[[], object]] = {}
+    sheet, preview = episode.path / SHEET_PNG, episode.path / PREVIEW_MP4
+    readers[sheet] = partial(read_image, sheet)
+    if "rgb" in episode.channels:
+        readers[preview] = partial(require_preview, preview, len(episode))
+    return readers
+
+
+def _frames(episode: Episode) -> dict[Path, Callable[[], object]]:
+    """Images and walls of all frames, with functions that read them."""
+    readers: dict[Path, Callable[[], object]] = {}
+    for frame in range(len(episode)):
+        for camera in episode.cameras:
+            for channel in episode.channels:
+                path = episode.image_path(camera.name, channel, frame)
+                readers[path] = partial(episode.stored_image, camera.name, channel, frame)
+        if "wall" in episode.head:
+            readers[episode.wall_path(frame)] = partial(episode.stored_wall, frame)
+    return readers
+
+
+def _read_organ(episode: Episode) -> None:
+    if len(episode.organ.faces) != episode.head["organ"].get("num_faces"):
+        raise InputError(f"{ORGAN_GLB} has another number of triangles than {episode.path} says.")

@@ -21,15 +21,14 @@ from scipy import stats
 
 from validation import ROOT, table, write_section
 from vrcaps.anatomy.colon.course import count_flexures
-from vrcaps.anatomy.full_tract import FULL_TRACT_COLON_TRIANGLES
-from vrcaps.anatomy.full_tract.abdomen import (
+from vrcaps.anatomy.full_tract import FULL_TRACT_COLON_TRIANGLES, generate_full_tract
+from vrcaps.anatomy.full_tract.patient import (
     draw_colon_placement,
+    draw_patient_anatomy,
     make_neighboring_organs,
     place_stomach,
 )
-from vrcaps.anatomy.full_tract.generate import generate_full_tract
-from vrcaps.anatomy.full_tract.patient import draw_patient_anatomy
-from vrcaps.anatomy.small_bowel.generate import lay_small_bowel
+from vrcaps.anatomy.small_bowel import lay_small_bowel
 from vrcaps.anatomy.small_bowel.shape import SmallBowelWall
 from vrcaps.anatomy.stomach.shape import (
     curvatures,

@@ -31,7 +31,7 @@ from vrcaps import _core
 from vrcaps.camera.derive import scaled_camera
 from vrcaps.core.color import linear_from_srgb
 from vrcaps.lesion.colitis import ACTIVITIES
-from vrcaps.metrics.color import image_color
+from vrcaps.metrics.images import image_color
 from vrcaps.mucosa.bake import bake_appearance
 from vrcaps.mucosa.mucosa import MUCOSAE
 from vrcaps.organ.surface import OrganSurface

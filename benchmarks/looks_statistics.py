@@ -8,7 +8,7 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.core.color import linear_from_srgb
-from vrcaps.metrics.color import (
+from vrcaps.metrics.images import (
     ImageColor,
     color_distance,
     highlights,

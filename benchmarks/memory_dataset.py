@@ -21,9 +21,9 @@ from vrcaps.data.make import make_dataset
 from vrcaps.data.plan import plan_from_plain
 from vrcaps.data.runners.in_process import InProcess
 from vrcaps.mesh.mesh import Mesh
+from vrcaps.organ.organ_file import write_organ
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import Appearance
-from vrcaps.organ.write_organ import write_organ
 from write_ply import write_ply
 
 _WARM, _ALLOWED = 50, 0.05

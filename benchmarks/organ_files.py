@@ -23,8 +23,8 @@ from validation import options, table, write_section
 from vrcaps import _core
 from vrcaps.core.units import UM
 from vrcaps.motion.fly_through import FlyThrough
-from vrcaps.organ import compact_textures
-from vrcaps.organ.compact_textures import (
+from vrcaps.organ import gltf_material
+from vrcaps.organ.gltf_material import (
     ALBEDO_STEP,
     RELIEF_STEP,
     ROUGHNESS_QUALITY,
@@ -34,9 +34,9 @@ from vrcaps.organ.compact_textures import (
     relief_webp,
     roughness_webp,
 )
+from vrcaps.organ.organ_file import write_organ
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import HEIGHT_STEP, Appearance, OrganSurface
-from vrcaps.organ.write_organ import write_organ
 from vrcaps.render.renderer import Renderer
 from vrcaps.scenario.build import build
 from vrcaps.scenario.scenario import Scenario
@@ -72,13 +72,13 @@ def jpeg(albedo: np.ndarray, quality: int) -> bytes:
 
 
 def stepped(name: str, value: float, code: Callable[[], bytes | None]) -> bytes:
-    """What `code` gives with another constant of `compact_textures`."""
-    before = getattr(compact_textures, name)
-    setattr(compact_textures, name, value)
+    """What `code` gives with another constant of `gltf_material`."""
+    before = getattr(gltf_material, name)
+    setattr(gltf_material, name, value)
     try:
         data = code()
     finally:
-        setattr(compact_textures, name, before)
+        setattr(gltf_material, name, before)
     assert data is not None
     return data
 

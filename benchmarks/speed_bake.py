@@ -17,15 +17,13 @@ import numpy as np
 
 from validation import ROOT, table, write_section
 from vrcaps.anatomy.colon import generate_colon
-from vrcaps.anatomy.full_tract import FULL_TRACT_COLON_TRIANGLES
-from vrcaps.anatomy.full_tract.appearance import with_appearance
-from vrcaps.anatomy.full_tract.generate import generate_full_tract
+from vrcaps.anatomy.full_tract import FULL_TRACT_COLON_TRIANGLES, generate_full_tract
 from vrcaps.anatomy.full_tract.patient import draw_patient_anatomy, neighboring_organs
+from vrcaps.anatomy.full_tract.textures import with_appearance
 from vrcaps.anatomy.small_bowel import generate_small_bowel
 from vrcaps.anatomy.stomach import generate_stomach
 from vrcaps.core.units import MM
-from vrcaps.mesh.edges import face_areas
-from vrcaps.mesh.mesh import Mesh
+from vrcaps.mesh.mesh import Mesh, face_areas
 from vrcaps.mucosa.bake import bake_appearance
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.organ.uv import texture_stretch

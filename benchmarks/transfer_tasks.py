@@ -28,7 +28,7 @@ from vrcaps.learn.tasks.depth import DepthTask
 from vrcaps.learn.tasks.segmentation import LESION, SegmentationTask
 from vrcaps.learn.tasks.super_resolution import SuperResolutionTask, image_of
 from vrcaps.learn.validation import EvaluationResult
-from vrcaps.metrics.image_quality import psnr, ssim
+from vrcaps.metrics.images import psnr, ssim
 from vrcaps.metrics.masks import dice
 from vrcaps.recording.shown_lesion import NORMAL
 

@@ -27,11 +27,9 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.units import MM
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.tissue.drag import Drag
+from vrcaps.tissue.contact_laws import Drag, SpringWall, WinklerFoundation
 from vrcaps.tissue.motility.motility import Motility
-from vrcaps.tissue.spring_wall import SpringWall
 from vrcaps.tissue.tissue import Tissue
-from vrcaps.tissue.winkler_foundation import WinklerFoundation
 from vrcaps.world.control import Control
 from vrcaps.world.model import Model, State, posture_transform
 from vrcaps.world.world import SUBSTEP, World

@@ -25,9 +25,8 @@ from vrcaps.capsule.device_file import read_device
 from vrcaps.core.geometry import triangle_areas
 from vrcaps.core.transforms import invert, transform_points
 from vrcaps.mesh.mesh import wall_of
-from vrcaps.metrics.coverable import coverable
 from vrcaps.metrics.coverage import CoverageCriteria, vertices_in_frustum
-from vrcaps.metrics.view_coverage import ViewCoverage
+from vrcaps.metrics.view_coverage import ViewCoverage, coverable
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.world.model import Model

@@ -21,11 +21,10 @@ from phantom import Polyp, Scanner, scan_of, with_polyps, write_dicom
 from vrcaps._core import Wall as Surface
 from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.core.units import MM
-from vrcaps.mesh.mesh import Mesh
+from vrcaps.mesh.mesh import Mesh, wall_distance
 from vrcaps.mesh.read_mesh import read_mesh
 from vrcaps.mesh.repair import repair
 from vrcaps.organ.centerline import compute_centerline
-from vrcaps.organ.centerline.distance import wall_distance
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tools.ct.from_ct import WallOptions, find_lumens, organ_from_gas
 from vrcaps.tools.ct.lumen import choose_gas

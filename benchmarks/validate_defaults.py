@@ -21,12 +21,12 @@ import numpy as np
 from PIL import Image
 
 from validation import parser, table, write_section
-from vrcaps.anatomy.distension import Distension
 from vrcaps.camera.camera import camera_rays
 from vrcaps.core.color import LUMINANCE
 from vrcaps.core.units import MM
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.motion.random_views import RandomViews
+from vrcaps.organ.segments import Distension
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.recorder import record
 from vrcaps.scenario.scenario import OrganGenerated, Scenario

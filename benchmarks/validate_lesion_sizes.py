@@ -21,8 +21,7 @@ from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import MM
 from vrcaps.lesion import LesionPair, add_lesions, parse_lesion
-from vrcaps.lesion.base import Lesion, SizedLesion
-from vrcaps.lesion.settings import settings_of
+from vrcaps.lesion.base import Lesion, SizedLesion, settings_of
 from vrcaps.organ.surface import OrganSurface
 
 CASES = {

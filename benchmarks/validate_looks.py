@@ -167,7 +167,7 @@ alike.
 - *mean*, *spread*: Wasserstein-1 distance between the frames' means, and between their standard
   deviations. *gradient*: the same distance between the pooled histograms of the gradient's
   magnitude. *highlights*: the same between the fractions of the view that are highlights, in
-  percent (`vrcaps.metrics.color.highlights`). A set of frames that are all alike is therefore far
+  percent (`vrcaps.metrics.images.highlights`). A set of frames that are all alike is therefore far
   from a varied one.
 - *before*: direct light, a palette fitted to it, and a veil and white balance in place of lens and
   sensor: frames that commit c4bc116 kept with `--keep FOLDER`, given here by `--before FOLDER`.

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from vrcaps.core.units import CM, MM
 from vrcaps.lesion import LESIONS, Colitis, Polyp
-from vrcaps.lesion.registry import describe_kind
+from vrcaps.lesion.library import describe_kind
 
 PAGE = Path(__file__).parent / "concepts" / "lesions.md"
 

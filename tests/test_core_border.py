@@ -17,9 +17,9 @@ import pytest
 
 from fem_shapes import straight_tube
 from vrcaps import _core
+from vrcaps.tissue.contact_laws import WinklerFoundation
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.fem.wall import FemWall
-from vrcaps.tissue.winkler_foundation import WinklerFoundation
 from walls import floor, world_on
 
 STUBS = ast.parse((Path(_core.__file__).parent / "_core.pyi").read_text())

@@ -27,8 +27,8 @@ from .motion.fly_through import fly_through as fly_through
 from .motion.motion import Step as Step
 from .motion.random_views import RandomViews as RandomViews
 from .motion.replay import Replay as Replay
+from .organ.organ_file import write_organ as write_organ
 from .organ.read_organ import read_organ as read_organ
-from .organ.write_organ import write_organ as write_organ
 from .recording.check import check_episode as check_episode
 from .recording.episode import Episode as Episode
 from .recording.episode import read_episode as read_episode

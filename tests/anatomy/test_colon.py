@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
+from vrcaps.anatomy import colon as generate_module
 from vrcaps.anatomy.colon import ColonParameters, generate_colon
 from vrcaps.anatomy.colon import course as course_module
-from vrcaps.anatomy.colon import generate as generate_module
 from vrcaps.anatomy.colon.course import colon_rng, count_flexures, generate_course
 from vrcaps.anatomy.colon.parameters import SEGMENTS
 from vrcaps.anatomy.colon.shape import draw_colon_wall, wall_radius

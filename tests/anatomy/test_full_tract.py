@@ -11,9 +11,8 @@ import sys
 import numpy as np
 import pytest
 
-from vrcaps.anatomy.full_tract import generate as generate_module
-from vrcaps.anatomy.full_tract.appearance import with_appearance
-from vrcaps.anatomy.full_tract.generate import generate_full_tract
+from vrcaps.anatomy import full_tract as generate_module
+from vrcaps.anatomy.full_tract import generate_full_tract, soften, stitch, without_vertices
 from vrcaps.anatomy.full_tract.patient import (
     COLON_DISTENSIONS,
     colon_at,
@@ -21,10 +20,10 @@ from vrcaps.anatomy.full_tract.patient import (
     neighboring_organs,
     stomach_axis,
 )
-from vrcaps.anatomy.full_tract.valve import soften, stitch, without_vertices
-from vrcaps.anatomy.small_bowel.generate import lay_small_bowel, small_bowel_rng
-from vrcaps.anatomy.tube_mesh.tube_packing import ObstacleSpheres, smooth_course
-from vrcaps.anatomy.tube_mesh.waves import draw_waves, sum_waves, within_bend, wrap
+from vrcaps.anatomy.full_tract.textures import with_appearance
+from vrcaps.anatomy.small_bowel import lay_small_bowel, small_bowel_rng
+from vrcaps.anatomy.tube_mesh.swept_surface import draw_waves, sum_waves, within_bend, wrap
+from vrcaps.anatomy.tube_mesh.tube import ObstacleSpheres, smooth_course
 from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import smoothstep
 from vrcaps.core.rng import truncated_normal

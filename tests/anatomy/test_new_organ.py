@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from vrcaps.anatomy import catalog
-from vrcaps.mesh.edges import find_edges, signed_volume
-from vrcaps.mesh.mesh import Mesh
+from vrcaps.mesh.mesh import Mesh, find_edges, signed_volume
 from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.segments import ORGANS
 from vrcaps.tissue.motility.segment import MOTILITIES, segment_motilities

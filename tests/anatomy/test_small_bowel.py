@@ -8,14 +8,14 @@ import itertools
 import numpy as np
 import pytest
 
+from vrcaps.anatomy import small_bowel as generate_module
 from vrcaps.anatomy.full_tract.patient import draw_patient_anatomy, neighboring_organs
 from vrcaps.anatomy.small_bowel import SmallBowelParameters, generate_small_bowel
 from vrcaps.anatomy.small_bowel import course as course_module
-from vrcaps.anatomy.small_bowel import generate as generate_module
 from vrcaps.anatomy.small_bowel.course import NeighboringOrgans
 from vrcaps.anatomy.small_bowel.distance_routing import make_routing_grid, route_around
 from vrcaps.anatomy.small_bowel.parameters import DISTENSIONS, SEGMENTS
-from vrcaps.anatomy.tube_mesh.tube_packing import ObstacleSpheres
+from vrcaps.anatomy.tube_mesh.tube import ObstacleSpheres
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import CM, MM
 from vrcaps.mesh.mesh import Mesh

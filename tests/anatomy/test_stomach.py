@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from vrcaps.anatomy import stomach as generate_module
 from vrcaps.anatomy.stomach import StomachParameters, generate_stomach
-from vrcaps.anatomy.stomach import generate as generate_module
 from vrcaps.anatomy.stomach.parameters import DISTENSIONS, SEGMENTS
 from vrcaps.anatomy.stomach.shape import curvatures, draw_stomach_wall, stomach_course
 from vrcaps.anatomy.tube_mesh.tube import make_tube

@@ -17,7 +17,7 @@ from vrcaps.camera.derive import scaled_camera
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.capsule.device_file import read_device
 from vrcaps.motion.dynamics import Dynamics
-from vrcaps.organ.write_organ import write_organ
+from vrcaps.organ.organ_file import write_organ
 from vrcaps.scenario.scenario import Scenario
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vrcaps.core import temporary_files
+from vrcaps.core import files
 from vrcaps.core.errors import InputError, StorageError
 from vrcaps.core.files import (
     atomic_folder,
@@ -21,14 +21,16 @@ from vrcaps.core.files import (
     decode_array,
     file_sha256,
     is_new_folder,
+    is_temporary,
     read_arrays,
+    remove_stale,
+    scratch_folder,
     sync_folder,
     write_arrays,
     write_bytes,
     write_json,
 )
 from vrcaps.core.locks import FolderInUseError
-from vrcaps.core.temporary_files import is_temporary, remove_stale, scratch_folder
 
 
 def test_a_failed_write_leaves_what_was_there(tmp_path):
@@ -179,7 +181,7 @@ def test_a_file_system_without_locks_keeps_temporary_files(tmp_path, monkeypatch
 def test_a_temporary_file_that_another_process_removed_before_its_lock_is_made_again(
     tmp_path, monkeypatch
 ):
-    lock, calls = temporary_files.try_lock, []
+    lock, calls = files.try_lock, []
 
     def late(file: int) -> bool:
         if not calls:
@@ -188,7 +190,7 @@ def test_a_temporary_file_that_another_process_removed_before_its_lock_is_made_a
         calls.append(file)
         return lock(file)
 
-    monkeypatch.setattr(temporary_files, "try_lock", late)
+    monkeypatch.setattr(files, "try_lock", late)
     write_bytes(tmp_path / "a", b"whole")
     assert len(calls) == 2
     assert [p.name for p in tmp_path.iterdir()] == ["a"]
@@ -245,7 +247,7 @@ def test_a_link_in_the_place_of_a_temporary_folder_is_not_followed(tmp_path):
 
 SCRATCH = """
 import sys
-from vrcaps.core.temporary_files import scratch_folder
+from vrcaps.core.files import scratch_folder
 with scratch_folder() as folder:
     (folder / "part").touch()
     print("held", flush=True)

@@ -5,8 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from vrcaps.core.errors import InputError
-from vrcaps.core.narrow import narrow
+from vrcaps.core.errors import InputError, narrow
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,8 @@ from small_episode import *  # noqa: F403
 from vrcaps.data.make import make_dataset
 from vrcaps.data.plan import read_plan
 from vrcaps.data.runners.in_process import InProcess
+from vrcaps.organ.organ_file import write_organ
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.organ.write_organ import write_organ
 
 PLAN = """
 frames = 3

@@ -15,8 +15,7 @@ from vrcaps.data.check_dataset import check_dataset
 from vrcaps.data.ledger import entries
 from vrcaps.data.organs import store_organ
 from vrcaps.data.store import LocalStore
-from vrcaps.organ.arrays import organ_sha256
-from vrcaps.organ.surface import OrganSurface
+from vrcaps.organ.surface import OrganSurface, organ_sha256
 from vrcaps.recording.check import check_episode
 
 

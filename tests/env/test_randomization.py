@@ -12,7 +12,7 @@ from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.env import CapsuleEnv
 from vrcaps.env.observations.image import ImageObservation
 from vrcaps.env.randomization import Randomization, varied_tissue
-from vrcaps.tissue.drag import Drag
+from vrcaps.tissue.contact_laws import Drag
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.tissue import Tissue
 

@@ -23,9 +23,8 @@ from vrcaps.lesion import (
     sites,
 )
 from vrcaps.lesion.focal import FocalForm
-from vrcaps.mesh.edges import find_edges, signed_volume
-from vrcaps.mesh.log_map import ThinTrianglesError
-from vrcaps.mesh.mesh import Mesh
+from vrcaps.mesh.mesh import Mesh, find_edges, signed_volume
+from vrcaps.mesh.patch import ThinTrianglesError
 from vrcaps.organ.surface import face_label
 from vrcaps.render.renderer import Renderer
 from vrcaps.world.model import Model, State

@@ -9,9 +9,8 @@ import pytest
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import MM
 from vrcaps.lesion import LESIONS, parse_lesion
-from vrcaps.lesion.registry import describe_kind
-from vrcaps.mesh.edges import face_areas
-from vrcaps.mesh.mesh import Mesh
+from vrcaps.lesion.library import describe_kind
+from vrcaps.mesh.mesh import Mesh, face_areas
 
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "extending.md"
 

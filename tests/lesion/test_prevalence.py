@@ -3,7 +3,7 @@ import pytest
 
 from vrcaps.core.units import MM
 from vrcaps.lesion import Polyp, draw_lesions
-from vrcaps.lesion.prevalence import COLON_PREVALENCE, Prevalence
+from vrcaps.lesion.library import COLON_PREVALENCE, Prevalence
 
 
 @pytest.mark.slow

@@ -16,8 +16,7 @@ import pytest
 from small_glb import SmallGlb
 from vrcaps.core.errors import InputError
 from vrcaps.mesh import gltf
-from vrcaps.mesh.edges import signed_volume
-from vrcaps.mesh.mesh import Mesh
+from vrcaps.mesh.mesh import Mesh, signed_volume
 from vrcaps.mesh.read_mesh import read_label_names, read_mesh
 
 SIZE = np.array([2.0, 3.0, 5.0])

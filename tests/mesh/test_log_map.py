@@ -7,7 +7,7 @@ import pytest
 from vrcaps.core.errors import InputError, MissingExtraError
 from vrcaps.core.units import MM
 from vrcaps.lesion.mesh_patch import extract, whole_wall, within
-from vrcaps.mesh.log_map import log_map
+from vrcaps.mesh.patch import log_map
 
 
 def piece_of(tube):

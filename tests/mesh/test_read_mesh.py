@@ -10,9 +10,8 @@ import pytest
 import trimesh
 
 from vrcaps.core.errors import InputError, UnknownNameError, VrcapsError
-from vrcaps.mesh.mesh import Mesh
+from vrcaps.mesh.mesh import Mesh, triangulate_fans
 from vrcaps.mesh.read_mesh import read_label_names, read_mesh
-from vrcaps.mesh.triangulate import triangulate_fans
 from write_ply import write_ply
 
 QUAD_AND_TRIANGLE = """ply

@@ -3,8 +3,8 @@ import pytest
 
 from vrcaps.core.units import MM
 from vrcaps.lesion.mesh_patch import as_organ, extract, insert, whole_wall, within
-from vrcaps.mesh.edges import find_edges
-from vrcaps.mesh.refine import refine, rim
+from vrcaps.mesh.mesh import find_edges
+from vrcaps.mesh.patch import refine, rim
 
 
 def lengths(patch):

@@ -12,8 +12,7 @@ import pytest
 import trimesh
 
 from vrcaps.core.errors import InputError
-from vrcaps.mesh.edges import flip_faces, signed_volume
-from vrcaps.mesh.mesh import Mesh
+from vrcaps.mesh.mesh import Mesh, flip_faces, signed_volume
 from vrcaps.mesh.read_mesh import read_mesh
 from vrcaps.mesh.repair import Repair, RepairReport, manifold, repair, require_lumen_surface
 from vrcaps.organ.measure import triangle_quality
@@ -153,7 +152,7 @@ def test_holes_are_filled_even_where_ends_stay_open():
 
 
 def test_the_mesh_is_copied_once_however_many_its_holes(monkeypatch):
-    copies, module = [], importlib.import_module("vrcaps.mesh.repair.cap")
+    copies, module = [], importlib.import_module("vrcaps.mesh.repair.components")
     monkeypatch.setattr(module, "replace", lambda *a, **k: copies.append(1) or replace(*a, **k))
     mesh = sphere(subdivisions=4)
     used, keep = np.zeros(len(mesh.vertices), bool), np.ones(len(mesh.faces), bool)
@@ -447,14 +446,14 @@ def test_surface_with_one_side_is_an_error_that_says_where():
 
 
 def test_what_stays_open_is_an_error_that_says_where(monkeypatch):
-    module = importlib.import_module("vrcaps.mesh.repair.repair")
+    module = importlib.import_module("vrcaps.mesh.repair")
     monkeypatch.setattr(module, "close_loops", lambda mesh, loops: mesh)
     with pytest.raises(InputError, match=r"72 edges are still open .* first at \(.*\) mm"):
         repair(tube())
 
 
 def test_what_stays_crowded_is_an_error_that_says_where(monkeypatch):
-    module = importlib.import_module("vrcaps.mesh.repair.repair")
+    module = importlib.import_module("vrcaps.mesh.repair")
     whole = lambda mesh: (mesh, np.arange(len(mesh.vertices)), [])  # noqa: E731
     monkeypatch.setattr(module, "split_nonmanifold", whole)
     mesh = sphere()

@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 
 from vrcaps.core.errors import InputError
-from vrcaps.mesh.edges import signed_volume
-from vrcaps.mesh.mesh import Mesh
+from vrcaps.mesh.mesh import Mesh, signed_volume, triangulate_strips
 from vrcaps.mesh.read_mesh import read_mesh
-from vrcaps.mesh.triangulate import triangulate_strips
 
 POINTS = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
 FACES = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]

@@ -7,7 +7,7 @@ import pytest
 
 from vrcaps.core.color import lab_from_srgb
 from vrcaps.core.errors import InputError
-from vrcaps.metrics.color import (
+from vrcaps.metrics.images import (
     color_distance,
     highlights,
     image_color,

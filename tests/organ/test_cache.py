@@ -14,7 +14,7 @@ import numpy as np
 import platformdirs
 import pytest
 
-from vrcaps.core.temporary_files import temporary_beside
+from vrcaps.core.files import temporary_beside
 from vrcaps.organ import cache
 from vrcaps.organ.cache import cache_folder, cached_organ
 from vrcaps.organ.surface import Appearance, Centerline, OrganSurface

@@ -12,14 +12,13 @@ from shapes import sphere
 from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import triangle_areas
 from vrcaps.core.units import MM
-from vrcaps.mesh.mesh import Mesh, vertex_normals
+from vrcaps.mesh.mesh import Mesh, triangle_distance, vertex_normals, wall_distance
 from vrcaps.mesh.read_mesh import read_mesh
 from vrcaps.mesh.repair import repair
-from vrcaps.organ.centerline import centerline_from_points, compute, compute_centerline, interpolate
-from vrcaps.organ.centerline.distance import triangle_distance, wall_distance
-from vrcaps.organ.centerline.handles import num_handles
-from vrcaps.organ.centerline.lumen import LumenGrid, grid_crossings, mean_radius, voxelize
-from vrcaps.organ.centerline.smooth import smooth_path
+from vrcaps.organ import centerline
+from vrcaps.organ.centerline import centerline_from_points, compute_centerline, interpolate
+from vrcaps.organ.lumen_grid import LumenGrid, grid_crossings, mean_radius, num_handles, voxelize
+from vrcaps.organ.lumen_path import smooth_path
 
 RADIUS = 10 * MM
 
@@ -238,7 +237,7 @@ def test_loops_that_are_open_to_each_other_are_not_cut_short(caplog, monkeypatch
     assert KDTree(course).query(line.points)[0].max() < 8 * MM
     assert "the wall has 2 handles" in caplog.text
     assert "LEAVES OUT" not in caplog.text
-    monkeypatch.setattr(compute, "without_short_cuts", lambda grid: (grid, 0))
+    monkeypatch.setattr(centerline, "without_short_cuts", lambda grid: (grid, 0))
     assert compute_centerline(mesh, voxel=1.2 * MM).length < 0.7 * length
     assert "THE CENTERLINE LEAVES OUT" in caplog.text
 
@@ -389,9 +388,9 @@ def test_a_rough_wall_is_not_cut_too_finely(monkeypatch):
         taken.extend(voxels)
         raise InputError("far enough")
 
-    monkeypatch.setattr(compute, "_trace", trace)
-    monkeypatch.setattr(compute, "mean_radius", lambda vertices, faces: radius)
-    monkeypatch.setattr(compute, "_MAX_INSIDE", 100_000)
+    monkeypatch.setattr(centerline, "_trace", trace)
+    monkeypatch.setattr(centerline, "mean_radius", lambda vertices, faces: radius)
+    monkeypatch.setattr(centerline, "_MAX_INSIDE", 100_000)
     with pytest.raises(InputError, match="far enough"):
         compute_centerline(wall)
     volume = 0.5 * radius * triangle_areas(wall.vertices[wall.faces]).sum()

@@ -16,13 +16,18 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import transform_from, transform_points
 from vrcaps.mesh.glb import read_document
 from vrcaps.mesh.mesh import Mesh
-from vrcaps.organ import compact_textures
-from vrcaps.organ.arrays import organ_to_arrays
-from vrcaps.organ.compact_textures import RELIEF_STEP
-from vrcaps.organ.organ_file import is_organ_file
+from vrcaps.organ import gltf_material
+from vrcaps.organ.gltf_material import RELIEF_STEP
+from vrcaps.organ.organ_file import ATTRIBUTES, is_organ_file, write_organ
 from vrcaps.organ.read_organ import read_organ
-from vrcaps.organ.surface import HEIGHT_STEP, Appearance, Centerline, OrganSurface, round_height
-from vrcaps.organ.write_organ import ATTRIBUTES, write_organ
+from vrcaps.organ.surface import (
+    HEIGHT_STEP,
+    Appearance,
+    Centerline,
+    OrganSurface,
+    organ_to_arrays,
+    round_height,
+)
 from write_ply import write_ply
 
 NAMES = ("background", "first", "second")
@@ -285,21 +290,21 @@ def test_what_a_compact_file_cannot_round_is_stored_exactly(organ, tmp_path: Pat
     found = read_organ(tmp_path / "a.glb")
     assert np.array_equal(found.vertices, odd.vertices)
     assert np.array_equal(found.appearance.height, high)
-    monkeypatch.setattr(compact_textures, "_MAX_SIDE", 8)
+    monkeypatch.setattr(gltf_material, "_MAX_SIDE", 8)
     write_organ(tmp_path / "b.glb", organ, compact=True)
     assert np.array_equal(read_organ(tmp_path / "b.glb").appearance.albedo, organ.appearance.albedo)
 
 
 def test_the_coded_textures_of_a_large_organ_are_kept(organ, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setenv("VRCAPS_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(compact_textures, "_KEPT_TEXELS", 1)
+    monkeypatch.setattr(gltf_material, "_KEPT_TEXELS", 1)
     write_organ(tmp_path / "a.glb", organ, compact=True)
-    monkeypatch.setattr(compact_textures, "albedo_webp", lambda _: pytest.fail("it is there"))
+    monkeypatch.setattr(gltf_material, "albedo_webp", lambda _: pytest.fail("it is there"))
     write_organ(tmp_path / "b.glb", organ, compact=True)
     assert (tmp_path / "a.glb").read_bytes() == (tmp_path / "b.glb").read_bytes()
     other = replace(
         organ, appearance=replace(organ.appearance, albedo=255 - organ.appearance.albedo)
     )
-    monkeypatch.setattr(compact_textures, "albedo_webp", lambda _: b"new")
+    monkeypatch.setattr(gltf_material, "albedo_webp", lambda _: b"new")
     write_organ(tmp_path / "c.glb", other, compact=True)
     assert len(list((tmp_path / "cache" / "organs").glob("webp-*.npz"))) == 2

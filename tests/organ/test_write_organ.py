@@ -15,8 +15,8 @@ from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.mesh.read_mesh import read_label_names, read_mesh
 from vrcaps.mesh.repair import repair
 from vrcaps.organ.gltf_material import normal_texture, relief_scale, texture_images
+from vrcaps.organ.organ_file import split_at_seams, write_organ
 from vrcaps.organ.surface import Appearance, Centerline, OrganSurface
-from vrcaps.organ.write_organ import split_at_seams, write_organ
 
 RADIUS, LENGTH = 0.02, 0.1
 

@@ -26,8 +26,7 @@ from vrcaps.recording.resume import Checkpoint, read_checkpoint
 from vrcaps.scenario import build as scenario_module
 from vrcaps.scenario.build import build, resolve
 from vrcaps.scenario.scenario import Scenario, read_scenario, scenario_from_plain, scenario_to_plain
-from vrcaps.tissue.drag import Drag
-from vrcaps.tissue.winkler_foundation import WinklerFoundation
+from vrcaps.tissue.contact_laws import Drag, WinklerFoundation
 from vrcaps.world.schedule import Insufflation, PostureChange, Wrench
 
 MOTION = Dynamics(

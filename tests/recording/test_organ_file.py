@@ -13,9 +13,9 @@ from vrcaps.core.errors import InputError
 from vrcaps.lesion import parse_lesion
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.mucosa.bake import bake_appearance
+from vrcaps.organ.organ_file import write_organ
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.organ.write_organ import write_organ
 from vrcaps.recording.episode import read_episode
 from vrcaps.recording.frame_files import read_image
 from vrcaps.recording.recorder import record

@@ -9,8 +9,14 @@ from scipy.spatial import cKDTree
 
 from fem_shapes import bumpy, cylinder, plate, whole_matrices
 from vrcaps.tissue.fem.deformation import FemDeformation
-from vrcaps.tissue.fem.elements import integration_points, quadrature, shapes
-from vrcaps.tissue.fem.layer import CoarseSurface, Layer, extrude
+from vrcaps.tissue.fem.layer import (
+    CoarseSurface,
+    Layer,
+    extrude,
+    integration_points,
+    quadrature,
+    shapes,
+)
 
 FREE = FemDeformation(support=0.0, youngs_modulus=1e5, density=1000.0)
 

@@ -12,7 +12,7 @@ from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from vrcaps.mesh.mesh import Mesh, vertex_normals
-from vrcaps.organ.centerline.lumen import grid_crossings
+from vrcaps.organ.lumen_grid import grid_crossings
 from vrcaps.tools.ct.volume import Volume, index_to_patient
 
 GAS, LUNG, FAT, WALL, BONE, FLUID = -1000.0, -860.0, -95.0, 40.0, 650.0, 480.0

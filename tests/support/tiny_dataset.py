@@ -10,9 +10,9 @@ import trimesh
 
 from small_episode import CAMERA, DEVICE
 from vrcaps.mesh.mesh import Mesh
+from vrcaps.organ.organ_file import write_organ
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import Appearance
-from vrcaps.organ.write_organ import write_organ
 from write_ply import write_ply
 
 PLAN = """

@@ -8,7 +8,7 @@ import numpy as np
 
 from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import vertex_normals
-from vrcaps.organ.centerline.curve import transport_frames
+from vrcaps.organ.centerline import transport_frames
 from vrcaps.organ.surface import Appearance, Centerline, OrganSurface
 
 _QUAD = np.array([[0, 0], [0, 1], [1, 1], [1, 0]])

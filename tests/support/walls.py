@@ -7,9 +7,7 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.capsule.device import Body
 from vrcaps.core.units import MM
-from vrcaps.tissue.drag import Drag
-from vrcaps.tissue.spring_wall import SpringWall
-from vrcaps.tissue.winkler_foundation import WinklerFoundation
+from vrcaps.tissue.contact_laws import Drag, SpringWall, WinklerFoundation
 
 RADIUS = 5.5 * MM
 HALF_AXIS = 7.5 * MM

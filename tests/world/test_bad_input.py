@@ -15,11 +15,9 @@ from vrcaps.capsule.device import Body
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.units import MM
 from vrcaps.render.renderer import Renderer
-from vrcaps.tissue.drag import Drag
+from vrcaps.tissue.contact_laws import Drag, SpringWall, WinklerFoundation
 from vrcaps.tissue.motility.motility import Motility
-from vrcaps.tissue.spring_wall import SpringWall
 from vrcaps.tissue.tissue import Tissue
-from vrcaps.tissue.winkler_foundation import WinklerFoundation
 from vrcaps.world.control import Control
 from vrcaps.world.model import Model, State, posture_transform
 from vrcaps.world.snapshot import Snapshot, read_snapshot

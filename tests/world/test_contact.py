@@ -9,10 +9,8 @@ from scipy.integrate import quad
 from vrcaps.capsule.device import homogeneous_body
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.units import MM
-from vrcaps.tissue.drag import Drag
-from vrcaps.tissue.spring_wall import SpringWall
+from vrcaps.tissue.contact_laws import Drag, SpringWall, WinklerFoundation
 from vrcaps.tissue.tissue import Tissue
-from vrcaps.tissue.winkler_foundation import WinklerFoundation
 from walls import HALF_AXIS, LINEAR, RADIUS, capsule, creased, floor, tube, world_on
 
 DOWN = (0.0, 0.0, -9.81)

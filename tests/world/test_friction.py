@@ -6,8 +6,7 @@ import pytest
 
 from vrcaps import _core
 from vrcaps.core.units import MM
-from vrcaps.tissue.drag import Drag
-from vrcaps.tissue.winkler_foundation import WinklerFoundation
+from vrcaps.tissue.contact_laws import Drag, WinklerFoundation
 from walls import capsule, tube, world_on
 
 FREE, STILL = (0.0,) * 6, (0.0,) * 3

@@ -9,7 +9,7 @@ from vrcaps import _core
 from vrcaps.core.geometry import triangle_areas
 from vrcaps.core.transforms import matrix_from_quaternion, transform_from
 from vrcaps.core.units import MM
-from vrcaps.tissue.winkler_foundation import WinklerFoundation
+from vrcaps.tissue.contact_laws import WinklerFoundation
 from vrcaps.world.indentation import _divided, indentation
 from walls import HALF_AXIS, LINEAR, LYING, RADIUS, capsule, world_on
 

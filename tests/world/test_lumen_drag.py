@@ -8,7 +8,7 @@ import pytest
 from vrcaps import _core
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import MM
-from vrcaps.tissue.drag import Drag
+from vrcaps.tissue.contact_laws import Drag
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.world.model import Model
 from vrcaps.world.world import World

@@ -13,8 +13,7 @@ from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.units import CM, MM
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.tissue.motility.motility import Motility
-from vrcaps.tissue.motility.propulsion import Propulsion
+from vrcaps.tissue.motility.motility import Motility, Propulsion
 from vrcaps.tissue.motility.segment import SegmentMotility, segment_motilities
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.world.control import Control

@@ -14,14 +14,11 @@ from vrcaps.core.transforms import rotation_from_vector, transform_from
 from vrcaps.core.units import MM
 from vrcaps.lumen.contents import Contents
 from vrcaps.magnet.sources import Cylinder, UniformField
-from vrcaps.tissue.drag import Drag
+from vrcaps.tissue.contact_laws import Drag, SpringWall, WinklerFoundation
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.fem.wall import FemWall
-from vrcaps.tissue.motility.motility import Motility
-from vrcaps.tissue.motility.propulsion import Propulsion
-from vrcaps.tissue.spring_wall import SpringWall
+from vrcaps.tissue.motility.motility import Motility, Propulsion
 from vrcaps.tissue.tissue import Tissue
-from vrcaps.tissue.winkler_foundation import WinklerFoundation
 from vrcaps.world.control import Control
 from vrcaps.world.dynamics import RELAXATION_TIME
 from vrcaps.world.model import Model

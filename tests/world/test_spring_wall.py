@@ -7,9 +7,7 @@ import pytest
 
 from vrcaps import _core
 from vrcaps.core.units import MM
-from vrcaps.tissue.drag import Drag
-from vrcaps.tissue.spring_wall import SpringWall
-from vrcaps.tissue.winkler_foundation import WinklerFoundation
+from vrcaps.tissue.contact_laws import Drag, SpringWall, WinklerFoundation
 from walls import RADIUS, floor, world_on
 
 SPRING = SpringWall()

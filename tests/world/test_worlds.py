@@ -15,8 +15,7 @@ from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import rotation_from_vector, transform_from
 from vrcaps.magnet.sources import Cylinder
-from vrcaps.tissue.motility.motility import Motility
-from vrcaps.tissue.motility.propulsion import Propulsion
+from vrcaps.tissue.motility.motility import Motility, Propulsion
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.world.control import Control
 from vrcaps.world.dynamics import DynamicsKind

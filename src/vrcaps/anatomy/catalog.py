@@ -7,10 +7,9 @@ from dataclasses import asdict, replace
 from importlib import import_module
 from typing import TYPE_CHECKING, get_args
 
-from vrcaps.anatomy.distension import Distension
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.organ.cache import cached_organ, fingerprint
-from vrcaps.organ.segments import ORGANS
+from vrcaps.organ.segments import ORGANS, Distension
 from vrcaps.organ.surface import OrganSurface
 
 if TYPE_CHECKING:

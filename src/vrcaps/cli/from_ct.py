@@ -213,7 +213,7 @@ def _list_pieces(pieces: tuple[GasPiece, ...]) -> None:
 
 
 def _write(path: Path, organ: OrganSurface) -> None:
-    from vrcaps.organ.write_organ import write_organ
+    from vrcaps.organ.organ_file import write_organ
 
     write_organ(path, organ)
     console.print(f"Wrote {path} (unit: m).")

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, UseAppendAction
 
-from vrcaps.anatomy.distension import Distension
 from vrcaps.cli.console import console
 from vrcaps.cli.lesions import lesion_lines
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import CM, LENGTH_UNITS, MM
 from vrcaps.organ.organ_file import is_organ_file
+from vrcaps.organ.segments import Distension
 from vrcaps.scenario.chosen_lesions import chosen_lesions
 from vrcaps.scenario.scenario import OrganFile, organ_named
 
@@ -149,7 +149,7 @@ class Make:
 
     def run(self) -> None:
         """Generate and report."""
-        from vrcaps.organ.write_organ import write_organ
+        from vrcaps.organ.organ_file import write_organ
 
         out = self.out or Path(f"{self.name}-{self.seed}.glb")
         if out.suffix != ".glb":

@@ -65,8 +65,8 @@ def _words(names: tuple[str, ...]) -> str:
 def _lesions() -> list[tuple[str, str]]:
     """Each kind with its grades in the form of `--lesion`, and its settings."""
     from vrcaps.lesion import LESIONS
-    from vrcaps.lesion.registry import describe_kind
-    from vrcaps.lesion.settings import settings_of
+    from vrcaps.lesion.base import settings_of
+    from vrcaps.lesion.library import describe_kind
 
     rows = []
     for kind, cls in LESIONS.items():

@@ -1,11 +1,16 @@
-"""Actionable errors: each states the given value, the allowed values and a remedy."""
+"""Actionable errors: each states the given value, the allowed values and a remedy; checks."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import ArrayLike, DTypeLike, NDArray
+
 
 _SYSTEM = re.compile(r"\[(?:Errno|WinError) -?\d+\] ([^:'\[\]]+)(?:: '[^']*'(?: -> '[^']*')?)?")
 """Pattern of an operating system error: number, reason, paths."""
@@ -135,3 +140,57 @@ def require(is_valid: bool, name: str, value: object, allowed: str) -> None:
     """
     if not is_valid:
         raise InputError(f"{name} is {value}. Allowed: {allowed}.")
+
+
+def narrow(values: ArrayLike, dtype: DTypeLike, name: str) -> np.ndarray[Any, Any]:
+    """Convert an array to an integer type without changing any value.
+
+    NumPy's `astype` silently wraps values that are out of range and truncates fractions.
+
+    Args:
+        values: Numbers of any type.
+        dtype: Integer type.
+        name: Subject of the message, in the plural, for example ``labels of colon.ply``.
+
+    Raises:
+        InputError: If a number is not finite, not whole, or out of the range of the type.
+    """
+    import numpy as np
+
+    found, wanted = np.asarray(values), np.iinfo(dtype)
+    if found.dtype == np.dtype(dtype):
+        return found
+    if found.dtype.kind not in "biuf":
+        raise InputError(f"The {name} are of type {found.dtype}. Give whole numbers.")
+    if found.size == 0:
+        return found.astype(dtype)
+    low, high = found.min(), found.max()  # NaN, if there is one
+    if found.dtype.kind == "f":
+        # Not `wanted.max` itself: for 64 bits its float is just beyond the range.
+        bad = ~((found >= float(wanted.min)) & (found < float(wanted.max) + 1.0))
+        bad |= found != np.floor(found)
+    else:
+        is_inside = int(low) >= wanted.min and int(high) <= wanted.max
+        bad = np.zeros(0, bool) if is_inside else (found < wanted.min) | (found > wanted.max)
+    if bad.any():
+        first = found[bad].flat[0]
+        raise InputError(
+            f"{np.count_nonzero(bad)} of the {name} are not allowed, the first is {first!s}. "
+            f"Allowed: whole numbers from {wanted.min} to {wanted.max}."
+        )
+    return found.astype(dtype)
+
+
+def require_one_shape(estimate: NDArray, truth: NDArray) -> None:
+    """Check that an estimate has the shape of the truth.
+
+    Raises:
+        InputError: If the shapes differ.
+    """
+    import numpy as np
+
+    if np.shape(estimate) != np.shape(truth):
+        raise InputError(
+            f"The estimate has the shape {np.shape(estimate)}, the truth {np.shape(truth)}. "
+            "Allowed: one shape."
+        )

@@ -13,9 +13,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from vrcaps.core.files import files_in
+from vrcaps.core.files import files_in, scratch_folder
 from vrcaps.core.processes import end_with_parent
-from vrcaps.core.temporary_files import scratch_folder
 from vrcaps.data.about import ABOUT
 from vrcaps.data.card import read_plan_of
 from vrcaps.data.ledger import EPISODES, entries, failures

@@ -18,9 +18,8 @@ from vrcaps.config.limits import Range, check_fields
 from vrcaps.config.plain_files import decode_json
 from vrcaps.core.errors import InputError, require
 from vrcaps.data.store import Store
-from vrcaps.organ.arrays import organ_sha256
-from vrcaps.organ.surface import OrganSurface
-from vrcaps.organ.write_organ import organ_glb
+from vrcaps.organ.organ_file import organ_glb
+from vrcaps.organ.surface import OrganSurface, organ_sha256
 from vrcaps.recording.layout import SHARED_ORGANS, LocalFiles, read_head
 
 _ORGAN_FILE = re.compile(rf"{SHARED_ORGANS}/[0-9a-f]{{64}}\.glb")

@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import Protocol
 
 from vrcaps.core.errors import StorageError
-from vrcaps.core.files import sync_folder
+from vrcaps.core.files import remove_stale, sync_folder, temporary_beside
 from vrcaps.core.locks import FolderInUseError, file_lock
-from vrcaps.core.temporary_files import remove_stale, temporary_beside
 
 
 class Store(Protocol):

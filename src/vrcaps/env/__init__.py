@@ -36,7 +36,7 @@ from vrcaps.env.tasks.inspect import InspectTask as InspectTask
 from vrcaps.env.tasks.navigate import NavigateTask as NavigateTask
 from vrcaps.env.vector_env import CapsuleVectorEnv as CapsuleVectorEnv
 from vrcaps.lesion import Polyp as Polyp
-from vrcaps.tissue.drag import Drag as Drag
+from vrcaps.tissue.contact_laws import Drag as Drag
 from vrcaps.tissue.tissue import Tissue as Tissue
 
 _register(gymnasium)

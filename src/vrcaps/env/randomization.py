@@ -12,8 +12,8 @@ import numpy as np
 from vrcaps.camera.derive import scaled_lens
 from vrcaps.camera_pipeline.effects import Effects, parse_effects
 from vrcaps.core.errors import InputError
+from vrcaps.tissue.contact_laws import SpringWall
 from vrcaps.tissue.fem.deformation import FemDeformation
-from vrcaps.tissue.spring_wall import SpringWall
 
 if TYPE_CHECKING:
     from jaxtyping import Float

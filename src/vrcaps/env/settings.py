@@ -19,7 +19,7 @@ from vrcaps.env.start import Start
 from vrcaps.env.tasks.coverage import CoverageTask
 from vrcaps.env.tasks.registry import AnyTask
 from vrcaps.lesion import AnyLesion
-from vrcaps.lesion.registry import parse_lesion
+from vrcaps.lesion.library import parse_lesion
 from vrcaps.metrics.coverage import CoverageCriteria
 from vrcaps.scenario.scenario import OrganGenerated
 from vrcaps.tissue.tissue import Tissue

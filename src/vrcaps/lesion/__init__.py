@@ -16,17 +16,17 @@ from vrcaps.lesion.base import Lesion as Lesion
 from vrcaps.lesion.base import Location as Location
 from vrcaps.lesion.bleeding import Bleeding as Bleeding
 from vrcaps.lesion.colitis import Colitis as Colitis
+from vrcaps.lesion.library import draw_lesions as draw_lesions
+from vrcaps.lesion.library import lesion_library as lesion_library
+from vrcaps.lesion.library import parse_lesion as parse_lesion
+from vrcaps.lesion.mucosal import Angioectasia as Angioectasia
+from vrcaps.lesion.mucosal import Erosion as Erosion
+from vrcaps.lesion.mucosal import Lymphangiectasia as Lymphangiectasia
+from vrcaps.lesion.mucosal import Ulcer as Ulcer
 from vrcaps.lesion.polyp import Polyp as Polyp
-from vrcaps.lesion.prevalence import draw_lesions as draw_lesions
-from vrcaps.lesion.registry import lesion_library as lesion_library
-from vrcaps.lesion.registry import parse_lesion as parse_lesion
 from vrcaps.lesion.structural import Diverticulum as Diverticulum
 from vrcaps.lesion.structural import Stricture as Stricture
 from vrcaps.lesion.structural import Tumor as Tumor
-from vrcaps.lesion.ulcer import Erosion as Erosion
-from vrcaps.lesion.ulcer import Ulcer as Ulcer
-from vrcaps.lesion.vascular import Angioectasia as Angioectasia
-from vrcaps.lesion.vascular import Lymphangiectasia as Lymphangiectasia
 
 if TYPE_CHECKING:
     AnyLesion = Lesion

@@ -15,9 +15,8 @@ from vrcaps.lesion.base import Form, Lesion
 from vrcaps.lesion.mesh_patch import ExtractedPatch, as_organ, insert, whole_wall
 from vrcaps.lesion.placement import PlacedLesion, describe, require_locations
 from vrcaps.lesion.sites import SITES, PlacementContext, samples
-from vrcaps.mesh.log_map import ThinTrianglesError
 from vrcaps.mesh.mesh import wall_of
-from vrcaps.mesh.refine import Patch, refine, renewed_normals
+from vrcaps.mesh.patch import Patch, ThinTrianglesError, refine, renewed_normals
 from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.surface import OrganSurface
 

@@ -12,14 +12,14 @@ from vrcaps.core.geometry import smoothstep
 from vrcaps.core.units import MM
 from vrcaps.lesion.base import (
     AppearanceSample,
+    BloodFlow,
     Form,
     Lesion,
     LesionSite,
     WallSamples,
     mix,
 )
-from vrcaps.lesion.blood import BloodFlow, under_blood
-from vrcaps.lesion.focal import FocalForm
+from vrcaps.lesion.focal import FocalForm, under_blood
 from vrcaps.mesh.noise import fbm, low_pass
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from vrcaps.lesion.base import (
     WallSamples,
     mix,
 )
-from vrcaps.lesion.blood import FIBRIN, under_blood
+from vrcaps.lesion.focal import FIBRIN, under_blood
 from vrcaps.mesh.noise import band_pass, fbm, low_pass
 from vrcaps.mucosa.mucosa import MUCUS_TINT
 

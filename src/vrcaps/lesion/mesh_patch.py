@@ -10,7 +10,7 @@ import scipy
 
 from vrcaps.core.geometry import edge_graph
 from vrcaps.mesh.mesh import vertex_normals
-from vrcaps.mesh.refine import Patch, rim
+from vrcaps.mesh.patch import Patch, rim
 from vrcaps.organ.centerline import interpolate
 from vrcaps.organ.surface import OrganSurface
 

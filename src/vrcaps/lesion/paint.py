@@ -25,7 +25,7 @@ from vrcaps.organ.surface import Appearance, round_height
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-    from vrcaps.mesh.refine import Patch
+    from vrcaps.mesh.patch import Patch
 
 _DENSITY = 14.0 / MM  # texels per meter on charts
 _LARGEST = 768  # texels on a chart's side

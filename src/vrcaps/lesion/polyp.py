@@ -18,8 +18,7 @@ from vrcaps.lesion.base import (
     WallSamples,
     mix,
 )
-from vrcaps.lesion.blood import FIBRIN, under_blood
-from vrcaps.lesion.focal import ProfileForm
+from vrcaps.lesion.focal import FIBRIN, ProfileForm, under_blood
 from vrcaps.mesh.noise import band_pass, fbm
 
 if TYPE_CHECKING:

@@ -16,15 +16,14 @@ from vrcaps.core.units import MM
 from vrcaps.lesion.base import Lesion, LesionSite, WallSamples
 from vrcaps.lesion.mesh_patch import NUM_FIELDS, ExtractedPatch, extract, within
 from vrcaps.lesion.placement import PlacedLesion, candidates, place_focal
-from vrcaps.mesh.log_map import log_map
 from vrcaps.mesh.mesh import wall_of
-from vrcaps.mesh.refine import Patch, refine
+from vrcaps.mesh.patch import Patch, log_map, refine
 from vrcaps.organ.surface import OrganSurface
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-    from vrcaps.lesion.blood import BloodFlow
+    from vrcaps.lesion.base import BloodFlow
 
 _WAVY = 1.3  # maximum outline radius of a focal lesion, in mean radii
 _STEP = 1.0 * MM  # along a flow of blood

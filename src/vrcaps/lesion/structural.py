@@ -20,8 +20,7 @@ from vrcaps.lesion.base import (
     WallSamples,
     mix,
 )
-from vrcaps.lesion.blood import under_blood
-from vrcaps.lesion.focal import ProfileForm
+from vrcaps.lesion.focal import ProfileForm, under_blood
 from vrcaps.mesh.noise import band_pass, fbm, low_pass
 
 if TYPE_CHECKING:

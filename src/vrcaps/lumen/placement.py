@@ -133,7 +133,7 @@ class _Seeds:
 
     def settle(self, towards: Float[np.ndarray, " 3"], fraction: float) -> None:
         """Anchor a fraction of the clusters in direction `towards`, the others all around."""
-        from vrcaps.organ.centerline.curve import interpolate
+        from vrcaps.organ.centerline import interpolate
 
         points, frames, self.lumen_radius = interpolate(self.organ.centerline, self.arc_length)
         count = len(points)

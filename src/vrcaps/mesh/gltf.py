@@ -1,28 +1,94 @@
-"""Triangles of a glTF 2.0 scene (Khronos 2021): nodes, instances, skins and morph targets."""
+"""Reader of glTF 2.0 scenes (Khronos 2021) as one mesh: nodes, instances, skins, morph targets."""
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import unquote
 
 import numpy as np
 
-from vrcaps.core.narrow import narrow
-from vrcaps.mesh.edges import drop_unused_vertices
-from vrcaps.mesh.gltf_accessors import (
+from vrcaps.core.errors import narrow
+from vrcaps.mesh.glb import (
+    DRACO,
     GltfFile,
+    compression_text,
     local_transform,
+    read_document,
     read_gltf_file,
     translation_rotation_scale,
 )
-from vrcaps.mesh.gltf_limits import DRACO, compression_text, require_safe_gltf
-from vrcaps.mesh.mesh import Mesh
-from vrcaps.mesh.triangulate import triangulate_fans, triangulate_strips
+from vrcaps.mesh.mesh import Mesh, drop_unused_vertices, triangulate_fans, triangulate_strips
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
     from jaxtyping import Float, Int
+
+
+_LISTS = ("accessors", "buffers", "bufferViews", "images", "meshes", "nodes", "scenes", "skins")
+_COMPRESSIONS = (DRACO, "EXT_meshopt_compression", "KHR_meshopt_compression")
+_KNOWN = ("KHR_mesh_quantization", "EXT_mesh_gpu_instancing")
+_NOT_GEOMETRY = (  # prefixes of extensions that do not change the surface
+    *("KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_xmp", "KHR_animation_"),
+    *("EXT_texture_", "EXT_lights_", "MSFT_texture_", "ADOBE_materials_"),
+)
+
+
+def require_safe_gltf(path: Path) -> None:
+    """Check the paths, sizes and required extensions declared in a GLB or glTF file.
+
+    Raises:
+        ValueError, struct.error: If it names a file outside its folder, a size beyond its own or
+            an unsupported extension, or is not a glTF file of UTF-8 text.
+    """
+    is_binary = path.suffix.lower() == ".glb"
+    document = read_document(path) if is_binary else json.loads(path.read_text("utf-8-sig"))
+    if not isinstance(document, dict):
+        raise ValueError("its document is no object")
+    for name in _LISTS:
+        entries = document.get(name, [])
+        if not (isinstance(entries, list) and all(isinstance(entry, dict) for entry in entries)):
+            raise ValueError(f"{name} is no list of objects")
+    _require_extensions(document.get("extensionsRequired", []))
+    size = path.stat().st_size
+    for entry in [*document.get("buffers", []), *document.get("images", [])]:
+        size += _external_size(entry.get("uri"), path.parent)
+    for name, key in (("buffers", "byteLength"), ("bufferViews", "byteLength")):
+        for number, entry in enumerate(document.get(name, [])):
+            _require_number(entry.get(key), size, f"{name}[{number}].{key}")
+    for number, entry in enumerate(document.get("accessors", [])):
+        _require_number(entry.get("count"), size, f"accessors[{number}].count")
+
+
+def _require_extensions(names: list[str]) -> None:
+    for name in names:
+        if name in _COMPRESSIONS:
+            raise ValueError(compression_text(name))
+        if name not in _KNOWN and not name.startswith(_NOT_GEOMETRY):
+            raise ValueError(
+                f"it requires the extension {name}, which is not supported; export it without "
+                "this extension, or as PLY"
+            )
+
+
+def _external_size(uri: Any, folder: Path) -> int:
+    """Size in bytes of an external file of a glTF file, 0 for data in the document itself."""
+    if uri is None or (isinstance(uri, str) and uri.startswith("data:")):
+        return 0
+    if not isinstance(uri, str) or "\0" in uri:
+        raise ValueError(f"uri is {uri!r}, not a path")
+    named = (folder / unquote(uri)).resolve()
+    if "://" in uri or not named.is_relative_to(folder.resolve()):
+        raise ValueError(f"it names {uri!r}, which lies outside its folder")
+    return named.stat().st_size if named.is_file() else 0
+
+
+def _require_number(value: Any, most: int, name: str) -> None:
+    if type(value) is not int or not 0 <= value <= most:
+        raise ValueError(f"{name} is {value!r}, allowed are whole numbers from 0 to {most}")
+
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _NO_SURFACE = (0, 1, 2, 3)  # modes of points and lines

@@ -13,9 +13,7 @@ from vrcaps.core.units import parse_length
 from vrcaps.mesh.glb import read_document
 from vrcaps.mesh.gltf import read_gltf
 from vrcaps.mesh.mesh import Mesh
-from vrcaps.mesh.obj import read_obj
-from vrcaps.mesh.ply import read_ply
-from vrcaps.mesh.stl import read_stl
+from vrcaps.mesh.polygon_files import read_obj, read_ply, read_stl
 
 if TYPE_CHECKING:
     from pathlib import Path

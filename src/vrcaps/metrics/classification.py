@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.core.errors import require
-from vrcaps.metrics.shapes import require_one_shape
+from vrcaps.core.errors import require, require_one_shape
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.metrics.shapes import require_one_shape
+from vrcaps.core.errors import InputError, UnknownNameError, require_one_shape
 
 if TYPE_CHECKING:
     from jaxtyping import Float

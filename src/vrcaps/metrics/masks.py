@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.metrics.shapes import require_one_shape
+from vrcaps.core.errors import require_one_shape
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.core.errors import require_one_shape
 from vrcaps.core.transforms import invert, transform_from
 from vrcaps.core.units import CM
-from vrcaps.metrics.shapes import require_one_shape
 from vrcaps.metrics.trajectory import relative_pose_error
 
 if TYPE_CHECKING:

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from vrcaps.core.errors import InputError, UnknownNameError, require
+from vrcaps.core.errors import InputError, UnknownNameError, require, require_one_shape
 from vrcaps.core.transforms import invert, transform_from
-from vrcaps.metrics.shapes import require_one_shape
 
 if TYPE_CHECKING:
     from jaxtyping import Float

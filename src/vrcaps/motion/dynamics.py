@@ -17,14 +17,11 @@ from vrcaps.motion.dynamics_columns import (
 )
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.motion.rollout import Rollout
-from vrcaps.tissue.drag import Drag
+from vrcaps.tissue.contact_laws import Drag, SpringWall, WinklerFoundation
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.motility.migrating_complex import Front
-from vrcaps.tissue.motility.motility import Motility
-from vrcaps.tissue.motility.propulsion import Propulsion
-from vrcaps.tissue.spring_wall import SpringWall
+from vrcaps.tissue.motility.motility import Motility, Propulsion
 from vrcaps.tissue.tissue import Tissue
-from vrcaps.tissue.winkler_foundation import WinklerFoundation
 from vrcaps.world.dynamics import DYNAMICS, DynamicsKind
 from vrcaps.world.schedule import (
     Flush,

@@ -21,10 +21,8 @@ import numpy as np
 from platformdirs import user_cache_path
 
 from vrcaps.core.build_info import ORGAN_PACKAGES, core_sha256, versions
-from vrcaps.core.files import atomic_write, read_arrays
-from vrcaps.core.temporary_files import is_temporary
-from vrcaps.organ.arrays import organ_from_arrays, organ_to_arrays
-from vrcaps.organ.surface import OrganSurface
+from vrcaps.core.files import atomic_write, is_temporary, read_arrays
+from vrcaps.organ.surface import OrganSurface, organ_from_arrays, organ_to_arrays
 
 Stored = TypeVar("Stored")
 

@@ -9,7 +9,7 @@ import scipy
 
 from vrcaps.core.geometry import edge_graph
 from vrcaps.mesh.mesh import vertex_normals
-from vrcaps.organ.centerline.curve import interpolate
+from vrcaps.organ.centerline import interpolate
 from vrcaps.organ.surface import Centerline
 
 if TYPE_CHECKING:

@@ -9,9 +9,8 @@ import numpy as np
 import scipy
 
 from vrcaps.core.units import LENGTH_UNITS, MM, parse_length
-from vrcaps.mesh.edges import face_areas, find_edges
-from vrcaps.mesh.mesh import Mesh
-from vrcaps.mesh.repair.cap import enclosed_volume, find_loops
+from vrcaps.mesh.mesh import Mesh, face_areas, find_edges
+from vrcaps.mesh.repair.components import enclosed_volume, find_loops
 from vrcaps.mesh.repair.repair_report import format_points
 from vrcaps.mesh.self_intersection import cluster_intersections, self_intersections
 

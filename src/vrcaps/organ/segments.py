@@ -1,4 +1,4 @@
-"""Segments of the organs: the table of labels, mucosae and motilities.
+"""Segments of the organs: the table of labels, mucosae and motilities; distensions.
 
 An organ is declared here by its segments from the oral to the anal end. It provides the labels
 of the generators, the mucosa and its factors of `bake_appearance`, and the motility presets of
@@ -9,6 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal, TypeVar
+
+from vrcaps.core.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -142,3 +145,19 @@ FULL_TRACT = declare_organ(
     OrganSegments("full-tract", (*STOMACH.segments, *SMALL_BOWEL.segments, *COLON.segments))
 )
 """Stomach, small bowel and colon as one wall."""
+
+
+Distension = Literal["inflated", "normal", "collapsed"]
+
+T = TypeVar("T")
+
+
+def at_distension(values: Mapping[str, T], distension: str) -> T:
+    """Return the value for a distension.
+
+    Raises:
+        InputError: If there is no such distension.
+    """
+    if distension not in values:
+        raise InputError(f"Distension is {distension!r}. Allowed: {', '.join(values)}.")
+    return values[distension]

@@ -8,9 +8,8 @@ import numpy as np
 
 from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import triangle_areas, triangle_normals, unit
-from vrcaps.mesh.edges import find_edges
-from vrcaps.mesh.mesh import Mesh
-from vrcaps.organ.centerline.lumen import grid_crossings
+from vrcaps.mesh.mesh import Mesh, find_edges
+from vrcaps.organ.lumen_grid import grid_crossings
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

@@ -11,7 +11,7 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.camera.camera import MAX_PIXELS
 from vrcaps.core.files import atomic_write, decode_array
-from vrcaps.organ.write_organ import split_at_seams
+from vrcaps.organ.organ_file import split_at_seams
 
 if TYPE_CHECKING:
     from jaxtyping import Float32

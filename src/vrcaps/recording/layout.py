@@ -15,9 +15,9 @@ from vrcaps.config.convert import from_plain, to_plain
 from vrcaps.config.plain_files import decode_json
 from vrcaps.core.build_info import EPISODE_PACKAGES, core_sha256, versions
 from vrcaps.core.errors import InputError
+from vrcaps.core.files import scratch_folder
 from vrcaps.core.names import inside
-from vrcaps.core.temporary_files import scratch_folder
-from vrcaps.organ.arrays import json_safe
+from vrcaps.organ.surface import json_safe
 from vrcaps.recording.frame_files import wall_to_plain
 from vrcaps.render.channels import CHANNELS
 from vrcaps.scenario.scenario import Scenario, scenario_to_plain

@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 
 from vrcaps.core.errors import InputError
-from vrcaps.core.files import file_sha256
-from vrcaps.core.temporary_files import scratch_folder
+from vrcaps.core.files import file_sha256, scratch_folder
 from vrcaps.core.transforms import transform_points
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.read_mesh import read_mesh
+from vrcaps.organ.organ_file import write_organ
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.organ.write_organ import write_organ
 from vrcaps.recording.layout import EPISODE_JSON, ORGAN_GLB, SHARED_ORGANS, EpisodeFiles, file_here
 from vrcaps.scenario.scenario import SOURCE_ORGAN, OrganFile, Scenario
 

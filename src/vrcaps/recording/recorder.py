@@ -15,8 +15,7 @@ import numpy as np
 
 from vrcaps.camera_pipeline.capsule_cameras import CAPTURED, CapsuleCameras
 from vrcaps.core.errors import InputError, StorageError
-from vrcaps.core.files import sync_folder, write_bytes, write_json
-from vrcaps.core.temporary_files import is_temporary, remove_stale
+from vrcaps.core.files import is_temporary, remove_stale, sync_folder, write_bytes, write_json
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.frame_files import file_vertices, stored_wall, wall_path, write_images
 from vrcaps.recording.frame_writer import FrameWriter
@@ -232,7 +231,7 @@ def _other_version(before: dict[str, Any], head: dict[str, Any]) -> str:
 
 
 def _write_organ(out: Path, model: Model) -> None:
-    from vrcaps.organ.write_organ import write_organ
+    from vrcaps.organ.organ_file import write_organ
 
     write_organ(out / ORGAN_GLB, model.organ, T_world_patient=model.T_world_patient, compact=True)
 

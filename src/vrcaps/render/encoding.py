@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.core.errors import require
-from vrcaps.core.narrow import narrow
+from vrcaps.core.errors import narrow, require
 from vrcaps.core.units import UM
 
 if TYPE_CHECKING:

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from vrcaps.anatomy.distension import Distension
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.capsule.device import Device
 from vrcaps.config.convert import from_plain, to_plain
@@ -20,6 +19,7 @@ from vrcaps.lumen.contents import Contents
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.motion.registry import AnyMotion
 from vrcaps.mucosa.mucosa import is_texture_path
+from vrcaps.organ.segments import Distension
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.channels import CHANNELS
 from vrcaps.render.settings import RenderSettings

@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from vrcaps.tissue.drag import Drag
+from vrcaps.tissue.contact_laws import Drag, SpringWall, WinklerFoundation
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.motility.motility import Motility
-from vrcaps.tissue.spring_wall import SpringWall
-from vrcaps.tissue.winkler_foundation import WinklerFoundation
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from vrcaps.core.transforms import invert, transform_points
 from vrcaps.core.units import CM
 from vrcaps.lumen.lumen_contents import LumenContents
 from vrcaps.lumen.pools import Pools, Sections, cut_sections, level_pools, submerged
-from vrcaps.tissue.arc_length_samples import arc_length_samples
+from vrcaps.tissue.motility.layout import arc_length_samples
 from vrcaps.world.core_pose import center_of_mass_and_rotation
 from vrcaps.world.model import Model
 

@@ -17,7 +17,7 @@ from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.lumen_contents import CHYME, LumenContents, populate
 from vrcaps.mesh.mesh import wall_of
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.tissue.arc_length_samples import sample_coordinates
+from vrcaps.tissue.motility.layout import sample_coordinates
 
 if TYPE_CHECKING:
     from jaxtyping import Float

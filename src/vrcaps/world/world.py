@@ -13,7 +13,7 @@ from vrcaps.core.errors import InputError, require
 from vrcaps.core.rng import stream
 from vrcaps.core.transforms import rotate_vectors
 from vrcaps.magnet.sources import Source
-from vrcaps.tissue.arc_length_samples import arc_length_samples
+from vrcaps.tissue.motility.layout import arc_length_samples
 from vrcaps.tissue.motility.muscle import Muscle
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.world.control import Control

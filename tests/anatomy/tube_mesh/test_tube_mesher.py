@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from vrcaps.anatomy.tube_mesh import tube_mesher as rows_module
-from vrcaps.anatomy.tube_mesh.edge_flips import _distinct_flips
 from vrcaps.anatomy.tube_mesh.swept_surface import Crests, SweptSurface, make_meridian
 from vrcaps.anatomy.tube_mesh.tube import Course, make_tube
-from vrcaps.anatomy.tube_mesh.tube_mesher import count_triangles, mesh_swept_surface
+from vrcaps.anatomy.tube_mesh.tube_mesher import (
+    _distinct_flips,
+    count_triangles,
+    mesh_swept_surface,
+)
 from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.measure import triangle_quality

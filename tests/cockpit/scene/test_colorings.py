@@ -17,7 +17,7 @@ from vrcaps.core.geometry import triangle_areas
 from vrcaps.core.transforms import transform_from
 from vrcaps.core.units import MM
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.tissue.winkler_foundation import WinklerFoundation
+from vrcaps.tissue.contact_laws import WinklerFoundation
 from vrcaps.world.indentation import indentation
 
 NARROW = 5.8 * MM

@@ -15,7 +15,7 @@ from vrcaps.core.errors import InputError
 from vrcaps.formats.detection import lesion_models
 from vrcaps.formats.detection.bop import Bop
 from vrcaps.formats.io import export
-from vrcaps.mesh.ply import read_ply
+from vrcaps.mesh.polygon_files import read_ply
 from vrcaps.recording.frame_files import read_image
 
 

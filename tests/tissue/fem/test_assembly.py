@@ -8,8 +8,7 @@ import pytest
 from fem_errors import bending_error, cantilever_error, lame_error, mode_errors, patch_error
 from fem_shapes import bumpy, plate, whole_matrices
 from vrcaps.tissue.fem.deformation import FemDeformation
-from vrcaps.tissue.fem.elements import integration_points
-from vrcaps.tissue.fem.layer import extrude
+from vrcaps.tissue.fem.layer import extrude, integration_points
 
 FREE = FemDeformation(support=0.0, youngs_modulus=1e5, density=1000.0)
 

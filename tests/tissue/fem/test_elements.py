@@ -5,7 +5,7 @@ from math import factorial
 import numpy as np
 import pytest
 
-from vrcaps.tissue.fem.elements import EDGES, quadrature, shapes
+from vrcaps.tissue.fem.layer import EDGES, quadrature, shapes
 
 
 @pytest.mark.parametrize("dim", [2, 3])

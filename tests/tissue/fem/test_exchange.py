@@ -20,7 +20,7 @@ from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import transform_points
 from vrcaps.core.units import MM
-from vrcaps.tissue.drag import Drag
+from vrcaps.tissue.contact_laws import Drag
 from vrcaps.tissue.fem.assembly import assemble, surface_mass
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.tissue import Tissue

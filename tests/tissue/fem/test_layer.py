@@ -8,11 +8,9 @@ import pytest
 from fem_shapes import bumpy, straight_tube
 from vrcaps.core.errors import InputError
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.tissue.fem.coarse import coarsen
-from vrcaps.tissue.fem.elements import integration_points
+from vrcaps.tissue.fem.coarse import coarsen, low_pass
 from vrcaps.tissue.fem.embedding import embed
-from vrcaps.tissue.fem.layer import extrude
-from vrcaps.tissue.fem.smooth import low_pass
+from vrcaps.tissue.fem.layer import extrude, integration_points
 
 
 def test_layer_of_a_tube_has_its_volume(tube: OrganSurface) -> None:

@@ -9,9 +9,8 @@ from tubes import straight_gut
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.units import CM, MM
 from vrcaps.organ.surface import Centerline
-from vrcaps.tissue.motility.motility import Motility
+from vrcaps.tissue.motility.motility import Motility, Propulsion
 from vrcaps.tissue.motility.muscle import Muscle
-from vrcaps.tissue.motility.propulsion import Propulsion
 
 
 def _ring(radius: float = 0.05) -> Centerline:

@@ -10,8 +10,7 @@ import trimesh
 from phantom import coverage
 from vrcaps._core import Wall as Surface
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.mesh.mesh import Mesh
-from vrcaps.organ.centerline.distance import wall_distance
+from vrcaps.mesh.mesh import Mesh, wall_distance
 from vrcaps.tools.ct.from_ct import WallOptions, find_lumens, organ_from_gas, organ_from_label
 from vrcaps.tools.ct.labels import check_label, label_number, misplaced
 from vrcaps.tools.ct.lumen import choose_gas

@@ -12,8 +12,8 @@ from vrcaps.capsule.device_file import read_device
 from vrcaps.cli import main
 from vrcaps.cli.record import Record
 from vrcaps.core.errors import InputError
-from vrcaps.metrics.coverable import coverable
 from vrcaps.metrics.coverage import COVERAGE_LEVELS
+from vrcaps.metrics.view_coverage import coverable
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.recording.episode import read_episode
 from vrcaps.recording.recorder import record

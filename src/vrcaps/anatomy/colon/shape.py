@@ -14,9 +14,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.anatomy.colon.course import blend, lumen_radius
-from vrcaps.anatomy.tube_mesh.folds import Folds
-from vrcaps.anatomy.tube_mesh.swept_surface import Crests
-from vrcaps.anatomy.tube_mesh.waves import draw_waves, sum_waves, within_bend, wrap
+from vrcaps.anatomy.tube_mesh.swept_surface import (
+    Crests,
+    Folds,
+    draw_waves,
+    sum_waves,
+    within_bend,
+    wrap,
+)
 from vrcaps.core.geometry import smoothstep
 from vrcaps.core.units import CM, DEG, MM
 

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from vrcaps.anatomy.full_tract.abdomen import (
+from vrcaps.anatomy.full_tract.patient import (
     GAP,
     ColonPlacement,
     make_neighboring_organs,
     place_stomach,
     pylorus_sample,
 )
-from vrcaps.anatomy.small_bowel.generate import lay_small_bowel, wanted_edge, with_local_bend
+from vrcaps.anatomy.small_bowel import lay_small_bowel, wanted_edge, with_local_bend
 from vrcaps.anatomy.small_bowel.shape import SmallBowelWall, small_bowel_radius
 from vrcaps.anatomy.stomach.shape import (
     StomachWall,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.anatomy.small_bowel.distance_routing import RoutingGrid, make_routing_grid, route_around
-from vrcaps.anatomy.tube_mesh.tube_packing import (
+from vrcaps.anatomy.tube_mesh.tube import (
     ObstacleSpheres,
     TubeChain,
     min_clearance,

@@ -18,7 +18,7 @@ from vrcaps.core.units import MM
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-    from vrcaps.anatomy.tube_mesh.tube_packing import ObstacleSpheres
+    from vrcaps.anatomy.tube_mesh.tube import ObstacleSpheres
 
 _STEP = 10 * MM
 _DETOUR = 30.0

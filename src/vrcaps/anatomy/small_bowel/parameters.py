@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated
 
-from vrcaps.anatomy.distension import at_distension
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.rng import truncated_normal
 from vrcaps.core.units import CM, MM
-from vrcaps.organ.segments import SMALL_BOWEL
+from vrcaps.organ.segments import SMALL_BOWEL, at_distension
 
 if TYPE_CHECKING:
     import numpy as np

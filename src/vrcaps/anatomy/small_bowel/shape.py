@@ -13,8 +13,7 @@ import numpy as np
 import scipy
 
 from vrcaps.anatomy.small_bowel.parameters import BULB_LENGTH
-from vrcaps.anatomy.tube_mesh.folds import Folds
-from vrcaps.anatomy.tube_mesh.waves import draw_waves, sum_waves, within_bend, wrap
+from vrcaps.anatomy.tube_mesh.swept_surface import Folds, draw_waves, sum_waves, within_bend, wrap
 from vrcaps.core.geometry import smoothstep
 from vrcaps.core.units import CM, MM
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Annotated
 
-from vrcaps.anatomy.distension import at_distension
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import require
 from vrcaps.core.rng import truncated_normal
 from vrcaps.core.units import MM
-from vrcaps.organ.segments import STOMACH
+from vrcaps.organ.segments import STOMACH, at_distension
 
 if TYPE_CHECKING:
     import numpy as np

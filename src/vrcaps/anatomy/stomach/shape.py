@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
+from vrcaps.anatomy.tube_mesh.swept_surface import draw_waves, sum_waves, within_bend, wrap
 from vrcaps.anatomy.tube_mesh.tube import Course
-from vrcaps.anatomy.tube_mesh.waves import draw_waves, sum_waves, within_bend, wrap
 from vrcaps.core.geometry import smoothstep
 from vrcaps.core.rng import stream
 from vrcaps.core.units import CM, MM

@@ -16,7 +16,7 @@ from vrcaps.cli.benchmarks.report import Report, Row, Table, check_out, machine_
 from vrcaps.cli.benchmarks.timing import Spread
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.core.errors import InputError
-from vrcaps.core.temporary_files import scratch_folder
+from vrcaps.core.files import scratch_folder
 
 
 def run(*, out: Path | None = None, quick: bool = False) -> Report:

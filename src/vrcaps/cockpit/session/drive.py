@@ -15,8 +15,7 @@ from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES
 from vrcaps.capsule.device_file import device_names, device_of, read_device
 from vrcaps.config.file_ref import FileRef
 from vrcaps.core.errors import InputError
-from vrcaps.core.files import is_new_folder, write_bytes, write_json
-from vrcaps.core.temporary_files import remove_stale
+from vrcaps.core.files import is_new_folder, remove_stale, write_bytes, write_json
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.scenario.chosen_lesions import PREVALENCE, chosen_lesions
 from vrcaps.scenario.scenario import (

@@ -17,10 +17,9 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import numpy as np
 
 from vrcaps.config.limits import Range, check_fields
-from vrcaps.core.errors import InputError
+from vrcaps.core.errors import InputError, narrow
 from vrcaps.core.files import write_bytes
 from vrcaps.core.names import inside, listed
-from vrcaps.core.narrow import narrow
 from vrcaps.formats.format import Needs, require_channels
 from vrcaps.formats.shared.folders import folder_name
 from vrcaps.formats.shared.frame_files import image_loader

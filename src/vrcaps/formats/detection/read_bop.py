@@ -11,8 +11,7 @@ import numpy as np
 
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.config.plain_files import read_plain
-from vrcaps.core.errors import InputError
-from vrcaps.core.narrow import narrow
+from vrcaps.core.errors import InputError, narrow
 from vrcaps.core.transforms import invert, transform_from
 from vrcaps.core.units import MM
 from vrcaps.formats.shared.folders import found_folders, with_names

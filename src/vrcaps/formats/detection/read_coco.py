@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.config.plain_files import read_plain
-from vrcaps.core.errors import InputError
+from vrcaps.core.errors import InputError, narrow
 from vrcaps.core.names import inside, listed
-from vrcaps.core.narrow import narrow
 from vrcaps.formats.detection.masks import mask_of
 from vrcaps.formats.shared.stored_images import read_rgb
 from vrcaps.recording.frame_files import require_pixels

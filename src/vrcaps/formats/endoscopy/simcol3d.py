@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import numpy as np
 
 from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.errors import narrow
 from vrcaps.core.files import write_bytes
 from vrcaps.core.names import listed
-from vrcaps.core.narrow import narrow
 from vrcaps.core.units import CM
 from vrcaps.formats.endoscopy.unity import poses_from_unity, unity_from_poses
 from vrcaps.formats.format import Needs

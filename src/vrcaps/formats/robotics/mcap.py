@@ -35,7 +35,7 @@ from vrcaps.formats.shared.folders import recordings, split_of
 from vrcaps.formats.shared.opencv_lens import OPENCV_LENSES
 from vrcaps.formats.shared.stored_images import decoded_rgb, jpeg_bytes
 from vrcaps.motion.dynamics_columns import MAGNET_COLUMNS
-from vrcaps.organ.arrays import json_safe
+from vrcaps.organ.surface import json_safe
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.recording.layout import camera_from_plain, camera_to_plain
 from vrcaps.recording.table import POSE_COLUMNS

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.core.errors import InputError
-from vrcaps.core.narrow import narrow
+from vrcaps.core.errors import InputError, narrow
 from vrcaps.core.transforms import (
     matrix_from_unit_quaternion,
     quaternion_from_matrix,

@@ -18,7 +18,7 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.core.errors import InputError, reading
 from vrcaps.formats.shared.folders import folder_name
-from vrcaps.organ.arrays import json_safe
+from vrcaps.organ.surface import json_safe
 from vrcaps.recording.frame_files import decode_image
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.recording.layout import camera_from_plain, camera_to_plain, channel_to_plain

@@ -27,7 +27,7 @@ from vrcaps.learn.task import (
     recolored,
     zoomed,
 )
-from vrcaps.lesion.registry import LESIONS
+from vrcaps.lesion.library import LESIONS
 from vrcaps.metrics.masks import boundary_f_score, dice, iou
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.recording.shown_lesion import lesion_instances

@@ -38,7 +38,7 @@ from vrcaps.learn.task import (
     outputs_of,
     with_gain,
 )
-from vrcaps.metrics.image_quality import psnr, ssim
+from vrcaps.metrics.images import psnr, ssim
 from vrcaps.recording.frame_sequence import FrameSequence
 
 if TYPE_CHECKING:

@@ -9,8 +9,9 @@ import numpy as np
 import scipy
 
 from vrcaps.core.errors import InputError
-from vrcaps.mesh.edges import (
+from vrcaps.mesh.mesh import (
     Edges,
+    Mesh,
     face_areas,
     find_edges,
     flip_faces,
@@ -18,7 +19,6 @@ from vrcaps.mesh.edges import (
     split_face,
     take_vertices,
 )
-from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.repair.repair_report import Repair, format_point
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 
 from vrcaps.core.errors import InputError
-from vrcaps.mesh.edges import (
+from vrcaps.mesh.mesh import (
     drop_unused_vertices,
     find_edges,
     keep_faces,

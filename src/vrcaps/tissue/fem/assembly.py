@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from vrcaps.tissue.fem.elements import Points, integration_points, quadrature, shapes
+from vrcaps.tissue.fem.layer import Points, integration_points, quadrature, shapes
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

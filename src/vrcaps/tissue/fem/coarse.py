@@ -2,28 +2,184 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
 from vrcaps.core.errors import InputError
+from vrcaps.core.geometry import triangle_areas
 from vrcaps.core.rng import stream
 from vrcaps.mesh.mesh import wall_of
-from vrcaps.tissue.fem.curved import BentTriangles, bulges_towards, edges_of, relaxed
-from vrcaps.tissue.fem.layer import CoarseSurface
-from vrcaps.tissue.fem.smooth import border_edges, low_pass
+from vrcaps.tissue.fem.layer import EDGES, CoarseSurface, shapes, thinnest
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
+
+
+# The cotangent of a needle triangle would tie its corners together.
+_LARGEST_COTANGENT = 20.0
+
+
+def low_pass(
+    vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"], wavelength: float
+) -> Float[np.ndarray, "n 3"]:
+    """Positions without undulations shorter than a wavelength [m].
+
+    Minimizes ∫|x − x₀|² + τ² |Δx|² dA with τ = (wavelength/2π)², then filters the residual in the
+    same way and adds it back (twicing: Tukey, Exploratory Data Analysis, 1977, 16). An undulation
+    of length d is scaled by 1 − s² with s = 1/(1 + (d/wavelength)⁴), so that a wide tube keeps
+    its radius. Flat regions are unchanged up to an open border. Δ is the cotangent Laplacian
+    (Pinkall, Polthier, Exp. Math. 2(1):15-36, 1993).
+    """
+    area, stiffness = cotangent_laplacian(vertices, faces)
+    inner = np.ones(len(vertices))
+    inner[border_edges(faces).ravel()] = 0.0
+    bending = stiffness @ scipy.sparse.diags(inner / area) @ stiffness
+    tau = (0.5 * wavelength / np.pi) ** 2
+    matrix = (scipy.sparse.diags(area) + tau**2 * bending).tocsc()
+    options = {"SymmetricMode": True}
+    solver = scipy.sparse.linalg.splu(
+        matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options
+    )
+    center = vertices.mean(axis=0)
+    around = vertices - center
+    once = solver.solve(area[:, None] * around)
+    return once + solver.solve(area[:, None] * (around - once)) + center
+
+
+def cotangent_laplacian(
+    vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
+) -> tuple[Float[np.ndarray, " n"], scipy.sparse.csr_matrix]:
+    """Area of each vertex [m²], and the cotangent stiffness matrix, positive semidefinite."""
+    corners, count = vertices[faces], len(vertices)
+    double_area = 2.0 * triangle_areas(corners)
+    tiny = 1e-12 * double_area.mean()
+    area = np.bincount(faces.ravel(), np.repeat(double_area / 6.0, 3), count)
+    matrix = scipy.sparse.csr_matrix((count, count))
+    for k in range(3):
+        a, b = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
+        cotangent = (a * b).sum(1) / np.maximum(double_area, tiny)
+        half = 0.5 * np.clip(cotangent, -_LARGEST_COTANGENT, _LARGEST_COTANGENT)
+        i, j = faces[:, (k + 1) % 3], faces[:, (k + 2) % 3]
+        ends = (np.concatenate([i, j, i, j]), np.concatenate([j, i, i, j]))
+        matrix += scipy.sparse.csr_matrix(
+            (np.concatenate([-half, -half, half, half]), ends), shape=(count, count)
+        )
+    return np.maximum(area, tiny), matrix
+
+
+def border_edges(faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "k 2"]:
+    """Directed edges that belong to only one face."""
+    edges = np.concatenate([faces[:, [k, (k + 1) % 3]] for k in range(3)])
+    count = int(faces.max()) + 1
+    forth, back = edges[:, 0] * count + edges[:, 1], edges[:, 1] * count + edges[:, 0]
+    return edges[~np.isin(forth, back)]
+
+
+# The midpoint of an edge bulges by at most this fraction of its length, as on an arc of 80 degrees.
+_LARGEST_BULGE = 0.18
+_ROUNDS = 60
+# Number of rounds that move the corners of bad triangles only; then one more ring is added, etc.
+_ROUNDS_BY_RING = 15
+# An element is bad if its volume shrinks anywhere to this fraction of its mean.
+_THIN = 0.1
+_RELAXATION = 0.25
+
+
+@dataclass(frozen=True)
+class BentTriangles:
+    """Triangles whose edge midpoints may lie off the straight edges.
+
+    Attributes:
+        corners: Positions [m].
+        pairs: Corners of each edge.
+        bulges: Offset from the midpoint of the straight edge to that of the bent edge [m].
+        triangles: Corners of each triangle, then the indices of its edges 01, 12, 02.
+    """
+
+    corners: Float[np.ndarray, "c 3"]
+    pairs: Int[np.ndarray, "e 2"]
+    bulges: Float[np.ndarray, "e 3"]
+    triangles: Int[np.ndarray, "m 6"]
+
+    @property
+    def surface(self) -> CoarseSurface:
+        """The triangles with nodes at the edge midpoints and outward directions."""
+        nodes = np.concatenate([self.corners, _middles(self.corners, self.pairs) + self.bulges])
+        number = self.triangles + len(self.corners) * (np.arange(6) >= 3)
+        return CoarseSurface(nodes, _outward(nodes, number), number)
+
+
+def edges_of(triangles: Int[np.ndarray, "m 3"]) -> tuple[np.ndarray, Int[np.ndarray, "m 6"]]:
+    """Corners of all edges, and the triangles with the indices of their edges 01, 12, 02."""
+    sides = np.stack([np.sort(triangles[:, list(pair)], axis=1) for pair in EDGES[:3]], axis=1)
+    pairs, side = np.unique(sides.reshape(-1, 2), axis=0, return_inverse=True)
+    return pairs, np.concatenate([triangles, side.reshape(-1, 3)], axis=1)
+
+
+def bulges_towards(
+    corners: Float[np.ndarray, "c 3"],
+    pairs: Int[np.ndarray, "e 2"],
+    middle: Float[np.ndarray, "e 3"],
+) -> Float[np.ndarray, "e 3"]:
+    """Bulges perpendicular to the edges that move their midpoints towards given points."""
+    chord = corners[pairs[:, 1]] - corners[pairs[:, 0]]
+    length = np.linalg.norm(chord, axis=1, keepdims=True)
+    bulge = middle - _middles(corners, pairs)
+    bulge -= (bulge * chord).sum(1, keepdims=True) / length**2 * chord
+    size = np.linalg.norm(bulge, axis=1, keepdims=True)
+    return bulge * np.minimum(1.0, _LARGEST_BULGE * length / np.maximum(size, 1e-12))
+
+
+def relaxed(bent: BentTriangles, thickness: float) -> BentTriangles:
+    """Straighten and even out triangles whose layer would fold, as far as possible."""
+    first, last = bent.pairs.T
+    degree = np.bincount(bent.pairs.ravel(), minlength=len(bent.corners))
+    for number in range(_ROUNDS):
+        bad = thinnest(bent.surface, thickness) < _THIN
+        if not bad.any():
+            break
+        for _ in range(number // _ROUNDS_BY_RING):
+            bad = np.isin(bent.triangles[:, :3], bent.triangles[bad, :3]).any(axis=1)
+        total = np.zeros_like(bent.corners)
+        np.add.at(total, first, bent.corners[last])
+        np.add.at(total, last, bent.corners[first])
+        corners, bulges = bent.corners.copy(), bent.bulges.copy()
+        move = np.unique(bent.triangles[bad, :3])
+        corners[move] += _RELAXATION * (total[move] / degree[move, None] - corners[move])
+        bulges[np.unique(bent.triangles[bad, 3:])] *= 1.0 - _RELAXATION
+        bent = replace(bent, corners=corners, bulges=bulges)
+    return bent
+
+
+def _middles(
+    corners: Float[np.ndarray, "c 3"], pairs: Int[np.ndarray, "e 2"]
+) -> Float[np.ndarray, "e 3"]:
+    return corners[pairs].mean(axis=1)
+
+
+def _outward(
+    nodes: Float[np.ndarray, "n 3"], triangles: Int[np.ndarray, "m 6"]
+) -> Float[np.ndarray, "n 3"]:
+    """Unit directions away from the lumen: area-weighted means over the adjacent triangles."""
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    places = np.concatenate([corners, [(corners[a] + corners[b]) / 2.0 for a, b in EDGES[:3]]])
+    tangents = np.einsum("eai,qaj->eqji", nodes[triangles], shapes(places)[1])
+    inward = np.cross(tangents[:, :, 0], tangents[:, :, 1])
+    total = np.stack(
+        [np.bincount(triangles.ravel(), inward[..., k].ravel(), len(nodes)) for k in range(3)], 1
+    )
+    return -total / np.linalg.norm(total, axis=1, keepdims=True)
+
 
 # Undulations shorter than this many edges are left out of the layer's shape and follow its motion.
 _WAVELENGTH_EDGES = 3.0
 # Seeds in random order with at least this distance reach the density of equilateral triangles
 # of edge 1 (random sequential packing covers 0.55 of the plane, hexagonal packing 0.91).
 _SEED_DISTANCE = 0.8
-_ROUNDS = 12
+_LLOYD_ROUNDS = 12
 _ATTEMPTS = 4
 
 
@@ -113,7 +269,7 @@ def _cells(
     seeds = np.array(seeds)
     on_border = np.zeros(count, bool)
     on_border[border] = True
-    for _ in range(_ROUNDS):
+    for _ in range(_LLOYD_ROUNDS):
         cell = _nearest_seed(graph, seeds)
         seeds = _centers(vertices, cell, on_border, len(seeds))
     return seeds, _nearest_seed(graph, seeds)

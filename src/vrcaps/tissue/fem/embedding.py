@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.tissue.fem.elements import shapes
+from vrcaps.tissue.fem.layer import shapes
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.core.errors import InputError
-from vrcaps.tissue.motility.layout import lay_out
+from vrcaps.tissue.motility.layout import KINDS, Rows, Table, lay_out, make_table
 from vrcaps.tissue.motility.migrating_complex import draw_complex
-from vrcaps.tissue.motility.rows import KINDS, Rows, Table, make_table
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int, Real

@@ -13,9 +13,8 @@ from typing import IO, TYPE_CHECKING, Literal
 
 import numpy as np
 
-from vrcaps.core.errors import InputError, reading
+from vrcaps.core.errors import InputError, narrow, reading
 from vrcaps.core.names import inside
-from vrcaps.core.narrow import narrow
 from vrcaps.tools.ct.read_dicom import read_dicom
 from vrcaps.tools.ct.volume import (
     Volume,

@@ -1,21 +1,22 @@
-"""PLY files (Turk 1994): a reader that keeps vertices and wedges as stored."""
+"""Readers of PLY (Turk 1994), Wavefront OBJ and STL files, including deviations of exporters."""
 
 from __future__ import annotations
 
+import codecs
 import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.core.narrow import narrow
-from vrcaps.mesh.mesh import Mesh
-from vrcaps.mesh.triangulate import triangulate_fans, triangulate_strips
+from vrcaps.core.errors import narrow
+from vrcaps.mesh.mesh import Mesh, triangulate_fans, triangulate_strips
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from jaxtyping import Int
+
 
 _DTYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
@@ -220,3 +221,99 @@ def _read_ragged_rows(
         is_list = prop.count_dtype is not None
         columns[prop.name] = _Lists(np.array(counts[prop.name]), flat) if is_list else flat
     return columns, position
+
+
+_CONTINUED = re.compile(r"\\[ \t]*(\r\n|\n|\r)")
+
+
+def read_obj(path: Path) -> Mesh:
+    """Mesh of all objects and groups of a file, in its own unit; materials are ignored.
+
+    Raises:
+        ValueError, IndexError: If a line is not valid OBJ.
+    """
+    vertices, uvs = [], []
+    counts, corners, uv_corners = [], [], []
+    for line in _CONTINUED.sub(" ", decoded(path.read_bytes())).splitlines():
+        words = line.partition("#")[0].split()
+        if not words:
+            continue
+        kind = words[0].lower()
+        if kind == "v":
+            vertices.append([float(words[1]), float(words[2]), float(words[3])])
+        elif kind == "vt":
+            uvs.append([float(words[1]), float(words[2]) if len(words) > 2 else 0.0])
+        elif kind in ("f", "fo"):
+            counts.append(len(words) - 1)
+            for word in words[1:]:
+                parts = word.split("/")
+                corners.append(_index(parts[0], len(vertices)))
+                has_uv = len(parts) > 1 and parts[1]
+                uv_corners.append(_index(parts[1], len(uvs)) if has_uv else -1)
+    triangles = triangulate_fans(np.array(counts, np.int64))
+    faces = np.array(corners, np.int64)[triangles]
+    points = np.array(vertices, float).reshape(-1, 3)
+    is_textured = bool(uvs) and bool(uv_corners) and min(uv_corners) >= 0
+    uv = np.array(uvs)[np.array(uv_corners)[triangles]] if is_textured else None
+    return Mesh(points, faces, uv)
+
+
+def _index(word: str, count: int) -> int:
+    """Zero-based index of a one-based or, if negative, relative OBJ index."""
+    index = int(word)
+    if index == 0:
+        raise ValueError("index 0, but OBJ counts from 1")
+    return index - 1 if index > 0 else count + index
+
+
+_FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_HEAD = 84
+
+
+def read_stl(path: Path) -> Mesh:
+    """Mesh of a file, in its own unit: each triangle has three separate vertices.
+
+    Text may be in capitals, have several solids, no `endsolid` and a byte order mark. A binary
+    file may start with the word `solid`, and less than one facet may follow its last.
+
+    Raises:
+        ValueError: If it is neither, or truncated.
+    """
+    data = path.read_bytes()
+    size = _HEAD + _FACET.itemsize * int.from_bytes(data[_HEAD - 4 : _HEAD], "little")
+    if len(data) < _HEAD or len(data) != size:
+        text = decoded(data)
+        if text.lstrip().lower().startswith("solid") and "facet" in text.lower():
+            return _from_text(text)
+    if len(data) < _HEAD or not size <= len(data) < size + _FACET.itemsize:
+        raise ValueError("neither ASCII nor binary STL, or cut short")
+    points = np.frombuffer(data[_HEAD:size], _FACET)["corners"].reshape(-1, 3).astype(float)
+    return Mesh(points, np.arange(len(points)).reshape(-1, 3))
+
+
+def _from_text(text: str) -> Mesh:
+    rows: list[list[float]] = []
+    ends = [0]
+    for line in text.lower().splitlines():
+        words = line.split()
+        if words[:1] == ["vertex"]:
+            rows.append([float(words[1]), float(words[2]), float(words[3])])
+        elif words[:1] == ["endloop"]:
+            ends.append(len(rows))
+    if ends[-1] != len(rows):
+        raise ValueError("it is cut short: the last facet has no end")
+    points = np.array(rows, float).reshape(-1, 3)
+    return Mesh(points, triangulate_fans(np.diff(ends)))
+
+
+_MARKS = (
+    (codecs.BOM_UTF8, "utf-8-sig"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+)
+
+
+def decoded(data: bytes) -> str:
+    """Decode UTF-8, or UTF-16 with a byte order mark; invalid bytes are replaced."""
+    encoding = next((name for mark, name in _MARKS if data.startswith(mark)), "utf-8")
+    return data.decode(encoding, "replace")

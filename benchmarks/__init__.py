@@ -1,0 +1,1 @@
+"""Benchmarks: speed, validation, appearance, sim-to-real, figures and structure of the code."""

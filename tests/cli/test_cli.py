@@ -9,9 +9,8 @@ from pathlib import Path
 import pytest
 
 from vrcaps import cli
-from vrcaps.cli.check import Check
-from vrcaps.cli.demo import _free_folder
-from vrcaps.cli.record import Record
+from vrcaps.cli.episodes import Check
+from vrcaps.cli.record import Record, _free_folder
 from vrcaps.config.file_ref import FileRef
 from vrcaps.core.errors import InputError
 from vrcaps.lumen.bowel_preparation import prepared

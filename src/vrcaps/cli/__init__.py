@@ -10,8 +10,8 @@ from importlib import import_module
 from itertools import takewhile
 from typing import Any, Protocol
 
-from vrcaps.cli.options import check_verb, option_error
-from vrcaps.cli.streams import EXIT_BROKEN_PIPE, configure_streams, discard_output, flush_output
+from vrcaps.cli.arguments import check_verb, option_error
+from vrcaps.cli.console import EXIT_BROKEN_PIPE, configure_streams, discard_output, flush_output
 from vrcaps.core.errors import VrcapsError, reason_of
 from vrcaps.formats.format import FORMATS
 
@@ -33,30 +33,30 @@ _TASKS = {
 """Tasks of networks; `tests/cli` compares them with the registry, whose import takes longer."""
 
 _VERBS = {
-    "demo": ("vrcaps.cli.demo", "Demo", "Record a labeled run through a generated colon."),
+    "demo": ("vrcaps.cli.record", "Demo", "Record a labeled run through a generated colon."),
     "record": ("vrcaps.cli.record", "Record", "Record your own organ, capsule and motion."),
     "cockpit": ("vrcaps.cli.cockpit", "Cockpit", "Drive a capsule from a browser."),
-    "view": ("vrcaps.cli.view", "View", "Look through episodes in a browser."),
-    "check": ("vrcaps.cli.check", "Check", "Verify an episode."),
-    "coverage": ("vrcaps.cli.coverage", "Coverage", "Measure how much of the organ was seen."),
+    "view": ("vrcaps.cli.episodes", "View", "Look through episodes in a browser."),
+    "check": ("vrcaps.cli.episodes", "Check", "Verify an episode."),
+    "coverage": ("vrcaps.cli.episodes", "Coverage", "Measure how much of the organ was seen."),
     "reconstruct": ("vrcaps.cli.reconstruct", "Reconstruct", "Fuse depth and poses into a wall."),
     "dataset make": ("vrcaps.cli.dataset", "Make", "Make a data set from a plan."),
     "dataset check": ("vrcaps.cli.dataset", "Check", "Verify a data set."),
     "dataset card": ("vrcaps.cli.dataset_show", "Card", "Write the data card of a data set."),
     "dataset show": ("vrcaps.cli.dataset_show", "Show", "Show what a data set holds."),
     "evaluate": ("vrcaps.cli.evaluate", "Evaluate", "Judge policies that move the capsule."),
-    "organ list": ("vrcaps.cli.organ_list", "List", "List organs, lesions, mucosae, capsules."),
+    "organ list": ("vrcaps.cli.organ", "List", "List organs, lesions, mucosae, capsules."),
     "organ inspect": ("vrcaps.cli.organ", "Inspect", "Measure and draw an organ."),
     "organ from-ct": ("vrcaps.cli.from_ct", "FromCt", "Make organs from a CT scan or labels."),
     "organ make": ("vrcaps.cli.organ", "Make", "Generate an organ and write it as GLB."),
     "organ texture": ("vrcaps.cli.texture", "Texture", "Make a mucosa from photographs."),
     "calibrate geometric": (
-        "vrcaps.cli.calibrate_geometric",
+        "vrcaps.cli.calibrate",
         "CalibrateGeometric",
         "Fit a lens to photographs of a chessboard.",
     ),
     "calibrate photometric": (
-        "vrcaps.cli.calibrate_photometric",
+        "vrcaps.cli.calibrate",
         "CalibratePhotometric",
         "Estimate vignetting, color and noise of a camera from its frames.",
     ),

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
 
 from vrcaps.cli.console import console
-from vrcaps.cli.record import Record
-from vrcaps.cli.recording import use_threads
+from vrcaps.cli.record import Record, use_threads
 from vrcaps.cli.scenario_flags import ImageFlags, MotionFlags, OrganFlags
 from vrcaps.core.errors import InputError
 

@@ -1,7 +1,8 @@
-"""Console of the CLI, and progress: bars on a terminal, lines in a log file."""
+"""Console of the command line: standard streams, and progress as bars or lines in a log file."""
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -13,6 +14,45 @@ from rich.console import Console
 
 if TYPE_CHECKING:
     from rich.progress import Progress, ProgressColumn
+
+EXIT_BROKEN_PIPE = 141
+"""Exit status of a program ended by SIGPIPE, in a shell."""
+
+
+def configure_streams() -> None:
+    """Open closed streams as the null device, and replace characters that a terminal lacks."""
+    for name in ("stdin", "stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            # Kept open: a file that is opened later must not get the closed stream's descriptor.
+            mode = "r" if name == "stdin" else "w"
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
+        elif name != "stdin" and hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
+
+
+def flush_output() -> None:
+    """Flush the remaining output.
+
+    Raises:
+        SystemExit: If there is no reader, or the output cannot be written.
+    """
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        discard_output()
+        if isinstance(error, BrokenPipeError):
+            raise SystemExit(EXIT_BROKEN_PIPE) from None
+        sys.stderr.write(f"vrcaps: Cannot write the output: {error.strerror}.\n")
+        raise SystemExit(1) from None
+
+
+def discard_output() -> None:
+    """Discard the remaining output, so that the interpreter can exit."""
+    null = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, sys.stdout.fileno())
+    os.close(null)
+
 
 # Wrapping is left to the terminal, so that paths can be copied in one piece; tables fit its width.
 console = Console(highlight=False, markup=False, soft_wrap=True)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
+from vrcaps.cli.arguments import require_file, require_folder
 from vrcaps.cli.console import console, progress_bar
-from vrcaps.cli.paths import require_file, require_folder
 from vrcaps.core.errors import InputError
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
+from vrcaps.cli.arguments import require_folder
 from vrcaps.cli.console import console
-from vrcaps.cli.paths import require_folder
 from vrcaps.core.errors import InputError
 
 if TYPE_CHECKING:

@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 
 from tyro.conf import Positional
 
+from vrcaps.cli.arguments import require_folder
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.cli.parts import command_of, part_of
-from vrcaps.cli.paths import require_folder
 from vrcaps.core.errors import UnknownNameError
 from vrcaps.formats.format import FORMATS, Format
 from vrcaps.recording.frame_sequence import SPLITS

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from tyro.conf import Positional
 
+from vrcaps.cli.arguments import require_existing
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.cli.organ import report_organ
-from vrcaps.cli.paths import require_existing
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import CM, MM
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from tyro.conf import UseAppendAction
 
+from vrcaps.cli.arguments import require_sources
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.cli.parts import command_of, part_of
-from vrcaps.cli.paths import require_sources
 from vrcaps.core.errors import InputError
 from vrcaps.learn.registry import LEARNERS, AnyTask
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
+from vrcaps.cli.arguments import require_file, require_folder, require_sources
 from vrcaps.cli.console import console, progress_bar
-from vrcaps.cli.paths import require_file, require_folder, require_sources
 from vrcaps.core.errors import InputError, require
 from vrcaps.core.files import atomic_folder, require_new_folder, write_bytes
 from vrcaps.core.units import MM

@@ -1,16 +1,19 @@
-"""`vrcaps record`: a labeled run, written as an episode."""
+"""`vrcaps record` and `vrcaps demo`: a labeled run, written as an episode."""
 
 from __future__ import annotations
 
+import os
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
 
-from vrcaps.cli.console import console
-from vrcaps.cli.recording import run_recording
+from vrcaps.cli.console import console, progress_bars
+from vrcaps.cli.organ import lesion_lines
 from vrcaps.cli.scenario_flags import ImageFlags, MotionFlags, OrganFlags, changes
 from vrcaps.core.errors import InputError
 from vrcaps.scenario.chosen_lesions import chosen_lesions
@@ -18,6 +21,71 @@ from vrcaps.scenario.settings import changed, parse_change, settings
 
 if TYPE_CHECKING:
     from vrcaps.scenario.scenario import Scenario
+
+
+def run_recording(scenario: Scenario, out: Path, *, threads: int | None = None) -> None:
+    """Record a scenario and print a summary.
+
+    Args:
+        scenario: Scenario to record.
+        out: Folder of the episode.
+        threads: Number of threads; None leaves it to the core.
+
+    Raises:
+        InputError: If the number of threads or the scenario is invalid.
+    """
+    use_threads(threads)
+    from vrcaps.recording.recorder import record
+
+    started = time.perf_counter()
+    times: list[float] = []
+    with progress_bars("recording", "simulating") as (advance, simulated):
+
+        def progress(num_done: int, total: int) -> None:
+            times.append(time.perf_counter())
+            advance(num_done, total)
+
+        record(scenario, out, progress=progress, simulated=simulated)
+    _summarize(out, times, time.perf_counter() - started)
+
+
+def use_threads(threads: int | None) -> None:
+    """Limit the threads of core and denoiser; only before the first parallel work.
+
+    Raises:
+        InputError: If the number is not positive.
+    """
+    if threads is None:
+        return
+    if threads < 1:
+        raise InputError(f"--threads is {threads}. Allowed: 1 or more.")
+    os.environ["RAYON_NUM_THREADS"] = os.environ["OIDN_NUM_THREADS"] = str(threads)
+
+
+def _summarize(out: Path, times: list[float], seconds: float) -> None:
+    """Print the path of the episode, its contents, the speed, and files to open."""
+    from vrcaps.recording.episode import read_episode
+
+    episode = read_episode(out)
+    cameras = ", ".join(camera.name for camera in episode.cameras)
+    console.print(
+        f"Recorded {len(episode)} frames of {cameras} into {out} in {seconds:.1f} s", end=""
+    )
+    if len(times) > 1 and times[-1] > times[0]:
+        rate = (len(times) - 1) / (times[-1] - times[0])
+        console.print(f" ({rate:.0f} frames per second once set up)", end="")
+    console.print(".")
+    console.print(f"Channels: {', '.join(episode.channels)}.")
+    organ = episode.head["organ"]
+    for line in lesion_lines(organ.get("lesions", []), organ["centerline_length_m"]):
+        console.print(f"Lesion {line}.")
+    for line in lesion_lines(organ.get("clean_twin_of", []), organ["centerline_length_m"]):
+        console.print(f"Without lesion {line}.")
+    for note in episode.head.get("motion_notes", []):
+        console.print(f"Note: {note}")
+    pictures = [out / name for name in ("sheet.png", "preview.mp4") if (out / name).exists()]
+    console.print(f"Look at {' and '.join(str(path) for path in pictures)}.")
+    console.print(f"Check it with: vrcaps check {out}")
 
 
 @dataclass(frozen=True)
@@ -88,7 +156,7 @@ class Record:
             raise InputError("--out is missing. Give the folder of the episode.")
         run_recording(self.resolved(), self.out, threads=self.threads)
         if self.coverage:
-            from vrcaps.cli.coverage import Coverage
+            from vrcaps.cli.episodes import Coverage
 
             Coverage(self.out).run()
 
@@ -141,3 +209,30 @@ def setting_lines() -> Iterator[str]:
         yield f"{setting.path}: {setting.type_name} = {setting.default_text}{kind}"
         if setting.doc:
             yield f"    {setting.doc}"
+
+
+@dataclass(frozen=True)
+class Demo:
+    """Record a labeled run through the generated colon, and name the image to open.
+
+    For example:
+      vrcaps demo
+    """
+
+    out: Path | None = None
+    """Folder of the episode; by default runs/demo, or the first free one of runs/demo-2, …"""
+
+    def run(self) -> None:
+        """Record and report."""
+        from vrcaps.motion.fly_through import FlyThrough
+        from vrcaps.scenario.scenario import Scenario
+
+        channels = ("rgb", "depth", "normal", "label", "arc_length")
+        scenario = Scenario(frames=150, fps=10.0, channels=channels, motion=FlyThrough(whole=True))
+        run_recording(scenario, self.out or _free_folder(Path("runs/demo")))
+
+
+def _free_folder(wanted: Path) -> Path:
+    """Path itself, or with the first suffix number under which no folder exists."""
+    numbered = (wanted.with_name(f"{wanted.name}-{number}") for number in count(2))
+    return next(folder for folder in chain([wanted], numbered) if not folder.exists())

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import OmitArgPrefixes, Positional
 
+from vrcaps.cli.arguments import require_existing
 from vrcaps.cli.console import console, progress_bar
-from vrcaps.cli.paths import require_existing
 from vrcaps.core.units import CM
 from vrcaps.tools.mucosa_from_photos.vessels import VesselPlacement
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import UseAppendAction
 
+from vrcaps.cli.arguments import require_existing
 from vrcaps.cli.console import console, progress_bar
-from vrcaps.cli.paths import require_existing
 
 if TYPE_CHECKING:
     from vrcaps.policy.training import Progress, TrainingSettings

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from tyro.conf import Positional, UseAppendAction
 
+from vrcaps.cli.arguments import require_file, require_folder
 from vrcaps.cli.console import console
-from vrcaps.cli.paths import require_file, require_folder
 from vrcaps.core.errors import InputError
 
 

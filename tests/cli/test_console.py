@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from vrcaps.cli.streams import EXIT_BROKEN_PIPE
+from vrcaps.cli.console import EXIT_BROKEN_PIPE
 
 _MAIN = "from vrcaps.cli import main; main({args!r})"
 

@@ -1,21 +1,54 @@
-"""`vrcaps coverage`: coverage of an organ by an episode."""
+"""Verbs on recorded episodes: `vrcaps check`, `vrcaps coverage` and `vrcaps view`."""
 
 from __future__ import annotations
 
 import math
+import threading
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
+from vrcaps.cli.arguments import require_folder
 from vrcaps.cli.console import console, progress_bar
-from vrcaps.cli.paths import require_folder
 from vrcaps.core.units import MM
 from vrcaps.metrics.coverage import COVERAGE_LEVELS, CoverageCriteria
 
 if TYPE_CHECKING:
     from vrcaps.tools.reports.coverage import EpisodeCoverage
+
+EXIT_FAULTS = 1
+
+
+@dataclass(frozen=True)
+class Check:
+    """Verify an episode: all files exist, are intact, and match the poses, cameras and organ.
+
+    Prints one line per fault and exits with status 1 if there are any.
+
+    For example:
+      vrcaps check runs/demo
+    """
+
+    episode: Positional[Path]
+    """Folder of the episode."""
+
+    def run(self) -> None:
+        """Check and report."""
+        require_folder(self.episode, "an episode")
+        from vrcaps.recording.check import check_episode
+
+        with progress_bar("checking") as progress:
+            problems = check_episode(self.episode, progress=progress)
+        for problem in problems:
+            console.print(str(problem))
+        if problems:
+            noun = "fault" if len(problems) == 1 else "faults"
+            console.print(f"{len(problems)} {noun} in {self.episode}.")
+            raise SystemExit(EXIT_FAULTS)
+        console.print(f"{self.episode} is whole and consistent.")
+
 
 COVERAGE_FOLDER = "coverage"
 TABLE, MESH, FIGURE = "coverage.parquet", "coverage.glb", "coverage.png"
@@ -96,3 +129,54 @@ def _report(found: EpisodeCoverage) -> None:
     whole = (f"{100.0 * found.coverage.fraction(level):.1f}" for level in COVERAGE_LEVELS)
     table.add_row("whole organ", *whole)
     console.print(table)
+
+
+@dataclass(frozen=True)
+class View:
+    """Browse an episode in a browser: all images, and the capsule's path in the organ.
+
+    Two episodes are shown side by side at the same time. An estimated path is drawn with the true
+    one, and its error is plotted. The page opens only with the printed address, which contains a
+    token.
+
+    For example:
+      vrcaps view runs/demo
+      vrcaps view runs/drive/episode-1 runs/again
+      vrcaps view runs/demo --estimate slam.txt
+    """
+
+    episodes: Positional[tuple[Path, ...]]
+    """Folders of one or two episodes."""
+
+    estimate: Path | None = None
+    """TUM file of an estimated path of the first episode's capsule [m], at its frames' times."""
+
+    host: str = "127.0.0.1"
+    """Address to listen on; 0.0.0.0 also admits other machines."""
+
+    port: int = 8080
+    """Port to listen on."""
+
+    def run(self) -> None:
+        """Serve the page until Ctrl-C.
+
+        Raises:
+            InputError: If an episode cannot be read, the times of the estimate do not match, or the
+                port is in use.
+        """
+        for episode in self.episodes:
+            require_folder(episode, "an episode")
+        from vrcaps.cockpit.episodes.episode_page import open_episodes
+
+        with open_episodes(
+            self.episodes,
+            estimate=self.estimate,
+            host=self.host,
+            port=self.port,
+            say=console.print,
+        ) as (_, gate):
+            console.print(f"Open {gate.address} in a browser; Ctrl-C here ends it.")
+            try:
+                threading.Event().wait()
+            except KeyboardInterrupt:
+                console.print("Ending.")

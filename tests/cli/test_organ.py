@@ -1,4 +1,6 @@
-from vrcaps.cli.lesions import lesion_lines
+"""."""
+
+from vrcaps.cli.organ import lesion_lines
 
 
 def test_lines():

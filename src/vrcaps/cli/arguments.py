@@ -1,12 +1,14 @@
-"""One-line errors for the words of a command line, before any verb is imported."""
+"""Checks of arguments, before any verb is imported: words, options and paths in one line."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Sequence
 from difflib import get_close_matches
+from pathlib import Path
 
 from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.formats.format import FORMATS
 
 _BOX = re.compile(r"[╭╮╰╯│─]+")
 _OPTION = re.compile(r"^ *(?:-\w, )?(--[a-z][\w.-]*)", re.MULTILINE)
@@ -58,3 +60,58 @@ def option_error(said: str, help_text: Callable[[], str], verb: str) -> InputErr
         return InputError(f"{given!r} is one argument too many. {_HELP.format(verb=verb)}")
     known = {*_OPTION.findall(_BOX.sub(" ", help_text()))} - {"--help"}
     return InputError(str(UnknownNameError(f"option of vrcaps {verb}", given, known)))
+
+
+def require_folder(folder: str | Path, what: str) -> None:
+    """Check that a folder exists; a URL is not checked.
+
+    Args:
+        folder: Folder or URL.
+        what: Expected content, with its article, such as ``an episode``.
+
+    Raises:
+        InputError: If there is no such folder, or it is a file.
+    """
+    text = str(folder)
+    if "://" in text and not text.startswith("file://"):
+        return
+    path = Path(text.removeprefix("file://"))
+    if not path.is_dir():
+        where = f"{folder} is a file" if path.is_file() else f"No folder at {folder}"
+        raise InputError(f"{where}. Give the folder of {what}.")
+
+
+def require_file(path: str | Path, what: str) -> None:
+    """Check that a file exists.
+
+    Raises:
+        InputError: If there is no such file.
+    """
+    if not Path(path).is_file():
+        where = f"{path} is a folder" if Path(path).is_dir() else f"No file at {path}"
+        raise InputError(f"{where}. Give {what}.")
+
+
+def require_sources(sources: Iterable[str]) -> None:
+    """Check that the folders of sources of frames exist, see `formats.io.read_source`.
+
+    Raises:
+        InputError: If one does not.
+    """
+    for source in sources:
+        kind, colon, folder = source.partition(":")
+        if colon and kind in FORMATS:
+            require_folder(folder, f"frames in the layout {kind}")
+        else:
+            require_folder(source, "an episode, a data set or images")
+
+
+def require_existing(paths: Iterable[Path], what: str) -> None:
+    """Check that files or folders exist.
+
+    Raises:
+        InputError: If one does not.
+    """
+    for path in paths:
+        if not path.exists():
+            raise InputError(f"Nothing at {path}. Give {what}.")

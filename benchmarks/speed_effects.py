@@ -110,12 +110,13 @@ def _recorded(effects: str, light: RenderSettings) -> float:
 
 def _subject(name: str, effects: str, light: RenderSettings) -> Subject:
     """What makes the images of a scenario."""
-    scenario = resolve(_scenario(effects, light, FRAMES))
-    model, motion = build(scenario)
+    resolved = resolve(_scenario(effects, light, FRAMES))
+    scenario = resolved.scenario
+    model, motion = build(resolved)
     cameras = CapsuleCameras(
         Renderer(model, scenario.render),
         scenario.effects,
-        fps=scenario.fps or 30.0,
+        fps=resolved.fps,
         seed=scenario.seed,
         channels=scenario.channels,
     )

@@ -66,8 +66,9 @@ def test_a_camera_at_another_pose(rng):
         ({"cameras": (CAMERA, CAMERA)}, r"Two cameras share a name \(front, front\)"),
         ({"cameras": (replace(CAMERA, position=(0, 0, 13e-3)),)}, "camera 'front' is outside"),
         ({"magnets": (InternalMagnet((0, 6e-3, 0), (0, 0, 1)),)}, "magnet 0 is outside"),
-        ({"led_spectrum": ((400.0, 1.0),)}, "two or more numbers that rise"),
+        ({"led_spectrum": ((400.0, 1.0),)}, "two or more increasing numbers"),
         ({"led_spectrum": ((400.0, 0.0), (500.0, 0.0))}, "0 or above, not all 0"),
+        ({"led_spectrum": ((450.0, 1.0), (460.0, 1.0))}, r"camera's red 0\.0% of the light"),
     ],
 )
 def test_impossible_devices(change, match):

@@ -146,7 +146,7 @@ def test_spectrum_of_the_leds(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("[400, 450.5, 700]", "[400, 390, 700]", "Allowed: two or more numbers that rise"),
+        ("[400, 450.5, 700]", "[400, 390, 700]", "Allowed: two or more increasing numbers"),
         ("[400, 450.5, 700]", "[400]", "power has 3 values. Allowed: as many as wavelength_nm, 1"),
         ("[0, 1, 0.25]", "[0, 1]", "power has 2 values. Allowed: as many as wavelength_nm, 3"),
         ("[0, 1, 0.25]", "[0, -1, 0.25]", "Allowed: 0 or above, not all 0"),

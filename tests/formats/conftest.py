@@ -11,7 +11,7 @@ from vrcaps.capsule.device import Device
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.recorder import record
-from vrcaps.scenario import build as scenario_module
+from vrcaps.scenario.organ_source import OrganSource
 from vrcaps.scenario.scenario import Scenario
 
 LENSES = {
@@ -25,7 +25,7 @@ def _record(lens, folder, base: Scenario, organ: OrganSurface) -> Episode:
     camera = Camera("front", lens, 40, 36, position=(0, 0, 7e-3), leds=led_ring(4, radius=3e-3))
     device = Device(length=24e-3, radius=5.5e-3, mass=3e-3, cameras=(camera,))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(scenario_module, "_load_organ", lambda _: organ)
+        patch.setattr(OrganSource, "load_healthy", lambda _: organ)
         scenario = replace(base, capsule=device, channels=CHANNELS, fps=4.0)
         return read_episode(record(scenario, folder))
 

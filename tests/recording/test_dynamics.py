@@ -23,8 +23,8 @@ from vrcaps.recording.check import check_episode
 from vrcaps.recording.episode import read_episode
 from vrcaps.recording.recorder import record
 from vrcaps.recording.resume import Checkpoint, read_checkpoint
-from vrcaps.scenario import build as scenario_module
-from vrcaps.scenario.build import build, resolve
+from vrcaps.scenario.build import build
+from vrcaps.scenario.organ_source import OrganSource
 from vrcaps.scenario.scenario import Scenario, read_scenario, scenario_from_plain, scenario_to_plain
 from vrcaps.tissue.contact_laws import Drag, WinklerFoundation
 from vrcaps.world.schedule import Insufflation, PostureChange, Wrench
@@ -81,7 +81,7 @@ def whole(tmp_path_factory, base_scenario, organ) -> Path:
     """The scenario recorded in one go."""
     given = replace(base_scenario, motion=MOTION, frames=6, fps=5.0, wall=True)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(scenario_module, "_load_organ", lambda _: organ)
+        patch.setattr(OrganSource, "load_healthy", lambda _: organ)
         return record(given, tmp_path_factory.mktemp("simulated") / "episode")
 
 
@@ -276,7 +276,7 @@ def test_clean_twin_moves_alike(scenario, tmp_path, monkeypatch):
     monkeypatch.setenv("VRCAPS_CACHE", str(tmp_path))
     lesions = (Polyp(size=6e-3, location=Location(arc_length=0.12)),)
     motion = replace(MOTION, settle=0.1, start=0.6)
-    sick = resolve(replace(scenario, motion=motion, lesions=lesions, frames=2))
+    sick = replace(scenario, motion=motion, lesions=lesions, frames=2)
     model, run = build(sick)
     twin, clean = build(replace(sick, clean_twin=True))
     far = np.linalg.norm(model.organ.vertices - twin.organ.vertices, axis=1) == 0.0

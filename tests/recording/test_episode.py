@@ -69,7 +69,7 @@ def test_metadata(recorded, scenario):
     assert episode.channels == tuple(CHANNELS)
     assert [camera.name for camera in episode.cameras] == ["front", "rear"]
     assert episode.label_names == ("background", "upper", "lower")
-    assert episode.scenario == resolve(scenario)
+    assert episode.scenario == resolve(scenario).scenario
     np.testing.assert_allclose(episode.times, np.arange(5) / 4.0)
     mount = episode.camera("rear").T_capsule_camera
     np.testing.assert_allclose(

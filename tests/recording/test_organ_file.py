@@ -40,8 +40,8 @@ def plan(organ: OrganSurface, device_file: Path, tmp_path: Path) -> Scenario:
 
 def test_the_organ_is_the_one_written(plan: Scenario, organ: OrganSurface, tmp_path: Path) -> None:
     resolved = resolve(plan)
-    assert isinstance(resolved.organ, OrganFile)
-    assert resolved.organ.unit == "m"
+    assert isinstance(resolved.organ.given, OrganFile)
+    assert resolved.organ.given.unit == "m"
     model, _ = build(resolved)
     assert np.array_equal(model.organ.vertices, organ.vertices)
     assert model.organ.appearance is not None
@@ -72,7 +72,7 @@ def test_an_episodes_own_organ_records_the_same_again(plan: Scenario, tmp_path: 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"clean_twin": True}, "holds its lesions for good, so it has no clean twin"),
+        ({"clean_twin": True}, "contains its lesions permanently, so it has no clean twin"),
         ({"lesions": (parse_lesion("erosion"),)}, "has lesions already"),
     ],
 )
@@ -99,7 +99,7 @@ def test_its_textures_stay(plan: Scenario) -> None:
     assert isinstance(plan.organ, OrganFile)
     other = replace(plan, organ=replace(plan.organ, mucosa="stomach"))
     resolved = resolve(other)
-    with pytest.raises(InputError, match="has textures of its own"):
+    with pytest.raises(InputError, match="has its own textures"):
         build(resolved)
 
 

@@ -215,13 +215,13 @@ import signal
 import sys
 from pathlib import Path
 from vrcaps.core.errors import VrcapsError
-from vrcaps.scenario import build as module
+from vrcaps.scenario.organ_source import OrganSource
 from vrcaps.recording.recorder import record
 from vrcaps.scenario.scenario import read_scenario
 {setup}
 signal.signal(signal.SIGINT, signal.default_int_handler)
 organ = pickle.loads(Path(sys.argv[3]).read_bytes())
-module._load_organ = lambda _: organ
+OrganSource.load_healthy = lambda _: organ
 def progress(done, total):
     print(done, flush=True)
 try:

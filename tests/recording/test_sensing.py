@@ -16,6 +16,7 @@ from vrcaps.recording.episode import read_episode
 from vrcaps.recording.recorder import record
 from vrcaps.recording.sensing import SensorReadings
 from vrcaps.recording.table import FrameTable
+from vrcaps.scenario.build import ResolvedScenario, resolve
 from vrcaps.scenario.scenario import Scenario, scenario_from_plain, scenario_to_plain
 from vrcaps.sensors.imu import Imu, Magnetometer
 from vrcaps.sensors.sensors import HallPad, Sensors, hall_array, sensors_by_name
@@ -34,8 +35,8 @@ def model(organ) -> Model:
     return Model(organ, read_device("magnetic"))
 
 
-def scenario_of(sensors: Sensors) -> Scenario:
-    return Scenario(fps=FPS, seed=3, sensors=sensors)
+def scenario_of(sensors: Sensors) -> ResolvedScenario:
+    return resolve(Scenario(fps=FPS, seed=3, sensors=sensors))
 
 
 def steps_along(model: Model, count: int) -> list[Step]:
@@ -122,9 +123,9 @@ def test_goes_on_with_the_same_readings(model):
 
 @pytest.mark.slow
 def test_an_episode_has_the_readings(tmp_path, monkeypatch, base_scenario, organ):
-    from vrcaps.scenario import build as scenario_module
+    from vrcaps.scenario.organ_source import OrganSource
 
-    monkeypatch.setattr(scenario_module, "_load_organ", lambda _: organ)
+    monkeypatch.setattr(OrganSource, "load_healthy", lambda _: organ)
     asked = replace(base_scenario, capsule="magnetic", sensors=ALL, frames=3, channels=("label",))
     episode = read_episode(record(asked, tmp_path / "episode"))
     columns, places = episode.table.columns, np.array(episode.head["hall_positions_m"])

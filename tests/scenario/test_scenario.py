@@ -13,8 +13,7 @@ from vrcaps.lesion import Location, Polyp
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.motion.replay import Replay
 from vrcaps.render.settings import RenderSettings
-from vrcaps.scenario import build as module
-from vrcaps.scenario.build import resolve
+from vrcaps.scenario.build import build, resolve
 from vrcaps.scenario.scenario import (
     OrganFile,
     OrganGenerated,
@@ -53,8 +52,8 @@ def test_round_trip_through_json(tmp_path, scenario):
 
 def test_an_episode_from_before_keeps_its_motion_and_frame_rate(tmp_path):
     """It states no `whole`; a flight without speed covered all, a null rate was constant."""
-    path, plain = tmp_path / "episode.json", scenario_to_plain(resolve(Scenario()))
-    assert read_scenario(_episode(path, plain)) == resolve(Scenario())
+    path, plain = tmp_path / "episode.json", scenario_to_plain(resolve(Scenario()).scenario)
+    assert read_scenario(_episode(path, plain)) == resolve(Scenario()).scenario
     del plain["motion"]["whole"]
     plain["effects"] |= {"auto_exposure": 0, "adaptive_frame_rate": None, "bayer_filter": None}
     before = read_scenario(_episode(path, {**plain, "capsule": "pillcam-colon2"}))
@@ -118,10 +117,11 @@ def test_resolve_fills_in_what_is_open(mesh_file, device_file):
     assert resolved.fps == 4.0
     assert resolved.effects == Effects().of_device(read_device(str(device_file)))
     assert resolved.channels == ("rgb", "depth")
-    assert isinstance(resolved.organ, OrganFile)
-    assert isinstance(resolved.organ.path, FileRef)
-    assert len(resolved.organ.path.sha256) == 64
-    assert resolve(resolved) == resolved
+    organ = resolved.organ.given
+    assert isinstance(organ, OrganFile)
+    assert isinstance(organ.path, FileRef)
+    assert len(organ.path.sha256) == 64
+    assert resolve(resolved.scenario) == resolved
 
 
 def test_resolve_checks_checksums(mesh_file, tmp_path):
@@ -158,8 +158,8 @@ def test_unknown_unit_of_a_mesh_file(mesh_file, device_file):
 @pytest.mark.slow
 def test_organ_is_loaded_as_stated(mesh_file, device_file):
     """With half a meter as its unit the tube is half as long; an appearance is always there."""
-    scenario = resolve(Scenario(OrganFile(str(mesh_file), "500mm"), str(device_file)))
-    organ = module._load_organ(scenario)
+    scenario = Scenario(OrganFile(str(mesh_file), "500mm"), str(device_file))
+    organ = resolve(scenario).organ.load()
     assert np.ptp(organ.vertices, axis=0).max() == pytest.approx(0.12, rel=1e-6)
     assert organ.appearance is not None
 
@@ -195,9 +195,9 @@ def test_lesions_of_a_file(tmp_path):
 def test_clean_twin_has_the_same_motion(scenario, tmp_path, monkeypatch):
     monkeypatch.setenv("VRCAPS_CACHE", str(tmp_path))
     lesions = (Polyp(size=6e-3, location=Location(arc_length=0.12)),)
-    sick = resolve(replace(scenario, lesions=lesions))
-    model, trajectory = module.build(sick)
-    twin, same = module.build(replace(sick, clean_twin=True))
+    sick = replace(scenario, lesions=lesions)
+    model, trajectory = build(sick)
+    twin, same = build(replace(sick, clean_twin=True))
     assert np.array_equal(trajectory.Ts_world_capsule, same.Ts_world_capsule)
     assert np.array_equal(model.organ.faces, twin.organ.faces)
     assert model.organ.instance.max() == 1

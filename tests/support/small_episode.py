@@ -14,7 +14,7 @@ from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.recording.recorder import record
 from vrcaps.render.channels import CHANNELS
-from vrcaps.scenario import build as scenario_module
+from vrcaps.scenario.organ_source import OrganSource
 from vrcaps.scenario.scenario import OrganFile, Scenario
 from write_ply import write_ply
 
@@ -106,7 +106,7 @@ def scenario(
     base_scenario: Scenario, organ: OrganSurface, monkeypatch: pytest.MonkeyPatch
 ) -> Scenario:
     """The short flight; the organ is made once for all tests."""
-    monkeypatch.setattr(scenario_module, "_load_organ", lambda _: organ)
+    monkeypatch.setattr(OrganSource, "load_healthy", lambda _: organ)
     return base_scenario
 
 
@@ -116,6 +116,6 @@ def recorded(
 ) -> Path:
     """A whole episode of the scenario; tests that change it work on a copy."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(scenario_module, "_load_organ", lambda _: organ)
+        patch.setattr(OrganSource, "load_healthy", lambda _: organ)
         out = tmp_path_factory.mktemp("recorded") / "episode"
         return record(base_scenario, out)

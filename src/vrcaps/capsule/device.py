@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.camera.camera import Camera, check_names
+from vrcaps.capsule.led_spectrum import Spectrum, check_spectrum
 from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.magnet.sources import InternalMagnet
 
@@ -56,7 +57,7 @@ class Device:
     lowest_frame_rate: float | None = field(default=None, metadata={"unit": "hz"})
     auto_exposure: bool = True
     magnets: tuple[InternalMagnet, ...] = ()
-    led_spectrum: tuple[tuple[float, float], ...] | None = None
+    led_spectrum: Spectrum | None = None
     source: str = ""
     metadata: dict = field(default_factory=dict)
 
@@ -78,7 +79,7 @@ class Device:
         check_names(self.cameras)
         _check_places(self, straight)
         if self.led_spectrum is not None:
-            _check_spectrum(self.led_spectrum)
+            check_spectrum(self.led_spectrum)
 
     def camera(self, name: str) -> Camera:
         """Return a camera by its name.
@@ -101,15 +102,6 @@ def _check_places(device: Device, straight: float) -> None:
                 f"{what} is outside the body. Allowed: a position inside it, from the center of "
                 "mass."
             )
-
-
-def _check_spectrum(spectrum: tuple[tuple[float, float], ...]) -> None:
-    wavelength, power = np.array(spectrum, float).reshape(-1, 2).T
-    is_rising = len(wavelength) > 1 and bool((np.diff(wavelength) > 0.0).all())
-    allowed = "two or more numbers that rise"
-    require(is_rising, "wavelengths of led_spectrum", wavelength.tolist(), allowed)
-    is_lit = power.min() >= 0.0 and power.max() > 0.0
-    require(bool(is_lit), "power of led_spectrum", power.tolist(), "0 or above, not all 0")
 
 
 @dataclass(frozen=True)

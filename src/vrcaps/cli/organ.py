@@ -15,7 +15,7 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.units import CM, LENGTH_UNITS, MM
 from vrcaps.organ.organ_file import is_organ_file
 from vrcaps.organ.segments import Distension
-from vrcaps.scenario.chosen_lesions import chosen_lesions
+from vrcaps.scenario.organ_source import parse_lesions
 from vrcaps.scenario.scenario import OrganFile, organ_named
 
 if TYPE_CHECKING:
@@ -193,13 +193,13 @@ class Make:
 
     def _patient(self) -> tuple[OrganSurface, OrganSurface | None]:
         """Organ with its lesions, if any, and the clean twin if requested."""
-        from vrcaps.scenario.build import make_organ, resolve
+        from vrcaps.scenario.build import resolve
         from vrcaps.scenario.scenario import OrganGenerated, Scenario
 
-        lesions = chosen_lesions(self.lesion, self.lesions, self.seed, self.name)
+        lesions = parse_lesions(self.lesion, self.lesions, self.seed, self.name)
         patient = OrganGenerated(self.name, self.seed, self.distension, self.mucosa)
-        scenario = resolve(Scenario(organ=patient, lesions=lesions, posture=self.posture))
-        return make_organ(scenario), make_organ(scenario, clean=True) if self.clean_twin else None
+        organ = resolve(Scenario(organ=patient, lesions=lesions, posture=self.posture)).organ
+        return organ.load(), organ.load(clean=True) if self.clean_twin else None
 
 
 def report_organ(organ: OrganSurface, picture: Path) -> None:

@@ -16,7 +16,7 @@ from vrcaps.cli.console import console, progress_bars
 from vrcaps.cli.organ import lesion_lines
 from vrcaps.cli.scenario_flags import ImageFlags, MotionFlags, OrganFlags, changes
 from vrcaps.core.errors import InputError
-from vrcaps.scenario.chosen_lesions import chosen_lesions
+from vrcaps.scenario.organ_source import parse_lesions
 from vrcaps.scenario.settings import changed, parse_change, settings
 
 if TYPE_CHECKING:
@@ -190,7 +190,7 @@ class Record:
         organ = scenario.organ
         is_generated = isinstance(organ, OrganGenerated)
         seed, name = (organ.seed, organ.name) if is_generated else (scenario.seed, "")
-        new = chosen_lesions(self.organ.lesion, self.organ.lesions, seed, name)
+        new = parse_lesions(self.organ.lesion, self.organ.lesions, seed, name)
         return to_plain((*scenario.lesions, *new), tuple[AnyLesion, ...]) if new else []
 
 

@@ -130,10 +130,10 @@ def _measured(units: Mapping[str, Unit], scratch: Path) -> dict[str, _Costs]:
 
 
 def _build_seconds(scenario: Scenario) -> float:
-    from vrcaps.scenario.build import build, resolve
+    from vrcaps.scenario.build import build
 
     began = time.perf_counter()
-    build(resolve(scenario))
+    build(scenario)
     return time.perf_counter() - began
 
 

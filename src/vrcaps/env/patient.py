@@ -10,7 +10,7 @@ import numpy as np
 
 from vrcaps.metrics.point_coverage import WallPoints, wall_points
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.scenario.build import make_organ, resolve
+from vrcaps.scenario.build import resolve
 from vrcaps.scenario.scenario import Scenario
 from vrcaps.world.model import Model, posture_transform
 
@@ -95,5 +95,5 @@ class Patients:
             posture=settings.posture,
             lesions=settings.lesions,
         )
-        organ = make_organ(resolve(scenario))
+        organ = resolve(scenario).organ.load()
         return organ if self._with_textures else replace(organ, appearance=None)

@@ -46,7 +46,7 @@ from vrcaps.recording.sensing import SensorReadings
 from vrcaps.recording.table import TableRows, write_table
 from vrcaps.render.channels import CHANNELS
 from vrcaps.render.renderer import Renderer
-from vrcaps.scenario.build import build, resolve
+from vrcaps.scenario.build import ResolvedScenario, build, resolve
 from vrcaps.scenario.scenario import SOURCE_ORGAN, Scenario, scenario_to_plain
 from vrcaps.world.model import MovingWall
 
@@ -92,15 +92,15 @@ def record(
     out = Path(out)
     _require_free(out)
     with recording_lock(out):
-        scenario = resolve(with_stored_organ(scenario, out))
-        _require_same(out, scenario)
-        model, motion = build(scenario)
+        resolved = resolve(with_stored_organ(scenario, out))
+        _require_same(out, resolved.scenario)
+        model, motion = build(resolved)
         try:
             organ_path = ORGAN_GLB if store_organ is None else store_organ(model.organ)
-            head = make_head(scenario, model, motion.notes, organ_path)
+            head = make_head(resolved.scenario, model, motion.notes, organ_path)
             _begin(out, head)
             remove_damaged(read_episode(out, unfinished=True))
-            run = _Recording(out, scenario, model, motion, progress or _silent, simulated)
+            run = _Recording(out, resolved, model, motion, progress or _silent, simulated)
             if store_organ is None and not (out / ORGAN_GLB).exists():
                 _write_organ(out, model)
             _write_frames(out, run)
@@ -115,7 +115,7 @@ class _Recording:
     """Recording in progress."""
 
     out: Path
-    scenario: Scenario
+    resolved: ResolvedScenario
     model: Model
     motion: Motion
     progress: Callable[[int, int], None]
@@ -129,13 +129,17 @@ class _Recording:
         object.__setattr__(self, "present", present)
         object.__setattr__(self, "wall_vertices", file_vertices(self.model.organ))
 
+    @property
+    def scenario(self) -> Scenario:
+        return self.resolved.scenario
+
     def paths(self, frame: int) -> dict[tuple[str, str], Path]:
         """Image files of a frame, by camera and channel."""
         return {
             (camera.name, channel): self.out
             / CHANNELS[channel].encoding.path(camera.name, channel, frame)
             for camera in self.model.device.cameras
-            for channel in self.scenario.channels
+            for channel in self.resolved.channels
         }
 
     def files(self, frame: int) -> list[Path]:
@@ -278,7 +282,7 @@ def _write_steps(
     wall = MovingWall(run.model)
     cameras = _cameras(run, wall, table)
     rows = TableRows(run.model, table, wall)
-    readings = SensorReadings(run.model, run.scenario, table)
+    readings = SensorReadings(run.model, run.resolved, table)
     for frame in range(len(rows)):
         writer.submit(frame, partial(_preview_from_files, preview, episode, frame))
     resume, is_due = None if start is None else start.motion, _Timer(_CHECKPOINT_SECONDS)
@@ -306,14 +310,13 @@ def _write_steps(
 
 def _cameras(run: _Recording, wall: MovingWall, before: FrameTable | None) -> CapsuleCameras:
     """Cameras of the capsule in their state after the rows of earlier frames."""
-    scenario = run.scenario
-    assert scenario.fps is not None
+    resolved = run.resolved
     cameras = CapsuleCameras(
-        Renderer(run.model, scenario.render, wall),
-        scenario.effects,
-        fps=scenario.fps,
-        seed=scenario.seed,
-        channels=scenario.channels,
+        Renderer(run.model, run.scenario.render, wall),
+        resolved.effects,
+        fps=resolved.fps,
+        seed=run.scenario.seed,
+        channels=resolved.channels,
     )
     if before is not None and len(before):
         last = {name: column[-1] for name, column in before.columns.items()}
@@ -347,12 +350,13 @@ def _preview_from_files(preview: Preview | None, episode: Episode, frame: int) -
 
 def _new_preview(run: _Recording) -> Preview | None:
     """Preview encoder, if color images are recorded and the preview does not exist yet."""
-    if "rgb" not in run.scenario.channels or (run.out / PREVIEW_MP4).exists():
+    if "rgb" not in run.resolved.channels or (run.out / PREVIEW_MP4).exists():
         return None
-    cameras, fps = run.model.device.cameras, run.scenario.fps
-    assert fps is not None
+    cameras = run.model.device.cameras
     return Preview(
-        fps=fps, width=sum(c.width for c in cameras), height=max(c.height for c in cameras)
+        fps=run.resolved.fps,
+        width=sum(c.width for c in cameras),
+        height=max(c.height for c in cameras),
     )
 
 

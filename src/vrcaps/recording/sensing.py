@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from vrcaps.motion.motion import Step
     from vrcaps.recording.table import FrameTable
-    from vrcaps.scenario.scenario import Scenario
+    from vrcaps.scenario.build import ResolvedScenario
     from vrcaps.world.model import Model
 
 _PLACE = ("localized_{}_m", "localized_axis_{}")
@@ -49,26 +49,28 @@ def pad_column_names(sensors: Sensors) -> tuple[str, ...]:
 class SensorReadings:
     """Sensor readings of a recording's frames, in order."""
 
-    def __init__(self, model: Model, scenario: Scenario, before: FrameTable | None = None) -> None:
+    def __init__(
+        self, model: Model, resolved: ResolvedScenario, before: FrameTable | None = None
+    ) -> None:
         """Start a recording, or continue after the rows of an earlier one.
 
         Args:
             model: Recorded model.
-            scenario: Resolved scenario.
+            resolved: Recorded scenario.
             before: Rows of the previous frames, with the last localized position.
 
         Raises:
             InputError: If the pad has no single magnet to localize, or is invalid.
         """
-        assert scenario.fps is not None
-        self._model, self._sensors, self._seed = model, scenario.sensors, scenario.seed
+        self._model, self._seed = model, resolved.scenario.seed
+        self._sensors = resolved.scenario.sensors
         earth = np.array(self._sensors.earth_field, float)
         strength = float(np.linalg.norm(earth))
         axis = earth if strength > 0.0 else np.array([0.0, 0.0, 1.0])
         self._earth = UniformField(strength, magnet_pose(np.zeros(3), axis))
         self._imu = None
         if self._sensors.imu is not None:
-            self._imu = replace(self._sensors.imu, rate=scenario.fps)
+            self._imu = replace(self._sensors.imu, rate=resolved.fps)
         self._bias = np.zeros(6)
         self._last: np.ndarray | None = None
         if self._sensors.hall is not None:

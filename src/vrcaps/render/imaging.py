@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.capsule.led_spectrum import PHOSPHOR, WAVELENGTHS, Spectrum, channel_weights
 from vrcaps.core.color import LUMINANCE, log_linear_from_srgb, srgb_from_log_linear
-from vrcaps.core.errors import InputError
 from vrcaps.lumen.contents import Bubbles, Liquid
 from vrcaps.mucosa.mucosa import ABSORPTION, MUCOSAE
 from vrcaps.organ.surface import Appearance
@@ -198,12 +198,6 @@ def narrow_band() -> Imaging:
     return Imaging(_color, _absorption, (540.0, 415.0, 415.0), (1, 2, 2), _led_gains())
 
 
-Spectrum = tuple[tuple[float, float], ...]
-"""Wavelengths [nm] and relative power; linear in between, zero outside."""
-
-_STEP = 4.0
-_WAVELENGTH = np.arange(380.0, 701.0, _STEP)  # [nm]
-
 _HEMOGLOBIN = 1e3 * np.array([
     *(109.6, 125.4, 148.1, 189.7, 231.6, 266.2, 308.7, 422.3, 500.2, 521.9, 480.4, 376.2),
     *(283.1, 214.1, 132.8, 102.6, 81.44, 67.04, 58.86, 49.5, 44.48, 39.81, 34.87, 31.62),
@@ -224,26 +218,6 @@ _BILIRUBIN = 1e3 * np.array([
 ])  # fmt: skip
 """Extinction of bilirubin in chloroform, in the same units and steps, up to 540 nm (PhotochemCAD;
 Agati and Fusi, J. Photochem. Photobiol. B 7(1), 1990)."""
-
-_CHANNELS = ((645.0, 50.0), (545.0, 90.0), (465.0, 90.0))
-"""Center and full width at half maximum of red, green and blue [nm], as Gaussians: a typical sensor
-after its color matrix (an assumption). In red, blood is a sixth as dense as in green, as in
-`vrcaps.mucosa.mucosa.ABSORPTION`."""
-
-_MIN_FRACTION = 0.02
-"""Minimum light of a channel relative to the brightest one, for white balance."""
-
-
-def _bell(middle: float, width: float) -> Float[np.ndarray, " n"]:
-    """Gaussian with a full width at half maximum [nm]."""
-    return np.exp(-4.0 * np.log(2.0) * ((_WAVELENGTH - middle) / width) ** 2)
-
-
-PHOSPHOR: Spectrum = tuple(
-    zip(_WAVELENGTH.tolist(), (_bell(450.0, 20.0) + _bell(560.0, 120.0)).tolist(), strict=True)
-)
-"""A blue LED at 450 nm under a yellow phosphor of equal peak power, about 5200 K by McCamy's
-formula (Color Res. Appl. 17(2), 1992): the reference light, under which colors are defined."""
 
 
 def make_imaging(device: Device, mode: str) -> Imaging:
@@ -295,34 +269,19 @@ class _Seen:
     """
 
     def __init__(self, spectrum: Spectrum) -> None:
-        weights, usual = _weights(spectrum), _weights(PHOSPHOR)
+        weights, usual = channel_weights(spectrum), channel_weights(PHOSPHOR)
         green, blue = float(usual[1] @ _HEMOGLOBIN), float(usual[2] @ _BILIRUBIN_ALL)
-        scattering = np.array([reduced_scattering(nm) for nm in _WAVELENGTH])
+        scattering = np.array([reduced_scattering(nm) for nm in WAVELENGTHS])
         factor = _HEMOGLOBIN / green * reduced_scattering(545.0) / scattering
         density = lut_densities()[:, None]
         self.blood = _mean_density(density_at_wavelength(density, factor), weights)
         self.bile = _mean_density(density * (_BILIRUBIN_ALL / blue), weights)
         self.thin_blood = weights @ _HEMOGLOBIN / green
         self.thin_bile = weights @ _BILIRUBIN_ALL / blue
-        self.bands_nm = weights @ _WAVELENGTH
+        self.bands_nm = weights @ WAVELENGTHS
 
 
-_BILIRUBIN_ALL = np.pad(_BILIRUBIN, (0, len(_WAVELENGTH) - len(_BILIRUBIN)))
-
-
-def _weights(spectrum: Spectrum) -> Float[np.ndarray, "3 n"]:
-    """Fraction of each wavelength in the light of red, green and blue."""
-    wavelength, power = np.array(spectrum).T
-    light = np.interp(_WAVELENGTH, wavelength, power, left=0.0, right=0.0)
-    channels = np.array([light * _bell(*channel) for channel in _CHANNELS])
-    total = channels.sum(axis=1)
-    for name, fraction in zip(("red", "green", "blue"), total / total.max(), strict=True):
-        if not fraction >= _MIN_FRACTION:
-            raise InputError(
-                f"LEDs of this spectrum give the camera's {name} {fraction:.1%} of the light of "
-                f"its brightest color. Allowed: {_MIN_FRACTION:.0%} or more, to balance white."
-            )
-    return channels / total[:, None]
+_BILIRUBIN_ALL = np.pad(_BILIRUBIN, (0, len(WAVELENGTHS) - len(_BILIRUBIN)))
 
 
 def _mean_density(

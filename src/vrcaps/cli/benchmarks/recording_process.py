@@ -80,9 +80,9 @@ def _stages(scenario: Scenario, folder: Path) -> dict[str, Any]:
     from vrcaps.render.renderer import Renderer
     from vrcaps.scenario.build import build, resolve
 
-    scenario = resolve(scenario)
-    channels, light = scenario.channels, scenario.render
-    model, motion = build(scenario)
+    resolved = resolve(scenario)
+    channels, light = resolved.channels, scenario.render
+    model, motion = build(resolved)
     states = [step.state for step in motion.steps()]
     camera, renderer = model.device.cameras[0], Renderer(model, scenario.render)
     frames = range(min(scenario.frames, _MAX_STAGE_FRAMES))

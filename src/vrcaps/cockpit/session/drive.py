@@ -17,7 +17,7 @@ from vrcaps.config.file_ref import FileRef
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import is_new_folder, remove_stale, write_bytes, write_json
 from vrcaps.motion.dynamics import Dynamics
-from vrcaps.scenario.chosen_lesions import PREVALENCE, chosen_lesions
+from vrcaps.scenario.organ_source import PREVALENCE, parse_lesions
 from vrcaps.scenario.scenario import (
     SOURCE_ORGAN,
     OrganGenerated,
@@ -208,4 +208,4 @@ def _lesions(text: str, organ: Any, seed: int) -> tuple[Any, ...]:
     table = PREVALENCE if PREVALENCE in words else None
     is_generated = isinstance(organ, OrganGenerated)
     seed, name = (organ.seed, organ.name) if is_generated else (seed, "")
-    return chosen_lesions([word for word in words if word != PREVALENCE], table, seed, name)
+    return parse_lesions([word for word in words if word != PREVALENCE], table, seed, name)

@@ -20,7 +20,7 @@ from vrcaps.core.errors import InputError, UnknownNameError, VrcapsError
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.rollout import Rollout
 from vrcaps.recording.organ_files import with_stored_organ
-from vrcaps.scenario.build import build, resolve
+from vrcaps.scenario.build import ResolvedScenario, build, resolve
 from vrcaps.scenario.scenario import MAX_FRAMES, Scenario
 from vrcaps.tissue.motility.migrating_complex import Front
 from vrcaps.world.model import posture_transform
@@ -63,7 +63,7 @@ class _Jump(Exception):
     """Ends a walk through the rollout, to jump to another checkpoint or to close."""
 
 
-def cockpit_scenario(scenario: Scenario) -> Scenario:
+def cockpit_scenario(scenario: Scenario) -> ResolvedScenario:
     """Return the scenario of a drive: a magnet steered by joystick, and explicit settings.
 
     A scenario without dynamics, or without a magnet, gets the default ones; waypoints and recorded
@@ -113,9 +113,10 @@ class Session:
             InputError: If the scenario is invalid or the folder is not empty.
         """
         make_folder(folder)
-        self.scenario = cockpit_scenario(with_stored_organ(scenario, folder))
+        resolved = cockpit_scenario(with_stored_organ(scenario, folder))
+        self.scenario = resolved.scenario
         self.on_message = on_message
-        self.model, rollout = build(self.scenario)
+        self.model, rollout = build(resolved)
         assert isinstance(rollout, Rollout)
         assert rollout.program is not None
         self.rollout = rollout

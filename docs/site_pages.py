@@ -29,7 +29,18 @@ NOTES = {
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changelog.md",
 }
-API, EXAMPLES = "reference/api.md", "tutorials/examples.md"
+EXAMPLES = "tutorials/examples.md"
+AREAS = {
+    "": "Names that are imported from `vrcaps` itself.",
+    "env": "Environments for Gymnasium, Stable-Baselines3 and PettingZoo.",
+    "data": "Data sets and frame sequences.",
+    "learn": "Training, evaluation and prediction of networks.",
+    "formats": "Export to and import from the layouts of other software.",
+    "metrics": "Metrics in NumPy.",
+    "policy": "Policies, baselines, training and evaluation.",
+    "sensors": "Sensors of the capsule and around the patient.",
+}
+"""Areas of the Python API, by package."""
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)#:\s]+)(#[^)]*)?\)")
 
 
@@ -38,7 +49,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     from mkdocs.structure.files import File
 
     pages = {page: note(ROOT / name) for name, page in NOTES.items()}
-    pages[API] = api_reference(ROOT / "src" / "vrcaps" / "__init__.pyi")
+    pages |= {api_page(area): api_reference(area) for area in AREAS}
     pages[EXAMPLES] = examples(ROOT / "examples")
     for name, text in pages.items():
         files.append(File.generated(config, name, content=text))
@@ -79,17 +90,44 @@ def with_links(text: str, target: Callable[[str], str | None]) -> str:
     return LINK.sub(replaced, text)
 
 
-def api_reference(stub: Path) -> str:
-    """Public names of the package, grouped by the package that defines them."""
+def api_page(area: str) -> str:
+    """Page of an area of the API."""
+    return f"reference/api/{area or 'index'}.md"
+
+
+def public_names(area: str) -> list[tuple[str, str]]:
+    """Public names of an area: name and path of its definition, from the area's `__init__`."""
+    folder = ROOT / "src" / "vrcaps" / area
+    stub = folder / "__init__.pyi"
+    source = stub if stub.exists() else folder / "__init__.py"
+    package = ["vrcaps", *filter(None, [area])]
     names = []
-    for node in ast.parse(stub.read_text()).body:
-        if isinstance(node, ast.ImportFrom) and node.module and node.module != "_core":
-            names += [(node.module, alias.name) for alias in node.names]
-    text = "# Python API\n\nAll of these are imported from `vrcaps` itself.\n"
-    for package, members in groupby(names, lambda name: name[0].split(".")[0]):
-        text += f"\n## {package.replace('_', ' ').capitalize()}\n\n"
-        text += "".join(f"::: vrcaps.{module}.{name}\n\n" for module, name in members)
-    return text
+    for node in ast.walk(ast.parse(source.read_text("utf-8"))):
+        if not isinstance(node, ast.ImportFrom) or node.module in ("typing", "collections.abc"):
+            continue
+        module = ".".join([*package, *filter(None, [node.module])]) if node.level else node.module
+        if not (module or "").startswith("vrcaps"):
+            continue
+        names += [
+            (alias.name, f"{module}.{alias.name}")
+            for alias in node.names
+            if alias.asname == alias.name and not alias.name.startswith("_")
+        ]
+    return names
+
+
+def api_reference(area: str) -> str:
+    """Page of the public names of an area; modules and constants of the core are left out."""
+    title = f"vrcaps.{area}" if area else "vrcaps"
+    lines = [f"# {title}", "", AREAS[area], ""]
+    if not area:
+        pages = (f"[`vrcaps.{name}`]({name}.md)" for name in AREAS if name)
+        lines += [f"Areas: {', '.join(pages)}.", ""]
+    for name, path in public_names(area):
+        if path.startswith("vrcaps._core") or path == f"vrcaps.{name}":
+            continue
+        lines += [f"::: {path}", ""]
+    return "\n".join(lines)
 
 
 def examples(folder: Path) -> str:

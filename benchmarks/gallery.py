@@ -294,7 +294,7 @@ def section(sheet: Sheet) -> str:
     commands = "\n".join(sheet.commands)
     return (
         f"## {sheet.title}\n\n{sheet.text}\n\n![{sheet.title}: {sheet.text}]"
-        f"(../images/gallery_{sheet.name}.jpg)\n\n```\n{commands}\n```\n"
+        f"(../images/gallery_{sheet.name}.jpg)\n\n```sh\n{commands}\n```\n"
     )
 
 

@@ -1,0 +1,41 @@
+"""Tutorial notebooks run, with small parameters here and with their own in `make notebooks`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from notebooks import run_notebook
+from waiting import WATCHDOG
+
+NOTEBOOKS = sorted((Path(__file__).parents[2] / "docs" / "tutorials").glob("*.ipynb"))
+MAX_SECONDS = 600.0
+MAX_BYTES = 600_000
+
+
+def test_there_are_five_tutorials() -> None:
+    assert len(NOTEBOOKS) == 5
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_is_small_and_has_smoke_parameters(path: Path) -> None:
+    assert path.stat().st_size < MAX_BYTES
+    notebook = json.loads(path.read_text("utf-8"))
+    (cell,) = (c for c in notebook["cells"] if "parameters" in c["metadata"].get("tags", ()))
+    names: dict[str, object] = {}
+    exec("".join(cell["source"]), names)
+    assert {*notebook["metadata"]["vrcaps"]["smoke"]} == {*names} - {"__builtins__"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_runs_with_small_parameters(path: Path, tmp_path: Path) -> None:
+    run_notebook(path, tmp_path, smoke=True, timeout=WATCHDOG)
+
+
+@pytest.mark.notebook
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_runs_as_it_is(path: Path, tmp_path: Path) -> None:
+    run_notebook(path, tmp_path, smoke=False, timeout=MAX_SECONDS)

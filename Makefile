@@ -18,7 +18,7 @@ export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
 export PYO3_BUILD_EXTENSION_MODULE := 1
 
 .PHONY: help demo test test-python test-rust test-fast test-servers check check-python check-rust \
-	 docs figures wheel constraints clean
+	 docs notebooks figures wheel constraints clean
 .DELETE_ON_ERROR:
 
 help:
@@ -28,6 +28,7 @@ help:
 	@echo "make test-servers  run the tests that start a Ray cluster or an S3 server, in two minutes"
 	@echo "make check  lint, format and type checks"
 	@echo "make docs   build the documentation site into site"
+	@echo "make notebooks  run the tutorials at their full length, in half an hour"
 	@echo "make figures  measure the tables of docs/results again;"
 	@echo "            goes on where it stopped; ONLY='path radiosity' measures those by part of the name"
 	@echo "make wheel  build a wheel into dist and try it in a clean environment"
@@ -46,7 +47,10 @@ test-rust: $(VENV)/.stamp-venv
 	cargo test --quiet --manifest-path rust/Cargo.toml
 
 test-fast: $(VENV)/.stamp-dev
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m 'not slow and not wheel and not server'
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m 'not slow and not wheel and not server and not notebook'
+
+notebooks: $(VENV)/.stamp-dev
+	$(BIN)/python -m pytest -m notebook tests/docs
 
 test-servers: $(VENV)/.stamp-dev
 	$(BIN)/python -m pytest -m server

@@ -10,7 +10,6 @@ import ast
 import logging
 import posixpath
 import re
-from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -41,6 +40,7 @@ AREAS = {
     "sensors": "Sensors of the capsule and around the patient.",
 }
 """Areas of the Python API, by package."""
+NOTEBOOK_LINK = re.compile(r'href="([^":#]+)\.(md|ipynb)(#[^"]*)?"')
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)#:\s]+)(#[^)]*)?\)")
 
 
@@ -77,6 +77,21 @@ def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
         return posixpath.relpath(site_page, folder) if site_page else None
 
     return with_links(markdown, target)
+
+
+def on_post_page(output: str, page: Page, **_: object) -> str:
+    """Links of a notebook to pages lead to their HTML files, as MkDocs does for Markdown."""
+    if not page.file.src_uri.endswith(".ipynb"):
+        return output
+    folder = ROOT / "docs" / posixpath.dirname(page.file.src_uri)
+
+    def replaced(match: re.Match[str]) -> str:
+        link, ending, anchor = match.groups()
+        if not (folder / f"{link}.{ending}").exists():
+            log.warning("%s links to %s.%s, which does not exist", page.file.src_uri, link, ending)
+        return f'href="{link}.html{anchor or ""}"'
+
+    return NOTEBOOK_LINK.sub(replaced, output)
 
 
 def with_links(text: str, target: Callable[[str], str | None]) -> str:

@@ -1,0 +1,117 @@
+"""The Python programs of the pages run, shortened where they would take minutes.
+
+The blocks of a page run in order and share their names. `test_five_jobs` runs the quickstart,
+`test_examples` the front page, and the tests of each family the guide to extensions.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from waiting import WATCHDOG
+
+ROOT = Path(__file__).parents[2]
+ELSEWHERE = {"README.md", "docs/tutorials/quickstart.md", "docs/how-to/extending.md"}
+NOT_RUN = ("import datasets", "from lerobot", "open_cockpit(")
+"""Blocks that need a package which the tests do not install, or a person."""
+
+EPISODE = """
+import vrcaps
+scenario = vrcaps.Scenario("{organ}", channels=("rgb", "depth", "normal"), frames={frames})
+vrcaps.record(scenario, "runs/{name}")
+"""
+COHORT = '''
+from pathlib import Path
+Path("plan.toml").write_text("""
+frames = 12
+channels = ["rgb", "depth"]
+organ = {name = "stomach"}
+[dataset]
+name = "small"
+patients = 3
+split = {train = 0.4, val = 0.3, test = 0.3}
+""")
+from vrcaps.cli import main
+import sys
+sys.argv = ["vrcaps", "dataset", "make", "plan.toml", "--out", "runs/cohort", "--workers", "0"]
+try:
+    main()
+except SystemExit as error:
+    assert not error.code
+'''
+SETUP = {
+    "concepts/coverage.md": EPISODE.format(organ="stomach", frames=2, name="stomach"),
+    "concepts/datasets.md": COHORT,
+    "concepts/effects.md": """
+import vrcaps
+model = vrcaps.Model(vrcaps.generate_organ("stomach", seed=0), vrcaps.read_device("mirocam"))
+renderer, camera, step = vrcaps.Renderer(model), "front", vrcaps.Step(0, model.place())
+""",
+    "concepts/learning.md": """
+from pathlib import Path
+import numpy as np
+rng = np.random.default_rng(0)
+test_images = train_images = [rng.integers(0, 256, (64, 64, 3), dtype=np.uint8) for _ in range(3)]
+pairs = [(t + 0.001, t) for t in 0.02 + 0.02 * rng.random((4, 32, 32))]
+patients = [0, 0, 1, 1]
+""",
+    "reference/episode-format.md": EPISODE.format(organ="stomach", frames=13, name="colon").replace(
+        "frames=13", "frames=13, wall=True"
+    ),
+    "reference/formats.md": EPISODE.format(organ="stomach", frames=2, name="colon"),
+    "reference/conventions.md": 'import shutil\nshutil.copy("DEVICE", "my_capsule.toml")\n',
+}
+"""Statements before the first block of a page."""
+SHORTER = (
+    ("range(200)", "range(2)"),
+    ("range(20)", "range(2)"),
+    ("range(100)", "range(2)"),
+    ("learn(100_000)", "learn(32)"),
+    (
+        'Sb3VecEnv(EnvSettings(organs=("stomach",)), 16)',
+        'Sb3VecEnv(EnvSettings(organs=("stomach",)), 2)',
+    ),
+    ("num_envs=16", "num_envs=2"),
+    ('PPO("MultiInputPolicy", envs)', 'PPO("MultiInputPolicy", envs, n_steps=16)'),
+)
+PAGES = sorted(
+    name
+    for path in (ROOT / "docs").rglob("*.md")
+    if "```python" in path.read_text("utf-8")
+    and (name := str(path.relative_to(ROOT))) not in ELSEWHERE
+)
+
+
+def program_of(page: str) -> str:
+    """Blocks of a page as one program."""
+    text = (ROOT / page).read_text("utf-8")
+    blocks = [
+        re.sub(rf"(?m)^{match[1]}", "", match[2])
+        for match in re.finditer(r"^( *)```python\n(.*?)^ *```$", text, re.MULTILINE | re.DOTALL)
+    ]
+    runnable = [block for block in blocks if not any(part in block for part in NOT_RUN)]
+    program = "\n".join([SETUP.get(page.removeprefix("docs/"), ""), *runnable])
+    for old, new in SHORTER:
+        program = program.replace(old, new)
+    device = ROOT / "src/vrcaps/capsule/devices/mirocam.toml"
+    return program.replace("DEVICE", str(device))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", PAGES)
+def test_the_programs_of_a_page_run(page: str, tmp_path: Path) -> None:
+    (tmp_path / "program.py").write_text(program_of(page), encoding="utf-8")
+    result = subprocess.run(
+        [sys.executable, "program.py"],
+        capture_output=True,
+        text=True,
+        timeout=WATCHDOG,
+        cwd=tmp_path,
+        check=False,
+    )
+    assert result.returncode == 0, result.stderr[-3000:]

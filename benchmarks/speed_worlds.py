@@ -20,11 +20,11 @@ from vrcaps.anatomy.stomach import StomachParameters, generate_stomach
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.units import MM
 from vrcaps.magnet.sources import Cylinder
+from vrcaps.world.batch import WorldBatch
 from vrcaps.world.control import Control
-from vrcaps.world.dynamics import DYNAMICS, DynamicsKind
+from vrcaps.world.mechanics import DYNAMICS, DynamicsKind
 from vrcaps.world.model import Model
 from vrcaps.world.world import World
-from vrcaps.world.worlds import are_inside, batch_state, step_worlds
 
 FRAME, SUBSTEP, SPEED = 1.0 / 30.0, 2e-4, 15.0 * MM
 SETTLING, STEPS = 15, {"physics": 4, "quasi-static": 40}
@@ -55,8 +55,8 @@ def main() -> None:
 
 A generated stomach of {len(organ.faces)} triangles, the capsule `magnetic` at places along it, led
 along the upper wall by a magnet at {1e3 * SPEED:.0f} mm/s; steps of 1/30 s, physics in substeps of
-{1e6 * SUBSTEP:.0f} µs, default tissue; {_core.num_threads()} threads. Reading is `batch_state` and
-`are_inside`. Claimed: 5,000 quasi-static steps a second.
+{1e6 * SUBSTEP:.0f} µs, default tissue; {_core.num_threads()} threads. Reading is `WorldBatch.state`
+and `are_inside`. Claimed: 5,000 quasi-static steps a second.
 
 {table(HEAD, rows)}
 """
@@ -69,24 +69,25 @@ def row(model: Model, count: int, dynamics: DynamicsKind) -> tuple[str, ...]:
     worlds = [made(model, k / count, dynamics) for k in range(count)]
     making = (time.process_time() - begin) / count
     memory = (resident() - memory) / count
+    batch = WorldBatch(worlds)
     magnets = [coupling.Ts_world_magnet for world in worlds if (coupling := world.coupling)]
     for number in range(SETTLING):
-        step_worlds(worlds, commands(magnets, 0, lift=0.3 if number < 10 else 0.0), FRAME)
+        batch.step(commands(magnets, 0, lift=0.3 if number < 10 else 0.0), FRAME)
     clock, processor, reading = 0.0, 0.0, 0.0
     steps = STEPS[dynamics]
     for number in range(steps):
         controls = commands(magnets, number + 1)
         begin, used = time.perf_counter(), time.process_time()
-        step_worlds(worlds, controls, FRAME)
+        batch.step(controls, FRAME)
         clock += time.perf_counter() - begin
         processor += time.process_time() - used
         used = time.process_time()
-        batch_state(worlds)
-        are_inside(worlds)
+        batch.state()
+        batch.are_inside()
         reading += time.process_time() - used
     begin = time.process_time()
     for _ in range(10):
-        step_worlds(worlds, commands(magnets, steps), 1e-9)
+        batch.step(commands(magnets, steps), 1e-9)
     python = (time.process_time() - begin) / 10
     done = count * steps
     return (

@@ -31,8 +31,9 @@ from vrcaps.tissue.contact_laws import Drag, SpringWall, WinklerFoundation
 from vrcaps.tissue.motility.motility import Motility
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.world.control import Control
+from vrcaps.world.mechanics import SUBSTEP
 from vrcaps.world.model import Model, State, posture_transform
-from vrcaps.world.world import SUBSTEP, World
+from vrcaps.world.world import World
 from walls import HALF_AXIS, LINEAR, RADIUS, capsule, floor, tube, world_on
 
 FREE, STILL, DOWN = (0.0,) * 6, (0.0,) * 3, (0.0, 0.0, -9.81)

@@ -24,7 +24,7 @@ from vrcaps.core.transforms import rotation_from_vector
 from vrcaps.core.units import MM
 from vrcaps.magnet.sources import Cylinder
 from vrcaps.world.control import Control
-from vrcaps.world.dynamics import DYNAMICS, DynamicsKind
+from vrcaps.world.mechanics import DYNAMICS, DynamicsKind
 from vrcaps.world.model import Model
 from vrcaps.world.snapshot import Snapshot
 from vrcaps.world.world import World

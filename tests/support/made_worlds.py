@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vrcaps.tissue.tissue import Tissue
-from vrcaps.world.dynamics import DynamicsKind
+from vrcaps.world.mechanics import DynamicsKind
 from vrcaps.world.model import Model
 from vrcaps.world.snapshot import Snapshot
 from vrcaps.world.world import World

@@ -19,11 +19,11 @@ from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.fem.wall import FemWall
 from vrcaps.tissue.motility.motility import Motility, Propulsion
 from vrcaps.tissue.tissue import Tissue
+from vrcaps.world.batch import WorldBatch
 from vrcaps.world.control import Control
-from vrcaps.world.dynamics import RELAXATION_TIME
+from vrcaps.world.mechanics import RELAXATION_TIME
 from vrcaps.world.model import Model
 from vrcaps.world.world import World
-from vrcaps.world.worlds import step_worlds
 from walls import RADIUS, creased, floor, world_on
 
 FREE, STILL, GRAVITY = (0.0,) * 6, (0.0,) * 3, 9.81
@@ -165,7 +165,7 @@ def test_worlds_of_all_kinds_step_together(model: Model) -> None:
     together, alone = made(), made()
     controls = [Control(insufflation=0.98), Control(strengths=np.array([0.9])), Control()]
     for _ in range(2):
-        step_worlds(together, controls, FRAME)
+        WorldBatch(together).step(controls, FRAME)
         for world, control in zip(alone, controls, strict=True):
             world.step(control, FRAME)
     for a, b in zip(together, alone, strict=True):

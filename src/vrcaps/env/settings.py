@@ -23,7 +23,7 @@ from vrcaps.lesion.library import parse_lesion
 from vrcaps.metrics.coverage import CoverageCriteria
 from vrcaps.scenario.scenario import OrganGenerated
 from vrcaps.tissue.tissue import Tissue
-from vrcaps.world.dynamics import RELAXATION_TIME
+from vrcaps.world.mechanics import RELAXATION_TIME
 from vrcaps.world.model import posture_transform
 
 _LONGEST = 7 * 86400.0

@@ -18,11 +18,10 @@ from vrcaps.env.snapshot import WorldSnapshot
 from vrcaps.env.views import Views
 from vrcaps.metrics.coverage import CoverageLevel
 from vrcaps.metrics.point_coverage import POINT_LEVELS, mark_points
+from vrcaps.world.batch import WorldBatch
 from vrcaps.world.control import Control
 from vrcaps.world.model import State, posture_transform
-from vrcaps.world.stepping import step_together
 from vrcaps.world.world import World
-from vrcaps.world.worlds import are_inside, batch_state, walls_of
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -258,7 +257,7 @@ class Simulation:
         settings, numbers = self.settings, np.flatnonzero(active)
         controls = settings.actuation.controls(self, actions, numbers)
         worlds = [self.worlds[index] for index in numbers]
-        failures = step_together(worlds, controls, settings.control_period)
+        failures = WorldBatch(worlds).try_step(controls, settings.control_period)
         for place, failure in failures.items():
             self.failure[numbers[place]] = failure
         self.arrive(numbers, settings.control_period)
@@ -271,14 +270,14 @@ class Simulation:
 
     def _read(self, numbers: np.ndarray) -> None:
         """Update all arrays from some of the worlds."""
-        worlds = [self.worlds[index] for index in numbers]
-        state = batch_state(worlds)
+        batch = WorldBatch([self.worlds[index] for index in numbers])
+        state = batch.state()
         self.T_world_capsule[numbers] = state.Ts_world_capsule
         self.velocity_world[numbers, 0] = state.linear_velocity_world
         self.velocity_world[numbers, 1] = state.angular_velocity_world
         self.contact_force_world[numbers] = state.contact_force_world
         self.normal_force_total[numbers] = state.normal_force_total
-        self.is_outside[numbers] = ~are_inside(worlds)
+        self.is_outside[numbers] = ~batch.are_inside()
         places, before = self.T_world_capsule[numbers, :3, 3], self.arc_length[numbers]
         self.arc_length[numbers] = self.course.nearest(numbers, places, before, _NEARBY)
         self.views.expire(numbers)
@@ -294,7 +293,7 @@ class Simulation:
 
     def _look_alike(self, numbers: np.ndarray) -> None:
         """Mark the wall points seen in worlds with identical cameras."""
-        cells, walls = self.cells[numbers], walls_of([self.worlds[k] for k in numbers])
+        cells, walls = self.cells[numbers], WorldBatch([self.worlds[k] for k in numbers]).walls()
         for camera in self.devices[numbers[0]].cameras:
             self.gain[numbers] += mark_points(
                 walls,

@@ -19,8 +19,8 @@ from vrcaps.render.batch import BATCH_CHANNELS, render_batch, renders_batches
 from vrcaps.render.channels import CHANNELS, Frame
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
+from vrcaps.world.batch import WorldBatch
 from vrcaps.world.model import State
-from vrcaps.world.worlds import walls_of
 
 if TYPE_CHECKING:
     from vrcaps import _core
@@ -146,7 +146,7 @@ class Views:
                 np.array([self._T_patient_capsule(k) @ camera.T_capsule_camera for k in some]),
                 camera,
                 self._wanted[view],
-                walls=walls_of([self._simulation.worlds[index] for index in some]),
+                walls=WorldBatch([self._simulation.worlds[index] for index in some]).walls(),
             )
             for channel, image in images.items():
                 self._images[view, channel][some] = image

@@ -22,7 +22,7 @@ from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.motility.migrating_complex import Front
 from vrcaps.tissue.motility.motility import Motility, Propulsion
 from vrcaps.tissue.tissue import Tissue
-from vrcaps.world.dynamics import DYNAMICS, DynamicsKind
+from vrcaps.world.mechanics import DYNAMICS, SUBSTEP, DynamicsKind
 from vrcaps.world.schedule import (
     Flush,
     Insufflation,
@@ -34,7 +34,6 @@ from vrcaps.world.schedule import (
     check_wrenches,
     require_rising,
 )
-from vrcaps.world.world import SUBSTEP
 
 if TYPE_CHECKING:
     from vrcaps.world.model import Model
@@ -89,7 +88,7 @@ class Dynamics:
         step: Maximum time between updates of muscle and commands [s].
         substep: Maximum substep of the dynamics [s]. Gentle forces permit four times the default.
         dynamics: `physics`, with inertia; or `quasi-static`, in equilibrium without inertia and
-            many times as fast, see `vrcaps.world.dynamics`.
+            many times as fast, see `vrcaps.world.mechanics`.
     """
 
     start: float = FlyThrough.start

@@ -190,7 +190,7 @@ class Drag:
         threshold: Speed up to which `incetan2021` is constant [m/s].
         relaxation_time: Relaxation time τ of the momentum [s]. Infinite disables this drag, which
             only `physics` permits. None disables it in `physics` and means `RELAXATION_TIME` in
-            quasi-static motion, see `vrcaps.world.dynamics`.
+            quasi-static motion, see `vrcaps.world.mechanics`.
     """
 
     law: Literal["incetan2021", "continuous", "physical"] = "physical"

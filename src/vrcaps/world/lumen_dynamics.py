@@ -10,12 +10,11 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.capsule.device import Body
 from vrcaps.core.rng import stream
-from vrcaps.core.transforms import invert, transform_points
+from vrcaps.core.transforms import invert, matrix_from_quaternion, transform_points
 from vrcaps.core.units import CM
 from vrcaps.lumen.lumen_contents import LumenContents
 from vrcaps.lumen.pools import Pools, Sections, cut_sections, level_pools, submerged
 from vrcaps.tissue.motility.layout import arc_length_samples
-from vrcaps.world.core_pose import center_of_mass_and_rotation
 from vrcaps.world.model import Model
 
 if TYPE_CHECKING:
@@ -294,3 +293,10 @@ class LumenDynamics:
         _, face = self._wall.closest_point((center + self._center)[None])
         pool = pools.of_vertex[self._model.organ.faces[face[0]]].max()
         return None if pool == 0 else float(pools.levels[pool - 1])
+
+
+def center_of_mass_and_rotation(
+    pose: _core.Pose,
+) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
+    """Position relative to the wall's center [m], and rotation from the body frame."""
+    return np.array(pose[0]), matrix_from_quaternion(np.array(pose[1]))

@@ -11,10 +11,10 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.core.errors import InputError
+from vrcaps.core.transforms import matrix_from_quaternion, quaternion_from_matrix, transform_from
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.sources import InternalMagnet, Source, UniformField, magnet_rows
 from vrcaps.world.control import Control
-from vrcaps.world.core_pose import poses_from_rows, rows_from_poses
 from vrcaps.world.model import Coupling
 
 if TYPE_CHECKING:
@@ -124,3 +124,15 @@ def rows_after(
             ends[k][:, :7] = rows[first : first + len(given), :7]
             first += len(given)
     return ends, failures
+
+
+def rows_from_poses(Ts_world_source: Float[np.ndarray, "k 4 4"]) -> Float[np.ndarray, "k 8"]:
+    """Position [m], wxyz and a strength of 1 for each source."""
+    wxyz = quaternion_from_matrix(Ts_world_source[:, :3, :3])
+    ones = np.ones((len(Ts_world_source), 1))
+    return np.concatenate([Ts_world_source[:, :3, 3], wxyz, ones], axis=1)
+
+
+def poses_from_rows(rows: Float[np.ndarray, "k 8"]) -> Float[np.ndarray, "k 4 4"]:
+    """Convert rows of `rows_from_poses` to poses."""
+    return transform_from(matrix_from_quaternion(rows[:, 3:7]), rows[:, :3])

@@ -15,6 +15,8 @@ from vrcaps.core.files import read_arrays, write_arrays
 if TYPE_CHECKING:
     from jaxtyping import Float
 
+    from vrcaps.tissue.fem.wall import FemWall
+
 
 @dataclass(frozen=True)
 class Snapshot:
@@ -121,3 +123,25 @@ def check_snapshot(snapshot: Snapshot, own: Snapshot) -> None:
             )
         if not np.isfinite(given).all():
             raise InputError(f"The snapshot's {name} is not finite. Allowed: finite numbers.")
+
+
+def coupling_state_of(
+    layer: FemWall, snapshot: Snapshot
+) -> tuple[Float[np.ndarray, "nodes 6"], tuple[Float[np.ndarray, "nodes 9"], np.ndarray]]:
+    """Motion of the layer in a snapshot, and the persistent state of its coupling to the capsule.
+
+    Raises:
+        InputError: If the snapshot is of another layer or not finite.
+    """
+    if snapshot.layer.shape != (layer.num_free, 15):
+        raise InputError(
+            f"The snapshot has a layer of {len(snapshot.layer)} nodes, the world's has "
+            f"{layer.num_free}. Give a snapshot of a world with the same deformation."
+        )
+    if not (np.isfinite(snapshot.layer).all() and np.isfinite(snapshot.contact_faces).all()):
+        raise InputError("The snapshot is not finite. Allowed: finite numbers.")
+    motion, forces = np.hsplit(snapshot.layer, [6])
+    return motion, (
+        np.ascontiguousarray(forces),
+        np.ascontiguousarray(snapshot.contact_faces, float),
+    )

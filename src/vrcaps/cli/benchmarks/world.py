@@ -30,8 +30,9 @@ from vrcaps.tissue.fem.wall import FemWall
 from vrcaps.tissue.motility.motility import Motility
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.world.control import Control
+from vrcaps.world.mechanics import SUBSTEP
 from vrcaps.world.model import MovingWall
-from vrcaps.world.world import SUBSTEP, World
+from vrcaps.world.world import World
 
 if TYPE_CHECKING:
     from jaxtyping import Float

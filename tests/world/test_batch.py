@@ -17,11 +17,11 @@ from vrcaps.core.transforms import rotation_from_vector, transform_from
 from vrcaps.magnet.sources import Cylinder
 from vrcaps.tissue.motility.motility import Motility, Propulsion
 from vrcaps.tissue.tissue import Tissue
+from vrcaps.world.batch import WorldBatch
 from vrcaps.world.control import Control
-from vrcaps.world.dynamics import DynamicsKind
+from vrcaps.world.mechanics import DynamicsKind
 from vrcaps.world.model import Model
 from vrcaps.world.world import World
-from vrcaps.world.worlds import are_inside, batch_state, step_worlds
 
 CONTROLS = [Control(force_world=(0.2 * k, 0.0, -0.3)) for k in range(4)]
 
@@ -30,7 +30,7 @@ CONTROLS = [Control(force_world=(0.2 * k, 0.0, -0.3)) for k in range(4)]
 def test_the_same_bytes_as_alone(model: Model, dynamics: DynamicsKind) -> None:
     together, alone = worlds_in(model, dynamics), worlds_in(model, dynamics)
     for _ in range(2):
-        step_worlds(together, CONTROLS, 0.01)
+        WorldBatch(together).step(CONTROLS, 0.01)
         for world, control in zip(alone, CONTROLS, strict=True):
             world.step(control, 0.01)
     for a, b in zip(together, alone, strict=True):
@@ -40,7 +40,7 @@ def test_the_same_bytes_as_alone(model: Model, dynamics: DynamicsKind) -> None:
 def digest() -> str:
     model = Model(bent_tube(), read_device("mirocam"))
     worlds = [*worlds_in(model), *worlds_in(model, "quasi-static")]
-    step_worlds(worlds, 2 * CONTROLS, 0.01)
+    WorldBatch(worlds).step(2 * CONTROLS, 0.01)
     return hashlib.sha256(b"".join(as_bytes(world.snapshot()) for world in worlds)).hexdigest()
 
 
@@ -81,12 +81,12 @@ def test_worlds_of_all_kinds_step_together(model: Model) -> None:
         Control(Ts_world_magnet=magnet.Ts_world_magnet @ turned),
     ]
     for three in (controls[:4], [*controls[1:3], controls[0], controls[4]]):
-        step_worlds(together, three, 0.01)
+        WorldBatch(together).step(three, 0.01)
         for world, control in zip(alone, three, strict=True):
             world.step(control, 0.01)
     for a, b in zip(together, alone, strict=True):
         assert as_bytes(a.snapshot()) == as_bytes(b.snapshot())
-    read = batch_state(together)
+    read = WorldBatch(together).state()
     for k, world in enumerate(alone):
         assert np.array_equal(read.Ts_world_capsule[k], world.T_world_capsule)
         velocity = [read.linear_velocity_world[k], read.angular_velocity_world[k]]
@@ -94,7 +94,7 @@ def test_worlds_of_all_kinds_step_together(model: Model) -> None:
         for name, value in vars(world.contact).items():
             key = f"contact_{name}" if name in ("force_world", "torque_world") else name
             assert np.array_equal(getattr(read, key)[k], value)
-    assert are_inside(together).tolist() == [world.is_inside() for world in alone]
+    assert WorldBatch(together).are_inside().tolist() == [world.is_inside() for world in alone]
 
 
 def test_a_hierarchy_refitted_in_part_is_that_refitted_whole(model: Model) -> None:
@@ -132,7 +132,7 @@ def test_a_bad_world_does_not_hold_up_the_others(model: Model) -> None:
     with pytest.raises(
         InputError, match=r"World 2: Control's force_world is 500 strong.* 3 other worlds have"
     ):
-        step_worlds(worlds, controls, 0.01)
+        WorldBatch(worlds).step(controls, 0.01)
     same = [as_bytes(w.snapshot()) == b for w, b in zip(worlds, before, strict=True)]
     assert same == [False, False, True, False]
 
@@ -140,6 +140,6 @@ def test_a_bad_world_does_not_hold_up_the_others(model: Model) -> None:
 def test_rejects_controls_that_do_not_match(model: Model) -> None:
     worlds = worlds_in(model)
     with pytest.raises(InputError, match=r"Number of controls is 1. Allowed: 4"):
-        step_worlds(worlds, CONTROLS[:1], 0.01)
+        WorldBatch(worlds).step(CONTROLS[:1], 0.01)
     with pytest.raises(InputError, match="A world is given twice"):
-        step_worlds([worlds[0], worlds[0]], CONTROLS[:2], 0.01)
+        WorldBatch([worlds[0], worlds[0]])

@@ -146,9 +146,13 @@ def api_reference(area: str) -> str:
 
 
 def examples(folder: Path) -> str:
-    """Source code of the example programs."""
+    """Source code of the example programs, with a thumbnail of each."""
     text = "# Examples\n\nEach is a short program; the tests run them all.\n"
     for path in sorted(folder.glob("[0-9]*.py")):
         program = path.read_text()
-        text += f"\n## {path.name} {{ #{path.stem} }}\n\n```python\n{program}```\n"
+        title = (ast.get_docstring(ast.parse(program)) or "").partition("\n")[0].rstrip(".")
+        text += f"\n## {title} {{ #{path.stem} }}\n\n"
+        if (folder.parent / "docs" / "images" / f"example_{path.stem}.jpg").exists():
+            text += f"![{title}](../images/example_{path.stem}.jpg)\n\n"
+        text += f"`examples/{path.name}`\n\n```python\n{program}```\n"
     return text

@@ -1,0 +1,61 @@
+"""The programs of the guide to extensions that need no change of the package run."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vrcaps.cli import main as run_command
+from vrcaps.env import CapsuleVectorEnv, env_settings
+from vrcaps.formats import FORMATS
+
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "extending.md"
+
+
+def programs(title: str) -> list[str]:
+    """Python blocks of a section."""
+    section = re.search(
+        rf"^## {title}\n(.*?)(?=^## |\Z)", PAGE.read_text("utf-8"), re.DOTALL | re.MULTILINE
+    )
+    assert section is not None
+    return re.findall(r"```python\n(.*?)```", section[1], re.DOTALL)
+
+
+def run(title: str) -> dict[str, Any]:
+    """Names that a section defines."""
+    module = ModuleType(f"plugin_{title.replace(' ', '_').lower()}")
+    sys.modules[module.__name__] = module
+    for program in programs(title):
+        exec(compile(program, str(PAGE), "exec", dont_inherit=True), vars(module))
+    return vars(module)
+
+
+@pytest.mark.slow
+def test_a_format_is_written_and_accepted_by_the_command_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run("A format")
+    assert "position-table" in FORMATS
+    lines = next((tmp_path / "runs" / "positions").rglob("positions.csv")).read_text().splitlines()
+    assert lines[0] == "image,x_m,y_m,z_m"
+    assert len(lines) == 3
+    arguments = "vrcaps export position-table runs/stomach --digits 2 --out runs/again"
+    monkeypatch.setattr("sys.argv", arguments.split())
+    run_command()
+    assert next((tmp_path / "runs" / "again").rglob("positions.csv")).is_file()
+
+
+def test_a_policy_acts() -> None:
+    spin = run("A policy")["Spin"]()
+    env = CapsuleVectorEnv(env_settings(organs=("stomach",), actuation="wrench"), 2)
+    observations, _ = env.reset(seed=0)
+    spin.requires.check(env.settings, "spin")
+    spin.reset(np.arange(2), [0, 1])
+    env.step(spin.act(observations, env))

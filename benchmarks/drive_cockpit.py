@@ -25,7 +25,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from validation import parser, table, write_section
 
 # isort: split
-from pad_pilot import PAD, PadPilot, push
+from tests.support.pad_pilot import PAD, PadPilot, push
 from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.cockpit.cockpit import Cockpit, open_cockpit
 from vrcaps.core.transforms import quaternion_from_matrix, transform_points

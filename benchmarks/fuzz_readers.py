@@ -15,10 +15,9 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.append(str(ROOT / "tests" / "support"))
 
-from reader_fuzz import KEEP, OUTCOMES, fuzz  # noqa: E402
-from reader_targets import all_targets, recorded_tube  # noqa: E402
+from tests.support.reader_fuzz import KEEP, OUTCOMES, fuzz  # noqa: E402
+from tests.support.reader_targets import all_targets, recorded_tube  # noqa: E402
 
 
 def main() -> int:

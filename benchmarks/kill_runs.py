@@ -149,7 +149,7 @@ partial folders and locks in the output folder, beside it and in the cache.
 
 def prepared(folder: Path, verbs: list[str]) -> Place:
     """Small inputs of some verbs."""
-    from tiny_dataset import write_tiny_plan
+    from tests.support.tiny_dataset import write_tiny_plan
 
     write_tiny_plan(folder, 6)
     place = Place(folder)

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.support.write_ply import write_ply
 from validation import options, table, write_section
 from vrcaps.data.make import make_dataset
 from vrcaps.data.plan import plan_from_plain
@@ -24,7 +25,6 @@ from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.organ_file import write_organ
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import Appearance
-from write_ply import write_ply
 
 _WARM, _ALLOWED = 50, 0.05
 _MB = 1e6

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from peers.mitsuba import VARIANT, use_working_llvm
-from validation import ROOT  # its import makes the tests' independent renderers importable
+from validation import ROOT
 from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
@@ -61,7 +61,7 @@ class Scene:
         """The same by Mitsuba's `path`, compiled by LLVM."""
         import mitsuba as mi
 
-        from oracle_mitsuba import compiled_path_light
+        from tests.support.oracle_mitsuba import compiled_path_light
 
         mi.set_variant(VARIANT)
         return compiled_path_light(
@@ -71,7 +71,7 @@ class Scene:
 
 def scenes(size: int) -> Iterator[Scene]:
     """A tube with ring folds, a generated colon, with bare facets, made smooth; other organs."""
-    from shapes import looking, patterned, pinhole, tube
+    from tests.support.shapes import looking, patterned, pinhole, tube
 
     use_working_llvm()
     look = replace(patterned(np.random.default_rng(1)), ior=1.4, clearcoat=0.7, clearcoat_gloss=0.0)
@@ -104,7 +104,7 @@ def scenes(size: int) -> Iterator[Scene]:
 
 def _flat(organ: OrganSurface) -> OrganSurface:
     """The same triangles, none of which shares a vertex: normals are those of the faces."""
-    from shapes import make_organ
+    from tests.support.shapes import make_organ
 
     vertices = organ.vertices[organ.faces].reshape(-1, 3)
     faces = np.arange(len(vertices)).reshape(-1, 3)
@@ -118,7 +118,7 @@ def _smooth(organ: OrganSurface) -> OrganSurface:
     """
     import trimesh
 
-    from shapes import make_organ
+    from tests.support.shapes import make_organ
 
     vertices, faces = trimesh.remesh.subdivide_loop(organ.vertices, organ.faces, iterations=2)
     along_uv = np.array([[15.0, 0.0, 5.0], [0.0, 15.0, -10.0]])  # turns per meter

@@ -13,16 +13,12 @@ where the axial part of that pressure is below Coulomb friction, else moves to w
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 
 import numpy as np
 
-from validation import ROOT, options, table, write_section
-
-sys.path.append(str(ROOT / "tests" / "support"))
-
-from tubes import straight_gut
+from tests.support.tubes import straight_gut
+from validation import options, table, write_section
 from vrcaps.anatomy.small_bowel.parameters import SmallBowelParameters
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.units import CM, MM

@@ -19,11 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from validation import ROOT, options, table, write_section
-
-sys.path.append(str(ROOT / "tests" / "support"))
-
-from phantom import Scanner, scan_of, write_dicom
+from tests.support.phantom import Scanner, scan_of, write_dicom
+from validation import options, table, write_section
 from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import Mesh

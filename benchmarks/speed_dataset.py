@@ -59,7 +59,7 @@ class Times:
 
 def main() -> None:
     """Measure, simulate, write the tables."""
-    from tiny_dataset import write_tiny_plan
+    from tests.support.tiny_dataset import write_tiny_plan
 
     given = options(__doc__ or "", size=60)
     with tempfile.TemporaryDirectory(prefix="vrcaps-scale-") as name:

@@ -10,7 +10,6 @@ length back within 0.5 %.
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -30,8 +29,6 @@ from vrcaps.tools.camera_calibration.fit import Calibration, calibrate
 from vrcaps.tools.camera_calibration.parameterization import PARAMETERIZATIONS
 from vrcaps.tools.photos import Photo, read_photos
 from vrcaps.world.model import Model, State
-
-sys.path.append(str(ROOT / "tests" / "support"))
 
 PHOTOS = ROOT.parent / "shared" / "data" / "calibration"
 STORED = {"pinhole": "pinhole"}  # all others are compared with the fisheye fit
@@ -76,7 +73,7 @@ def focal(fit: Calibration) -> str:
 
 def rendered(name: str, count: int) -> tuple[str, ...]:
     """The row of one device's front camera."""
-    from boards import held
+    from tests.support.boards import held
 
     device = read_device(name)
     camera = device.cameras[0]
@@ -96,7 +93,7 @@ def rendered(name: str, count: int) -> tuple[str, ...]:
 
 def picture(device: Device, T_camera_board: np.ndarray) -> np.ndarray:
     """A board before the front camera under its LEDs, as sRGB, exposed so that paper is bright."""
-    from shapes import make_organ
+    from tests.support.shapes import make_organ
 
     camera = device.cameras[0]
     span = BOARD.columns + 2 * MARGIN, BOARD.rows + 2 * MARGIN

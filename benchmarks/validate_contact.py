@@ -20,6 +20,7 @@ from validation import DATA, ROOT, parser, table, write_section
 
 sys.path.append(str(ROOT / "tests" / "support"))
 
+from tests.support.walls import HALF_AXIS, LINEAR, RADIUS, capsule, floor, tube, world_on
 from vrcaps import _core
 from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.capsule.device_file import read_device
@@ -34,7 +35,6 @@ from vrcaps.world.control import Control
 from vrcaps.world.mechanics import SUBSTEP
 from vrcaps.world.model import Model, State, posture_transform
 from vrcaps.world.world import World
-from walls import HALF_AXIS, LINEAR, RADIUS, capsule, floor, tube, world_on
 
 FREE, STILL, DOWN = (0.0,) * 6, (0.0,) * 3, (0.0, 0.0, -9.81)
 EDGES = (4.0, 2.0, 1.0, 0.5)

@@ -32,8 +32,8 @@ from vrcaps.organ.surface import OrganSurface
 from vrcaps.world.model import Model
 
 # isort: split
-from oracle_embree import EmbreeCaster  # of the tests: `validation` makes it importable
-from tubes import straight_tube
+from tests.support.oracle_embree import EmbreeCaster
+from tests.support.tubes import straight_tube
 
 POINTS = 32
 """On each triangle."""

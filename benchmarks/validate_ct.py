@@ -6,18 +6,14 @@ length within 2 %, every polyp of 6 mm or more present.
 
 from __future__ import annotations
 
-import sys
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from validation import DATA, ROOT, options, table, write_section
-
-sys.path.append(str(ROOT / "tests" / "support"))
-
-from phantom import Polyp, Scanner, scan_of, with_polyps, write_dicom
+from tests.support.phantom import Polyp, Scanner, scan_of, with_polyps, write_dicom
+from validation import DATA, options, table, write_section
 from vrcaps._core import Wall as Surface
 from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.core.units import MM

@@ -91,7 +91,7 @@ file of the data set, byte by byte.
 
 def undisturbed(folder: Path, units: int) -> tuple[dict[str, str], float]:
     """Checksums of the data set made in one process, and the time of a unit [s]."""
-    from tiny_dataset import write_tiny_plan
+    from tests.support.tiny_dataset import write_tiny_plan
 
     write_tiny_plan(folder, units)
     out, began = folder / "whole", time.monotonic()
@@ -167,7 +167,7 @@ def head(out: Path, *flags: str) -> subprocess.Popen:
 
 def workers_of(pid: int, runner: str) -> list[int]:
     """Processes below a head that make units."""
-    from processes import command_of, descendants
+    from tests.support.processes import command_of, descendants
 
     return [one for one in descendants(pid) if WORDS[runner] in command_of(one)]
 

@@ -8,16 +8,18 @@ under pressure beside Lamé, bending of thin plates, first modes.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 
 import numpy as np
 
-from validation import ROOT, parser, table, write_section
-
-sys.path.append(str(ROOT / "tests" / "support"))
-
-from fem_errors import bending_error, cantilever_error, lame_error, mode_errors, patch_error
+from tests.support.fem_errors import (
+    bending_error,
+    cantilever_error,
+    lame_error,
+    mode_errors,
+    patch_error,
+)
+from validation import parser, table, write_section
 
 RATIOS = (0.3, 0.45, 0.49)
 PLATES = (0.0, 0.45, 0.49)

@@ -49,7 +49,7 @@ class Written:
     def __init__(self, path: Path) -> None:
         import trimesh
 
-        from oracle_embree import EmbreeCaster
+        from tests.support.oracle_embree import EmbreeCaster
 
         (mesh,) = trimesh.load_scene(path, process=False).geometry.values()
         self.faces = np.asarray(mesh.faces)
@@ -67,7 +67,7 @@ class Written:
 
         Vertices that a seam of the texture splits are one again for the smooth normals.
         """
-        from oracle_embree import EmbreeCaster
+        from tests.support.oracle_embree import EmbreeCaster
 
         wall = copy.copy(self)
         wall.vertices = vertices.astype(float)

@@ -15,14 +15,13 @@ second view at its border.
 
 from __future__ import annotations
 
-import sys
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from validation import ROOT, options, table, write_section
+from validation import options, table, write_section
 from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.camera.camera import camera_rays
 from vrcaps.capsule.device_file import read_device
@@ -35,8 +34,6 @@ from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
 from vrcaps.world.model import Model, State
-
-sys.path.append(str(ROOT / "tests" / "support"))
 
 COLON = (
     "polyp-Ip:size=12mm", "polyp-Is", "polyp-IIa", "polyp-IIb", "polyp-IIc",
@@ -125,8 +122,8 @@ class Measured:
 
 def measure(organ: OrganSurface, text: str, step: int) -> tuple[str, ...]:
     """Row of one lesion."""
-    from oracle_embree import EmbreeCaster
-    from oracle_footprint import Footprint, Witness
+    from tests.support.oracle_embree import EmbreeCaster
+    from tests.support.oracle_footprint import Footprint, Witness
 
     with Witness() as witness:
         patient = add_lesions(organ, [parse_lesion(text)], np.random.default_rng(0))

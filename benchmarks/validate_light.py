@@ -52,7 +52,7 @@ class Scene:
 
 def scenes() -> Iterator[Scene]:
     """A convex cavity, a tube with ring folds, and a generated colon."""
-    from shapes import looking, sphere, tube
+    from tests.support.shapes import looking, sphere, tube
 
     yield Scene("sphere", sphere(5), looking((0.004, -0.003, 0.003)), np.eye(4))
     folded = tube(120, 320, length=0.15, folds=0.35, capped=True)
@@ -65,8 +65,8 @@ def scenes() -> Iterator[Scene]:
 
 def compare(scene: Scene, size: int, light: str, wall: str, look: Appearance) -> list[tuple]:
     """Rows of the table: shadows off (on pixels that every LED reaches) and on."""
-    from oracle_mitsuba import direct_light
-    from shapes import pinhole
+    from tests.support.oracle_mitsuba import direct_light
+    from tests.support.shapes import pinhole
 
     device = read_device("mirocam")
     lens, width, height = pinhole(size, FIELD)
@@ -122,7 +122,7 @@ def figures(ours: np.ndarray, theirs: np.ndarray, claim: float) -> tuple[str, ..
 def main() -> None:
     """Compare, write the table."""
     given = options(__doc__ or "", size=160)
-    from shapes import patterned
+    from tests.support.shapes import patterned
 
     look = patterned(np.random.default_rng(1))
     rows = []

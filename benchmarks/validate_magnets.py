@@ -37,8 +37,8 @@ from vrcaps.magnet.sources import (
 )
 
 # isort: split
-from flange_paths import loop_of, pose_errors  # of the tests: `validation` makes it importable
-from scenes import random_directions, random_poses, relative
+from tests.support.flange_paths import loop_of, pose_errors
+from tests.support.scenes import random_directions, random_poses, relative
 
 HEAD = ("what", "how many", "measured", "claimed")
 PUBLISHED = ((0.10, 6.52, 217), (0.15, 1.29, 64), (0.20, 0.41, 27))

@@ -9,16 +9,12 @@ commanded wave, and measures how fast a ring carries a capsule.
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 
 import numpy as np
 
-from validation import ROOT, options, table, write_section
-
-sys.path.append(str(ROOT / "tests" / "support"))
-
-from tubes import straight_gut
+from tests.support.tubes import straight_gut
+from validation import options, table, write_section
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.units import CM, MM
 from vrcaps.organ.surface import OrganSurface

@@ -102,7 +102,7 @@ def noise_scores(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def rounding() -> float:
     """Root mean square of a texel's relative error of color."""
-    from oracle_mitsuba import stored_color
+    from tests.support.oracle_mitsuba import stored_color
 
     linear = (np.arange(20, 236) / 255.0) ** 2.2
     colors = np.repeat(linear[:, None], 3, axis=1)

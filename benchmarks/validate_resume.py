@@ -78,7 +78,7 @@ def num_rounds(out: Path) -> int:
 
 def train_here(out: Path) -> None:
     """The training itself, in this process."""
-    from small_envs import SHORT_GUT, small_settings
+    from tests.support.small_envs import SHORT_GUT, small_settings
 
     env = small_settings(organs=(SHORT_GUT,), control_period=0.01, episode_time=0.3, num_points=256)
     train(TrainingSettings(env, replace(LEARNER, evaluation_episodes=2)), out)

@@ -137,7 +137,7 @@ class View:
 
 def views() -> list[View]:
     """A tube with ring folds and generated organs, seen by MiroCam."""
-    from shapes import looking, tube
+    from tests.support.shapes import looking, tube
 
     device = read_device("mirocam")
     color = np.array([[[190, 90, 50]]], np.uint8)

@@ -8,18 +8,14 @@ within 4 s and stays.
 
 from __future__ import annotations
 
-import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from validation import ROOT, parser, table, write_section
-
-sys.path.append(str(ROOT / "tests" / "support"))
-
-from tubes import bent_tube, straight_gut
+from tests.support.tubes import bent_tube, straight_gut
+from validation import parser, table, write_section
 from vrcaps.actuation.arm.arm import read_arm
 from vrcaps.actuation.arm.arm_with_payload import ArmWithPayload, transverse_mount
 from vrcaps.actuation.capsule_target import CapsuleTarget, centerline_target

@@ -26,8 +26,6 @@ Each table below is written by the command named below it; nobody types results.
 table = pages.table
 _OF_DATASETS = ("organ_files", "frame_codecs", "memory_dataset")
 
-sys.path.append(str(ROOT / "tests" / "support"))
-
 
 def page_of(name: str) -> Path:
     """The page of docs/ that a command, `vrcaps bench …` or a script, writes its section into."""

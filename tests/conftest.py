@@ -7,11 +7,10 @@ import pytest
 
 from vrcaps import _core
 
-_SUPPORT = Path(__file__).parent / "support", Path(__file__).parents[1] / "benchmarks"
-os.environ["PYTHONPATH"] = os.pathsep.join(
-    filter(None, (*map(str, _SUPPORT), os.environ.get("PYTHONPATH")))
-)
-"""Processes that tests start find the support modules, too."""
+_ROOT = Path(__file__).parents[1]
+_FOLDERS = (str(_ROOT), str(_ROOT / "benchmarks"))
+os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (*_FOLDERS, os.environ.get("PYTHONPATH"))))
+"""Search path of processes that tests start: it includes `tests.support` and `benchmarks`."""
 
 if "PYTEST_XDIST_WORKER" in os.environ:  # workers run beside each other, so each takes one thread
     for _threads in ("RAYON", "OIDN", "OMP", "OPENBLAS"):

@@ -9,8 +9,8 @@ import gymnasium
 import numpy as np
 import pytest
 
-from small_envs import GUT, SHORT_GUT, small_settings
-from tubes import straight_gut, textured
+from tests.support.small_envs import GUT, SHORT_GUT, small_settings
+from tests.support.tubes import straight_gut, textured
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.camera_pipeline.pipeline import CameraPipeline
 from vrcaps.capsule.device_file import read_device

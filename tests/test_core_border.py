@@ -15,12 +15,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fem_shapes import straight_tube
+from tests.support.fem_shapes import straight_tube
+from tests.support.walls import floor, world_on
 from vrcaps import _core
 from vrcaps.tissue.contact_laws import WinklerFoundation
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.fem.wall import FemWall
-from walls import floor, world_on
 
 STUBS = ast.parse((Path(_core.__file__).parent / "_core.pyi").read_text())
 SHAPES = [(), (0,), (1,), (3,), (7,), (0, 0), (0, 3), (1, 3), (2, 3), (3, 3), (4, 3), (3, 4)]

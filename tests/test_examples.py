@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.waiting import WATCHDOG
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.scenario.scenario import OrganFile, read_scenario
-from waiting import WATCHDOG
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("[0-9]*.py"))

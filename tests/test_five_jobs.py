@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 import vrcaps
-from tubes import straight_gut
+from tests.support.tubes import straight_gut
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "tutorials" / "quickstart.md"
 MAX_STATEMENTS = 6

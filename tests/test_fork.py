@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from small_envs import small_env
-from tubes import straight_gut, textured
+from tests.support.small_envs import small_env
+from tests.support.tubes import straight_gut, textured
+from tests.support.waiting import WATCHDOG
 from vrcaps import _core
 from vrcaps.capsule.device_file import read_device
 from vrcaps.render.renderer import Renderer
@@ -25,7 +26,6 @@ from vrcaps.scenario.scenario import Scenario
 from vrcaps.world.control import Control
 from vrcaps.world.model import Model
 from vrcaps.world.world import World
-from waiting import WATCHDOG
 
 pytestmark = [
     pytest.mark.skipif(not hasattr(os, "fork"), reason="Windows does not fork"),

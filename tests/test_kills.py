@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tiny_dataset import write_tiny_plan
+from tests.support.tiny_dataset import write_tiny_plan
 from vrcaps.cli import main
 from vrcaps.cockpit.session.drive import COMMANDS_CSV, DRIVE_JSON, make_folder
 from vrcaps.core.errors import InputError
@@ -65,8 +65,7 @@ def run_texture(out: str) -> None:
 def killed(at: int, function: str, *words: str) -> None:
     """Run a function of this module in a process that kills itself at a rename."""
     command = [sys.executable, "-c", KILLED, str(at), str(Path(__file__).parent), function, *words]
-    support = str(Path(__file__).parent / "support")
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([support, *sys.path])}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     done = subprocess.run(command, env=environment, capture_output=True, check=False)
     assert done.returncode == -signal.SIGKILL, done.stderr
 

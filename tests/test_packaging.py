@@ -15,7 +15,7 @@ import pytest
 import yaml
 
 import vrcaps
-from waiting import WATCHDOG
+from tests.support.waiting import WATCHDOG
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-import robot_actuator_twin
+from tests.support import robot_actuator_twin
 from vrcaps.actuation.arm.arm import read_arm
 from vrcaps.actuation.arm.arm_with_payload import (
     ArmWithPayload,

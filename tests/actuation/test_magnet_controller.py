@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-import reference_twin
-from tubes import bent_tube, straight_gut
+from tests.support import reference_twin
+from tests.support.tubes import bent_tube, straight_gut
 from vrcaps._core import advance_reference
 from vrcaps.actuation.capsule_target import CapsuleTarget, centerline_target, wall_target
 from vrcaps.actuation.magnet_actuator import FreeActuator

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pose_solver_twin import PoseSolverTwin, dipole_field
+from tests.support.pose_solver_twin import PoseSolverTwin, dipole_field
 from vrcaps.actuation.magnet_pose_solver import MagnetPoseSolver, Workspace, WrenchTarget
 from vrcaps.core.errors import InputError
 from vrcaps.magnet.field import SourceSet, wrench

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tubes import straight_gut
+from tests.support.tubes import straight_gut
 from vrcaps.actuation.steering_program import (
     JOYSTICK_COLUMNS,
     WAYPOINT_COLUMNS,

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tubes import straight_gut
+from tests.support.tubes import straight_gut
 from vrcaps.actuation.capsule_target import CapsuleTarget, wall_target
 from vrcaps.actuation.magnet_actuator import FreeActuator
 from vrcaps.actuation.magnet_controller import MagnetController

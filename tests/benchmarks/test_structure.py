@@ -3,6 +3,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+
 from benchmarks.structure.imports import ImportGraph
 from benchmarks.structure.patterns import PATTERNS, Text
 from benchmarks.structure.walk import Walk

@@ -16,7 +16,7 @@ from PIL import Image
 import ablate_simulator
 import sim_to_real
 import transfer_ours
-from small_frames import image_of, small_sequence
+from tests.support.small_frames import image_of, small_sequence
 from transfer_ablations import COMPLETE, PLAN, VARIANTS, without
 from transfer_cells import LONG, ROWS, Cell, Row, RowFile, ordered_cells
 from transfer_depth import DepthImage, by_light, constant, depth_values, read_sinus, without_border

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from shapes import DIRECT, LENSES, make_camera, make_model, sphere
+from tests.support.shapes import DIRECT, LENSES, make_camera, make_model, sphere
 from vrcaps.camera.camera import camera_rays, pixel_grid, project_points
 from vrcaps.camera.derive import barrel_radius, focal_length_px, scaled_camera
 from vrcaps.camera_pipeline.effect.optics import Distortion, FieldOfView
@@ -65,7 +65,7 @@ def test_clear_coat_is_what_the_wall_reflects(rng) -> None:
     look = Appearance(
         np.full((8, 8, 3), 120, np.uint8), np.full((8, 8), 128, np.uint8), np.zeros((8, 8))
     )
-    from shapes import looking
+    from tests.support.shapes import looking
 
     camera, state = make_camera("pinhole"), looking((0.004, 0.0, 0.002))
     organ = sphere(3, appearance=look)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from shapes import DIRECT, looking, make_camera, make_model, pinhole, sphere
+from tests.support.shapes import DIRECT, looking, make_camera, make_model, pinhole, sphere
 from vrcaps._core import testing
 from vrcaps.camera.derive import focal_length_px
 from vrcaps.camera_pipeline.effect.base import CameraSetup, Stage

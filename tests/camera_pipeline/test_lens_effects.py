@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from shapes import make_camera, pinhole
-from twin_stages import defocus_twin, motion_twin
+from tests.support.shapes import make_camera, pinhole
+from tests.support.twin_stages import defocus_twin, motion_twin
 from vrcaps._core import testing
 from vrcaps.camera.camera import camera_rays
 from vrcaps.camera.derive import focal_length_px

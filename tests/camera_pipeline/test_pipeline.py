@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shapes import DIRECT, looking, make_camera, make_model, patterned, pinhole, tube
+from tests.support.shapes import DIRECT, looking, make_camera, make_model, patterned, pinhole, tube
 from vrcaps import _core
 from vrcaps._core import testing
 from vrcaps.camera.camera import Camera

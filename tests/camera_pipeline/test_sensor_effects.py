@@ -5,8 +5,8 @@ import pytest
 from PIL import Image
 from scipy import ndimage, stats
 
-from shapes import make_camera, pinhole
-from twin_stages import demosaic_twin
+from tests.support.shapes import make_camera, pinhole
+from tests.support.twin_stages import demosaic_twin
 from vrcaps import _core
 from vrcaps._core import testing
 from vrcaps.camera_pipeline.effect.base import CameraSetup

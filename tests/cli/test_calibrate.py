@@ -11,7 +11,7 @@ from PIL import Image
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
-from failing import fail
+from tests.support.failing import fail
 from vrcaps import cli
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.capsule.device_file import read_device

@@ -10,8 +10,7 @@ import pytest
 import SimpleITK as sitk
 import trimesh
 
-import failing
-import phantom
+from tests.support import failing, phantom
 from vrcaps import cli
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.read_organ import read_organ

@@ -9,11 +9,11 @@ from threading import Event
 
 import pytest
 
+from tests.support.waiting import WATCHDOG
 from vrcaps import cli
 from vrcaps.cli import console
 from vrcaps.core.errors import InputError, StorageError, reason_of
 from vrcaps.data.plan import read_plan
-from waiting import WATCHDOG
 
 
 def said(args: list[str], capsys: pytest.CaptureFixture[str]) -> str:

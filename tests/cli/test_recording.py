@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from tests.support.waiting import WATCHDOG, wait_until
 from vrcaps import cli
 from vrcaps.recording.episode import read_episode
-from waiting import WATCHDOG, wait_until
 
 FLAGS = "--unit mm --frames 3 --channels rgb depth label --seed 5 --effects none --whole"
 

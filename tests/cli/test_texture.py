@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 from scipy import ndimage
 
-import failing
+from tests.support import failing
 from vrcaps import cli
 from vrcaps.mucosa.texture import read_texture
 

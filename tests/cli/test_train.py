@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from small_envs import SHORT_GUT, small_settings
+from tests.support.small_envs import SHORT_GUT, small_settings
 from vrcaps.cli import main
 from vrcaps.cli.train import Coverage
 from vrcaps.core.errors import InputError, UnknownNameError

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from cockpit_browser import free_port
-from small_episode import *  # noqa: F403
-from tubes import straight_gut
+from tests.support.cockpit_browser import free_port
+from tests.support.small_episode import *  # noqa: F403
+from tests.support.tubes import straight_gut
 from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.camera.derive import scaled_camera
 from vrcaps.camera_pipeline.effects import Effects

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from cockpit_browser import draw_frames, wait_until
-from pad_pilot import PAD, PadPilot, push
+from tests.support.cockpit_browser import draw_frames, wait_until
+from tests.support.pad_pilot import PAD, PadPilot, push
+from tests.support.waiting import WATCHDOG
 from vrcaps.cockpit.panels.scene_panel import ScenePanel
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import matrix_from_quaternion, transform_points
-from waiting import WATCHDOG
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Locator, Page

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from cockpit_browser import free_port
+from tests.support.cockpit_browser import free_port
+from tests.support.waiting import WATCHDOG, wait_until
 from vrcaps.cockpit.cockpit import make_gate
 from vrcaps.cockpit.server import Gate, is_loopback, require_free
 from vrcaps.core.errors import InputError
-from waiting import WATCHDOG, wait_until
 
 
 class Headers(dict):

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from processes import command_of
+from tests.support.processes import command_of
+from tests.support.waiting import wait_until
 from vrcaps.core import processes
-from waiting import wait_until
 
 pytestmark = [
     pytest.mark.slow,

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from small_episode import *  # noqa: F403
+from tests.support.small_episode import *  # noqa: F403
 from vrcaps.data.make import make_dataset
 from vrcaps.data.plan import read_plan
 from vrcaps.data.runners.in_process import InProcess

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from torch.utils.data import DataLoader, IterableDataset
 
+from tests.support.waiting import WATCHDOG
 from vrcaps.core.errors import InputError, MissingExtraError
 from vrcaps.data import frame_stream
 from vrcaps.data.frame_stream import FrameStream
 from vrcaps.data.frame_windows import FrameWindows
 from vrcaps.recording.frame_sequence import FrameSequence
-from waiting import WATCHDOG
 
 
 def load(base: int, channel: str, index: int) -> np.ndarray:

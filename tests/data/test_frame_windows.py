@@ -9,11 +9,11 @@ import pytest
 import torch
 from torch.utils.data import DataLoader
 
+from tests.support.waiting import WATCHDOG
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.transforms import rotation_from_vector, transform_from
 from vrcaps.data.frame_windows import FrameWindows
 from vrcaps.recording.frame_sequence import FrameSequence
-from waiting import WATCHDOG
 
 
 def load(base: int, channel: str, index: int) -> np.ndarray:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import vrcaps
-from failing import fail
+from tests.support.failing import fail
 from vrcaps.cli import main
 from vrcaps.core import build_info as made_with
 from vrcaps.core.errors import InputError, StorageError

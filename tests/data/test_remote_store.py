@@ -13,8 +13,9 @@ import pytest
 from torch.utils.data import DataLoader
 
 import vrcaps
-from failing import fail
-from s3_server import BUCKET, Line, s3_server
+from tests.support.failing import fail
+from tests.support.s3_server import BUCKET, Line, s3_server
+from tests.support.waiting import WATCHDOG
 from vrcaps.cli import main
 from vrcaps.core.errors import InputError, MissingExtraError, StorageError
 from vrcaps.data.check_dataset import check_dataset
@@ -24,7 +25,6 @@ from vrcaps.data.make import make_dataset
 from vrcaps.data.plan import read_plan
 from vrcaps.data.runners.in_process import InProcess
 from vrcaps.data.store import LocalStore, open_store
-from waiting import WATCHDOG
 
 KILLED = """
 import os, signal

@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from failing import fail
-from processes import command_of, descendants
+from tests.support.failing import fail
+from tests.support.processes import command_of, descendants
+from tests.support.waiting import wait_until
 from vrcaps.core.errors import InputError, MissingExtraError
 from vrcaps.data.ledger import whole_units
 from vrcaps.data.make import make_dataset
@@ -24,7 +25,6 @@ from vrcaps.data.runners.pool import Pool
 from vrcaps.data.runners.ray_cluster import RayCluster
 from vrcaps.data.runners.runner import Deaths, UnitQueue
 from vrcaps.data.store import LocalStore
-from waiting import wait_until
 
 
 def files(folder: Path) -> dict[str, bytes]:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from notebooks import run_notebook
-from waiting import WATCHDOG
+from tests.support.notebooks import run_notebook
+from tests.support.waiting import WATCHDOG
 
 NOTEBOOKS = sorted((Path(__file__).parents[2] / "docs" / "tutorials").glob("*.ipynb"))
 MAX_SECONDS = 600.0

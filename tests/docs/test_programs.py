@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from waiting import WATCHDOG
+from tests.support.waiting import WATCHDOG
 
 ROOT = Path(__file__).parents[2]
 ELSEWHERE = {"README.md", "docs/tutorials/quickstart.md", "docs/how-to/extending.md"}

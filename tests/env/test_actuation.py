@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from small_envs import simulation_of, small_settings
+from tests.support.small_envs import simulation_of, small_settings
 from vrcaps.actuation.arm.arm_with_payload import clearances, magnet_pose_at
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.transforms import rotation_from_vector

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from small_envs import GUT, LESION_GUT, SHORT_GUT, simulation_of, small_settings
+from tests.support.small_envs import GUT, LESION_GUT, SHORT_GUT, simulation_of, small_settings
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.episode import Episode
 from vrcaps.env.start import Start

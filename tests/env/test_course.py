@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from small_envs import GUT
-from tubes import bent_tube
+from tests.support.small_envs import GUT
+from tests.support.tubes import bent_tube
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.transforms import transform_points
 from vrcaps.env.course import Course

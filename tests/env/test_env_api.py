@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from small_envs import LESION_GUT, small_settings
-from tubes import straight_gut, textured
+from tests.support.small_envs import LESION_GUT, small_settings
+from tests.support.tubes import straight_gut, textured
 from vrcaps.config.convert import from_plain, to_plain
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.units import MM

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from small_envs import GUT, SHORT_GUT, short_settings
+from tests.support.small_envs import GUT, SHORT_GUT, short_settings
 from vrcaps.core.errors import InputError
 
 if TYPE_CHECKING:

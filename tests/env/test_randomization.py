@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from small_envs import GUT, simulation_of, small_settings
-from tubes import textured
+from tests.support.small_envs import GUT, simulation_of, small_settings
+from tests.support.tubes import textured
 from vrcaps.camera.derive import focal_length_px
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.core.errors import InputError

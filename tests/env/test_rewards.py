@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from small_envs import simulation_of, small_env
+from tests.support.small_envs import simulation_of, small_env
 from vrcaps.core.errors import InputError
 from vrcaps.env.rewards import Reward, frontier_length, total_reward
 

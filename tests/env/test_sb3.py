@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from small_envs import short_settings
+from tests.support.small_envs import short_settings
 from vrcaps.core.errors import InputError
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.env import CapsuleEnv

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from small_envs import GUT, SHORT_GUT, small_settings
-from tubes import textured
+from tests.support.small_envs import GUT, SHORT_GUT, small_settings
+from tests.support.tubes import textured
 from vrcaps.core.errors import InputError
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.env import CapsuleEnv

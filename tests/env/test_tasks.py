@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from small_envs import GUT, LESION_GUT, simulation_of, small_settings
+from tests.support.small_envs import GUT, LESION_GUT, simulation_of, small_settings
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.env.episode import Episode
 from vrcaps.env.registration import TASKS

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from small_episode import *  # noqa: F403
+from tests.support.small_episode import *  # noqa: F403
 from vrcaps.camera.camera import Camera, led_ring
 from vrcaps.camera.lens import LensKannalaBrandt, LensPinhole
 from vrcaps.capsule.device import Device

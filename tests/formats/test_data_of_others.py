@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 import vrcaps
-from ellipsoid_sequence import ellipsoid_sequence
+from tests.support.ellipsoid_sequence import ellipsoid_sequence
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.core.errors import InputError, VrcapsError
 from vrcaps.formats.format import FORMATS

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mutations import json_text, mutated
-from reader_fuzz import InvalidError, Target, fuzz, outcome_of
-from reader_targets import all_targets, check_poses
+from tests.support.mutations import json_text, mutated
+from tests.support.reader_fuzz import InvalidError, Target, fuzz, outcome_of
+from tests.support.reader_targets import all_targets, check_poses
 from vrcaps.core.errors import InputError
 
 INPUTS = 500
@@ -56,7 +56,7 @@ def test_outcomes_are_told(tmp_path, error, outcome):
 
 
 def test_an_input_that_takes_too_long_is_a_hang(tmp_path, monkeypatch):
-    monkeypatch.setattr("reader_fuzz.SECONDS", 0.05)
+    monkeypatch.setattr("tests.support.reader_fuzz.SECONDS", 0.05)
 
     def read(folder: Path) -> None:
         while True:

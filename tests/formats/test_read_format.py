@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import vrcaps
-from ellipsoid_sequence import ellipsoid_sequence
+from tests.support.ellipsoid_sequence import ellipsoid_sequence
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.formats.io import export

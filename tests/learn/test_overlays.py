@@ -7,7 +7,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from small_frames import SIDE, small_sequence
+from tests.support.small_frames import SIDE, small_sequence
 from vrcaps.core.errors import InputError
 from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.overlays import Overlay, tissue_mask

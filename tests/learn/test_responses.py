@@ -7,7 +7,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 
-from small_frames import SIDE, small_sequence  # noqa: E402
+from tests.support.small_frames import SIDE, small_sequence  # noqa: E402
 from vrcaps.core.errors import InputError  # noqa: E402
 from vrcaps.learn.checkpoint import TrainedNetwork, read_weights  # noqa: E402
 from vrcaps.learn.hub import read_index  # noqa: E402

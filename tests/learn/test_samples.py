@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from small_frames import COUNT, LENS, SIDE, image_of, small_sequence
+from tests.support.small_frames import COUNT, LENS, SIDE, image_of, small_sequence
 from vrcaps.core.errors import InputError
 from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.samples import Samples, samples_of, split_samples

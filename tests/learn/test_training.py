@@ -8,7 +8,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 pytest.importorskip("segmentation_models_pytorch", reason="its package is not installed")
 
-from small_frames import small_sequence  # noqa: E402
+from tests.support.small_frames import small_sequence  # noqa: E402
 from vrcaps.core.errors import InputError, UnknownNameError  # noqa: E402
 from vrcaps.learn.checkpoint import read_weights, write_weights  # noqa: E402
 from vrcaps.learn.networks import imagenet_weights  # noqa: E402

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 
-from ellipsoid_sequence import ellipsoid_sequence  # noqa: E402
-from small_frames import small_sequence  # noqa: E402
+from tests.support.ellipsoid_sequence import ellipsoid_sequence  # noqa: E402
+from tests.support.small_frames import small_sequence  # noqa: E402
 from vrcaps.camera.camera import Camera, pixel_grid  # noqa: E402
 from vrcaps.camera.lens import LensEquidistant, LensKannalaBrandt, LensPinhole  # noqa: E402
 from vrcaps.core.errors import InputError  # noqa: E402

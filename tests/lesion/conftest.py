@@ -1,3 +1,3 @@
-from textured_tube import tube
+from tests.support.textured_tube import tube
 
 __all__ = ["tube"]

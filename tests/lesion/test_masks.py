@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from shapes import DIRECT
+from tests.support.shapes import DIRECT
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.transforms import look_along, transform_from
 from vrcaps.core.units import MM
@@ -16,7 +16,7 @@ from vrcaps.world.model import Model, State
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")
 
-from oracle_footprint import Footprint, Witness  # noqa: E402
+from tests.support.oracle_footprint import Footprint, Witness  # noqa: E402
 
 PLACE = Location(arc_length=80.0 * MM, theta=0.3)
 SOME = [

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tubes import straight_gut
+from tests.support.tubes import straight_gut
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import rotation_from_vector, transform_from

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tubes import straight_gut
+from tests.support.tubes import straight_gut
 from vrcaps import _core
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import MM

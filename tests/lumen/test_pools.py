@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tubes import straight_gut, tube_about
+from tests.support.tubes import straight_gut, tube_about
 from vrcaps.core.units import MM
 from vrcaps.lumen.contents import Liquid
 from vrcaps.lumen.pools import cut_sections, find_pools, level_pools, submerged

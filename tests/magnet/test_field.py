@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from scenes import random_directions, random_poses, relative
+from tests.support.scenes import random_directions, random_poses, relative
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import invert, rotate_vectors, transform_points
 from vrcaps.magnet.field import SourceSet, field

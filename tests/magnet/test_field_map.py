@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scenes import random_poses
+from tests.support.scenes import random_poses
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.transforms import invert, rotate_vectors, transform_points
 from vrcaps.magnet.field import field

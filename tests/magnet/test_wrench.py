@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from scenes import random_directions, random_poses
+from tests.support.scenes import random_directions, random_poses
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import transform_from, transform_points
 from vrcaps.magnet.field import field, wrench

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from small_glb import SmallGlb
+from tests.support.small_glb import SmallGlb
 from vrcaps.core.errors import InputError
 from vrcaps.mesh import gltf
 from vrcaps.mesh.mesh import Mesh, signed_volume

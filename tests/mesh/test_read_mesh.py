@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from tests.support.write_ply import write_ply
 from vrcaps.core.errors import InputError, UnknownNameError, VrcapsError
 from vrcaps.mesh.mesh import Mesh, triangulate_fans
 from vrcaps.mesh.read_mesh import read_label_names, read_mesh
-from write_ply import write_ply
 
 QUAD_AND_TRIANGLE = """ply
 format ascii 1.0

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 import trimesh
 
+from tests.support.write_ply import write_ply
 from vrcaps.core.errors import InputError
 from vrcaps.mesh.mesh import Mesh, flip_faces, signed_volume
 from vrcaps.mesh.read_mesh import read_mesh
 from vrcaps.mesh.repair import Repair, RepairReport, manifold, repair, require_lumen_surface
 from vrcaps.organ.measure import triangle_quality
-from write_ply import write_ply
 
 RADIUS, LENGTH = 0.02, 0.15
 NUM_AROUND, NUM_ALONG = 36, 44

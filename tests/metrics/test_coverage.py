@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from seen_walls import HALF_FIELD, POSE, camera, tube
+from tests.support.seen_walls import HALF_FIELD, POSE, camera, tube
 from vrcaps.camera.camera import camera_rays
 from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import triangle_areas

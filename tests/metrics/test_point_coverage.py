@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from seen_walls import HALF_FIELD, POSE, camera
-from tubes import straight_tube
+from tests.support.seen_walls import HALF_FIELD, POSE, camera
+from tests.support.tubes import straight_tube
 from vrcaps.camera.camera import project_points
 from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import triangle_areas

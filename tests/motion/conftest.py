@@ -1,3 +1,3 @@
-from bent_tube import model, rng, tube
+from tests.support.bent_tube import model, rng, tube
 
 __all__ = ["model", "rng", "tube"]

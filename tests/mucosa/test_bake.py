@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tubes import straight_tube
+from tests.support.tubes import straight_tube
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.units import MM
 from vrcaps.mucosa.bake import MAX_SIDE, bake_appearance

@@ -8,7 +8,7 @@ import trimesh
 from scipy.spatial import KDTree
 from skimage.measure import marching_cubes
 
-from shapes import sphere
+from tests.support.shapes import sphere
 from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import triangle_areas
 from vrcaps.core.units import MM

@@ -12,6 +12,7 @@ import pygltflib
 import pytest
 import trimesh
 
+from tests.support.write_ply import write_ply
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import transform_from, transform_points
 from vrcaps.mesh.glb import read_document
@@ -28,7 +29,6 @@ from vrcaps.organ.surface import (
     organ_to_arrays,
     round_height,
 )
-from write_ply import write_ply
 
 NAMES = ("background", "first", "second")
 SIZES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}

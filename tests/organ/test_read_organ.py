@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import trimesh
 
+from tests.support.write_ply import write_ply
 from vrcaps.core.errors import InputError
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.measure import measure_organ
 from vrcaps.organ.organ_file import write_organ
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import OrganSurface
-from write_ply import write_ply
 
 RADIUS, LENGTH = 0.02, 0.2
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from small_envs import small_settings
+from tests.support.small_envs import small_settings
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.start import Start
 from vrcaps.env.vector_env import CapsuleVectorEnv

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from small_envs import GUT, SHORT_GUT, small_settings
+from tests.support.small_envs import GUT, SHORT_GUT, small_settings
 from vrcaps.core.errors import InputError
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.settings import EnvSettings

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from small_envs import GUT, small_settings
+from tests.support.small_envs import GUT, small_settings
 from vrcaps.core.errors import InputError
 from vrcaps.env.start import Start
 from vrcaps.env.tasks.coverage import CoverageTask

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from small_envs import small_settings
+from tests.support.small_envs import small_settings
 from vrcaps.capsule.device import homogeneous_body
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError

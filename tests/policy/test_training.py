@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from small_envs import SHORT_GUT, small_settings
+from tests.support.small_envs import SHORT_GUT, small_settings
 
 pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")

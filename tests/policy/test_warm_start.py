@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from small_envs import SHORT_GUT, small_settings
+from tests.support.small_envs import SHORT_GUT, small_settings
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.policy import presets
 from vrcaps.policy.mlp_policy import read_mlp_policy

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ellipsoid_sequence import ellipsoid_sequence
+from tests.support.ellipsoid_sequence import ellipsoid_sequence
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.waiting import WATCHDOG
 from vrcaps import _core
 from vrcaps.camera_pipeline.capsule_cameras import CapsuleCameras
 from vrcaps.core.errors import InputError
@@ -22,7 +23,6 @@ from vrcaps.recording.check import check_episode
 from vrcaps.recording.episode import read_episode
 from vrcaps.recording.recorder import record
 from vrcaps.scenario.scenario import read_scenario, scenario_to_plain
-from waiting import WATCHDOG
 
 
 def _digests(folder: Path) -> dict[str, str]:

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shapes import DIRECT, looking, make_camera, make_model, patterned, pinhole, tube
-from threads import digests_by_threads
+from tests.support.shapes import DIRECT, looking, make_camera, make_model, patterned, pinhole, tube
+from tests.support.threads import digests_by_threads
 from vrcaps import _core
 from vrcaps.camera.camera import Led, camera_rays
 from vrcaps.core.errors import InputError, UnknownNameError

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from shapes import DIRECT, looking, make_camera, make_model, pinhole, sphere
+from tests.support.shapes import DIRECT, looking, make_camera, make_model, pinhole, sphere
 from vrcaps.core.errors import InputError
 from vrcaps.render.channels import CHANNELS, Frame
 from vrcaps.render.renderer import Renderer

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clump_twin import ClumpTwin
-from shapes import DIRECT, looking, make_camera, make_model, pinhole, sphere
+from tests.support.clump_twin import ClumpTwin
+from tests.support.shapes import DIRECT, looking, make_camera, make_model, pinhole, sphere
 from vrcaps.camera.camera import Camera, Led, camera_rays
 from vrcaps.core.units import MM
 from vrcaps.lumen.contents import Contents

@@ -8,8 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shapes import DIRECT, RADIUS, looking, make_camera, make_model, patterned, sphere, tube
-from threads import digests_by_threads
+from tests.support.shapes import (
+    DIRECT,
+    RADIUS,
+    looking,
+    make_camera,
+    make_model,
+    patterned,
+    sphere,
+    tube,
+)
+from tests.support.threads import digests_by_threads
 from vrcaps.camera.camera import Led, camera_rays
 from vrcaps.core.units import MM
 from vrcaps.lumen.contents import Bubbles, Contents, Liquid

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shapes import looking, make_camera, make_model, patterned, pinhole, tube
-from threads import digests_by_threads
+from tests.support.shapes import looking, make_camera, make_model, patterned, pinhole, tube
+from tests.support.threads import digests_by_threads
 from vrcaps.core.errors import InputError, MissingExtraError
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.sampling import denoise

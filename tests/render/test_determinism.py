@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import twin_shade
-from shapes import DIRECT, looking, make_camera, make_model, patterned, sphere, tube
-from threads import digests_by_threads
+from tests.support import twin_shade
+from tests.support.shapes import DIRECT, looking, make_camera, make_model, patterned, sphere, tube
+from tests.support.threads import digests_by_threads
 from vrcaps.camera.lens import LensEquidistant, LensEquirectangular, LensPinhole
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings

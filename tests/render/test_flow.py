@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import twin
-from shapes import DIRECT, LENSES, looking, make_camera, make_model, pinhole, tube
+from tests.support import twin
+from tests.support.shapes import DIRECT, LENSES, looking, make_camera, make_model, pinhole, tube
 from vrcaps.camera.camera import Camera, pixel_grid, project_points, unproject_pixels
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import invert, rotate_vectors, transform_points

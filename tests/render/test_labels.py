@@ -5,9 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oracle_embree import EmbreeCaster
-from shapes import DIRECT, LENSES, RADIUS, looking, make_camera, make_model, sphere, tube
-from twin import dot, unit
+from tests.support.oracle_embree import EmbreeCaster
+from tests.support.shapes import (
+    DIRECT,
+    LENSES,
+    RADIUS,
+    looking,
+    make_camera,
+    make_model,
+    sphere,
+    tube,
+)
+from tests.support.twin import dot, unit
 from vrcaps.camera.camera import camera_rays
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.transforms import invert, rotate_vectors
@@ -143,7 +152,7 @@ def test_real_organs_against_embree(shared_data, name: str) -> None:
     """Bare meshes from CT, looked at from the deepest of some random points inside."""
     import trimesh
 
-    from shapes import make_organ
+    from tests.support.shapes import make_organ
 
     mesh = trimesh.load(shared_data / "organs" / f"{name}.ply", process=False)
     organ = make_organ(np.asarray(mesh.vertices, float) * 1e-3, np.asarray(mesh.faces, np.int64))

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from oracle_mitsuba import direct_light
-from shapes import (
+from tests.support.oracle_mitsuba import direct_light
+from tests.support.shapes import (
     DIRECT,
     LENSES,
     looking,
@@ -20,7 +20,7 @@ from shapes import (
     sphere,
     tube,
 )
-from twin import unit
+from tests.support.twin import unit
 from vrcaps import _core
 from vrcaps.camera.camera import Led, camera_rays
 from vrcaps.camera.lens import LensEquidistant

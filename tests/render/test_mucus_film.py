@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from shapes import looking, make_camera, make_model, patterned, tube
+from tests.support.shapes import looking, make_camera, make_model, patterned, tube
 from vrcaps.core.errors import InputError
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.renderer import Renderer

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from shapes import looking, make_camera, make_model, sphere
+from tests.support.shapes import looking, make_camera, make_model, sphere
 from vrcaps.camera.camera import Led
 from vrcaps.core.color import LUMINANCE, log_linear_from_srgb, srgb_from_log_linear
 from vrcaps.lumen.contents import Liquid

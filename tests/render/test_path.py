@@ -8,9 +8,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-import twin_shade
-from oracle_mitsuba import path_light
-from shapes import looking, make_camera, make_model, patterned, pinhole, sphere, tube
+from tests.support import twin_shade
+from tests.support.oracle_mitsuba import path_light
+from tests.support.shapes import looking, make_camera, make_model, patterned, pinhole, sphere, tube
 from vrcaps.camera.camera import Camera, Led, camera_rays
 from vrcaps.camera.lens import LensEquidistant
 from vrcaps.core.errors import InputError, UnknownNameError

@@ -8,7 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from shapes import DIRECT, RADIUS, looking, make_camera, make_model, pinhole, sphere, with_ball
+from tests.support.shapes import (
+    DIRECT,
+    RADIUS,
+    looking,
+    make_camera,
+    make_model,
+    pinhole,
+    sphere,
+    with_ball,
+)
 from vrcaps.camera.camera import Camera, Led, camera_rays
 from vrcaps.core.transforms import rotate_vectors
 from vrcaps.core.units import MM

@@ -8,8 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shapes import DIRECT, looking, make_camera, make_model, patterned, pinhole, sphere, tube
-from threads import digest_at_rest_and_moved, digests_by_threads
+from tests.support.shapes import (
+    DIRECT,
+    looking,
+    make_camera,
+    make_model,
+    patterned,
+    pinhole,
+    sphere,
+    tube,
+)
+from tests.support.threads import digest_at_rest_and_moved, digests_by_threads
 from vrcaps.camera.camera import Camera, Led
 from vrcaps.camera.lens import LensEquidistant
 from vrcaps.lumen.contents import Contents, Liquid

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from shapes import DIRECT, RADIUS, looking, make_camera, make_model, pinhole, sphere
-from twin_shade import principled
+from tests.support.shapes import DIRECT, RADIUS, looking, make_camera, make_model, pinhole, sphere
+from tests.support.twin_shade import principled
 from vrcaps.camera.camera import Camera, Led, camera_rays
 from vrcaps.core.units import DEG, MM
 from vrcaps.lumen.contents import Contents, Liquid

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from scattering_theory import Medium, diffusion_profile, dipole_profile, half_space_reflectance
-from shapes import looking, make_camera, make_model, make_organ, pinhole, sphere, tube
+from tests.support.shapes import looking, make_camera, make_model, make_organ, pinhole, sphere, tube
 from vrcaps import _core
 from vrcaps.camera.camera import Camera, Led
 from vrcaps.core.errors import InputError

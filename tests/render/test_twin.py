@@ -5,8 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import twin_shade
-from shapes import DIRECT, LENSES, looking, make_camera, make_model, patterned, sphere, tube
+from tests.support import twin_shade
+from tests.support.shapes import (
+    DIRECT,
+    LENSES,
+    looking,
+    make_camera,
+    make_model,
+    patterned,
+    sphere,
+    tube,
+)
 from vrcaps.camera.camera import Led
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import twin
-from oracle_embree import EmbreeCaster
-from shapes import RADIUS, sphere, tube
+from tests.support import twin
+from tests.support.oracle_embree import EmbreeCaster
+from tests.support.shapes import RADIUS, sphere, tube
 from vrcaps._core import Wall
 
 MIDDLE = np.array([0.0, 0.0, 0.1])

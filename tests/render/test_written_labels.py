@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shapes import tube
+from tests.support.shapes import tube
+from tests.support.write_ply import write_ply
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.scenario.scenario import OrganFile
-from write_ply import write_ply
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scenes import random_poses
+from tests.support.scenes import random_poses
 from vrcaps.core.errors import InputError
 from vrcaps.sensors.imu import (
     CapsuleKinematics,

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tubes import straight_gut
+from tests.support.tubes import straight_gut
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import rotate_by_vector, rotation_vector, transform_from

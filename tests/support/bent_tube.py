@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tubes import bent_tube
+from tests.support.tubes import bent_tube
 from vrcaps.capsule.device_file import read_device
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.world.model import Model

@@ -6,7 +6,7 @@ import socket
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-import waiting
+from tests.support import waiting
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

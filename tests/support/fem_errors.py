@@ -7,7 +7,7 @@ from scipy import sparse
 from scipy.sparse.linalg import eigsh, spsolve
 from scipy.spatial import cKDTree
 
-from fem_shapes import bumpy, cylinder, plate, whole_matrices
+from tests.support.fem_shapes import bumpy, cylinder, plate, whole_matrices
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.fem.layer import (
     CoarseSurface,

@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from waiting import WATCHDOG
+from tests.support.waiting import WATCHDOG
 
 
 def read_colmap_model(folder: Path) -> dict:

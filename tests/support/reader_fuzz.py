@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from mutations import changed_plain, json_text, mutated
+from tests.support.mutations import changed_plain, json_text, mutated
 from vrcaps.core.errors import VrcapsError
 
 SECONDS = 20

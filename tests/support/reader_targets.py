@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ellipsoid_sequence import ellipsoid_sequence
-from reader_fuzz import InvalidError, Target
+from tests.support.ellipsoid_sequence import ellipsoid_sequence
+from tests.support.reader_fuzz import InvalidError, Target
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.capsule.device_file import read_device_file, write_device
 from vrcaps.formats.format import FORMATS
@@ -47,13 +47,13 @@ def recorded_tube(folder: Path) -> Episode:
     """A short recording of a small tube, with what formats of lesions need."""
     import trimesh
 
-    from small_episode import CAMERA, DEVICE
+    from tests.support.small_episode import CAMERA, DEVICE
+    from tests.support.write_ply import write_ply
     from vrcaps.mesh.mesh import Mesh
     from vrcaps.motion.fly_through import FlyThrough
     from vrcaps.organ.read_organ import read_organ
     from vrcaps.recording.recorder import record
     from vrcaps.scenario.scenario import Scenario
-    from write_ply import write_ply
 
     folder.mkdir(parents=True)
     tube = trimesh.creation.capsule(height=0.2, radius=0.02, count=[24, 32])

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from tubes import straight_tube
+from tests.support.tubes import straight_tube
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensEquidistant
 

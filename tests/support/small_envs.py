@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tubes import straight_gut
+from tests.support.tubes import straight_gut
 from vrcaps.env.env import CapsuleEnv
 from vrcaps.env.settings import EnvSettings, env_settings
 from vrcaps.env.simulation import Simulation

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tubes import textured
+from tests.support.tubes import textured
+from tests.support.write_ply import write_ply
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.motion.fly_through import FlyThrough
@@ -16,7 +17,6 @@ from vrcaps.recording.recorder import record
 from vrcaps.render.channels import CHANNELS
 from vrcaps.scenario.organ_source import OrganSource
 from vrcaps.scenario.scenario import OrganFile, Scenario
-from write_ply import write_ply
 
 __all__ = ["base_scenario", "device_file", "mesh_file", "organ", "recorded", "scenario"]
 """The fixtures, for the conftest of a folder that uses them."""

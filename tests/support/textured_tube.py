@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tubes import straight_tube
+from tests.support.tubes import straight_tube
 from vrcaps.core.units import MM
 from vrcaps.mucosa.bake import bake_appearance
 from vrcaps.organ.surface import OrganSurface

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from shapes import looking
+from tests.support.shapes import looking
 from vrcaps.camera.camera import Camera
 from vrcaps.render.renderer import Renderer
 

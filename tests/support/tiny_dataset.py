@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from small_episode import CAMERA, DEVICE
+from tests.support.small_episode import CAMERA, DEVICE
+from tests.support.write_ply import write_ply
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.organ_file import write_organ
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import Appearance
-from write_ply import write_ply
 
 PLAN = """
 frames = 2

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-import twin
-from twin import dot, unit
+from tests.support import twin
+from tests.support.twin import dot, unit
 from vrcaps.camera.camera import Camera, Led, camera_rays
 from vrcaps.core.transforms import invert, rotate_vectors, transform_points
 from vrcaps.organ.surface import Appearance, clearcoat_alpha, face_label

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shapes import DIRECT
+from tests.support.shapes import DIRECT
 from vrcaps import _core
 from vrcaps.capsule.device import Body
 from vrcaps.core.errors import InputError, UnknownNameError

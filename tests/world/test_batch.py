@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from made_worlds import as_bytes, worlds_in
-from threads import digests_by_threads
-from tubes import bent_tube
+from tests.support.made_worlds import as_bytes, worlds_in
+from tests.support.threads import digests_by_threads
+from tests.support.tubes import bent_tube
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import rotation_from_vector, transform_from

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tubes import bent_tube
+from tests.support.tubes import bent_tube
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.transforms import invert, transform_points
 from vrcaps.core.units import MM

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
+from tests.support.walls import HALF_AXIS, LINEAR, RADIUS, capsule, creased, floor, tube, world_on
 from vrcaps.capsule.device import homogeneous_body
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.units import MM
 from vrcaps.tissue.contact_laws import Drag, SpringWall, WinklerFoundation
 from vrcaps.tissue.tissue import Tissue
-from walls import HALF_AXIS, LINEAR, RADIUS, capsule, creased, floor, tube, world_on
 
 DOWN = (0.0, 0.0, -9.81)
 FREE = (0.0,) * 6

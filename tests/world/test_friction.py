@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from tests.support.walls import capsule, tube, world_on
 from vrcaps import _core
 from vrcaps.core.units import MM
 from vrcaps.tissue.contact_laws import Drag, WinklerFoundation
-from walls import capsule, tube, world_on
 
 FREE, STILL = (0.0,) * 6, (0.0,) * 3
 SUBSTEPS = [5e-5, 2e-4, 1e-3]

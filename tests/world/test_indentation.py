@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.support.walls import HALF_AXIS, LINEAR, LYING, RADIUS, capsule, world_on
 from vrcaps import _core
 from vrcaps.core.geometry import triangle_areas
 from vrcaps.core.transforms import matrix_from_quaternion, transform_from
 from vrcaps.core.units import MM
 from vrcaps.tissue.contact_laws import WinklerFoundation
 from vrcaps.world.indentation import _divided, indentation
-from walls import HALF_AXIS, LINEAR, LYING, RADIUS, capsule, world_on
 
 
 def irregular_floor(edge: float, size: float = 60.0 * MM) -> tuple[np.ndarray, np.ndarray]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.support.walls import floor, world_on
 from vrcaps import _core
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import MM
@@ -12,7 +13,6 @@ from vrcaps.tissue.contact_laws import Drag
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.world.model import Model
 from vrcaps.world.world import World
-from walls import floor, world_on
 
 FREE, STILL = (0.0,) * 6, (0.0,) * 3
 MASS, ACROSS = 3e-3, 1.5e-7

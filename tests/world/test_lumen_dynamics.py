@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from threads import digests_by_threads
-from tubes import straight_gut
+from tests.support.threads import digests_by_threads
+from tests.support.tubes import straight_gut
 from vrcaps import _core
 from vrcaps.capsule.device import homogeneous_body
 from vrcaps.capsule.device_file import read_device

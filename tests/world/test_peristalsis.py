@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tubes import straight_gut
+from tests.support.tubes import straight_gut
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.units import CM, MM

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fem_shapes import straight_tube
-from made_worlds import as_bytes, worlds_in
+from tests.support.fem_shapes import straight_tube
+from tests.support.made_worlds import as_bytes, worlds_in
+from tests.support.walls import RADIUS, creased, floor, world_on
 from vrcaps import _core
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError, UnknownNameError
@@ -24,7 +25,6 @@ from vrcaps.world.control import Control
 from vrcaps.world.mechanics import RELAXATION_TIME
 from vrcaps.world.model import Model
 from vrcaps.world.world import World
-from walls import RADIUS, creased, floor, world_on
 
 FREE, STILL, GRAVITY = (0.0,) * 6, (0.0,) * 3, 9.81
 DOWN = (0.0, 0.0, -GRAVITY)

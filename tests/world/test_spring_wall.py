@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.support.walls import RADIUS, floor, world_on
 from vrcaps import _core
 from vrcaps.core.units import MM
 from vrcaps.tissue.contact_laws import Drag, SpringWall, WinklerFoundation
-from walls import RADIUS, floor, world_on
 
 SPRING = SpringWall()
 DOWN, FREE, STILL = (0.0, 0.0, -9.81), (0.0,) * 6, (0.0,) * 3

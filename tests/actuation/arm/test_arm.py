@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from flange_paths import loop_of, pose_errors
-from scenes import random_poses
+from tests.support.flange_paths import loop_of, pose_errors
+from tests.support.scenes import random_poses
 from vrcaps.actuation.arm.arm import (
     Arm,
     arm_names,

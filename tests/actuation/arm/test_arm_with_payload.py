@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scenes import random_poses
+from tests.support.scenes import random_poses
 from vrcaps.actuation.arm.arm import Arm, Link, forward, frames
 from vrcaps.actuation.arm.arm_with_payload import (
     ArmWithPayload,

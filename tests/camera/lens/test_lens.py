@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from random_lens import random_lens
+from tests.support.random_lens import random_lens
 from vrcaps.camera.lens import (
     LENSES,
     LensEquidistant,

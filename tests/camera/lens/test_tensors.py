@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from random_lens import random_lens
+from tests.support.random_lens import random_lens
 from vrcaps.camera.lens import LENSES
 
 METHODS = ("project", "unproject")

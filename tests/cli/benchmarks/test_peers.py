@@ -5,7 +5,7 @@ import pytest
 
 import peers
 from peers import PeerMissingError, embree, find_peers, mitsuba, welded_mesh
-from shapes import DIRECT
+from tests.support.shapes import DIRECT
 from vrcaps.cli.benchmarks.stage import Stage
 from vrcaps.render.renderer import Renderer
 

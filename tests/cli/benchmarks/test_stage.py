@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shapes import DIRECT
+from tests.support.shapes import DIRECT
 from vrcaps._core import Wall
 from vrcaps.camera.camera import camera_rays
 from vrcaps.cli.benchmarks.stage import (

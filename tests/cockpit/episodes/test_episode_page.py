@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cockpit_browser import free_port, wait_until
+from tests.support.cockpit_browser import free_port, wait_until
+from tests.support.waiting import WATCHDOG
 from vrcaps.cockpit.episodes.episode_page import open_episodes
 from vrcaps.cockpit.episodes.episode_scene import RecordedWalls
 from vrcaps.core.errors import InputError
@@ -19,7 +20,6 @@ from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.recording.episode import read_episode
 from vrcaps.recording.pictures import picture
-from waiting import WATCHDOG
 
 
 def test_says_how_many_episodes_there_may_be(recorded):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tubes import straight_gut
+from tests.support.tubes import straight_gut
 from vrcaps.capsule.device import homogeneous_body
 from vrcaps.capsule.device_file import read_device
 from vrcaps.cockpit.scene.colorings import LiveWall, coarse_mesh, coloring_names, make_coloring

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.support.waiting import wait_until
 from vrcaps.cockpit.session.camera_images import CameraImages, LiveShadows
 from vrcaps.cockpit.session.session import Session
 from vrcaps.render.renderer import Renderer
-from waiting import wait_until
 
 
 class Machine:

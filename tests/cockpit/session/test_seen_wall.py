@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from tubes import straight_gut
+from tests.support.tubes import straight_gut
 from vrcaps.camera.derive import scaled_camera
 from vrcaps.capsule.device_file import read_device
 from vrcaps.cockpit.session.seen_wall import SeenWall

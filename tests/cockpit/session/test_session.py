@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.waiting import wait_until
 from vrcaps.actuation.steering_program import JoystickCommand, read_commands
 from vrcaps.cockpit.session.policy_driver import PolicyDriver
 from vrcaps.cockpit.session.session import Session
@@ -22,7 +23,6 @@ from vrcaps.recording.recorder import record
 from vrcaps.recording.table import POSE_COLUMNS
 from vrcaps.scenario.build import build
 from vrcaps.scenario.scenario import Scenario, read_scenario
-from waiting import wait_until
 
 
 def test_all_commands_are_in_the_drive_and_go_with_what_is_forgotten(drive_scenario, tmp_path):

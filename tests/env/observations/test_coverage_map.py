@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from small_envs import GUT, SHORT_GUT, simulation_of
+from tests.support.small_envs import GUT, SHORT_GUT, simulation_of
 from vrcaps.env.observations.coverage_map import MapObservation
 from vrcaps.env.start import Start
 

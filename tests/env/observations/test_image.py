@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from small_envs import GUT, SHORT_GUT, simulation_of, small_settings
-from tubes import textured
+from tests.support.small_envs import GUT, SHORT_GUT, simulation_of, small_settings
+from tests.support.tubes import textured
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.env.env import CapsuleEnv
 from vrcaps.env.observations.image import LIMITS, ImageObservation

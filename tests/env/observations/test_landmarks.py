@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from small_envs import GUT, SHORT_GUT, simulation_of
+from tests.support.small_envs import GUT, SHORT_GUT, simulation_of
 from vrcaps import _core
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import transform_from

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from small_envs import GUT, small_env, small_settings
+from tests.support.small_envs import GUT, small_env, small_settings
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.env.env import CapsuleEnv
 from vrcaps.env.observations.state import StateObservation

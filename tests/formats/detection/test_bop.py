@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from exported import assert_same_depth, assert_same_images, round_trip
-from oracle_embree import EmbreeCaster
+from tests.support.exported import assert_same_depth, assert_same_images, round_trip
+from tests.support.oracle_embree import EmbreeCaster
 from vrcaps.camera.camera import pixel_grid
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.core.errors import InputError

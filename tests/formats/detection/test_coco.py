@@ -11,7 +11,7 @@ import pycocotools.mask as coco_mask
 import pytest
 from scipy import ndimage
 
-from exported import assert_same_images
+from tests.support.exported import assert_same_images
 from vrcaps.cli import main
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.formats.detection.coco import Coco

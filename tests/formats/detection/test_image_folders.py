@@ -7,13 +7,13 @@ import cv2
 import numpy as np
 import pytest
 
-from ellipsoid_sequence import ellipsoid_sequence
+from tests.support.ellipsoid_sequence import ellipsoid_sequence
+from tests.support.write_any import write_image
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.core.errors import InputError
 from vrcaps.formats.detection.image_folders import Images
 from vrcaps.formats.io import export
 from vrcaps.formats.shared.stored_images import stored_steps
-from write_any import write_image
 
 LENS = LensPinhole(fx=25.0, fy=24.0, cx=20.25, cy=17.5)
 LESIONS = [{"instance": 1, "kind": "polyp"}, {"instance": 2, "kind": "ulcer"}]

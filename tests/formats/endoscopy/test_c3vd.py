@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import yaml
 
-from ellipsoid_sequence import ellipsoid_sequence, off_the_wall
-from exported import assert_same_depth, assert_same_images, round_trip
+from tests.support.ellipsoid_sequence import ellipsoid_sequence, off_the_wall
+from tests.support.exported import assert_same_depth, assert_same_images, round_trip
+from tests.support.write_any import write_image
 from vrcaps.camera.lens import LensKannalaBrandt, LensPinhole, LensScaramuzza
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.formats.endoscopy.c3vd import C3vd
 from vrcaps.formats.io import export
-from write_any import write_image
 
 PINHOLE = LensPinhole(fx=25.0, fy=24.0, cx=20.25, cy=17.5)
 # C3VD's endoscope, 1350x1080, at 160 px: r in pixels scales as the image.

@@ -6,8 +6,8 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from ellipsoid_sequence import ellipsoid_sequence
-from exported import assert_same_depth, assert_same_images, round_trip
+from tests.support.ellipsoid_sequence import ellipsoid_sequence
+from tests.support.exported import assert_same_depth, assert_same_images, round_trip
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.core.errors import InputError, MissingExtraError
 from vrcaps.formats.endoscopy.endomapper import EndoMapper

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ellipsoid_sequence import ellipsoid_sequence
-from exported import assert_same_depth, assert_same_images, round_trip
+from tests.support.ellipsoid_sequence import ellipsoid_sequence
+from tests.support.exported import assert_same_depth, assert_same_images, round_trip
+from tests.support.write_any import write_image
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.core.errors import InputError
 from vrcaps.formats.endoscopy.endoslam import EndoSlam
 from vrcaps.formats.io import export
-from write_any import write_image
 
 LENS = LensPinhole(fx=25.0, fy=24.0, cx=20.25, cy=17.5)
 HEADER = "tX,tY,tZ,rX,rY,rZ,rW,time(s)\n"

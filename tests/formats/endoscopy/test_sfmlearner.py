@@ -6,13 +6,13 @@ import cv2
 import numpy as np
 import pytest
 
-from ellipsoid_sequence import ellipsoid_sequence
-from exported import assert_same_depth, round_trip
+from tests.support.ellipsoid_sequence import ellipsoid_sequence
+from tests.support.exported import assert_same_depth, round_trip
+from tests.support.write_any import write_image
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.core.errors import InputError
 from vrcaps.formats.endoscopy.sfmlearner import SfmLearner
 from vrcaps.formats.io import export
-from write_any import write_image
 
 LENS = LensPinhole(fx=25.0, fy=24.0, cx=20.25, cy=17.5)
 

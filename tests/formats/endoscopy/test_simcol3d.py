@@ -8,15 +8,15 @@ import pytest
 import tifffile
 from scipy.spatial.transform import Rotation
 
-from ellipsoid_sequence import ellipsoid_sequence, off_the_wall
-from exported import assert_same_depth, assert_same_images, round_trip
+from tests.support.ellipsoid_sequence import ellipsoid_sequence, off_the_wall
+from tests.support.exported import assert_same_depth, assert_same_images, round_trip
+from tests.support.write_any import write_image
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import transform_points
 from vrcaps.formats.endoscopy import simcol3d
 from vrcaps.formats.endoscopy.simcol3d import SimCol3D
 from vrcaps.formats.io import export
-from write_any import write_image
 
 LENS = LensPinhole(fx=25.0, fy=24.0, cx=20.25, cy=17.5)
 STEP = 0.2 / 65280

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import yaml
 
-from ellipsoid_sequence import ellipsoid_sequence
-from exported import assert_same_depth, assert_same_images, round_trip
+from tests.support.ellipsoid_sequence import ellipsoid_sequence
+from tests.support.exported import assert_same_depth, assert_same_images, round_trip
 from vrcaps.camera.lens import LensEquidistant, LensKannalaBrandt, LensPinhole
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import invert, rotation_from_vector, transform_from

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ellipsoid_sequence import ellipsoid_sequence
+from tests.support.ellipsoid_sequence import ellipsoid_sequence
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.core.errors import InputError
 from vrcaps.formats.io import export

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ellipsoid_sequence import ellipsoid_sequence, off_the_wall
-from exported import assert_same_images, round_trip
-from oracle_pycolmap import read_colmap_model
+from tests.support.ellipsoid_sequence import ellipsoid_sequence, off_the_wall
+from tests.support.exported import assert_same_images, round_trip
+from tests.support.oracle_pycolmap import read_colmap_model
 from vrcaps.camera.camera import project_points
 from vrcaps.camera.lens import LensEquidistant, LensKannalaBrandt, LensPinhole, LensScaramuzza
 from vrcaps.core.errors import InputError, UnknownNameError

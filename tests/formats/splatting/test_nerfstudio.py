@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ellipsoid_sequence import ellipsoid_sequence, off_the_wall
-from exported import assert_same_depth, assert_same_images, round_trip
+from tests.support.ellipsoid_sequence import ellipsoid_sequence, off_the_wall
+from tests.support.exported import assert_same_depth, assert_same_images, round_trip
 from vrcaps.camera.camera import pixel_grid
 from vrcaps.camera.lens import LensEquirectangular, LensKannalaBrandt, LensPinhole
 from vrcaps.core.errors import InputError

@@ -2,7 +2,7 @@
 
 import pytest
 
-from fem_shapes import straight_tube
+from tests.support.fem_shapes import straight_tube
 from vrcaps.organ.surface import OrganSurface
 
 

@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fem_errors import bending_error, cantilever_error, lame_error, mode_errors, patch_error
-from fem_shapes import bumpy, plate, whole_matrices
+from tests.support.fem_errors import (
+    bending_error,
+    cantilever_error,
+    lame_error,
+    mode_errors,
+    patch_error,
+)
+from tests.support.fem_shapes import bumpy, plate, whole_matrices
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.fem.layer import extrude, integration_points
 

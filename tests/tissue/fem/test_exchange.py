@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from scipy.sparse.linalg import spsolve
 
-from fem_shapes import full
-from tubes import straight_gut
+from tests.support.fem_shapes import full
+from tests.support.tubes import straight_gut
 from vrcaps import _core
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fem_shapes import bumpy, straight_tube
+from tests.support.fem_shapes import bumpy, straight_tube
 from vrcaps.core.errors import InputError
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.fem.coarse import coarsen, low_pass

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.sparse.linalg import spsolve
 
-from fem_shapes import full, straight_tube, vertex_areas
+from tests.support.fem_shapes import full, straight_tube, vertex_areas
 from vrcaps.core.errors import InputError
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.fem.assembly import assemble, element_points

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tubes import straight_gut
+from tests.support.tubes import straight_gut
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.units import CM
 from vrcaps.tissue.motility.migrating_complex import Front

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tubes import straight_gut
+from tests.support.tubes import straight_gut
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.units import CM, MM
 from vrcaps.organ.surface import Centerline

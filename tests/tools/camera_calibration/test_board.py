@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from boards import corners, held
+from tests.support.boards import corners, held
 from vrcaps.camera.lens import LensKannalaBrandt
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError, MissingExtraError

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from boards import corners, held
+from tests.support.boards import corners, held
 from vrcaps.camera.lens import LensKannalaBrandt, LensPinhole, LensScaramuzza
 from vrcaps.capsule.device_file import read_device, read_device_file, write_device
 from vrcaps.core.errors import InputError, UnknownNameError

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from phantom import Polyp, Scanner, scan_of, with_polyps
+from tests.support.phantom import Polyp, Scanner, scan_of, with_polyps
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.tools.ct.volume import Volume
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import small_dicom as tag
-from small_dicom import Elements, slice_elements, write_elements
+from tests.support import small_dicom as tag
+from tests.support.small_dicom import Elements, slice_elements, write_elements
 from vrcaps.core.errors import InputError
 from vrcaps.tools.ct.read_volume import read_volume
 

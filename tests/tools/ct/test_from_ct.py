@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from phantom import coverage
+from tests.support.phantom import coverage
 from vrcaps._core import Wall as Surface
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.mesh.mesh import Mesh, wall_distance

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from phantom import GAS, LUNG, WALL, coverage
+from tests.support.phantom import GAS, LUNG, WALL, coverage
 from vrcaps.core.errors import InputError
 from vrcaps.tools.ct.from_ct import find_lumens
 from vrcaps.tools.ct.lumen import body_mask, choose_gas, find_gas

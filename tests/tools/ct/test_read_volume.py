@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import SimpleITK as sitk
 
-from phantom import write_dicom
+from tests.support.phantom import write_dicom
 from vrcaps.core.errors import InputError, MissingExtraError
 from vrcaps.tools.ct import read_dicom, volume
 from vrcaps.tools.ct.lumen import choose_gas, find_gas

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from made_frames import CAMERA, CENTER, SIZE, Figures, photos
+from tests.support.made_frames import CAMERA, CENTER, SIZE, Figures, photos
 from vrcaps.capsule.device_file import read_device, read_device_file, write_device
 from vrcaps.core.errors import InputError
 from vrcaps.scenario.scenario import read_scenario

@@ -1,1 +1,1 @@
-from small_episode import *  # noqa: F403
+from tests.support.small_episode import *  # noqa: F403

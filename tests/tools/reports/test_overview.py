@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import tubes
-from shapes import with_ball
+from tests.support import tubes
+from tests.support.shapes import with_ball
 from vrcaps._core import Wall
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tools.reports.overview import marked_lesions, write_overview

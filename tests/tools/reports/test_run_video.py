@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from small_envs import SHORT_GUT, small_settings
+from tests.support.small_envs import SHORT_GUT, small_settings
 from vrcaps.capsule.device_file import read_device
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.patient import Patients

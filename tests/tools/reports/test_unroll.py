@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import tubes
-from shapes import with_ball
+from tests.support import tubes
+from tests.support.shapes import with_ball
 from vrcaps._core import Wall
 from vrcaps.organ.surface import Appearance, OrganSurface
 from vrcaps.tools.reports.unroll import dissection, instances, unroll

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ellipsoid_sequence import ellipsoid_sequence
+from tests.support.ellipsoid_sequence import ellipsoid_sequence
 from vrcaps.camera.lens import LensEquidistant
 from vrcaps.cli import main
 from vrcaps.core.errors import InputError

@@ -1,0 +1,1 @@
+"""Scenes, twins of kernels, oracles and fixtures shared by tests and benchmarks."""

@@ -227,7 +227,7 @@ def _drive_again(
     drive = out / "drive.json"
     if drive.exists():
         text, _ = place.start(_with_port(verb, number), out).communicate()
-        if "holds a drive" not in text:
+        if "contains a drive" not in text:
             print(text, flush=True)
             return
         place.run(f"record {drive} --out OUT", out.parent / "episode")

@@ -132,6 +132,8 @@ def test_a_drive_of_which_nothing_is_kept_does_not_block_its_folder(tmp_path: Pa
     (tmp_path / COMMANDS_CSV).touch()
     (tmp_path / DRIVE_JSON).touch()
     (tmp_path / f".{DRIVE_JSON}.{'0' * 32}.tmp").touch()
-    with pytest.raises(InputError, match=r"holds a drive\. Record it with `vrcaps record .*json"):
+    with pytest.raises(
+        InputError, match=r"contains a drive\. Record it with `vrcaps record .*json"
+    ):
         make_folder(tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {COMMANDS_CSV, DRIVE_JSON}

@@ -69,7 +69,9 @@ def test_photographs_become_a_capsule_with_a_picture_of_residuals(photos, tmp_pa
     assert (tmp_path / "mine.png").stat().st_size > 50_000
     assert "Warning" not in text
     before = out.read_bytes()
-    assert "exists. Give another --out, or --overwrite" in fail(arguments(photos, out), capsys)
+    assert "exists. Choose another --out, or pass --overwrite" in fail(
+        arguments(photos, out), capsys
+    )
     cli.main([*arguments(photos, out, capsule="pillcam-colon2", camera="back"), "--overwrite"])
     assert out.read_bytes() == before
 
@@ -86,11 +88,11 @@ def test_mistakes_of_a_geometric_calibration_end_in_one_line(photos, tmp_path, c
     assert "Allowed: 4 to 100 squares" in error(board="2x2")
     assert "Unknown length unit '2'" in error(square="2")
     assert "needs a positive number" in error(square="-2mm")
-    assert "Allowed: a file name that ends in .toml" in error(path=tmp_path / "mine")
-    assert "There is no folder" in error(path=tmp_path / "gone" / "mine.toml")
+    assert "Allowed: a name that ends in .toml" in error(path=tmp_path / "mine")
+    assert "does not exist. Create it first" in error(path=tmp_path / "gone" / "mine.toml")
     assert "No capsule named 'mine'. Known: colonoscope, dual" in error(capsule="mine")
     assert "No camera of mirocam named 'back'. Known: front" in error(camera="back")
-    assert "holds no photograph" in error(empty)
+    assert "contains no photograph" in error(empty)
     assert "is seen in 1 of 1 photographs. Allowed: 3 or more" in error(photos / "0.png")
     assert "terms of pinhole is 9. Allowed: 0 to 3" in error(terms="9")
     assert not out.exists()
@@ -137,7 +139,7 @@ def test_frames_become_a_capsule_and_a_scenario(folders, tmp_path, capsys) -> No
     assert scenario.capsule == str(out)
     assert scenario.effects.jpeg.quality == 90
     assert (tmp_path / "mine.png").stat().st_size > 50_000
-    assert "exists. Give another --out, or --overwrite" in fail(args, capsys)
+    assert "exists. Choose another --out, or pass --overwrite" in fail(args, capsys)
 
 
 def test_mistakes_of_a_photometric_calibration_end_in_one_line(folders, tmp_path, capsys) -> None:
@@ -151,5 +153,5 @@ def test_mistakes_of_a_photometric_calibration_end_in_one_line(folders, tmp_path
         ["calibrate", "photometric", str(real), "--capsule", "x", *out], capsys
     )
     bad = ["calibrate", "photometric", str(real), "--out", str(tmp_path / "mine.txt")]
-    assert "Allowed: a file name that ends in .toml" in fail(bad, capsys)
+    assert "Allowed: a name that ends in .toml" in fail(bad, capsys)
     assert not (tmp_path / "mine.toml").exists()

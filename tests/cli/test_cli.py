@@ -56,7 +56,7 @@ def test_recorded_commands_steer(tmp_path: Path) -> None:
     assert isinstance(motion, Dynamics)
     assert motion.magnet is not None
     assert motion.magnet.command_file == FileRef(str(commands))
-    with pytest.raises(InputError, match="here you steer"):
+    with pytest.raises(InputError, match="which a drive does not support"):
         cli._parse(["cockpit", *asked.split()]).resolved()  # type: ignore[attr-defined]
 
 
@@ -201,12 +201,12 @@ def test_all_settings_are_listed_with_type_unit_and_default(capsys) -> None:
         ("record --out {tmp}/o --organ {mesh} --unit inch", "Unknown length unit 'inch'. Allowed"),
         ("record --out {tmp}/o --organ {mesh} --unit mm", "is empty"),
         ("record --out {tmp}/full", "holds something else"),
-        ("record {tmp}/none.json --out {tmp}/o", "Cannot read the scenario"),
+        ("record {tmp}/none.json --out {tmp}/o", "No file at"),
         ("record --out {tmp}/o --threads 0", "--threads is 0. Allowed: 1 or more"),
         ("organ inspect {tmp}/none.ply --unit mm", "No file at"),
         ("organ inspect {mesh}", "--unit is missing: "),
-        ("organ inspect {mesh} --unit mm --seed 3", "--seed and --distension go with a generated"),
-        ("organ inspect colon --unit mm", "go with a file, but 'colon' is a name"),
+        ("organ inspect {mesh} --unit mm --seed 3", "--seed and --distension require a generated"),
+        ("organ inspect colon --unit mm", "require a file, but 'colon' is a name"),
         ("organ inspect colom", "No organ named 'colom'. Known: "),
         ("organ inspect colon --seed -1", "Seed -1 is negative. Allowed: 0, 1, 2"),
         ("organ inspect colon --picture {tmp}/a.txt", "Allowed: .png, .jpg, .pdf, .svg"),
@@ -250,7 +250,7 @@ def test_interruption_ends_in_one_line_and_status_130(
     monkeypatch.setattr(Check, "run", interrupt)
     status, text = stop(["check", "."], capsys)
     assert status == cli.EXIT_INTERRUPTED
-    assert text == "vrcaps: Interrupted. Files written so far are whole.\n"
+    assert text == "vrcaps: Interrupted. Files written so far are complete.\n"
 
 
 def test_a_failing_system_call_ends_in_one_line(

@@ -99,13 +99,13 @@ def test_mistakes_end_in_one_line(files, tmp_path, capsys) -> None:
     out = ["--out", str(tmp_path / "x.glb")]
     assert "ends in .glb" in fail([dicom, "--out", "x.ply"], capsys)
     nowhere = str(tmp_path / "none" / "x.glb")
-    assert "there is no folder" in fail([dicom, "--out", nowhere], capsys)
+    assert "does not exist. Create it first" in fail([dicom, "--out", nowhere], capsys)
     assert "No DICOM slice" in fail([str(tmp_path), *out], capsys)
     assert "No scan at" in fail([str(tmp_path / "none"), *out], capsys)
-    assert "--labels needs --label" in fail([dicom, "--labels", labels, *out], capsys)
-    assert "are for gas" in fail([labels, "--label", "7", "--all-pieces", *out], capsys)
+    assert "--labels is given without --label" in fail([dicom, "--labels", labels, *out], capsys)
+    assert "apply to gas" in fail([labels, "--label", "7", "--all-pieces", *out], capsys)
     assert "has label 3" in fail([labels, "--label", "3", *out], capsys).replace("(3)", "")
-    assert "it is no label map" in fail([dicom, "--label", "7", *out], capsys)
+    assert "it is not a label map" in fail([dicom, "--label", "7", *out], capsys)
     elsewhere = [dicom, "--labels", str(files / "elsewhere.nii.gz"), "--label", "7", *out]
     assert "on another grid" in fail(elsewhere, capsys)
     assert "outside the lumen" in fail([dicom, "--seed-mm", "0", "20", "0", *out], capsys)

@@ -40,6 +40,12 @@ def said(args: list[str], capsys: pytest.CaptureFixture[str]) -> str:
         ("check a --verbos", "No option of vrcaps check named '--verbos'."),
         ("dataset check a --checksum-only", "Did you mean '--checksums-only'?"),
         ("export coco a --out b --spilt=val", "Did you mean '--split'?"),
+        ("coverage", "Missing: PATH (Folder of the episode, recorded with --coverage). Known "),
+        ("calibrate geometric photos --board 7x8", "Missing: --square, --out. Known options: "),
+        ("coverage a --max-depth deep", "--max-depth is 'deep'. Allowed: a number."),
+        ("organ texture a --box 1 2 --out b", "--box is '1 2'. Allowed: INT INT INT INT."),
+        ("record --light pth", "--light is 'pth'. Allowed: direct, path, radiosity. Did you mean "),
+        ("record --frames", "--frames has no value. Known options: vrcaps record --help."),
     ],
 )
 def test_a_misspelled_word_is_said_with_what_was_meant(args, message, capsys) -> None:
@@ -61,6 +67,8 @@ def test_a_policy_is_no_misspelled_task() -> None:
 
 
 WRONG_PATHS = (
+    "record {0} --out {1}",
+    "cockpit {0} --out {1}",
     "check {0}",
     "coverage {0}",
     "view {0}",

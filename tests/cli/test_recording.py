@@ -55,7 +55,7 @@ def test_flags_are_in_the_episode(episode: Path) -> None:
 @pytest.mark.slow
 def test_check_passes_and_finds_a_fault(episode: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cli.main(["check", str(episode)])
-    assert "is whole and consistent" in capsys.readouterr().out
+    assert "is complete and consistent" in capsys.readouterr().out
     image = episode / "front" / "depth" / "000001.png"
     whole = image.read_bytes()
     image.unlink()
@@ -117,7 +117,7 @@ def test_interrupted_recording_ends_in_one_line_and_goes_on(phantom: Path, tmp_p
     process.send_signal(signal.SIGINT)
     _, text = process.communicate(timeout=WATCHDOG)
     assert process.returncode == cli.EXIT_INTERRUPTED
-    assert text.splitlines()[-1] == "vrcaps: Interrupted. Files written so far are whole."
+    assert text.splitlines()[-1] == "vrcaps: Interrupted. Files written so far are complete."
     assert "Traceback" not in text
     unfinished = read_episode(out, unfinished=True)
     assert unfinished.head["status"] == "recording"

@@ -62,8 +62,8 @@ def test_mistakes_end_in_one_line(frames, tmp_path, capsys) -> None:
     Image.fromarray(np.full((30, 30, 3), 128, np.uint8)).save(tmp_path / "small.png")
     out = tmp_path / "mucosa"
     rest = ["--mm-per-pixel", "0.1", "--out", str(out)]
-    assert "holds no photograph" in fail([str(empty), *rest], capsys)
-    assert "holds no photograph" in fail([str(other), *rest], capsys)
+    assert "contains no photograph" in fail([str(empty), *rest], capsys)
+    assert "contains no photograph" in fail([str(other), *rest], capsys)
     assert "Cannot read" in fail([str(tmp_path / "broken.png"), *rest], capsys)
     assert "Nothing at" in fail([str(tmp_path / "gone.png"), *rest], capsys)
     small = [str(tmp_path / "small.png"), *rest]

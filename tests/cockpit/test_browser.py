@@ -34,7 +34,7 @@ WRONG_LAYOUT = WRONG_TYPE.replace('"abcdef"', "[0, 0, 0, 0, 0, 0]").replace("}",
 
 @pytest.mark.parametrize("text", [*NONSENSE, WRONG_TYPE, WRONG_LAYOUT])
 def test_nonsense_is_told(text):
-    with pytest.raises(InputError, match="A browser sent no driver's input"):
+    with pytest.raises(InputError, match="A browser sent invalid input"):
         parse_input(text)
 
 

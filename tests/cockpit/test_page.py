@@ -85,7 +85,7 @@ def test_dragging_the_gizmo_moves_the_magnet_and_the_image_follows(tab, cockpit)
 def test_time_stands_while_paused_and_goes_on_by_single_frames(tab, cockpit):
     session = cockpit.session
     tab.get_by_role("button", name="Pause").click()
-    tab.get_by_role("button", name="Go on").wait_for()
+    tab.get_by_role("button", name="Resume").wait_for()
     stood, frame = session.view.state.time, len(session.poses)
     tab.wait_for_timeout(300)
     assert session.view.state.time == stood
@@ -93,7 +93,7 @@ def test_time_stands_while_paused_and_goes_on_by_single_frames(tab, cockpit):
     wait_until(tab, lambda: len(session.poses) == frame + 1)
     tab.wait_for_timeout(200)
     assert len(session.poses) == frame + 1
-    tab.get_by_role("button", name="Go on").click()
+    tab.get_by_role("button", name="Resume").click()
     wait_until(tab, lambda: len(session.poses) > frame + 2)
 
 
@@ -107,7 +107,7 @@ def test_reset_goes_back_to_the_first_frame(tab, cockpit):
     tab.get_by_role("button", name="Next frame").click()
     wait_until(tab, lambda: len(session.poses) >= 1)
     np.testing.assert_array_equal(session.poses[0], first)
-    tab.get_by_role("button", name="Go on").click()
+    tab.get_by_role("button", name="Resume").click()
 
 
 def test_the_scene_shows_the_touched_wall_the_field_and_where_the_patient_lies(tab, cockpit):
@@ -200,7 +200,7 @@ def test_a_pads_controls_are_assigned_by_pushing_them(tab, cockpit):
     wait_until(tab, lambda: page.pad is not None and page.pad.pad == "Odd Pad")
     assert page.pad.layout == {}
     assert last() == (0, 0, 0, 0, 0, 0)
-    tab.get_by_text("drives nothing yet").first.wait_for()
+    tab.get_by_text("Its layout is unknown").first.wait_for()
     tab.evaluate("window.pad.axes = [0, 0, 0, 0, 0, -1]")
     draw_frames(tab)
     assign("y+", [0, 0, 0, 0.9, 0, -1])
@@ -221,10 +221,10 @@ def test_a_pads_controls_are_assigned_by_pushing_them(tab, cockpit):
 def test_a_policy_takes_over_by_a_key_and_a_stick_takes_back(tab, cockpit):
     operator = cockpit.session.operator
     tab.get_by_text("Policy", exact=True).click()
-    button = tab.get_by_role("button", name="Let the policy drive")
+    button = tab.get_by_role("button", name="Start the policy")
     tab.get_by_role("button", name="Stop the magnet").focus()
     tab.keyboard.press("t")
-    tab.get_by_role("button", name="Take the magnet back").wait_for()
+    tab.get_by_role("button", name="Stop the policy").wait_for()
     assert operator.policy == "navigator"
     number = len(operator.commands()[1])
     wait_until(tab, lambda: len(operator.commands()[1]) > number)
@@ -233,7 +233,7 @@ def test_a_policy_takes_over_by_a_key_and_a_stick_takes_back(tab, cockpit):
     button.wait_for()
     assert operator.policy == ""
     tab.evaluate("window.pad.axes = [0, 0, 0, 0]")
-    tab.get_by_text("navigator has handed back").first.wait_for()
+    tab.get_by_text("Policy navigator has released control").first.wait_for()
 
 
 def test_a_second_browser_looks_on_and_takes_over_when_the_driver_is_gone(browser, tab, cockpit):
@@ -245,10 +245,10 @@ def test_a_second_browser_looks_on_and_takes_over_when_the_driver_is_gone(browse
     other.get_by_role("button", name="Pause").wait_for()
     wait_until(tab, lambda: len(page.server.get_clients()) == 2)
     other.get_by_role("button", name="Pause").click()
-    other.get_by_text("Another browser drives").first.wait_for()
+    other.get_by_text("Another browser has control").first.wait_for()
     assert not cockpit.session.clock.is_paused
     assert page.driver == driver
-    other.get_by_role("button", name="Take the controls").click()
+    other.get_by_role("button", name="Take control").click()
     wait_until(tab, lambda: page.driver != driver)
     other.bring_to_front()
     other.keyboard.down("d")
@@ -308,10 +308,10 @@ def test_another_drive_begins_in_the_same_page(tab, cockpit):
     before, page = cockpit.session, cockpit.page
     driver = page.driver
     tab.get_by_text("New drive", exact=True).click()
-    begin = tab.get_by_role("button", name="Begin a new drive")
+    begin = tab.get_by_role("button", name="Start a new drive")
     with page.is_busy:
         begin.click()
-        tab.get_by_text("A recording is under way").first.wait_for()
+        tab.get_by_text("A recording or the start of another drive").first.wait_for()
     field(tab, "Lesions").fill("wart")
     begin.click()
     tab.get_by_text("No lesion named 'wart'").first.wait_for()

@@ -10,7 +10,7 @@ from importlib import import_module
 from itertools import takewhile
 from typing import Any, Protocol
 
-from vrcaps.cli.arguments import check_verb, option_error
+from vrcaps.cli.arguments import check_verb, option_error, require_file
 from vrcaps.cli.console import EXIT_BROKEN_PIPE, configure_streams, discard_output, flush_output
 from vrcaps.core.errors import VrcapsError, reason_of
 from vrcaps.formats.format import FORMATS
@@ -33,27 +33,27 @@ _TASKS = {
 """Tasks of networks; `tests/cli` compares them with the registry, whose import takes longer."""
 
 _VERBS = {
-    "demo": ("vrcaps.cli.record", "Demo", "Record a labeled run through a generated colon."),
-    "record": ("vrcaps.cli.record", "Record", "Record your own organ, capsule and motion."),
-    "cockpit": ("vrcaps.cli.cockpit", "Cockpit", "Drive a capsule from a browser."),
-    "view": ("vrcaps.cli.episodes", "View", "Look through episodes in a browser."),
+    "demo": ("vrcaps.cli.record", "Demo", "Record a labeled episode in a generated colon."),
+    "record": ("vrcaps.cli.record", "Record", "Record an episode of an organ and a capsule."),
+    "cockpit": ("vrcaps.cli.cockpit", "Cockpit", "Steer a capsule by magnet from a browser."),
+    "view": ("vrcaps.cli.episodes", "View", "View episodes in a browser."),
     "check": ("vrcaps.cli.episodes", "Check", "Verify an episode."),
-    "coverage": ("vrcaps.cli.episodes", "Coverage", "Measure how much of the organ was seen."),
-    "reconstruct": ("vrcaps.cli.reconstruct", "Reconstruct", "Fuse depth and poses into a wall."),
-    "dataset make": ("vrcaps.cli.dataset", "Make", "Make a data set from a plan."),
+    "coverage": ("vrcaps.cli.episodes", "Coverage", "Measure the coverage of the organ."),
+    "reconstruct": ("vrcaps.cli.reconstruct", "Reconstruct", "Reconstruct the wall from images."),
+    "dataset make": ("vrcaps.cli.dataset", "Make", "Generate a data set from a plan."),
     "dataset check": ("vrcaps.cli.dataset", "Check", "Verify a data set."),
     "dataset card": ("vrcaps.cli.dataset_show", "Card", "Write the data card of a data set."),
-    "dataset show": ("vrcaps.cli.dataset_show", "Show", "Show what a data set holds."),
+    "dataset show": ("vrcaps.cli.dataset_show", "Show", "Show the contents of a data set."),
     "evaluate": ("vrcaps.cli.evaluate", "Evaluate", "Judge policies that move the capsule."),
     "organ list": ("vrcaps.cli.organ", "List", "List organs, lesions, mucosae, capsules."),
     "organ inspect": ("vrcaps.cli.organ", "Inspect", "Measure and draw an organ."),
-    "organ from-ct": ("vrcaps.cli.from_ct", "FromCt", "Make organs from a CT scan or labels."),
+    "organ from-ct": ("vrcaps.cli.from_ct", "FromCt", "Create organs from a CT scan or labels."),
     "organ make": ("vrcaps.cli.organ", "Make", "Generate an organ and write it as GLB."),
-    "organ texture": ("vrcaps.cli.texture", "Texture", "Make a mucosa from photographs."),
+    "organ texture": ("vrcaps.cli.texture", "Texture", "Create a mucosa from photographs."),
     "calibrate geometric": (
         "vrcaps.cli.calibrate",
         "CalibrateGeometric",
-        "Fit a lens to photographs of a chessboard.",
+        "Fit a lens model to photographs of a chessboard.",
     ),
     "calibrate photometric": (
         "vrcaps.cli.calibrate",
@@ -80,7 +80,7 @@ _VERBS = {
     "weights list": ("vrcaps.cli.weights", "List", "List published weights."),
     "weights publish": ("vrcaps.cli.weights", "Publish", "Publish a training's best weights."),
     "weights export": ("vrcaps.cli.weights", "Export", "Write trained weights as ONNX."),
-    "doctor": ("vrcaps.cli.doctor", "Doctor", "Say what is installed and what can be used."),
+    "doctor": ("vrcaps.cli.doctor", "Doctor", "Report the installation and missing extras."),
 }
 """Module, dataclass and summary of each verb."""
 
@@ -88,11 +88,11 @@ _GROUPS = {
     "train": "Learn: policies that steer a capsule, and estimates from images.",
     "predict": "Estimate from images with trained weights.",
     "weights": "Trained weights: list, publish with a model card, write as ONNX.",
-    "dataset": "Make and verify data sets of many recordings, split by patient.",
-    "export": "Write episodes and data sets in the layouts that other tools read.",
+    "dataset": "Generate and verify data sets of many recordings, split by patient.",
+    "export": "Export episodes and data sets to the layouts of other tools.",
     "evaluate": "Score estimates from images by task; without a task, judge policies.",
-    "organ": "Generate organs, make them from CT, dress them from photographs; measure, draw.",
-    "calibrate": "Make a capsule file of a real capsule from its photographs and frames.",
+    "organ": "Generate organs, create them from CT, texture them from photographs, measure them.",
+    "calibrate": "Calibrate the camera of a real capsule from photographs and frames.",
     "bench": "Measure speed on this machine.",
 }
 
@@ -133,7 +133,7 @@ def _run(args: Sequence[str]) -> None:
         reason = error.strerror or reason_of(error)
         _stop(f"{error.filename}: {reason}." if error.filename else f"{reason}.", EXIT_BAD_INPUT)
     except KeyboardInterrupt:
-        _stop("Interrupted. Files written so far are whole.", EXIT_INTERRUPTED)
+        _stop("Interrupted. Files written so far are complete.", EXIT_INTERRUPTED)
 
 
 def _parse(args: Sequence[str]) -> _Command:
@@ -143,29 +143,31 @@ def _parse(args: Sequence[str]) -> _Command:
 
     Raises:
         UnknownNameError: If there is no such verb.
-        InputError: If an option is unknown or a value is invalid.
-        SystemExit: If help was printed, or an argument is missing.
+        InputError: If an option is unknown or missing, or a value is invalid.
+        SystemExit: If help was printed.
     """
     named = list(takewhile(lambda arg: not arg.startswith("-"), args))
     verbs = _all_verbs(named)
     check_verb(named, verbs, _NOUNS)
+    if len(named) > 1 and named[0] in ("record", "cockpit"):  # before the scenario is imported
+        require_file(named[1], "a scenario file (TOML, JSON) or the episode.json of an episode")
     if not args or (args == named and " ".join(named) in _GROUPS and named[0] not in verbs):
         sys.stderr.write(_help(named))
         raise SystemExit(EXIT_BAD_INPUT)
-    said = io.StringIO()
+    message = io.StringIO()
     try:
-        with redirect_stderr(said):
+        with redirect_stderr(message):
             return _app(args)
     except SystemExit as stop:
-        # tyro would put a dataclass's help on its values into a box with its own title.
+        # Without this, tyro draws a box around errors that a dataclass raises.
         error = stop.__context__
         while error is not None and not isinstance(error, VrcapsError):
             error = error.__context__
         verb = named[: 1 + (" ".join(named[:2]) in verbs)]
-        error = error or option_error(said.getvalue(), lambda: _help(verb), " ".join(verb))
+        error = error or option_error(message.getvalue(), lambda: _help(verb), " ".join(verb))
         if error is not None:
             raise error from None
-        sys.stderr.write(said.getvalue())
+        sys.stderr.write(message.getvalue())
         raise
 
 

@@ -7,14 +7,22 @@ from collections.abc import Callable, Iterable, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 
-from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError, nearest
 from vrcaps.formats.format import FORMATS
 
-_BOX = re.compile(r"[╭╮╰╯│─]+")
+_BOX = re.compile(r"[╭╮╰╯│─]+|-{4,}|(?<!\S)[|+](?!\S)")
+"""Frame around the parser's messages, in Unicode or in ASCII."""
 _OPTION = re.compile(r"^ *(?:-\w, )?(--[a-z][\w.-]*)", re.MULTILINE)
 _ALIKE = 0.8
 """Minimum similarity at which the name of a policy is taken for a misspelled task."""
 _HELP = "Known options: vrcaps {verb} --help."
+_MISSING = re.compile(r"Missing from vrcaps[^:]*: (.*?) For full helptext")
+_EMPTY = re.compile(r"Missing value for argument '(.*?)'")
+_CHOICE = re.compile(r"invalid choice '(.*?)' for argument '(.*?)'\. Expected one of (.*?)\. For ")
+_VALUE = re.compile(r"Error parsing (\S+): (.*?) Argument helptext: \S+ (\{.*?\}|\S+)")
+"""Messages of the parser: missing arguments, no value, a wrong choice, a value of a wrong type."""
+_QUOTED = re.compile(r"'(.*?)'")
+_TYPES = {"FLOAT": "a number", "INT": "an integer"}
 
 
 def check_verb(words: Sequence[str], verbs: Iterable[str], nouns: dict[str, str]) -> None:
@@ -43,23 +51,45 @@ def check_verb(words: Sequence[str], verbs: Iterable[str], nouns: dict[str, str]
         raise UnknownNameError(nouns.get(words[0], f"{words[0]} command"), words[1], inner)
 
 
-def option_error(said: str, help_text: Callable[[], str], verb: str) -> InputError | None:
-    """Convert a parser's message on wrong options to one line; None for any other message.
+def option_error(message: str, help_text: Callable[[], str], verb: str) -> InputError | None:
+    """Convert the parser's message on wrong options to one line; None for any other message.
 
     Args:
-        said: Message of the parser.
+        message: Message of the parser.
         help_text: Returns the help of the verb, which lists all options.
         verb: Words of the verb.
     """
-    text = " ".join(_BOX.sub(" ", said).split())
-    found = re.search(r"Unrecognized options: (\S+)", text)
-    if found is None:
+    text, more = " ".join(_BOX.sub(" ", message).split()), _HELP.format(verb=verb)
+    if unknown := re.search(r"Unrecognized options: (\S+)", text):
+        given = unknown[1].rstrip(",").partition("=")[0]
+        line = f"{given!r} is one argument too many. {more}"
+        if given.startswith("-"):
+            known = {*_OPTION.findall(_BOX.sub(" ", help_text()))} - {"--help"}
+            line = str(UnknownNameError(f"option of vrcaps {verb}", given, known))
+    elif missing := _MISSING.search(text):
+        line = f"Missing: {_missing(missing[1])}. {more}"
+    elif empty := _EMPTY.search(text):
+        line = f"{empty[1]} has no value. {more}"
+    elif choice := _CHOICE.search(text):
+        names = sorted({*_QUOTED.findall(choice[3])} - {"None"})
+        allowed = f"{', '.join(names)}.{nearest(choice[1], names)}"
+        line = f"{choice[2]} is {choice[1]!r}. Allowed: {allowed}"
+    elif value := _VALUE.search(text):
+        given = " ".join(_QUOTED.findall(value[2].partition(". Got errors")[0]))
+        allowed = _TYPES.get(value[3], value[3].strip("{}"))
+        line = f"{value[1]} is {given!r}. Allowed: {allowed}."
+    else:
         return None
-    given = found[1].rstrip(",").partition("=")[0]
-    if not given.startswith("-"):
-        return InputError(f"{given!r} is one argument too many. {_HELP.format(verb=verb)}")
-    known = {*_OPTION.findall(_BOX.sub(" ", help_text()))} - {"--help"}
-    return InputError(str(UnknownNameError(f"option of vrcaps {verb}", given, known)))
+    return InputError(line)
+
+
+def _missing(arguments: str) -> str:
+    """Missing arguments: options by name, others by metavariable and meaning."""
+    names = []
+    for argument in filter(None, map(str.strip, arguments.split("(required)"))):
+        name, _, meaning = argument.partition(" ")
+        names.append(name if name.startswith("--") else f"{name} ({meaning.strip(' .')})")
+    return ", ".join(names)
 
 
 def require_folder(folder: str | Path, what: str) -> None:
@@ -115,3 +145,17 @@ def require_existing(paths: Iterable[Path], what: str) -> None:
     for path in paths:
         if not path.exists():
             raise InputError(f"Nothing at {path}. Give {what}.")
+
+
+def require_out(path: Path, suffix: str) -> None:
+    """Check the name and the folder of a file to write.
+
+    Raises:
+        InputError: If the name does not end in the suffix, or the folder does not exist.
+    """
+    if path.suffix != suffix:
+        raise InputError(f"--out is {path}. Allowed: a name that ends in {suffix}.")
+    if not path.absolute().parent.is_dir():
+        raise InputError(
+            f"--out is {path}, but the folder {path.parent} does not exist. Create it first."
+        )

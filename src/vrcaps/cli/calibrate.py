@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
-from vrcaps.cli.arguments import require_existing
+from vrcaps.cli.arguments import require_existing, require_out
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import DEG, MM, parse_length
@@ -87,7 +87,7 @@ class CalibrateGeometric:
         pattern = read_device(self.capsule)
         find_camera(pattern, self.camera)
         photos = read_photos(self.photos, num_frames=self.video_frames)
-        with progress_bar("looking for the board") as advance:
+        with progress_bar("detecting the board") as advance:
             views, missed = find_views(photos, board, advance)
         circle = image_circle([photo.rgb for photo in photos])
         height, width = photos[0].rgb.shape[:2]
@@ -109,9 +109,9 @@ class CalibrateGeometric:
         missed: Sequence[str],
         circle: ImageCircle | None,
     ) -> None:
-        console.print(f"Board found in {len(fit.views)} of {len(photos)} photographs.")
+        console.print(f"Detected the board in {len(fit.views)} of {len(photos)} photographs.")
         if missed:
-            console.print(f"Not found in: {', '.join(missed)}.")
+            console.print(f"Not detected in: {', '.join(missed)}.")
         if len(missed) >= len(fit.views):
             console.print(
                 "Warning: half of the photographs or more are left out. If they show the board "
@@ -119,13 +119,13 @@ class CalibrateGeometric:
             )
         mirrored = [view.name for view in fit.views if view.method == "mirrored"]
         if mirrored:
-            console.print(f"Found only in the mirror image of: {', '.join(mirrored)}.")
+            console.print(f"Detected only in the mirror image of: {', '.join(mirrored)}.")
         console.print(_view_table(fit))
         console.print(_lens_table(fit))
         for line in _facts(fit, circle):
             console.print(line)
         picture = self.out.with_suffix(".png")
-        console.print(f"Wrote {self.out}. Residuals are drawn in {picture}: look at it.")
+        console.print(f"Wrote {self.out}. The residuals are plotted in {picture}: check them.")
         console.print(f"Use it with: vrcaps record --organ colon --capsule {self.out} --out RUN")
 
 
@@ -135,12 +135,9 @@ def check_out(path: Path, *, overwrite: bool) -> None:
     Raises:
         InputError: If its name does not end in .toml, or it exists and may not be replaced.
     """
-    if path.suffix != ".toml":
-        raise InputError(f"--out is {path}. Allowed: a file name that ends in .toml.")
+    require_out(path, ".toml")
     if path.exists() and not overwrite:
-        raise InputError(f"{path} exists. Give another --out, or --overwrite.")
-    if not path.absolute().parent.is_dir():
-        raise InputError(f"There is no folder {path.parent} for --out. Make it first.")
+        raise InputError(f"{path} exists. Choose another --out, or pass --overwrite.")
 
 
 def _view_table(fit: Calibration):
@@ -177,7 +174,7 @@ def _facts(fit: Calibration, circle: ImageCircle | None) -> list[str]:
     edge = None if circle is None else circle.radius_about(fit.lens.cx, fit.lens.cy)
     reach = f"Corners reach {fit.angles.max() / DEG:.0f}° from the axis"
     if edge is None:
-        lines.append(f"{reach}. No dark rim: the image circle is not seen.")
+        lines.append(f"{reach}. No dark rim: the image circle cannot be detected.")
     else:
         on_edge = fit.lens.unproject(np.array([fit.lens.cx + edge, fit.lens.cy]))
         angle = np.arctan2(np.hypot(*on_edge[:2]), on_edge[2]) / DEG
@@ -190,7 +187,8 @@ def _facts(fit: Calibration, circle: ImageCircle | None) -> list[str]:
     focal = fit.deviations[0] / getattr(fit.lens, fit.names[0])
     if focal > 0.03:
         lines.append(
-            f"The focal length is known to {focal:.1%} only. Tilt the board more, and come nearer."
+            f"The focal length is accurate to {focal:.1%} only. Tilt the board more, and "
+            "reduce its distance."
         )
     return lines
 
@@ -259,12 +257,12 @@ class CalibratePhotometric:
             check_out(path, overwrite=self.overwrite)
         pattern = read_device(self.capsule)
         camera = find_camera(pattern, self.camera)
-        with progress_bar("looking at the frames") as advance:
+        with progress_bar("reading the frames") as advance:
             photos = read_photos(self.frames, num_frames=self.video_frames)
             frames = make_frames(photos, advance)
         reference = None
         if self.reference:
-            with progress_bar("looking at the reference") as advance:
+            with progress_bar("reading the reference frames") as advance:
                 reference = make_frames(read_photos(self.reference), advance)
         quality = jpeg_quality(self.frames)
         calibration = calibrate_photometric(
@@ -292,15 +290,15 @@ class CalibratePhotometric:
                 "brightness are not matched."
             )
         picture = self.out.with_suffix(".png")
-        console.print(f"Wrote {self.out} and {effects}. What was found is drawn in {picture}.")
+        console.print(f"Wrote {self.out} and {effects}. The results are plotted in {picture}.")
         console.print(f"Use them with: vrcaps record {effects} --out RUN")
 
 
 def _photometric_table(calibration: PhotometricCalibration, *, has_reference: bool):
     from rich.table import Table
 
-    table = Table("figure", "found", show_lines=False)
-    circle = "no dark rim that is a circle"
+    table = Table("parameter", "estimate", show_lines=False)
+    circle = "not detected: no circular dark rim"
     if calibration.circle is not None:
         found = calibration.circle
         circle = f"radius {found.radius:.1f} px, center {found.cx:.1f}, {found.cy:.1f}"
@@ -308,11 +306,9 @@ def _photometric_table(calibration: PhotometricCalibration, *, has_reference: bo
     fall = calibration.vignetting
     profile = f"1 {fall.k1:+.3f} ρ² {fall.k2:+.3f} ρ⁴, ρ in halves of the shorter side"
     rim = f"{fall.rim:.2f} ± {fall.deviation:.2f} of the light at the rim"
-    table.add_row(
-        "vignetting", f"{profile}; {rim}" if fall.is_clear else f"none that is clear; {rim}"
-    )
+    table.add_row("vignetting", f"{profile}; {rim}" if fall.is_clear else f"not significant; {rim}")
     color = calibration.color
-    words = "nothing is bright and well exposed"
+    words = "not estimated: no bright, well-exposed pixels"
     if color is not None:
         words = f"R/G {color.red:.3f}, B/G {color.blue:.3f}, linear, of bright mucosa"
     table.add_row("color", words)

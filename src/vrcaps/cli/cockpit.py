@@ -83,7 +83,7 @@ class Cockpit:
 
         require_viser()
         out = self.out or Path("runs") / time.strftime("drive-%Y%m%d-%H%M%S")
-        console.print("Making organ and world …")
+        console.print("Generating organ and world …")
         with open_cockpit(
             self.resolved(),
             out,
@@ -92,12 +92,12 @@ class Cockpit:
             policies=self.policy,
             say=console.print,
         ) as cockpit:
-            console.print(f"Open {cockpit.gate.address} in a browser; Ctrl-C here ends the drive.")
-            console.print(f"The drive is kept in {out}.")
+            console.print(f"Open {cockpit.gate.address} in a browser; Ctrl-C ends the drive.")
+            console.print(f"The drive is saved in {out}.")
             try:
                 threading.Event().wait()
             except KeyboardInterrupt:
-                console.print("Ending.")
+                console.print("Stopping …")
         console.print(f"Record it with: vrcaps record {out / 'drive.json'} --out EPISODE")
 
     def resolved(self) -> Scenario:
@@ -109,8 +109,8 @@ class Cockpit:
         flags = {**vars(self.organ), **vars(self.motion)}
         if flags["steer"] is not None:
             raise InputError(
-                "--steer plays recorded commands back, but here you steer. Leave it out, or give "
-                "it to vrcaps record."
+                "--steer replays recorded commands, which a drive does not support. Omit it, or "
+                "pass it to vrcaps record."
             )
         organ, motion, steps = self.organ, self.motion, ()
         stated = self._stated_motion()

@@ -47,7 +47,7 @@ class Check:
             noun = "fault" if len(problems) == 1 else "faults"
             console.print(f"{len(problems)} {noun} in {self.episode}.")
             raise SystemExit(EXIT_FAULTS)
-        console.print(f"{self.episode} is whole and consistent.")
+        console.print(f"{self.episode} is complete and consistent.")
 
 
 COVERAGE_FOLDER = "coverage"
@@ -112,7 +112,7 @@ class Coverage:
             write_coverage_mesh(out / MESH, found)
             write_coverage_figure(out / FIGURE, found, title=f"{found.organ.name}: coverage")
         _report(found)
-        console.print(f"Written: {out / TABLE}, {out / MESH}, {out / FIGURE}")
+        console.print(f"Wrote {out / TABLE}, {out / MESH} and {out / FIGURE}.")
 
 
 def _report(found: EpisodeCoverage) -> None:
@@ -175,8 +175,8 @@ class View:
             port=self.port,
             say=console.print,
         ) as (_, gate):
-            console.print(f"Open {gate.address} in a browser; Ctrl-C here ends it.")
+            console.print(f"Open {gate.address} in a browser; Ctrl-C stops the server.")
             try:
                 threading.Event().wait()
             except KeyboardInterrupt:
-                console.print("Ending.")
+                console.print("Stopping …")

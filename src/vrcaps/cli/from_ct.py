@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from tyro.conf import Positional
 
-from vrcaps.cli.arguments import require_existing
+from vrcaps.cli.arguments import require_existing, require_out
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.cli.organ import report_organ
 from vrcaps.core.errors import InputError
@@ -92,14 +92,16 @@ class FromCt:
 
     def run(self) -> None:
         """Read, make, write and report."""
-        if self.out.suffix != ".glb":
-            raise InputError(f"--out is {self.out}. Allowed: a name that ends in .glb.")
-        if not self.out.parent.is_dir():
-            raise InputError(f"--out is {self.out}, but there is no folder {self.out.parent}.")
+        require_out(self.out, ".glb")
         if self.labels is not None and not self.label:
-            raise InputError("--labels needs --label: which of them, e.g. --label colon.")
+            raise InputError(
+                "--labels is given without --label. Give the labels to use, e.g. --label colon."
+            )
         if self.label and (self.seed_mm or self.all_pieces or self.tagged_fluid):
-            raise InputError("--seed-mm, --all-pieces and --tagged-fluid are for gas, not labels.")
+            raise InputError(
+                "--seed-mm, --all-pieces and --tagged-fluid apply to gas, not to labels. Omit "
+                "them, or --label."
+            )
         self._check_settings()
         require_existing((self.scan, *filter(None, [self.labels])), "a scan, or a folder of DICOM")
         is_label_map = bool(self.label) and self.labels is None
@@ -139,7 +141,7 @@ class FromCt:
         from vrcaps.tools.ct.lumen import choose_gas
 
         wall = self._wall()
-        with _steps("finding gas"):
+        with _steps("segmenting gas"):
             gas = find_lumens(scan, threshold=self.threshold)
         seed = None if self.seed_mm is None else np.array(self.seed_mm) * MM
         pieces = choose_gas(gas, scan, seed=seed)

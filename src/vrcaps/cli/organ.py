@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, UseAppendAction
 
+from vrcaps.cli.arguments import require_out
 from vrcaps.cli.console import console
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import CM, LENGTH_UNITS, MM
@@ -90,7 +91,7 @@ class Inspect:
         picture = self.picture
         if picture is not None and picture.suffix.lower() not in _PICTURES:
             raise InputError(f"--picture is {picture}. Allowed: {', '.join(_PICTURES)}.")
-        with console.status("reading, repairing and measuring"):
+        with console.status("reading, repairing and measuring the organ"):
             organ = self._load()
         for line in lesion_lines(organ.metadata.get("lesions", []), organ.centerline.length):
             console.print(f"Lesion {line}.")
@@ -101,12 +102,12 @@ class Inspect:
 
         if isinstance(organ_named(self.organ), OrganFile):
             if self.seed is not None or self.distension is not None:
-                raise InputError("--seed and --distension go with a generated organ, not a file.")
+                raise InputError("--seed and --distension require a generated organ, not a file.")
             return self._load_file(Path(self.organ))
         if (self.unit, self.open_ends, self.reverse, self.mucosa) != (None, "cap", False, None):
             raise InputError(
-                f"--unit, --open-ends, --reverse and --mucosa go with a file, but {self.organ!r} "
-                "is a name. Drop them, or give the path of a PLY, OBJ, STL or GLB."
+                f"--unit, --open-ends, --reverse and --mucosa require a file, but {self.organ!r} "
+                "is a name. Omit them, or give the path of a PLY, OBJ, STL or GLB."
             )
         return generate_organ(self.organ, seed=self.seed or 0, distension=self.distension)
 
@@ -123,7 +124,7 @@ class Inspect:
         if self.mucosa is None:
             return organ
         if organ.appearance is not None:
-            raise InputError(f"{path} has textures of its own. Drop --mucosa.")
+            raise InputError(f"{path} already has textures. Omit --mucosa.")
         return replace(organ, appearance=bake_appearance(organ, seed=0, mucosa=self.mucosa))
 
 
@@ -173,10 +174,7 @@ class Make:
         from vrcaps.organ.organ_file import write_organ
 
         out = self.out or Path(f"{self.name}-{self.seed}.glb")
-        if out.suffix != ".glb":
-            raise InputError(f"--out is {out}. Allowed: a name that ends in .glb.")
-        if not out.parent.is_dir():
-            raise InputError(f"--out is {out}, but there is no folder {out.parent}. Make it first.")
+        require_out(out, ".glb")
         with console.status("generating"):
             organ, clean = self._patient()
         for line in lesion_lines(organ.metadata.get("lesions", []), organ.centerline.length):
@@ -222,7 +220,7 @@ def report_organ(organ: OrganSurface, picture: Path) -> None:
     console.print(table)
     with console.status("drawing"):
         write_overview(organ, picture, facts=facts)
-    console.print(f"Look at {picture}.")
+    console.print(f"Figure: {picture}.")
 
 
 def _rows(facts: OrganMeasures) -> list[tuple[str, str]]:
@@ -253,7 +251,7 @@ def _rows(facts: OrganMeasures) -> list[tuple[str, str]]:
 def _require_unit(unit: str | None, path: Path) -> str:
     if unit is None:
         raise InputError(
-            f"--unit is missing: {path} does not say its unit. "
+            f"--unit is missing: {path} has no unit. "
             f"Allowed: {', '.join(LENGTH_UNITS)}, or e.g. 5cm."
         )
     return unit

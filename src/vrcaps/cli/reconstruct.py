@@ -122,7 +122,7 @@ class Reconstruct:
         make = self._fused if self.method == "fusion" else self._stitched
         mesh, color = make(sequence, out)
         write_ply(out / "mesh.ply", mesh, color)
-        console.print(f"Made: {self.out / 'mesh.ply'}, {len(mesh.faces)} triangles.")
+        console.print(f"Wrote {self.out / 'mesh.ply'}, {len(mesh.faces)} triangles.")
         if sequence.episode is None:
             return
         errors = compare(mesh, sequence.episode.organ)
@@ -140,20 +140,22 @@ class Reconstruct:
             InputError: If they do not.
         """
         if self.method == "fusion" and self.shading:
-            raise InputError("--shading goes with --method stitching.")
+            raise InputError("--shading requires --method stitching.")
         if self.method == "stitching" and (self.odometry or self.poses is not None):
             flag = "--odometry" if self.odometry else "--poses"
-            raise InputError(f"{flag} goes with --method fusion; stitching needs none.")
+            raise InputError(f"{flag} requires --method fusion.")
         if self.odometry and self.poses is not None:
-            raise InputError("Poses come from one of --poses and --odometry.")
+            raise InputError("--poses and --odometry are both given. Give one of them.")
         if sum([self.weights != "", self.shading, self.depth is not None]) > 1:
-            raise InputError("Depth comes from one of --depth, --weights and --shading.")
+            raise InputError(
+                "Several of --depth, --weights and --shading are given. Give one of them."
+            )
         require(self.every >= 1, "every", self.every, "1 or more")
         require_sources((self.source,))
         if self.depth is not None:
-            require_folder(self.depth, "estimates, as `vrcaps predict depth` writes it")
+            require_folder(self.depth, "predictions of `vrcaps predict depth`")
         if self.poses is not None:
-            require_file(self.poses, "a trajectory in the form of TUM")
+            require_file(self.poses, "a trajectory in TUM format")
 
     def _fused(self, sequence: FrameSequence, out: Path) -> tuple[Mesh, np.ndarray]:
         from vrcaps.learn.checkpoint import read_weights
@@ -193,7 +195,7 @@ class Reconstruct:
         kept = sequence.subset(found.frames)
         estimate = with_poses(kept, found.Ts_first_camera)
         write_bytes(out / "poses.txt", trajectory_text(estimate).encode())
-        console.print(f"Poses of {len(kept)} of {len(sequence)} frames are known.")
+        console.print(f"Estimated the poses of {len(kept)} of {len(sequence)} frames.")
         if CAMERA_POSE not in sequence.values and self.align is None:
             return estimate
         align, truth = self.align or "se3", kept.Ts_world_camera
@@ -211,10 +213,10 @@ class Reconstruct:
         settings = StitchSettings(math.radians(self.field_of_view_deg), self.every)
         if self.depth is not None:
             sequence = read_depth(self.depth, sequence)
-        with progress_bar("finding features") as progress:
+        with progress_bar("matching features") as progress:
             found = stitch(sequence, settings, progress=progress)
         used = len(found.mosaic.images)
-        console.print(f"{used} of {len(found.frames)} frames are stitched.")
+        console.print(f"Stitched {used} of {len(found.frames)} frames.")
         found, surface = wall_surface(found, DepthSource(self.weights, self.shading))
         write_stitched(out, found)
         write_registration(out, surface)

@@ -94,7 +94,7 @@ class Texture:
             box=self.box,
         )
         photos = read_photos(self.photos, num_frames=self.video_frames)
-        with progress_bar("making the texture") as advance:
+        with progress_bar("generating the texture") as advance:
             result = make_texture(photos, scale, options, seed=self.seed, progress=advance)
         write_texture(self.out, result.texture)
         write_report(self.out / "report.png", result)
@@ -109,7 +109,7 @@ class Texture:
             left, top, side, _ = source["region_px"]
             console.print(
                 f"From {source['name']}: {side} × {side} px at {left}, {top}; "
-                f"{source['vessel_pieces']} pieces of vessels."
+                f"{source['vessel_pieces']} vessel pieces."
             )
         if result.others:
             console.print(
@@ -120,5 +120,5 @@ class Texture:
             f"autocorrelation {measures['repetition']:.2f}; mean Lab {measures['lab_mean_texture']}"
             f", of the photographs' regions {measures['lab_mean_source']}."
         )
-        console.print(f"Look at {self.out / 'report.png'}.")
+        console.print(f"Report: {self.out / 'report.png'}.")
         console.print(f"Record it: vrcaps record --organ colon --mucosa {self.out} --out RUN")

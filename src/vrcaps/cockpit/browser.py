@@ -36,8 +36,8 @@ KEYS = {
     "I / K": "tilt about x",
     "L / J": "tilt about y",
     "Shift": "a third of the speed",
-    "P, N, B": "pause; next frame; keep a snapshot",
-    "T": "let the policy drive, take back",
+    "P, N, B": "pause or resume; next frame; save a snapshot",
+    "T": "start or stop the policy",
 }
 """Keys for driving, and their functions."""
 
@@ -54,10 +54,10 @@ CONTROLS = {
     "tilt-y-": "tilt about −y",
     "turn-z+": "turn about +z",
     "turn-z-": "turn about −z",
-    "pause": "pause, go on",
+    "pause": "pause or resume",
     "step": "next frame",
-    "snapshot": "keep a snapshot",
-    "policy": "let the policy drive, take back",
+    "snapshot": "save a snapshot",
+    "policy": "start or stop the policy",
 }
 """Functions that can be assigned to a gamepad's sticks and buttons, by the script's names."""
 
@@ -70,10 +70,10 @@ PAD = {
     "right stick left, right": "turn about z",
     "triggers": "tilt about x",
     "bumpers": "tilt about y",
-    "A": "pause, go on",
+    "A": "pause or resume",
     "B": "next frame",
-    "X": "keep a snapshot",
-    "Y": "let the policy drive, take back",
+    "X": "save a snapshot",
+    "Y": "start or stop the policy",
 }
 """Controls of a gamepad of standard layout, and their functions."""
 
@@ -112,9 +112,9 @@ def parse_input(text: str) -> DriverInput:
         pad, is_standard = str(plain["pad"])[:80], bool(plain["standard"])
         layout, listening = _layout(plain.get("layout")), str(plain.get("listening", ""))[:20]
     except (ValueError, TypeError, LookupError, RecursionError) as error:
-        raise InputError("A browser sent no driver's input. Reload its page.") from error
+        raise InputError("A browser sent invalid input. Reload its page.") from error
     if len(said) != 6 or not all(map(math.isfinite, said)):
-        raise InputError("A browser sent no six axes. Allowed: six numbers from -1 to 1.")
+        raise InputError("A browser sent invalid axes. Allowed: six numbers from -1 to 1.")
     axes = tuple(min(1.0, max(-1.0, axis)) for axis in said)
     return DriverInput(axes, actions, pad, is_standard, layout, listening)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import shutil
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -67,12 +66,14 @@ class Cockpit:
         """
         if not self._is_busy.acquire(blocking=False):
             raise InputError(
-                "A recording is under way, or another drive is being made. Begin the new drive "
-                "when it is done."
+                "A recording or the start of another drive is in progress. Start the new drive "
+                "when it has finished."
             )
         try:
-            self.page.tell("Making organ and world …")
-            session = self._made(scenario)
+            self.page.tell("Generating organ and world …")
+            folders = (self._folder / f"drive-{index}" for index in itertools.count(2))
+            folder = next(folder for folder in folders if not folder.exists())
+            session = Session(scenario, folder, on_message=self._say)
             driver = self.page.driver
             self.close()
             self._server.gui.reset()
@@ -80,7 +81,7 @@ class Cockpit:
             dock(self._server)
             self._show(session)
             self._look_on(driver)
-            self.page.tell(f"A new drive has begun. It is kept in {session.drive.folder}.")
+            self.page.tell(f"A new drive has started. It is saved in {session.drive.folder}.")
         finally:
             self._is_busy.release()
 
@@ -96,16 +97,6 @@ class Cockpit:
         """Close page and session."""
         self.page.close()
         self.session.close()
-
-    def _made(self, scenario: Scenario) -> Session:
-        """Create a session in a new folder; the folder is removed on failure."""
-        folders = (self._folder / f"drive-{number}" for number in itertools.count(2))
-        folder = next(each for each in folders if not each.exists())
-        try:
-            return Session(scenario, folder, on_message=self._say)
-        except BaseException:
-            shutil.rmtree(folder, ignore_errors=True)
-            raise
 
     def _show(self, session: Session) -> None:
         self.session = session

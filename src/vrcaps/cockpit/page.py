@@ -154,7 +154,7 @@ class Page:
             except VrcapsError as error:
                 self.tell(str(error))
             except Exception as error:  # the simulation survives any error of a page
-                self.tell(f"The page failed: {type(error).__name__}: {error}.")
+                self.tell(f"Error in the page: {type(error).__name__}: {error}.")
 
         return run
 
@@ -174,7 +174,7 @@ class Page:
             InputError: If another does.
         """
         if client != self._driver:
-            raise InputError("Another browser drives. Press 'Take the controls' to take over.")
+            raise InputError("Another browser has control. Press 'Take control' to take over.")
 
     def require_here(self, what: str) -> None:
         """Check that only browsers of this machine can reach the page.
@@ -187,7 +187,7 @@ class Page:
         """
         if not is_loopback(self.server.get_host()):
             raise InputError(
-                f"{what} can be given only where no other machine reaches the page. Start the "
+                f"{what} is allowed only if no other machine can reach the page. Start the "
                 "cockpit without --host, and forward the port."
             )
 
@@ -198,14 +198,14 @@ class Page:
             InputError: If the scenario is invalid, or a recording is in progress.
         """
         if self._begin is None:
-            raise InputError("This page holds one drive. Open another one by open_cockpit.")
+            raise InputError("This page supports one drive only. Open the page by open_cockpit.")
         self._begin(scenario)
 
     def take_over(self, client: int) -> None:
         """Make a browser the driver; input held by the previous one is released."""
         self.session.operator.stop()
         self._driver = client
-        self.tell(f"Browser {client} has the controls.")
+        self.tell(f"Browser {client} has control.")
 
     def _join(self, client: int) -> None:
         if self._driver is None and not self._is_closed:
@@ -215,7 +215,7 @@ class Page:
         if client == self._driver and not self._is_closed:
             self._driver = None
             self.session.operator.stop()
-            self.tell("The driver's browser is gone: the magnet stops.")
+            self.tell("The driver's browser is closed: the magnet stops.")
             others = sorted(self.server.get_clients())
             if others:
                 self.take_over(others[0])
@@ -253,7 +253,7 @@ class Page:
             if wall_clock.monotonic() - self._axes_time > _DEAD_MAN:
                 self._axes_time = np.inf
                 self.session.operator.stop()
-                self.tell("The driver's browser is silent: the magnet stops.")
+                self.tell("The driver's browser does not respond: the magnet stops.")
             view = self.session.view
             if view is None or view.number == shown:
                 continue
@@ -266,4 +266,4 @@ def _unknown(given: DriverInput) -> str:
     """Hint for a gamepad without an assigned layout."""
     if given.is_standard or given.layout:
         return ""
-    return " Its layout is unknown, so it drives nothing yet: assign its sticks under 'Gamepad'."
+    return " Its layout is unknown: assign its sticks under 'Gamepad' to use it."

@@ -106,8 +106,8 @@ def require_free(host: str, port: int) -> None:
             probe.bind((host, port))
         except OSError as error:
             raise InputError(
-                f"Cannot serve the page at {host} port {port}: {error.strerror}. Give another "
-                "--port, or end what uses it."
+                f"Cannot serve the page at {host} port {port}: {error.strerror}. Choose another "
+                "--port, or stop the program that uses it."
             ) from error
 
 
@@ -218,7 +218,7 @@ def _make_server(gate: Gate, say: Callable[[str], None]) -> viser.ViserServer:
         server = viser.ViserServer(gate.host, gate.port, label="vrcaps", verbose=False)
     if server.get_port() != gate.port:
         server.stop()
-        raise InputError(f"Port {gate.port} was taken meanwhile. Give another --port.")
+        raise InputError(f"Port {gate.port} was taken in the meantime. Choose another --port.")
     server.gui.configure_theme(
         control_width="large", dark_mode=True, show_logo=False, show_share_button=False
     )

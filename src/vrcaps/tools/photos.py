@@ -53,7 +53,7 @@ def read_photos(paths: Sequence[Path], *, num_frames: int = 8) -> list[Photo]:
         raise InputError(f"The number of frames of a video is {num_frames}. Allowed: 1 or more.")
     photos = [photo for path in paths for file in _files(path) for photo in _read(file, num_frames)]
     if not photos:
-        raise InputError("No photograph was given. Give pictures, videos or folders of them.")
+        raise InputError("No photograph is given. Give pictures, videos or folders of them.")
     return photos
 
 
@@ -63,13 +63,13 @@ def _files(path: Path) -> list[Path]:
     known = IMAGES + VIDEOS
     files = [file for file in listed(path, "*") if file.suffix.lower() in known]
     if not files:
-        raise InputError(f"Folder {path} holds no photograph. Allowed: {', '.join(known)}.")
+        raise InputError(f"Folder {path} contains no photograph. Allowed: {', '.join(known)}.")
     return files
 
 
 def _read(path: Path, num_frames: int) -> list[Photo]:
     if not path.is_file():
-        raise InputError(f"There is no file {path}. Give pictures, videos or folders of them.")
+        raise InputError(f"No file at {path}. Give pictures, videos or folders of them.")
     if path.suffix.lower() in VIDEOS:
         return _read_video(path, num_frames)
     if path.suffix.lower() not in IMAGES:

@@ -105,7 +105,7 @@ def test_a_policy_that_fails_hands_back_and_says_why(rollout):
         operator.hand_over(driver)
         assert operator(0.0, 0.01).linear == (0.0, 0.0, 0.0)
         assert operator.policy == ""
-        assert told[0].startswith(f"{full} hands back: {reason}")
+        assert told[0].startswith(f"Policy {full} releases control: {reason}")
 
 
 def test_it_hands_back_when_the_patient_is_turned(rollout, monkeypatch):
@@ -116,7 +116,7 @@ def test_it_hands_back_when_the_patient_is_turned(rollout, monkeypatch):
     )
     monkeypatch.setattr(rollout, "settings", turned)
     assert driver.axes(0.5) is None
-    assert "it knows the way in a patient who lies supine" in told[0]
+    assert "the policy was started for the posture supine" in told[0]
 
 
 def test_says_what_cannot_drive(rollout):

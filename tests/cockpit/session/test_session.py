@@ -29,7 +29,7 @@ def test_all_commands_are_in_the_drive_and_go_with_what_is_forgotten(drive_scena
     scenario = replace(drive_scenario, contents=Contents(bubbles=1))
     session = Session(scenario, tmp_path / "drive")
     session.flush()
-    with pytest.raises(InputError, match="flush before is still under way"):
+    with pytest.raises(InputError, match="previous flush is still in progress"):
         session.flush()
     session.start_phase_three()
     session.drive.save()
@@ -112,7 +112,7 @@ def test_says_what_cannot_be_done(drive_scenario, tmp_path):
     (tmp_path / "full" / "a").touch()
     with pytest.raises(InputError, match="full is not empty"):
         Session(drive_scenario, tmp_path / "full")
-    with pytest.raises(InputError, match="Cannot make the folder"):
+    with pytest.raises(InputError, match="Cannot create the folder"):
         Session(drive_scenario, tmp_path / "full" / "a" / "b")
     session = Session(drive_scenario, tmp_path / "drive")
     with pytest.raises(InputError, match="no frame yet"):
@@ -124,15 +124,15 @@ def test_says_what_cannot_be_done(drive_scenario, tmp_path):
     with pytest.raises(InputError, match=r"speed is 9. Allowed: 0.05 to 4"):
         session.clock.speed = 9
     session.turn("prone")
-    with pytest.raises(InputError, match="still being turned to prone"):
+    with pytest.raises(InputError, match="still turning to prone"):
         session.turn("supine")
-    with pytest.raises(InputError, match="Neither bubbles nor chyme are in the lumen"):
+    with pytest.raises(InputError, match="contains neither bubbles nor chyme"):
         session.flush()
     session.start_phase_three()
-    with pytest.raises(InputError, match="Phase III is already beginning"):
+    with pytest.raises(InputError, match="Phase III has already started"):
         session.start_phase_three()
     session.insufflate(1.2)
-    with pytest.raises(InputError, match="still taking on the insufflation"):
+    with pytest.raises(InputError, match="previous change of insufflation"):
         session.insufflate(1.0)
 
 
@@ -165,7 +165,7 @@ def test_a_world_that_cannot_step_pauses_at_its_last_frame(drive_scenario, tmp_p
         session.clock.run()
         wait_until(lambda: bool(told))
         assert told == [
-            "The capsule would be in a source. Paused at the last frame; go on, go back or reset."
+            "The capsule would be in a source. Paused at the last frame: resume, rewind or reset."
         ]
         assert session.clock.is_paused
         np.testing.assert_array_equal(session.poses[:3], poses[:3])

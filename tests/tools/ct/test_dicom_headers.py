@@ -56,8 +56,8 @@ def test_a_plain_series(tmp_path: Path) -> None:
         (first(POSITION="1\\2"), "position is 1\\2"),
         (first(POSITION="nan\\0\\0"), "position is nan\\0\\0"),
         (first(ORIENTATION=""), "no orientation"),
-        (first(ORIENTATION="1\\0\\0\\1\\0\\0"), "orientation is no pair of perpendicular"),
-        (first(ORIENTATION="2\\0\\0\\0\\1\\0"), "orientation is no pair of perpendicular"),
+        (first(ORIENTATION="1\\0\\0\\1\\0\\0"), "orientation is not a pair of perpendicular"),
+        (first(ORIENTATION="2\\0\\0\\0\\1\\0"), "orientation is not a pair of perpendicular"),
         (first(ORIENTATION="1\\0\\0\\0\\0\\-1"), "size or orientation differs"),
         (first(SPACING=""), "no pixel spacing"),
         (first(SPACING="0\\1.5"), "pixel spacing is not positive"),
@@ -94,7 +94,7 @@ def test_files_that_are_no_slices_are_passed_over_or_skipped(tmp_path: Path) -> 
     found = read_volume(tmp_path)
     assert np.array_equal(found.values, HOUNSFIELD)
     assert found.notes == (
-        "4 DICOM files skipped: 30.dcm (copy of 03.dcm), 40.dcm (no image, or damaged), "
+        "4 DICOM files skipped: 30.dcm (copy of 03.dcm), 40.dcm (not an image, or damaged), "
         "50.dcm (color image), …",
     )
 
@@ -139,7 +139,7 @@ def test_two_orientations_are_two_series(tmp_path: Path) -> None:
             elements[tag.POSITION] = ("DS", f"-6\\{2 * number}\\0")
 
     series(tmp_path, change)
-    with pytest.raises(InputError, match="holds 2 series"):
+    with pytest.raises(InputError, match="contains 2 series"):
         read_volume(tmp_path)
     assert len(read_volume(tmp_path, series="1").notes) == 0
 

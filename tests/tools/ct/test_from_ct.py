@@ -85,7 +85,7 @@ def test_tagged_fluid_is_lumen_on_request_only(wet_scan, tube) -> None:
 def test_bone_near_the_gut_is_no_fluid(dry_scan, tube) -> None:
     organ = from_gas(dry_scan, tagged_fluid="supine")
     check(organ, *tube)
-    assert organ.metadata["notes"] == ["0 pools of tagged fluid taken as lumen"]
+    assert organ.metadata["notes"] == ["0 pools of tagged fluid added to the lumen"]
 
 
 def test_a_posture_that_is_none(dry_scan) -> None:
@@ -123,7 +123,7 @@ def collapsed(dry_scan, tube) -> tuple[Volume, float]:
 def test_a_collapsed_stretch_is_reported(collapsed) -> None:
     organ = organ_from_label(collapsed[0], 1, wall=WallOptions(), name="half")
     first, second = organ.metadata["notes"]
-    assert first.startswith("collapsed stretch left closed: ")
+    assert first.startswith("collapsed segment left closed: ")
     assert "--bridge-mm" in first
     assert second.startswith("1 other parts left out (")
 
@@ -132,7 +132,7 @@ def test_a_collapsed_stretch_is_bridged(collapsed, tube) -> None:
     mask, middle = collapsed
     organ = organ_from_label(mask, 1, wall=WallOptions(bridge=12 * MM), name="whole")
     (note,) = organ.metadata["notes"]
-    assert note.startswith("collapsed stretch opened: ")
+    assert note.startswith("collapsed segment opened: ")
     assert organ.centerline.length == pytest.approx(np.ptp(tube[0].vertices[:, 2]), rel=0.06)
     at = np.argmin(np.abs(organ.centerline.points[:, 2] - middle))
     assert organ.centerline.radius[at] == pytest.approx(6 * MM, rel=0.15)
@@ -151,7 +151,7 @@ def test_a_collapsed_stretch_of_gas_is_reported(squeezed, tube) -> None:
     for bridge in (0.0, 4 * MM):
         organ = from_gas(squeezed, WallOptions(bridge=bridge))
         first, second = organ.metadata["notes"]
-        assert re.match(r"collapsed stretch left closed: \d+\.\d mm at .* ml; --bridge-mm", first)
+        assert re.match(r"collapsed segment left closed: \d+\.\d mm at .* ml; --bridge-mm", first)
         assert second.startswith("1 other parts left out (")
         assert organ.centerline.length < 0.55 * np.ptp(tube[0].vertices[:, 2])
 
@@ -159,7 +159,7 @@ def test_a_collapsed_stretch_of_gas_is_reported(squeezed, tube) -> None:
 def test_a_collapsed_stretch_of_gas_is_bridged(squeezed, tube) -> None:
     organ = from_gas(squeezed, WallOptions(bridge=12 * MM))
     (note,) = organ.metadata["notes"]
-    assert note.startswith("collapsed stretch opened: ")
+    assert note.startswith("collapsed segment opened: ")
     assert organ.centerline.length == pytest.approx(np.ptp(tube[0].vertices[:, 2]), rel=0.06)
     middle = tube[0].vertices[:, 2].mean()
     at = np.argmin(np.abs(organ.centerline.points[:, 2] - middle))
@@ -202,7 +202,7 @@ def test_labels_by_number_and_name(dry_scan, tube) -> None:
     mask = mask_of(tube, dry_scan)
     with pytest.raises(InputError, match=r"No voxel of mask has label colon \(20\). Found: 1\."):
         check_label(mask, "colon")
-    with pytest.raises(InputError, match="it is no label map"):
+    with pytest.raises(InputError, match="it is not a label map"):
         check_label(dry_scan, "1")
 
 

@@ -75,5 +75,5 @@ def test_labels_elsewhere_are_refused() -> None:
     scan = make()
     far = scan.T_patient_index.copy()
     far[:3, 3] += 100 * far[:3, 0]
-    with pytest.raises(InputError, match="nowhere overlap"):
+    with pytest.raises(InputError, match="do not overlap"):
         common_part(scan, Volume(scan.values, far, "labels"))

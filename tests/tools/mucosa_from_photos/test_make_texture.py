@@ -162,9 +162,9 @@ def test_what_cannot_be_read(tmp_path: Path) -> None:
     (tmp_path / "text.png").write_text("no picture")
     (tmp_path / "text.mp4").write_text("no video")
     for paths, match in (
-        ([], "No photograph was given"),
-        ([tmp_path / "empty"], "holds no photograph"),
-        ([tmp_path / "gone.png"], "There is no file"),
+        ([], "No photograph is given"),
+        ([tmp_path / "empty"], "contains no photograph"),
+        ([tmp_path / "gone.png"], "No file at"),
         ([tmp_path / "text.png"], "Cannot read"),
         ([tmp_path / "text.mp4"], "Cannot read the video"),
     ):

@@ -33,5 +33,5 @@ def test_success_with_an_interval_over_organs(tmp_path: Path) -> None:
     found = summary(Subject("mine", evaluation, settings))
     assert found["success [%]"] == "50.0 (0.0 to 100.0)"
     assert found["time to success [s]"] == "not (10/20)"
-    assert found["progress at end [%]"] == "75.0"
+    assert found["progress at the end [%]"] == "75.0"
     assert "visible at 4 s [%]" in found

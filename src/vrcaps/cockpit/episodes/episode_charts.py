@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from vrcaps.recording.episode import Episode
 
 ALIGNMENTS: dict[str, TrajectoryAlignment] = {
-    "as given": "none",
+    "none": "none",
     "rigid": "se3",
     "rigid and scale": "sim3",
 }
@@ -109,7 +109,7 @@ COLUMNS = (
         tuple(f"capsule_v{axis}_m_per_s" for axis in "xyz"),
         lambda *parts: _size(*parts) / MM,
     ),
-    Column("gap to the wall [mm]", ("capsule_clearance_m",), lambda gap: gap / MM),
+    Column("clearance to the wall [mm]", ("capsule_clearance_m",), lambda gap: gap / MM),
     Column("contact force [mN]", ("normal_force_total_n",), lambda force: 1e3 * force),
     Column(
         "magnetic force [mN]",

@@ -71,13 +71,13 @@ class EpisodePage:
         self._times, gui = episodes[0].times, server.gui
         self._frame = gui.add_slider("Frame", 0, max(len(self._times) - 1, 1), 1, 0)
         self._play = gui.add_button("Play")
-        self._speed = gui.add_slider("Times real time", 0.1, 8.0, 0.1, 1.0)
+        self._speed = gui.add_slider("Speed (× real time)", 0.1, 8.0, 0.1, 1.0)
         self._channel = gui.add_dropdown("Channel", _all(e.channels for e in episodes))
         names = _all([camera.name for camera in e.cameras] for e in episodes)
         self._camera = gui.add_dropdown("Camera", names)
         self._align: Any = None
         if estimate is not None:
-            self._align = gui.add_dropdown("Align the estimate", tuple(ALIGNMENTS))
+            self._align = gui.add_dropdown("Alignment of the estimate", tuple(ALIGNMENTS))
             self._error = gui.add_markdown("")
         panel = gui.add_panel()
         with panel.add_tab("Images"):
@@ -166,7 +166,7 @@ class EpisodePage:
         try:
             self._estimate, told = self._given.aligned(align), ""
         except InputError as error:
-            self._estimate, told = self._given, f"{error} It is shown as given. "
+            self._estimate, told = self._given, f"{error} It is shown without alignment. "
         errors = self._estimate.errors / MM
         rmse, most = float(np.sqrt(np.mean(errors**2))), float(errors.max())
         spot = f'<span style="color:rgb{ESTIMATE_COLOR}">&#9632;</span>'
@@ -194,7 +194,7 @@ class EpisodePage:
         if camera not in [known.name for known in episode.cameras]:
             camera = episode.cameras[0].name
         if channel not in episode.channels:
-            return f" · {channel} was not recorded"
+            return f" · {channel} is not recorded"
         values = episode.image(camera, channel, index)
         limits = limits_of(channel, [values])
         shown.image.image = picture(channel, values, limits)
@@ -237,7 +237,7 @@ def open_episodes(
     """
     require_viser()
     if not 1 <= len(folders) <= MAX_EPISODES:
-        raise InputError(f"{len(folders)} episodes are given. Allowed: one, or two side by side.")
+        raise InputError(f"{len(folders)} episodes are given. Allowed: one or two.")
     episodes = [read_episode(folder) for folder in folders]
     path = None if estimate is None else read_path_estimate(estimate, episodes[0])
     gate = make_gate(host, port)

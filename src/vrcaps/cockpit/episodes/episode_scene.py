@@ -100,10 +100,10 @@ class EpisodeScene:
     def _add_controls(self, gui: viser.GuiApi) -> None:
         with gui.add_folder("Scene"):
             names = coloring_names(self._surface, is_live=False)
-            self._color = gui.add_dropdown("Color by", names)
+            self._color = gui.add_dropdown("Coloring", names)
             self._opacity = gui.add_slider("Opacity", 0.1, 1.0, 0.05, 0.35)
-            self._cut_axis = gui.add_dropdown("Cut across", CUT_AXES)
-            self._cut_fraction = gui.add_slider("Cut at", 0.0, 1.0, 0.05, 0.5)
+            self._cut_axis = gui.add_dropdown("Cutting axis", CUT_AXES)
+            self._cut_fraction = gui.add_slider("Cutting position", 0.0, 1.0, 0.05, 0.5)
             self._has_lines = gui.add_checkbox(
                 "Field lines", True, visible=self._magnet is not None
             )

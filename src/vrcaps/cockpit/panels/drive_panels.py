@@ -40,10 +40,10 @@ class RunPanel:
             self._pause = gui.add_button("Pause", hint="Key P, pad A")
             step = gui.add_button("Next frame", hint="Key N, pad B")
             speed = gui.add_dropdown("Speed", tuple(SPEEDS), initial_value="1")
-            keep = gui.add_button("Keep a snapshot", hint="Key B, pad X")
+            keep = gui.add_button("Save a snapshot", hint="Key B, pad X")
             self._names: Any = gui.add_dropdown("Snapshot", (_NO_SNAPSHOT,))
-            back = gui.add_button("Go back to it")
-            reset = gui.add_button("Reset", hint="Back to the first frame")
+            back = gui.add_button("Rewind to snapshot")
+            reset = gui.add_button("Reset", hint="Rewind to the first frame")
         page.actions |= {
             "pause": page.handler(self._toggle),
             "step": page.handler(self._session.step_frame),
@@ -55,9 +55,9 @@ class RunPanel:
         back.on_click(page.for_driver(lambda: self._session.go_back(self._names.value)))
         reset.on_click(page.for_driver(self._session.reset))
         keys: dict[Literal["P", "N", "B"], tuple[str, Callable[[], None]]] = {
-            "P": ("Pause or go on", self._toggle),
+            "P": ("Pause or resume", self._toggle),
             "N": ("Next frame", self._session.step_frame),
-            "B": ("Keep a snapshot", self._keep),
+            "B": ("Save a snapshot", self._keep),
         }
         for key, (label, action) in keys.items():
             gui.add_command(label, hotkey=key).on_trigger(page.for_driver(action))
@@ -85,7 +85,7 @@ class RunPanel:
         if text != self._text and now - self._told >= _SECONDS_PER_STATUS:
             self._status.content = self._text = text
             self._told = now
-        label = "Go on" if view.is_paused else "Pause"
+        label = "Resume" if view.is_paused else "Pause"
         if self._pause.label != label:
             self._pause.label = label
         names = self._session.snapshots or (_NO_SNAPSHOT,)
@@ -103,7 +103,7 @@ class RunPanel:
         name = self._session.keep_snapshot()
         self._names.options = self._session.snapshots
         self._names.value = name
-        self._page.tell(f"Kept a snapshot at {name}.")
+        self._page.tell(f"Saved a snapshot at {name}.")
 
 
 GIZMO = "/drive/magnet"
@@ -118,7 +118,7 @@ class DrivingPanel:
         self._is_dragged, self._moved = False, 0.0
         gui = page.server.gui
         with gui.add_folder("Drive"):
-            take = gui.add_button("Take the controls")
+            take = gui.add_button("Take control")
             stop = gui.add_button("Stop the magnet")
             rows = KEYS | PAD
             with gui.add_folder("Keys and gamepad", expand_by_default=False):
@@ -157,7 +157,7 @@ def two_columns(rows: dict[str, str]) -> str:
     return "\n".join(["| | |", "|-|-|", *lines])
 
 
-_NONE = "No gamepad yet: press one of its buttons, so that the browser sees it."
+_NONE = "No gamepad detected: press one of its buttons."
 
 
 class PadPanel:
@@ -171,7 +171,7 @@ class PadPanel:
             self._table = gui.add_markdown(_NONE)
             labels = {label: name for name, label in CONTROLS.items()}
             control = gui.add_dropdown("Control", tuple(labels))
-            assign = gui.add_button("Assign", hint="Then push the stick or press the button")
+            assign = gui.add_button("Assign", hint="Then move the stick or press the button")
             standard = gui.add_button("Standard layout")
         assign.on_click(page.for_driver(lambda: self._ask(labels[control.value])))
         standard.on_click(page.for_driver(lambda: self._ask(STANDARD)))
@@ -196,11 +196,11 @@ def _text(pad: DriverInput) -> str:
     layout = pad.layout or {}
     rows = {label: layout.get(name, "–") for name, label in CONTROLS.items()}
     waiting = CONTROLS.get(pad.listening)
-    ask = f"**Push or press now: {waiting}.**\n\n" if waiting else ""
+    ask = f"**Move the stick or press the button for: {waiting}.**\n\n" if waiting else ""
     return f"{pad.pad}\n\n{ask}{two_columns(rows)}"
 
 
-_TAKE, _BACK = "Let the policy drive", "Take the magnet back"
+_TAKE, _BACK = "Start the policy", "Stop the policy"
 _FIRST = "navigator"
 """Preselected policy: it navigates to a position."""
 
@@ -216,9 +216,16 @@ class PolicyPanel:
             self._names = tuple(dict.fromkeys(names))
             self._name = gui.add_dropdown("Policy", self._names, initial_value=_FIRST)
             self._goal = gui.add_slider(
-                "Goal", 0.0, 1.0, 0.01, 1.0, hint="Where navigate leads, from the oral end"
+                "Goal",
+                0.0,
+                1.0,
+                0.01,
+                1.0,
+                hint="Target of navigate, as a fraction of the centerline from the oral end",
             )
-            self._button = gui.add_button(_TAKE, hint="Key T, pad Y; any other input takes back")
+            self._button = gui.add_button(
+                _TAKE, hint="Key T, pad Y; any other input stops the policy"
+            )
         page.actions["policy"] = page.handler(self._toggle)
         self._button.on_click(page.for_driver(self._toggle))
         gui.add_command(_TAKE, hotkey="T").on_trigger(page.for_driver(self._toggle))
@@ -228,7 +235,11 @@ class PolicyPanel:
         drives = self._session.operator.policy
         if drives == self._shown:
             return
-        self._page.tell(f"{drives} drives." if drives else f"{self._shown} has handed back.")
+        self._page.tell(
+            f"Policy {drives} has control."
+            if drives
+            else f"Policy {self._shown} has released control."
+        )
         self._shown = drives
         self._button.label = _BACK if drives else _TAKE
 
@@ -271,7 +282,7 @@ class RecordPanel:
     def _record(self) -> None:
         """Record; blocks a thread of the page's library until the episode is complete."""
         if not self._page.is_busy.acquire(blocking=False):
-            self._page.tell("A recording is under way, or another drive is being made.")
+            self._page.tell("A recording or the start of another drive is in progress.")
             return
         try:
             scenario = self._session.drive.save()

@@ -32,10 +32,10 @@ class PatientPanel:
             posture = gui.add_dropdown("Posture", POSTURES, initial_value=session.scenario.posture)
             turn = gui.add_button("Turn the patient")
             factor = gui.add_slider("Insufflation", 0.6, 1.6, 0.05, 1.0)
-            inflate = gui.add_button("Inflate or empty")
-            flush = gui.add_button("Flush", hint="Washes off bubbles and chyme around the capsule")
+            inflate = gui.add_button("Set insufflation")
+            flush = gui.add_button("Flush", hint="Remove bubbles and chyme around the capsule")
             phase = gui.add_button(
-                "Start phase III", hint="The strongest contractions, where the capsule is"
+                "Start phase III", hint="Start the strongest contractions, at the capsule"
             )
         turn.on_click(page.for_driver(lambda: session.turn(posture.value)))
         flush.on_click(page.for_driver(session.flush))
@@ -46,7 +46,7 @@ class PatientPanel:
         """Do nothing: the scene shows the patient."""
 
 
-_SAME = "as it is"
+_SAME = "unchanged"
 
 
 class NewDrivePanel:
@@ -58,13 +58,13 @@ class NewDrivePanel:
         organ = scenario.organ
         self._seed_before = organ.seed if isinstance(organ, OrganGenerated) else 0
         with gui.add_folder("New drive", expand_by_default=False):
-            gui.add_markdown("The drive so far is kept; all else stays as it is.")
+            gui.add_markdown("The current drive is saved. All other settings stay unchanged.")
             self._organ = gui.add_dropdown("Organ", (_SAME, *ORGANS))
             self._seed = gui.add_number("Patient", self._seed_before, min=0, step=1)
             self._lesions = gui.add_text(
                 "Lesions",
                 "",
-                hint="Such as polyp-Ip:size=12mm colitis-2, prevalence, or none; empty: as it is",
+                hint="Such as polyp-Ip:size=12mm colitis-2, prevalence, or none; empty: unchanged",
             )
             self._capsule = gui.add_dropdown("Capsule", (_SAME, *magnetic_capsules()))
             self._file = gui.add_text("Capsule file", "", hint="A device file (TOML); empty: none")
@@ -78,7 +78,7 @@ class NewDrivePanel:
                     )
                     for name in LASTING_EFFECTS
                 }
-            button = gui.add_button("Begin a new drive")
+            button = gui.add_button("Start a new drive")
         self._before = {name: slider.value for name, slider in self._sliders.items()}
         button.on_click(page.for_driver(self._begin))
 

@@ -122,10 +122,10 @@ class ScenePanel:
         gui = self._page.server.gui
         with gui.add_folder("Scene", expand_by_default=False):
             names = coloring_names(self._model.organ, is_live=True)
-            self._color = gui.add_dropdown("Color by", names)
+            self._color = gui.add_dropdown("Coloring", names)
             self._opacity = gui.add_slider("Opacity", 0.1, 1.0, 0.05, 0.35)
-            self._cut_axis = gui.add_dropdown("Cut across", CUT_AXES)
-            self._cut_fraction = gui.add_slider("Cut at", 0.0, 1.0, 0.05, 0.5)
+            self._cut_axis = gui.add_dropdown("Cutting axis", CUT_AXES)
+            self._cut_fraction = gui.add_slider("Cutting position", 0.0, 1.0, 0.05, 0.5)
             self._has_lines = gui.add_checkbox("Field lines", True)
             self._has_patient = gui.add_checkbox("Patient and table", True)
             self._legend = gui.add_markdown("")

@@ -79,7 +79,7 @@ class LookPanel:
                 "Imaging", _IMAGING, initial_value=scenario.render.imaging
             )
             shadows = gui.add_checkbox(
-                "Shadows always",
+                "Always render shadows",
                 initial_value=False,
                 hint="Else they are left out of live images that come slower than 20 a second. "
                 "Recordings, and images while the simulation stands, have them as chosen.",
@@ -161,7 +161,9 @@ class MapPanel:
         across, along = np.ogrid[: _SIZE_PX[0], : _SIZE_PX[1]]
         picture[(across - row) ** 2 + (along - column) ** 2 <= _DOT**2] = _CAPSULE
         self._image.image = picture.astype(np.uint8)
-        self._text.content = f"seen: **{100.0 * seen.fraction:.1f} %** of the wall (bright)"
+        self._text.content = (
+            f"Coverage: **{100.0 * seen.fraction:.1f} %** of the wall (bright area)"
+        )
 
     def _place(self, view: View) -> tuple[int, int]:
         """Row and column of the capsule, by the nearest point of the centerline."""

@@ -230,7 +230,7 @@ class CoverageColoring(Coloring):
 
     def legend(self) -> str:
         """Legend of seen and unseen."""
-        return legend_of([(self.colors[1], "seen"), (self.colors[0], "not seen yet")])
+        return legend_of([(self.colors[1], "seen"), (self.colors[0], "not seen")])
 
 
 def _hue(number: int) -> Color:
@@ -298,7 +298,7 @@ class PressureColoring(ContactColoring):
             (color, f"{low:g} kPa") for color, low in zip(_COLORS[1:], self.limits[1:], strict=True)
         ]
         least = (_COLORS[0], f"below {self.limits[1]:g} kPa")
-        return f"{legend_of([least, *entries])} and more"
+        return f"{legend_of([least, *entries])} or more"
 
 
 class StiffnessColoring(ContactColoring):
@@ -319,7 +319,7 @@ class StiffnessColoring(ContactColoring):
             (color, f"{factor * at_rest:.3g}")
             for color, factor in zip(_COLORS, self.limits, strict=True)
         ]
-        return f"{legend_of([(PLAIN, f'{at_rest:.3g}'), *entries])} kPa/mm and more"
+        return f"{legend_of([(PLAIN, f'{at_rest:.3g}'), *entries])} kPa/mm or more"
 
 
 _STATIC: dict[str, type[Coloring]] = {each.name: each for each in (SegmentColoring, LesionColoring)}

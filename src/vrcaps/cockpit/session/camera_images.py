@@ -190,7 +190,7 @@ class CameraImages:
                 self._on_image(self.image(view, look, has_shadows=has_shadows))
                 working = look
             except VrcapsError as error:
-                self._session.on_message(f"{error} The look stays as it was.")
+                self._session.on_message(f"{error} The render settings stay unchanged.")
                 self.look = working
             shown = (view.number, look, has_shadows)
             self._measure()

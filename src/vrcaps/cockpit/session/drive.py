@@ -46,7 +46,7 @@ def make_folder(folder: Path) -> None:
     remove_stale(folder)
     if (folder / DRIVE_JSON).exists():
         raise InputError(
-            f"{folder} holds a drive. Record it with `vrcaps record {folder / DRIVE_JSON} --out "
+            f"{folder} contains a drive. Record it with `vrcaps record {folder / DRIVE_JSON} --out "
             "EPISODE`, or give a new or empty folder."
         )
     leftovers = [folder / COMMANDS_CSV, folder / SOURCE_ORGAN]  # written before DRIVE_JSON
@@ -58,7 +58,7 @@ def make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"Cannot make the folder {folder}: {error.strerror}.") from error
+        raise InputError(f"Cannot create the folder {folder}: {error.strerror}.") from error
 
 
 class Drive:

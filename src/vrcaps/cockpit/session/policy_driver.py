@@ -82,10 +82,10 @@ class PolicyDriver:
         try:
             self._axes = self._act(time)
         except VrcapsError as error:
-            self._tell(f"{self.name} hands back: {error}")
+            self._tell(f"Policy {self.name} releases control: {error}")
             return None
         except Exception as error:  # the simulation survives any error of a policy
-            self._tell(f"{self.name} hands back: {type(error).__name__}: {error}.")
+            self._tell(f"Policy {self.name} releases control: {type(error).__name__}: {error}.")
             return None
         return self._axes
 
@@ -136,8 +136,8 @@ class PolicyDriver:
         taken = self._patient.model.T_world_patient
         if not np.allclose(now[:3, :3], taken[:3, :3], atol=1e-9):
             raise InputError(
-                f"it knows the way in a patient who lies {self._posture}. Let it take over again "
-                "when the turn is done."
+                f"the policy was started for the posture {self._posture}. Start it again "
+                "after the turn."
             )
 
 

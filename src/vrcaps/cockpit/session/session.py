@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 import threading
 import time as wall_clock
 from collections.abc import Callable
@@ -106,17 +107,23 @@ class Session:
 
         Args:
             scenario: Scenario to simulate, see `cockpit_scenario`.
-            folder: New or empty folder for the drive.
+            folder: New or empty folder for the drive; a new one is removed on failure.
             on_message: Called with each message for the user.
 
         Raises:
             InputError: If the scenario is invalid or the folder is not empty.
         """
+        is_new = not folder.exists()
         make_folder(folder)
-        resolved = cockpit_scenario(with_stored_organ(scenario, folder))
-        self.scenario = resolved.scenario
+        try:
+            resolved = cockpit_scenario(with_stored_organ(scenario, folder))
+            self.scenario = resolved.scenario
+            self.model, rollout = build(resolved)
+        except BaseException:
+            if is_new:
+                shutil.rmtree(folder, ignore_errors=True)
+            raise
         self.on_message = on_message
-        self.model, rollout = build(resolved)
         assert isinstance(rollout, Rollout)
         assert rollout.program is not None
         self.rollout = rollout
@@ -184,7 +191,7 @@ class Session:
         with self._lock:
             state = self._last
             if state is None:
-                raise InputError("There is no frame yet. Wait for the first.")
+                raise InputError("No frame is complete. Wait for the first frame.")
             name = f"{state.frame / self.rollout.fps:.2f} s"
             self._snapshots[name] = state
             return name
@@ -214,7 +221,7 @@ class Session:
         begin, settings = self._begin_of_order(), self.rollout.settings
         changes = settings.posture_changes
         if changes and begin < changes[-1].time + changes[-1].duration:
-            raise InputError(f"The patient is still being turned to {changes[-1].posture}.")
+            raise InputError(f"The patient is still turning to {changes[-1].posture}.")
         changes = (*changes, PostureChange(posture, begin, TURN_SECONDS))
         self.rollout.change(replace(settings, posture_changes=changes))
 
@@ -227,7 +234,7 @@ class Session:
         begin, settings = self._begin_of_order(), self.rollout.settings
         entries = settings.insufflation
         if entries and begin <= entries[-1].time:
-            raise InputError("The gut is still taking on the insufflation before.")
+            raise InputError("The previous change of insufflation is still in progress.")
         now = insufflation_at(entries, begin)
         ramp = (Insufflation(begin, now), Insufflation(begin + INFLATE_SECONDS, factor))
         self.rollout.change(replace(settings, insufflation=(*entries, *ramp)))
@@ -242,11 +249,11 @@ class Session:
         contents = self.rollout.model.lumen_contents
         if contents is None or not len(contents.spheres):
             raise InputError(
-                "Neither bubbles nor chyme are in the lumen. Choose some with a new drive."
+                "The lumen contains neither bubbles nor chyme. Start a new drive that has them."
             )
         flushes = settings.flushes
         if flushes and begin <= flushes[-1].time + flushes[-1].duration:
-            raise InputError("The flush before is still under way.")
+            raise InputError("The previous flush is still in progress.")
         self.rollout.change(replace(settings, flushes=(*flushes, Flush(begin))))
 
     def start_phase_three(self) -> None:
@@ -260,7 +267,7 @@ class Session:
         begin, settings = self._begin_of_order(), self.rollout.settings
         fronts = settings.phase_three
         if fronts and begin < fronts[-1].time + FRONT_SECONDS:
-            raise InputError("Phase III is already beginning.")
+            raise InputError("Phase III has already started.")
         fronts = (*fronts, Front(begin, self.rollout.front_arc_length))
         self.rollout.change(replace(settings, phase_three=fronts))
 
@@ -292,7 +299,7 @@ class Session:
             except VrcapsError as error:
                 start = self._last
                 self.clock.pause()
-                self.on_message(f"{error} Paused at the last frame; go on, go back or reset.")
+                self.on_message(f"{error} Paused at the last frame: resume, rewind or reset.")
                 time = 0.0 if start is None else start.frame / self.rollout.fps
                 while self.clock.holds(time) and not (self._is_closed or self._goto):
                     self._saved.wait(0.05)

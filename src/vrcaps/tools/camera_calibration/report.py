@@ -11,6 +11,7 @@ import numpy as np
 from vrcaps.core.units import DEG
 from vrcaps.tools.camera_calibration.circle import ImageCircle
 from vrcaps.tools.camera_calibration.fit import Calibration
+from vrcaps.tools.report import make_figure
 
 if TYPE_CHECKING:
     from vrcaps.tools.photos import Photo
@@ -30,12 +31,8 @@ def write_report(
         photos: Include those that the lens was fitted to.
         circle: Image circle of the photographs.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     rows = -(-len(fit.views) // _ACROSS)
-    figure = Figure(figsize=(15, 3.1 * rows + 5.2), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = make_figure(15, 3.1 * rows + 5.2)
     parts = figure.add_gridspec(2, 1, height_ratios=(3.1 * rows, 5.2))
     upper, lower = figure.add_subfigure(parts[0]), figure.add_subfigure(parts[1])
     by_name = {photo.name: photo for photo in photos}
@@ -77,7 +74,7 @@ def _draw_arrows(axis, fit: Calibration, circle: ImageCircle | None) -> None:
         axis.add_patch(outline)
         axis.plot([], color="tab:blue", label=f"image circle, {circle.radius:.1f} px")
     axis.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal")
-    axis.set_title(f"found less projected, {gain:.0f} times as long")
+    axis.set_title(f"detected − projected, × {gain:.0f}")
     axis.legend(loc="lower left", fontsize=8)
 
 
@@ -87,12 +84,12 @@ def _draw_radial(axis, fit: Calibration) -> None:
     radius = np.linalg.norm(away, axis=1)
     outward = np.sum(away * fit.residuals.reshape(-1, 2), axis=1) / np.maximum(radius, 1e-9)
     axis.plot(radius, fit.errors.ravel(), ".", ms=3, color="0.6", label="distance")
-    axis.plot(radius, outward, ".", ms=3, color="tab:orange", label="outward part")
+    axis.plot(radius, outward, ".", ms=3, color="tab:orange", label="radial component")
     edges = np.quantile(radius, np.linspace(0.0, 1.0, 11))
     ring = np.clip(np.searchsorted(edges, radius, side="right") - 1, 0, 9)
     middle = [radius[ring == k].mean() for k in range(10) if np.any(ring == k)]
     bias = [np.median(outward[ring == k]) for k in range(10) if np.any(ring == k)]
-    axis.plot(middle, bias, "-", color="tab:red", label="median of the outward part")
+    axis.plot(middle, bias, "-", color="tab:red", label="median of the radial component")
     axis.axhline(0.0, color="black", lw=0.5)
     axis.set(xlabel="distance from the optical axis [px]", ylabel="residual [px]")
     axis.set_title(f"mean {fit.errors.mean():.3f} px, root mean square {fit.rms_px:.3f} px")
@@ -111,5 +108,5 @@ def _draw_curve(axis, fit: Calibration, circle: ImageCircle | None) -> None:
         edge = circle.radius_about(fit.lens.cx, fit.lens.cy)
         axis.axhline(edge, color="black", ls=":", label="image circle")
     axis.set(xlabel="angle to the optical axis [°]", ylabel="image radius [px]")
-    axis.set_title("the lens")
+    axis.set_title("fitted lens")
     axis.legend(fontsize=8, loc="upper left")

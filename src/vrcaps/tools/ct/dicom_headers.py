@@ -182,7 +182,7 @@ def _read_header(path: Path) -> tuple[Series, Slice] | None:
     except RuntimeError:
         if path.name.upper() == "DICOMDIR" or not _is_dicom(path):
             return None
-        raise _OddFileError("no image, or damaged") from None
+        raise _OddFileError("not an image, or damaged") from None
     if reader.GetNumberOfComponents() != 1:
         raise _OddFileError("color image")
     columns, rows, *depth = reader.GetSize()
@@ -203,7 +203,7 @@ def _place(
     position = _numbers(reader, _POSITION, 3, "position") * MM
     cosines = _numbers(reader, _ORIENTATION, 6, "orientation").reshape(2, 3)
     if np.abs(cosines @ cosines.T - np.eye(2)).max() > 0.01:
-        raise _OddFileError("orientation is no pair of perpendicular unit vectors")
+        raise _OddFileError("orientation is not a pair of perpendicular unit vectors")
     spacing = _numbers(reader, _SPACING, 2, "pixel spacing")[::-1]  # of columns, of rows
     if spacing.min() <= 0.0:
         raise _OddFileError("pixel spacing is not positive")

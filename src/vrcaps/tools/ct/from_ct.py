@@ -95,10 +95,10 @@ def organ_from_gas(
 
     fluid, pieces, pools = None, {piece.number}, set()
     if tagged_fluid is not None:
-        report("finding tagged fluid")
+        report("segmenting tagged fluid")
         fluid = find_fluid(scan, gas, posture=tagged_fluid)
         pieces, pools = fluid.reached(piece.number)
-    report("looking for collapsed stretches")
+    report("detecting collapsed segments")
     gaps, notes = _gaps_of_gas(gas, scan, pieces, piece.number, wall.bridge)
     notes = [*scan.notes, *notes]
     for gap in gaps:
@@ -110,7 +110,7 @@ def organ_from_gas(
     report("measuring partial volume")
     lumen = gas_fraction(scan, gas, tuple(pieces), fluid=fluid, pools=tuple(pools))
     if fluid is not None:
-        notes.append(f"{len(pools)} pools of tagged fluid taken as lumen")
+        notes.append(f"{len(pools)} pools of tagged fluid added to the lumen")
     blur = 0.5 if wall.blur is None else wall.blur
     source = {"source": scan.source, "input_mode": "gas", "tagged_fluid": tagged_fluid}
     return _organ(lumen, gaps, notes, replace(wall, blur=blur), (name, "wall"), source, report)
@@ -141,7 +141,7 @@ def organ_from_label(
     lumen = mask_fraction(labels, (number,))
     if lumen is None:
         raise InputError(f"No voxel of {labels.source} has label {number}.")
-    report("looking for collapsed stretches")
+    report("detecting collapsed segments")
     part, volumes = number_parts(lumen, _SPECK)
     if not volumes:
         raise InputError(
@@ -197,17 +197,17 @@ def _choose_gaps(
     if len(volumes) < 2:
         return [], []
     if len(volumes) > _MANY_PARTS:
-        return [], [f"{len(volumes)} parts: too many to seek the gaps between them"]
+        return [], [f"{len(volumes)} parts: too many to search for gaps between them"]
     found = find_gaps(parts, max(bridge, 50 * MM))
     narrow = [gap for gap in found if gap.width <= bridge]
     kept = connected_by_gaps(narrow, start)
     opened = [gap for gap in narrow if set(gap.parts) <= kept]
-    notes = [f"collapsed stretch opened: {gap.line()}" for gap in opened]
+    notes = [f"collapsed segment opened: {gap.line()}" for gap in opened]
     for gap in found:
         if len(set(gap.parts) & kept) == 1:
             (other,) = set(gap.parts) - kept
             notes.append(
-                f"collapsed stretch left closed: {gap.line()}, beyond it "
+                f"collapsed segment left closed: {gap.line()}, beyond it "
                 f"{volumes[other - 1] / CM**3:.1f} ml; --bridge-mm {np.ceil(gap.width / MM):.0f} "
                 "opens it"
             )
@@ -246,16 +246,16 @@ def _organ(
     from vrcaps.tools.ct.surface import colon_labels, extract_wall, runs_upwards
 
     lumen = _largest_part(bridge_gaps(lumen, gaps, CHANNEL_RADIUS) if gaps else lumen)
-    report("drawing the wall")
+    report("extracting the wall")
     assert wall.blur is not None
     mesh = extract_wall(lumen, blur=wall.blur, pass_band=wall.pass_band, edge=wall.edge)
     mesh, repairs = repair(mesh, open_ends=wall.open_ends)
-    report("finding the centerline")
+    report("computing the centerline")
     default = compute_centerline(mesh)
     backwards = runs_upwards(default) if wall.anatomy == "colon" else False
     backwards ^= wall.reverse
     centerline = reversed_centerline(default) if backwards else default
-    report("laying coordinates")
+    report("computing gut coordinates")
     mesh = replace(mesh, label=np.ones(len(mesh.vertices), np.uint8))
     organ = organ_from_mesh(mesh, centerline, name=names[0], label_names=("background", names[1]))
     if wall.anatomy == "colon":

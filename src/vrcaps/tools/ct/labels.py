@@ -45,8 +45,8 @@ def check_label(labels: Volume, label: str) -> int:
     number = label_number(label)
     if labels.values.min() < 0:
         raise InputError(
-            f"{labels.source} has values down to {labels.values.min()}: it is no label map. Give "
-            "the label map with --labels, or leave --label out to find gas."
+            f"{labels.source} has values down to {labels.values.min()}: it is not a label map. "
+            "Give the label map with --labels, or omit --label to segment gas."
         )
     if not (labels.values == number).any():
         found = np.unique(labels.values[labels.values > 0])
@@ -77,5 +77,5 @@ def misplaced(scan: Volume, labels: Volume, number: int) -> str | None:
     volume = fraction * np.count_nonzero(labels.values == number) * labels.voxel_volume
     return (
         f"{fraction:.0%} of the label ({volume / CM**3:.0f} ml) lies in the air outside the body: "
-        "it may be the label map of another scan"
+        "it may belong to another scan"
     )

@@ -40,7 +40,7 @@ def read_dicom(
     chosen = choose_series(list(listing.series), folder, series)
     if chosen.modality != "CT":
         raise InputError(
-            f"Series {chosen.text} in {folder} is {chosen.modality}, not CT: its values are no "
+            f"Series {chosen.text} in {folder} is {chosen.modality}, not CT: its values are not "
             "Hounsfield units. Give a CT scan, or a label map as NIfTI."
         )
     _require_slices(chosen, folder)
@@ -68,13 +68,13 @@ def choose_series(found: list[Series], folder: Path, wanted: str | None) -> Seri
         if len(found) == 1:
             return found[0]
         raise InputError(
-            f"{folder} holds {len(found)} series. Choose one by number or UID with --series: "
+            f"{folder} contains {len(found)} series. Choose one with --series, by index or UID: "
             f"{listing}."
         )
     numbered = {str(number): one for number, one in enumerate(found, start=1)}
     matches = [numbered[wanted]] if wanted in numbered else [s for s in found if s.uid == wanted]
     if len(matches) != 1:
-        raise InputError(f"No one series {wanted!r} in {folder}. Allowed: {listing}.")
+        raise InputError(f"No unique series {wanted!r} in {folder}. Allowed: {listing}.")
     return matches[0]
 
 
@@ -95,8 +95,9 @@ def ordered(series: Series, folder: Path) -> tuple[list[Slice], Float[np.ndarray
     if step <= 0.0 or (gaps < 0.5 * step).any():
         first = int(np.argmin(gaps))
         raise InputError(
-            f"Slices {slices[first].path.name} and {slices[first + 1].path.name} in {folder} lie "
-            f"at one place ({np.count_nonzero(gaps < 0.5 * step)} such pairs). Remove one of each."
+            f"Slices {slices[first].path.name} and {slices[first + 1].path.name} in {folder} "
+            f"have the same position ({np.count_nonzero(gaps < 0.5 * step)} such pairs). Remove "
+            "one of each."
         )
     if (gaps > 1.5 * step).any():
         first = int(np.argmax(gaps))

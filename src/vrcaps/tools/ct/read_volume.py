@@ -158,7 +158,7 @@ def _require_bytes(path: Path, voxels: int) -> None:
     size = path.stat().st_size
     if voxels > 1040 * size:
         raise InputError(
-            f"{path} is cut short: it says {voxels:.3g} voxels and has {size} bytes. "
+            f"{path} is truncated: its header states {voxels:.3g} voxels, but it has {size} bytes. "
             "Copy the file again."
         )
 
@@ -195,7 +195,7 @@ def _read_file(path: Path, *, is_label_map: bool) -> Volume:
         size = reader.GetSize()
         if len(size) != 3 or min(size) < 2 or reader.GetNumberOfComponents() != 1:
             raise InputError(
-                f"{path} holds {' × '.join(map(str, size))} voxels of "
+                f"{path} contains {' × '.join(map(str, size))} voxels of "
                 f"{reader.GetNumberOfComponents()} values. Give one three-dimensional scan."
             )
         require_voxels(math.prod(size), path)

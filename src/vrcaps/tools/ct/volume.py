@@ -30,7 +30,7 @@ def require_voxels(count: int, source: object) -> None:
     """
     if count > _MAX_VOXELS:
         raise InputError(
-            f"{source} says that it holds {count:.3g} voxels. Allowed: up to {_MAX_VOXELS:.3g}. "
+            f"{source} states {count:.3g} voxels. Allowed: up to {_MAX_VOXELS:.3g}. "
             "Crop or coarsen the scan."
         )
 
@@ -176,7 +176,7 @@ def common_part(scan: Volume, labels: Volume) -> tuple[Volume, Volume]:
     high = np.minimum(offset + labels.values.shape, scan.values.shape)
     if (high <= low).any():
         raise InputError(
-            f"The label map {labels.source} and the scan {scan.source} nowhere overlap. "
+            f"The label map {labels.source} and the scan {scan.source} do not overlap. "
             "Give labels of the same patient and scan."
         )
     of_scan = tuple(slice(a, b) for a, b in zip(low, high, strict=True))

@@ -10,6 +10,7 @@ import numpy as np
 from vrcaps.core.color import lab_from_srgb, srgb_from_log_linear
 from vrcaps.core.units import MM
 from vrcaps.tools.field_of_view import highlights
+from vrcaps.tools.report import make_figure
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -130,12 +131,8 @@ def write_report(path: Path, work: TextureResult) -> None:
         path: Image file to write; its suffix is the format.
         work: Result of `make_texture`.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     rows = len(work.sources)
-    figure = Figure(figsize=(13, 3.3 * rows + 7.0), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = make_figure(13, 3.3 * rows + 7.0)
     parts = figure.add_gridspec(2, 1, height_ratios=(3.3 * rows, 7.0))
     upper, lower = figure.add_subfigure(parts[0]), figure.add_subfigure(parts[1])
     grid = upper.subplots(rows, 4, squeeze=False)
@@ -144,13 +141,13 @@ def write_report(path: Path, work: TextureResult) -> None:
     far, near, vessels = lower.subplots(1, 3, width_ratios=(2, 2, 1))
     side = 2.0 * work.texture.side / MM
     far.imshow(np.tile(work.texture.albedo[::4, ::4], (2, 2, 1)), extent=(0, side, side, 0))
-    far.set(title="texture, laid 2 × 2", xlabel="mm")
+    far.set(title="texture, tiled 2 × 2", xlabel="mm")
     close = min(_CLOSE, len(work.texture.albedo))
     side = close * work.texture.texel / MM
     near.imshow(work.texture.albedo[:close, :close], extent=(0, side, side, 0))
-    near.set(title="texture, near", xlabel="mm")
+    near.set(title="texture, close-up", xlabel="mm")
     vessels.imshow(-work.vessel_density[::4, ::4], cmap="gray", vmax=0.0)
-    vessels.set(title="vessels laid on", xticks=[], yticks=[])
+    vessels.set(title="vessels placed", xticks=[], yticks=[])
     figure.savefig(path, dpi=90)
 
 
@@ -170,8 +167,8 @@ def _draw_source(axes, source: PhotoAnalysis) -> None:
     titles = (
         source.photo.name if len(source.photo.name) <= 28 else f"{source.photo.name[:25]}…",
         "highlights, darkness, region",
-        "under even light",
-        f"{len(source.vessels.pieces)} pieces of vessels",
+        "shading removed",
+        f"{len(source.vessels.pieces)} vessel pieces",
     )
     for axis, image, title in zip(axes, (rgb, masked, even, veined), titles, strict=True):
         axis.imshow(image)

@@ -26,6 +26,7 @@ from vrcaps.tools.photometric_calibration.models import (
     radial_profile,
     wall_color,
 )
+from vrcaps.tools.report import make_figure
 
 _SAME_SHAPE = 0.02
 """Maximum difference of the aspect ratios of frames and camera."""
@@ -191,11 +192,7 @@ def write_report(path: Path, calibration: PhotometricCalibration, frames: Frames
         calibration: The result.
         frames: Frames that it was estimated from.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(15, 9), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = make_figure(15, 9)
     (circle, first, last), (vignette, color, noise) = figure.subplots(2, 3)
     _draw_circle(circle, calibration, frames)
     for axis, k in ((first, 0), (last, len(frames.rgb) // 2)):
@@ -203,7 +200,7 @@ def write_report(path: Path, calibration: PhotometricCalibration, frames: Frames
         shown[~frames.field[k]] //= 3
         shown[frames.field[k] & ~frames.exposed[k]] = (0, 255, 255)
         axis.imshow(shown)
-        axis.set(xticks=[], yticks=[], title="dim: not looked at; cyan: over- or underexposed")
+        axis.set(xticks=[], yticks=[], title="dim: masked; cyan: over- or underexposed")
     _draw_vignetting(vignette, calibration)
     _draw_color(color, calibration, frames)
     _draw_noise(noise, calibration)
@@ -214,7 +211,7 @@ def _draw_circle(axis, calibration: PhotometricCalibration, frames: Frames) -> N
     from matplotlib.patches import Circle
 
     axis.imshow(frames.rgb.mean(axis=0).astype(np.uint8))
-    axis.set(xticks=[], yticks=[], title="mean frame: no dark rim that is a circle")
+    axis.set(xticks=[], yticks=[], title="mean frame: no circular dark rim detected")
     if calibration.circle is not None:
         found = calibration.circle
         axis.plot(*found.edge.T, ".", ms=2, color="lime")
@@ -255,7 +252,7 @@ def _draw_color(axis, calibration: PhotometricCalibration, frames: Frames) -> No
 
 def _draw_noise(axis, calibration: PhotometricCalibration) -> None:
     axis.set(xlabel="linear brightness, 1 = white", ylabel="variance of the noise")
-    axis.set_title("noise: hidden by coding")
+    axis.set_title("noise: hidden by compression")
     if calibration.noise is not None:
         noise = calibration.noise
         level = np.linspace(0.0, noise.brightness.max(), 50)

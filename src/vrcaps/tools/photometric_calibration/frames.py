@@ -145,7 +145,7 @@ def make_frames(
             progress(k + 1, len(photos))
     rgb, seen = np.stack([photo.rgb for photo in photos]), np.stack(field)
     if not seen.any():
-        raise InputError("The frames are black. Give frames in which the wall is seen.")
+        raise InputError("The frames are black. Give frames that show the wall.")
     exposed = seen & (rgb.max(axis=3) <= _SATURATED) & (rgb.min(axis=3) >= _DARKEST)
     return Frames(rgb, np.exp(log_linear_from_srgb(rgb)), seen, exposed)
 

@@ -13,6 +13,7 @@ from vrcaps.core.geometry import triangle_areas
 from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.metrics.surface import SurfaceErrors, surface_distances, surface_errors
+from vrcaps.tools.report import make_figure
 
 if TYPE_CHECKING:
     from jaxtyping import Float, UInt8
@@ -78,13 +79,10 @@ def write_ply(path: Path, mesh: Mesh, color: UInt8[np.ndarray, "n 3"]) -> None:
 
 def _write_picture(path: Path, mesh: Mesh, found: Comparison) -> None:
     """Draw two views of the vertices, colored by error, the nearest in front; and a histogram."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
-    from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(13.0, 5.0), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = make_figure(13.0, 5.0)
     views = figure.subplots(1, 3, width_ratios=[1, 1, 0.7])
     shown = mesh.vertices / MM
     for view, (across, up, towards) in zip(views, ((0, 2, 1), (0, 1, 2)), strict=False):

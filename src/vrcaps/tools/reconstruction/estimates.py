@@ -109,7 +109,7 @@ def read_depth(folder: Path, sequence: FrameSequence) -> FrameSequence:
     """
     place = folder / sequence.name
     if not place.is_dir():
-        raise InputError(f"{folder} holds no depth of {sequence.name}: there is no {place}.")
+        raise InputError(f"{folder} contains no depth of {sequence.name}: {place} is missing.")
 
     def depth_of(index: int) -> np.ndarray:
         path = place / f"{file_name(sequence, index)}.png"
@@ -133,7 +133,7 @@ def with_network_depth(sequence: FrameSequence, trained: TrainedNetwork) -> Fram
     """
     camera = sequence.camera
     if camera is None:
-        raise InputError(f"Depth needs a calibrated camera, which {sequence.name} has not.")
+        raise InputError(f"{sequence.name} has no calibrated camera, which depth requires.")
     from vrcaps.learn.picture_border import input_image
 
     require_depth(trained)

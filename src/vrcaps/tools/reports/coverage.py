@@ -28,6 +28,7 @@ from vrcaps.metrics.coverage import (
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import OrganSurface, face_label
 from vrcaps.recording.table import FrameTable, write_table
+from vrcaps.tools.report import make_figure
 from vrcaps.tools.reports.unroll import unroll
 from vrcaps.tools.reports.views import VIEWS, outside_view
 
@@ -99,7 +100,7 @@ def episode_coverage(
     missing = [name for name in COVERAGE_CHANNELS if name not in episode.channels]
     if missing:
         raise InputError(
-            f"{episode.path} holds no {', '.join(missing)}. Record it with --coverage, which adds "
+            f"{episode.path} has no {', '.join(missing)}. Record it with --coverage, which adds "
             f"the channels {', '.join(COVERAGE_CHANNELS)}."
         )
     criteria = criteria or CoverageCriteria()
@@ -235,11 +236,7 @@ def write_coverage_figure(path: Path, found: EpisodeCoverage, *, title: str = ""
         found: Coverage of an episode.
         title: Title above the figure.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=_SIZE_INCH, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = make_figure(*_SIZE_INCH)
     figure.suptitle(title)
     grid = figure.add_gridspec(3, 2, height_ratios=[1.5, 0.5, 0.8])
     organ = replace(found.organ, label=vertex_level(found).astype(np.uint8))

@@ -27,8 +27,8 @@ from vrcaps.data.stored_files import read_at_once
 from vrcaps.recording.frame_sequence import SPLITS
 from vrcaps.recording.pictures import legend, limits_of, picture
 from vrcaps.render.channels import CHANNELS
+from vrcaps.tools.report import data_url, html_image, html_note, html_page, html_table
 from vrcaps.tools.reports.dataset_sample import SPLIT_COLORS, Sample, Shot, histogram_picture
-from vrcaps.tools.reports.html import STYLE, data_url, html_table
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -68,9 +68,6 @@ def write_page(
         planned: Number of recordings in its plan.
     """
     parts = [
-        f"<!doctype html><html lang='en'><meta charset='utf-8'>"
-        f"<meta name='viewport' content='width=device-width'>"
-        f"<title>{html.escape(settings.name)}</title><style>{STYLE}{_OWN_STYLE}</style>",
         f"<h1>{html.escape(settings.name)}</h1>",
         f"<p>{html.escape(settings.description)}</p>" if settings.description else "",
         _facts(count(rows)),
@@ -79,12 +76,12 @@ def write_page(
         f"<div class='columns'>{_splits(rows)}{''.join(_bars(rows))}</div>",
         f"<div class='columns'>{_segments(rows)}{_lesions(rows, sample)}</div>",
         "<h2>Depth, brightness and speed</h2>",
-        f"<img alt='histograms' src='{data_url(histogram_picture(sample), 'image/png')}'>",
-        f"<p class='note'>{_histogram_note(sample)}</p>",
+        html_image("histograms", histogram_picture(sample)),
+        html_note(_histogram_note(sample)),
         *_examples(sample),
         *_mosaic(sample),
     ]
-    write_bytes(path, "\n".join(part for part in parts if part).encode())
+    write_bytes(path, html_page(settings.name, parts, _OWN_STYLE))
 
 
 def _facts(total: Count) -> str:
@@ -103,19 +100,21 @@ def _facts(total: Count) -> str:
 def _warnings(rows: Sequence[Row], planned: int) -> list[str]:
     found = []
     if len(rows) < planned:
-        found.append(f"{len(rows):,} of {planned:,} recordings are whole; the others are missing.")
+        found.append(
+            f"{len(rows):,} of {planned:,} recordings are complete; the others are missing."
+        )
     shared = shared_organs(rows)
     if shared:
         found.append(
             f"Patients in different splits have the same organ ({len(shared)} organs): the splits "
-            "do not tell how a method does in an anatomy that it has not seen."
+            "do not measure generalization to unseen anatomy."
         )
     return [f"<p class='warning'>{text}</p>" for text in found]
 
 
 def _split_legend() -> str:
     dots = (f"{_dot(name)}{name} &nbsp; " for name in SPLITS)
-    return f"<p class='note'>{''.join(dots)} — bars: frames.</p>"
+    return html_note(f"{''.join(dots)} — bars: frames.")
 
 
 def _dot(split: str) -> str:
@@ -183,7 +182,7 @@ def _segments(rows: Sequence[Row]) -> str:
 def _lesions(rows: Sequence[Row], sample: Sample) -> str:
     found = lesion_counts(rows)
     if not found:
-        return "<div><h2>Lesions</h2><p>No recording shows a lesion.</p></div>"
+        return "<div><h2>Lesions</h2><p>No recording contains a lesion.</p></div>"
     has_masks = any(shot.has_masks for shot in sample.shots)
     table = []
     for kind, (lesions, patients, recordings) in found.items():
@@ -195,14 +194,14 @@ def _lesions(rows: Sequence[Row], sample: Sample) -> str:
             "recordings": f"{recordings:,}",
         }
         share = f"{100.0 * seen / len(sample.shots):.1f} %"
-        table.append(row | ({"images that show it": share} if has_masks else {}))
+        table.append(row | ({"images with the lesion": share} if has_masks else {}))
     note = f"Images: of {len(sample.shots)} sampled ones. " if has_masks else ""
     note += "A lesion of a patient counts once."
-    return f"<div><h2>Lesions</h2>{html_table(table)}<p class='note'>{note}</p></div>"
+    return f"<div><h2>Lesions</h2>{html_table(table)}{html_note(note)}</div>"
 
 
 def _histogram_note(sample: Sample) -> str:
-    text = f"{len(sample.shots)} images and {len(sample.speeds)} recordings, chosen evenly."
+    text = f"{len(sample.shots)} images and {len(sample.speeds)} recordings, sampled evenly."
     bright = [shot.brightness for shot in sample.shots if shot.brightness.size]
     if bright:
         pixels = np.concatenate(bright)
@@ -210,7 +209,7 @@ def _histogram_note(sample: Sample) -> str:
             f" Of the pixels that the lens illuminates {100 * np.mean(pixels >= 254):.1f} % are "
             f"white and {100 * np.mean(pixels <= 5):.1f} % nearly black (gray level 5 or less)."
         )
-    return text + " The last bin holds all beyond it."
+    return text + " The last bin contains all larger values."
 
 
 def _examples(sample: Sample) -> list[str]:
@@ -223,7 +222,7 @@ def _examples(sample: Sample) -> list[str]:
         # A frame with lesions, if there is one, shows the most.
         shot = max(shots, key=lambda shot: len(shot.lesions))
         episode = shot.member.read()
-        parts.append(f"<p class='note'>{_caption(shot)}</p><div class='tiles'>")
+        parts.append(f"{html_note(_caption(shot))}<div class='tiles'>")
         for channel in episode.channels:
             values = episode.image(shot.camera, channel, shot.frame)
             limits = limits_of(channel, [values])

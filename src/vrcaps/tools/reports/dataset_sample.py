@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -17,6 +16,7 @@ from vrcaps.data.dataset import Dataset, Member
 from vrcaps.data.stored_files import read_at_once
 from vrcaps.recording.episode import Episode
 from vrcaps.recording.frame_sequence import SPLITS
+from vrcaps.tools.report import make_figure, png_bytes
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -154,20 +154,16 @@ _HIGHEST = 99.5
 
 def histogram_picture(sample: Sample) -> bytes:
     """Draw the three histograms side by side, as a PNG."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=_SIZE_INCH, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = make_figure(*_SIZE_INCH)
     views = figure.subplots(1, 3)
-    _draw(views[0], _pixels(sample, "depth", MM), "depth [mm]", "share of pixels [%]")
-    _draw(views[1], _pixels(sample, "brightness", 1.0), "gray level", "share of pixels [%]", 255.0)
-    _draw(views[2], _speeds(sample), "speed of the capsule [mm/s]", "share of frames [%]")
+    _draw(views[0], _pixels(sample, "depth", MM), "depth [mm]", "fraction of pixels [%]")
+    _draw(
+        views[1], _pixels(sample, "brightness", 1.0), "gray level", "fraction of pixels [%]", 255.0
+    )
+    _draw(views[2], _speeds(sample), "speed of the capsule [mm/s]", "fraction of frames [%]")
     handles = views[2].get_legend_handles_labels()
     figure.legend(*handles, loc="outside upper center", ncols=len(SPLITS), frameon=False)
-    picture = io.BytesIO()
-    figure.savefig(picture, dpi=_DPI)
-    return picture.getvalue()
+    return png_bytes(figure, _DPI)
 
 
 def _pixels(sample: Sample, name: str, unit: float) -> dict[str, NDArray]:

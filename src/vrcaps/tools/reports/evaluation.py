@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,15 @@ from vrcaps.core.files import write_bytes, write_csv
 from vrcaps.metrics.bootstrap import bootstrap, mean_band
 from vrcaps.metrics.point_coverage import POINT_LEVELS
 from vrcaps.policy.evaluation import PAPER_COVERAGE, PAPER_TIME, TARGETS, Evaluation, judged_time
-from vrcaps.tools.reports.html import STYLE, data_url, html_table
+from vrcaps.tools.report import (
+    data_url,
+    html_image,
+    html_note,
+    html_page,
+    html_table,
+    make_figure,
+    png_bytes,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -63,7 +70,7 @@ def summary(subject: Subject) -> dict[str, str]:
         percent = evaluation.column(f"{level}_at_{subject.judged_at:g}_s")
         low, middle, high = np.percentile(percent, (10, 50, 90))
         row[f"{level} at {subject.judged_at:g} s [%]"] = f"{middle:.1f} ({low:.1f} to {high:.1f})"
-    row["visible at end [%]"] = f"{np.median(evaluation.column('visible_at_end')):.1f}"
+    row["visible at the end [%]"] = f"{np.median(evaluation.column('visible_at_end')):.1f}"
     row["area under curve [%]"] = f"{np.median(evaluation.column('visible_area_under_curve')):.1f}"
     for target in TARGETS:
         times = evaluation.column(f"visible_time_to_{target:g}_s")
@@ -85,7 +92,7 @@ def _success(evaluation: Evaluation) -> dict[str, str]:
     return {
         "success [%]": share,
         "time to success [s]": time_text(evaluation.column("time_to_success_s")),
-        "progress at end [%]": f"{np.median(evaluation.column('progress_at_end')):.1f}",
+        "progress at the end [%]": f"{np.median(evaluation.column('progress_at_end')):.1f}",
     }
 
 
@@ -122,11 +129,7 @@ _POINTS = 241
 
 def summary_picture(subjects: Sequence[Subject]) -> bytes:
     """Draw all subjects side by side, as a PNG."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=_SIZE_INCH, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = make_figure(*_SIZE_INCH)
     grid = figure.add_gridspec(2, 3, height_ratios=[1.3, 1.0])
     for column in range(len(POINT_LEVELS)):
         _draw_over_time(figure.add_subplot(grid[0, column]), subjects, column)
@@ -134,9 +137,7 @@ def summary_picture(subjects: Sequence[Subject]) -> bytes:
     _draw_times(figure.add_subplot(grid[1, 2]), subjects)
     handles = figure.axes[0].get_legend_handles_labels()
     figure.legend(*handles, loc="outside upper center", ncols=min(len(subjects), 5), frameon=False)
-    picture = io.BytesIO()
-    figure.savefig(picture, dpi=_DPI)
-    return picture.getvalue()
+    return png_bytes(figure, _DPI)
 
 
 def _draw_over_time(view: Axes, subjects: Sequence[Subject], column: int) -> None:
@@ -213,14 +214,15 @@ def _draw_times(view: Axes, subjects: Sequence[Subject]) -> None:
 
 PAGE, PICTURE, TABLE, VIDEO = "index.html", "summary.png", "summary.csv", "median.mp4"
 
-_NOTE = f"""Coverage: points on the wall that stand for its area; <i>frustum</i> counts vertices
-in the field of view through walls (the definition of VR-Caps), <i>visible</i> what nothing hides,
-<i>resolved</i> what is also seen close and steeply enough. After the end of an episode its coverage
-stays. Lines: mean over episodes with its 95 % confidence band, for which whole organs are drawn
-anew 1,000 times (episodes where there is one organ); pale: 10th to 90th percentile.
-Star: VR-Caps, {PAPER_COVERAGE} % at {PAPER_TIME} s of one stomach. Times: median over episodes,
-where one that never got there counts as the longest, and how many got there. Forces: median over
-episodes of percentiles over the actions of an episode."""
+_NOTE = f"""Coverage is measured at points on the wall that stand for its area. <i>frustum</i>
+counts vertices in the field of view, even through walls (the definition of VR-Caps); <i>visible</i>
+counts what is not occluded; <i>resolved</i> counts what is also seen at a small distance and angle.
+Coverage stays constant after the end of an episode. Lines: mean over episodes with its 95 %
+confidence band, by 1,000 bootstrap samples of whole organs (of episodes if there is one organ).
+Pale: 10th to 90th percentile. Star: VR-Caps, {PAPER_COVERAGE} % at {PAPER_TIME} s in one stomach.
+Times: median over episodes, where an episode that did not reach the target counts as the longest,
+and the number that reached it. Forces: median over episodes of percentiles over the actions of an
+episode."""
 
 
 def write_page(folder: Path, subjects: Sequence[Subject]) -> list[Path]:
@@ -241,29 +243,29 @@ def write_page(folder: Path, subjects: Sequence[Subject]) -> list[Path]:
         for name in names
     ]
     write_csv(folder / TABLE, rows)
-    write_bytes(folder / PAGE, _page(folder, subjects, rows).encode())
+    write_bytes(folder / PAGE, _page(folder, subjects, rows))
     return [folder / name for name in (PAGE, PICTURE, TABLE)]
 
 
-def _page(folder: Path, subjects: Sequence[Subject], rows: list[dict[str, str]]) -> str:
+def _page(folder: Path, subjects: Sequence[Subject], rows: list[dict[str, str]]) -> bytes:
     dynamics = ", ".join(sorted({subject.settings.dynamics for subject in subjects}))
     by_organ = _by_organ(subjects)
     organs = [row["organ"] for row in by_organ]
     whole = ", ".join(sorted({f"{s.settings.episode_time:g}" for s in subjects}))
-    said = (
+    summary_line = (
         f"{len(organs)} organs ({', '.join(organs[:4])}{', …' if len(organs) > 4 else ''}); "
         f"episodes of {whole} s; dynamics: {dynamics}."
     )
     parts = [
-        f"<!doctype html><meta charset='utf-8'><title>Evaluation</title><style>{STYLE}</style>",
         f"<h1>Evaluation of {html.escape(', '.join(s.name for s in subjects))}</h1>",
-        f"<p>{html.escape(said)}</p>",
-        f"<img alt='coverage' src='{data_url((folder / PICTURE).read_bytes(), 'image/png')}'>",
-        f"<p class='note'>{_NOTE}</p>",
+        f"<p>{html.escape(summary_line)}</p>",
+        html_image("coverage", (folder / PICTURE).read_bytes()),
+        html_note(_NOTE),
         html_table(rows),
-        "<h2>Organs</h2><p class='note'>Median visible coverage "
-        f"at {subjects[0].judged_at:g} s [%].</p>{html_table(by_organ)}",
-        f"<h2>Ends of episodes</h2>{html_table(_ends(subjects))}",
+        "<h2>Organs</h2>",
+        html_note(f"Median visible coverage at {subjects[0].judged_at:g} s [%]."),
+        html_table(by_organ),
+        f"<h2>Episode outcomes</h2>{html_table(_ends(subjects))}",
     ]
     for subject in subjects:
         video = subject.evaluation.folder / VIDEO
@@ -271,12 +273,12 @@ def _page(folder: Path, subjects: Sequence[Subject], rows: list[dict[str, str]])
             source = data_url(video.read_bytes(), "video/mp4")
             row = subject.evaluation.median_row(MEDIAN_OF)
             parts.append(
-                f"<h2>{html.escape(subject.name)}: the median run</h2>"
-                f"<p>{row['organ']}, seed {row['seed']}, episode {row['episode']}; twice as fast "
-                "as it was. Left: the camera. Right: the organ, green where it was seen.</p>"
+                f"<h2>{html.escape(subject.name)}: median run</h2>"
+                f"<p>{row['organ']}, seed {row['seed']}, episode {row['episode']}; at twice "
+                "real time. Left: camera. Right: organ, with the seen wall in green.</p>"
                 f"<video controls loop muted src='{source}'></video>"
             )
-    return "\n".join(parts)
+    return html_page("Evaluation", parts)
 
 
 def _by_organ(subjects: Sequence[Subject]) -> list[dict[str, str]]:

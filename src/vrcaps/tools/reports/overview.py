@@ -14,6 +14,7 @@ from vrcaps.core.units import CM, MM
 from vrcaps.mesh.mesh import wall_of
 from vrcaps.organ.measure import OrganMeasures, arc_length_bins, measure_organ, segment_spans
 from vrcaps.organ.surface import OrganSurface
+from vrcaps.tools.report import make_figure
 from vrcaps.tools.reports.unroll import dissection_rows
 from vrcaps.tools.reports.views import VIEWS, inside_views, outside_view, project
 
@@ -124,9 +125,6 @@ def write_overview(organ: OrganSurface, path: Path, *, facts: OrganMeasures | No
         path: Image file to write; its suffix is the format.
         facts: Measures of the organ, if already computed.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     wall = wall_of(organ.vertices, organ.faces)
     picture = _Picture(organ, facts or measure_organ(organ), wall, marked_lesions(organ))
     places = _view_places(picture)
@@ -135,8 +133,7 @@ def write_overview(organ: OrganSurface, path: Path, *, facts: OrganMeasures | No
     inside = rows_inside * (min(_STRIP / per_row, 2.2) + 0.3)
     unrolled = picture.rows * (picture.row_height + 0.5) + 0.35
     heights = [0.75, 5.0, inside, unrolled] + ([] if picture.is_short else [2.1])
-    figure = Figure(figsize=(_WIDTH, sum(heights)), facecolor="white")
-    FigureCanvasAgg(figure)
+    figure = make_figure(_WIDTH, sum(heights), layout=None, facecolor="white")
     parts = list(np.ravel(figure.subfigures(len(heights), 1, height_ratios=heights)))  # type: ignore[arg-type]
     _draw_title(parts[0], picture)
     _draw_outside(parts[1], picture)
@@ -190,7 +187,7 @@ def _draw_title(part: SubFigure, picture: _Picture) -> None:
     words = [
         f"{facts.length / CM:.1f} cm long",
         f"lumen {facts.volume / CM**3:.0f} ml",
-        f"passes a ball of {facts.diameter_min / MM:.0f} mm, "
+        f"minimum diameter {facts.diameter_min / MM:.0f} mm, "
         f"{facts.diameter_median / MM:.0f} mm in the median",
         f"wall {facts.area / CM**2:.0f} cm²",
         f"{facts.num_faces:,} triangles",
@@ -381,7 +378,7 @@ def _draw_diameter(part: SubFigure, picture: _Picture) -> None:
     top = 1.12 * float(high.max())
     _draw_bar(graph, picture, 1.0 * top, 1.06 * top)
     graph.set(xlim=(0, edges[-1] / CM), ylim=(0, 1.06 * top))
-    title = "Diameter [mm] along the way [cm]: median around the centerline, band 10 % to 90 %"
+    title = "Diameter [mm] along the centerline [cm]: median and 10th to 90th percentile"
     graph.set_title(title, size=10, color=_INK, loc="left")
     graph.grid(axis="y", color="#eeeeee", lw=0.8)
     _tidy(graph)

@@ -128,7 +128,7 @@ def test_estimated_depth_is_found_by_the_names_of_images(tmp_path):
 
 def test_bad_input_is_one_clear_line(tmp_path):
     sequence = _sequence()
-    with pytest.raises(InputError, match="holds no depth of sphere/front"):
+    with pytest.raises(InputError, match="contains no depth of sphere/front"):
         read_depth(tmp_path, sequence)
     with pytest.raises(InputError, match="There are 2 poses for 6 frames"):
         with_poses(sequence, _poses()[:2])

@@ -337,7 +337,7 @@ def test_depth_by_a_network_is_that_of_the_stitched_image():
 
 def test_bad_input_is_one_clear_line(tmp_path):
     sequence = _sequence()
-    with pytest.raises(InputError, match="needs a calibrated camera, which wall/front has not"):
+    with pytest.raises(InputError, match="wall/front has no calibrated camera, which stitching"):
         stitch(replace(sequence, camera=None), StitchSettings())
     blank = replace(sequence, load=lambda channel, index: np.full((SIDE, SIDE, 3), 90, np.uint8))
     with pytest.raises(InputError, match=r"No two of 4 frames of wall/front can be stitched: too"):
@@ -352,11 +352,11 @@ def test_bad_input_is_one_clear_line(tmp_path):
 @pytest.mark.parametrize(
     ("flags", "said"),
     [
-        (["--shading"], "--shading goes with --method stitching"),
-        (["--method", "stitching", "--poses", "p.txt"], "--poses goes with --method fusion"),
+        (["--shading"], "--shading requires --method stitching"),
+        (["--method", "stitching", "--poses", "p.txt"], "--poses requires --method fusion"),
         (
             ["--method", "stitching", "--shading", "--depth", "d"],
-            "Depth comes from one of --depth, --weights and --shading",
+            "Several of --depth, --weights and --shading are given",
         ),
     ],
 )

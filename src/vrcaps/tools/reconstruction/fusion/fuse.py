@@ -159,7 +159,7 @@ class Volume:
         )
         is_known = weight >= min_views
         if not (distance[is_known].min(initial=1.0) < 0.0 < distance[is_known].max(initial=-1.0)):
-            raise InputError("No surface was found: depths and poses do not agree anywhere.")
+            raise InputError("No surface could be extracted: depths and poses are inconsistent.")
         places, faces, _, _ = marching_cubes(distance, 0.0, mask=_whole_cubes(is_known))
         vertices = (places + 0.5 + low * _SIDE) * self.voxel
         nearest = np.rint(places).astype(int)
@@ -228,7 +228,7 @@ def fuse(
     """
     camera = sequence.camera
     if camera is None:
-        raise InputError(f"Fusing depth needs a calibrated camera, which {sequence.name} has not.")
+        raise InputError(f"{sequence.name} has no calibrated camera, which fusion requires.")
     poses = sequence.Ts_world_camera
     cosine = unproject_pixels(camera, pixel_grid(camera.width, camera.height))[..., 2]
     cosine = np.where(cosine > MIN_COSINE, cosine, np.nan)

@@ -98,7 +98,7 @@ def estimated_poses(
     """
     camera = sequence.camera
     if camera is None:
-        raise InputError(f"Odometry needs a calibrated camera, which {sequence.name} has not.")
+        raise InputError(f"{sequence.name} has no calibrated camera, which odometry requires.")
     is_seen, pitch = _field(camera)
     count = len(sequence)
     views = []
@@ -113,7 +113,7 @@ def estimated_poses(
     if not frames:
         most = max((len(view.rays) for view in views), default=0)
         raise InputError(
-            f"No two of {count} frames of {sequence.name} show a common place: too few features "
+            f"No two of {count} frames of {sequence.name} overlap: too few features "
             f"match (at most {most} a frame). Give frames that overlap more."
         )
     pairs = [pair for pair in pairs if pair.first in frames]

@@ -314,5 +314,5 @@ def pinhole_of(camera: Camera) -> LensPinhole:
         InputError: If its lens is not a pinhole.
     """
     if not isinstance(camera.lens, LensPinhole):
-        raise InputError(f"Camera {camera.name!r} is no pinhole. Give rectified images.")
+        raise InputError(f"Camera {camera.name!r} is not a pinhole. Give rectified images.")
     return camera.lens

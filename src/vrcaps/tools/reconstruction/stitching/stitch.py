@@ -134,7 +134,7 @@ def _rectified(
 ) -> FrameSequence:
     """Rectify images and depth of selected frames to a pinhole camera."""
     if sequence.camera is None:
-        raise InputError(f"Stitching needs a calibrated camera, which {sequence.name} has not.")
+        raise InputError(f"{sequence.name} has no calibrated camera, which stitching requires.")
     channels = [name for name in ("rgb", "depth") if name in sequence.channels]
     used = sequence.with_channels(channels).subset(chosen)
     return rectified(used, min(field_of_view, widest_field(sequence.camera)))

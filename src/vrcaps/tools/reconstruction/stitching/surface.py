@@ -310,7 +310,7 @@ def surface_of(
     low, high = corners.min(axis=1), corners.max(axis=1)
     faces = faces[np.isfinite(low) & (low > 0.0) & (high <= _JUMP * low)]
     if not len(faces):
-        raise InputError("The stitched image has no surface: its depth is nowhere known.")
+        raise InputError("The stitched image has no surface: its depth is unknown everywhere.")
     used, faces = np.unique(faces, return_inverse=True)
     return Mesh(points.reshape(-1, 3)[used], faces.reshape(-1, 3)), rgb.reshape(-1, 3)[used]
 

@@ -114,8 +114,11 @@ def test_says_what_cannot_be_done(drive_scenario, tmp_path):
         Session(drive_scenario, tmp_path / "full")
     with pytest.raises(InputError, match="Cannot create the folder"):
         Session(drive_scenario, tmp_path / "full" / "a" / "b")
+    with pytest.raises(UnknownNameError, match="No capsule named 'unknown'"):
+        Session(replace(drive_scenario, capsule="unknown"), tmp_path / "unknown")
+    assert not (tmp_path / "unknown").exists()
     session = Session(drive_scenario, tmp_path / "drive")
-    with pytest.raises(InputError, match="no frame yet"):
+    with pytest.raises(InputError, match="No frame is complete"):
         session.keep_snapshot()
     with pytest.raises(UnknownNameError, match="No snapshot named '3 s'"):
         session.go_back("3 s")

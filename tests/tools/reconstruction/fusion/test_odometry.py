@@ -162,7 +162,7 @@ def test_bad_input_is_one_clear_line(tmp_path, capsys):
     with pytest.raises(InputError, match=r"reach is 0\. Allowed: 1 or more"):
         OdometrySettings(reach=0)
     flags = [["--odometry", "--poses", "p.txt"], ["--odometry", "--method", "stitching"]]
-    said = ["--poses and --odometry are both given", "--odometry goes with --method fusion"]
+    said = ["--poses and --odometry are both given", "--odometry requires --method fusion"]
     for some, words in zip(flags, said, strict=True):
         with pytest.raises(SystemExit, match="2"):
             main(["reconstruct", str(tmp_path), "--out", str(tmp_path / "out"), *some])

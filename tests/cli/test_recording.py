@@ -40,6 +40,7 @@ def test_recording_says_where_and_what_to_open(
     cli.main(f"record --organ {phantom} --out {tmp_path / 'o'} {FLAGS}".split())
     text = " ".join(capsys.readouterr().out.split())
     assert "Recorded 3 frames of front into" in text
+    assert f"First image: {tmp_path / 'o' / 'front' / 'rgb' / '000000'}" in text
     assert "Channels: rgb, depth, label." in text
     assert "sheet.png" in text
     assert (tmp_path / "o" / "sheet.png").is_file()

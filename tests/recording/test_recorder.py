@@ -135,6 +135,21 @@ def test_damaged_files_are_made_again(recorded, scenario, tmp_path):
 
 
 @pytest.mark.slow
+def test_an_organ_file_that_cannot_be_written_is_reported(
+    recorded, scenario, tmp_path, monkeypatch
+):
+    def full(*args):
+        raise OSError(errno.ENOSPC, "No space left on device", "organ.glb")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("vrcaps.recording.recorder._write_organ", full)
+        with pytest.raises(InputError, match=r"The disk is full .* run the same command again"):
+            record(scenario, tmp_path / "again")
+    record(scenario, tmp_path / "again")
+    assert _digests(tmp_path / "again") == _digests(recorded)
+
+
+@pytest.mark.slow
 def test_other_write_errors(scenario, tmp_path, monkeypatch):
     def refuse(items):
         raise OSError(errno.EACCES, "Permission denied", items[0][0])

@@ -43,10 +43,18 @@ def run_recording(scenario: Scenario, out: Path, *, threads: int | None = None) 
 
         def progress(num_done: int, total: int) -> None:
             times.append(time.perf_counter())
+            if num_done == 1:
+                _show_first_image(out)
             advance(num_done, total)
 
         record(scenario, out, progress=progress, simulated=simulated)
     _summarize(out, times, time.perf_counter() - started)
+
+
+def _show_first_image(out: Path) -> None:
+    """Print the path of the first color image, which can be opened while the others are made."""
+    if image := min(out.glob("*/rgb/*"), default=None):
+        console.print(f"First image: {image}.")
 
 
 def use_threads(threads: int | None) -> None:

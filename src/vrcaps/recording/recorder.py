@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -101,9 +102,11 @@ def record(
             _begin(out, head)
             remove_damaged(read_episode(out, unfinished=True))
             run = _Recording(out, resolved, model, motion, progress or _silent, simulated)
-            if store_organ is None and not (out / ORGAN_GLB).exists():
-                _write_organ(out, model)
+            is_missing = store_organ is None and not (out / ORGAN_GLB).exists()
+            organ = _Background(partial(_write_organ, out, model)) if is_missing else None
             _write_frames(out, run)
+            if organ is not None:
+                organ.wait()
             _finish(out, head)
         except OSError as error:
             raise _explained(out, error) from error
@@ -238,6 +241,31 @@ def _write_organ(out: Path, model: Model) -> None:
     from vrcaps.organ.organ_file import write_organ
 
     write_organ(out / ORGAN_GLB, model.organ, T_world_patient=model.T_world_patient, compact=True)
+
+
+class _Background:
+    """Work in a thread that runs while the frames are rendered.
+
+    The compression of textures takes longer than the first frames, and needs one core. The thread
+    is a daemon, so that an error or an interruption of the recording does not wait for it.
+    """
+
+    def __init__(self, work: Callable[[], None]) -> None:
+        self._error: BaseException | None = None
+        self._thread = Thread(target=self._run, args=(work,), daemon=True)
+        self._thread.start()
+
+    def _run(self, work: Callable[[], None]) -> None:
+        try:
+            work()
+        except BaseException as error:
+            self._error = error
+
+    def wait(self) -> None:
+        """Wait until the work is done, and raise its error if it failed."""
+        self._thread.join()
+        if self._error is not None:
+            raise self._error
 
 
 class _Timer:

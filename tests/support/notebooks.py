@@ -15,7 +15,7 @@ def _shell(line):
     if subprocess.run(line, shell=True).returncode:
         sys.exit(f"Failed: {line}")
 """
-LAUNCHER = "#!{python}\nfrom vrcaps.cli import main\nmain()\n"
+LAUNCHER = "#!{python}\nfrom vrcaps.cli import main\nif __name__ == '__main__':\n    main()\n"
 
 
 def program_of(path: Path, *, smoke: bool) -> str:

@@ -3,7 +3,10 @@
 import json
 import shutil
 from dataclasses import replace
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from threading import Thread
 
 import pytest
 
@@ -14,9 +17,10 @@ from vrcaps import cli  # noqa: E402
 from vrcaps.cli.parts import part_of  # noqa: E402
 from vrcaps.core.errors import InputError, StorageError, UnknownNameError  # noqa: E402
 from vrcaps.core.files import file_sha256, files_in  # noqa: E402
+from vrcaps.learn import hub  # noqa: E402
 from vrcaps.learn import publish as publishing  # noqa: E402
 from vrcaps.learn.evaluation import Evaluation, write_evaluation  # noqa: E402
-from vrcaps.learn.hub import INDEX, VARIABLE, find_weights, read_index  # noqa: E402
+from vrcaps.learn.hub import INDEX, VARIABLE, find_weights, pull, read_index  # noqa: E402
 from vrcaps.learn.model_card import train_command  # noqa: E402
 from vrcaps.learn.presets import settings_of  # noqa: E402
 from vrcaps.learn.publish import MAX_BYTES, publish  # noqa: E402
@@ -187,6 +191,96 @@ def test_weights_at_a_url_are_kept_in_the_cache(run, place, tmp_path, monkeypatc
         cli._parse(["weights", "publish", str(run)]).run()
 
 
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    """A user of an installed package: no checkout, an own data folder."""
+    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.setattr(hub, "_CHECKOUT", tmp_path / "none")
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
+    monkeypatch.setattr(hub, "pulled_folder", lambda: tmp_path / "data" / "weights")
+    return tmp_path / "data" / "weights"
+
+
+def test_pulled_weights_are_found_by_name(run, tmp_path, home, capsys):
+    source = tmp_path / "source"
+    publish(run, source, notes="For tests.")
+    with pytest.raises(InputError, match=r"Fetch them with `vrcaps weights pull --from URL`"):
+        find_weights("", TASK)
+    cli.main(["weights", "pull", "--from", str(source)])
+    assert f"1 files, 0.0 MB, in {home}: {TASK}." in " ".join(capsys.readouterr().out.split())
+    assert find_weights("", TASK).read_bytes() == (run / BEST).read_bytes()
+    assert find_weights(TASK) == home / f"{TASK}.safetensors"
+    assert (home / f"{TASK}.md").read_bytes() == (source / f"{TASK}.md").read_bytes()
+
+
+def test_complete_files_are_not_copied_again(run, tmp_path, home, monkeypatch):
+    source = tmp_path / "source"
+    publish(run, source, notes="For tests.")
+    pull(str(source))
+    (source / f"{TASK}.safetensors").unlink()
+    (entry,) = pull(str(source))
+    assert entry.name == TASK
+    (home / f"{TASK}.safetensors").write_bytes(b"cut")
+    with pytest.raises(InputError, match=rf"There is no {TASK}\.safetensors in"):
+        pull(str(source))
+
+
+def test_other_content_than_the_index_states_is_refused(run, tmp_path, home):
+    source = tmp_path / "source"
+    publish(run, source, notes="For tests.")
+    path = source / f"{TASK}.safetensors"
+    path.write_bytes(path.read_bytes()[:-1] + b"x")
+    with pytest.raises(InputError, match=r"has sha256 .*, but index\.json says .* Try again"):
+        pull(str(source))
+    assert not (home / f"{TASK}.safetensors").exists()
+
+
+def test_a_pull_needs_a_source_and_known_names(run, tmp_path, home):
+    source = tmp_path / "source"
+    publish(run, source, notes="For tests.")
+    with pytest.raises(UnknownNameError, match="No published weights named 'dept'"):
+        pull(str(source), ["dept"])
+    with pytest.raises(InputError, match=r"No source is given\. Add --from FOLDER"):
+        cli._parse(["weights", "pull"]).run()
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    with pytest.raises(StorageError, match=r"Cannot write .*: Not a directory\. Give another"):
+        pull(str(source), folder=blocked / "weights")
+
+
+def serve(folder):
+    """Serve a folder on this machine; return the server and its URL."""
+    handler = partial(QuietHandler, directory=str(folder))
+    server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    Thread(target=server.serve_forever, daemon=True).start()
+    return server, f"http://127.0.0.1:{server.server_address[1]}"
+
+
+class QuietHandler(SimpleHTTPRequestHandler):
+    def log_message(self, *args):
+        pass
+
+
+def test_weights_of_a_web_server_are_pulled(run, tmp_path, home):
+    source = tmp_path / "source"
+    publish(run, source, notes="For tests.")
+    server, url = serve(source)
+    with server:
+        pull(url)
+        assert find_weights("", TASK).read_bytes() == (run / BEST).read_bytes()
+        (home / f"{TASK}.safetensors").unlink()
+        with (source / f"{TASK}.safetensors").open("ab") as file:
+            file.write(b"more than the index states")
+        with pytest.raises(StorageError, match=r"has more than \d+ bytes"):
+            pull(url)
+        (source / "index.json").unlink()
+        with pytest.raises(InputError, match=r"There is no index\.json in http://127"):
+            pull(url)
+        server.shutdown()
+    with pytest.raises(StorageError, match=r"from http://127.*: Connection refused\. Set VRCAPS_W"):
+        pull(url)
+
+
 def test_a_place_that_cannot_be_reached_is_one_line(monkeypatch):
     fsspec = pytest.importorskip("fsspec")
 
@@ -227,7 +321,7 @@ def test_what_is_not_published_is_one_clear_line(run, place, monkeypatch):
         find_weights("", TASK)
     monkeypatch.delenv(VARIABLE)
     monkeypatch.setattr("vrcaps.learn.hub._CHECKOUT", place / "none")
-    with pytest.raises(InputError, match=r"the installed package has none\. Set VRCAPS_WEIGHTS"):
+    with pytest.raises(InputError, match=r"Fetch them with `vrcaps weights pull"):
         find_weights("", TASK)
 
 

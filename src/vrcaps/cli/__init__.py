@@ -78,6 +78,7 @@ _VERBS = {
         for task, what in _TASKS.items()
     },
     "weights list": ("vrcaps.cli.weights", "List", "List published weights."),
+    "weights pull": ("vrcaps.cli.weights", "Pull", "Fetch published weights by name."),
     "weights publish": ("vrcaps.cli.weights", "Publish", "Publish a training's best weights."),
     "weights export": ("vrcaps.cli.weights", "Export", "Write trained weights as ONNX."),
     "doctor": ("vrcaps.cli.doctor", "Doctor", "Report the installation and missing extras."),
@@ -87,7 +88,7 @@ _VERBS = {
 _GROUPS = {
     "train": "Learn: policies that steer a capsule, and estimates from images.",
     "predict": "Estimate from images with trained weights.",
-    "weights": "Trained weights: list, publish with a model card, write as ONNX.",
+    "weights": "Trained weights: list, fetch, publish with a model card, write as ONNX.",
     "dataset": "Generate and verify data sets of many recordings, split by patient.",
     "export": "Export episodes and data sets to the layouts of other tools.",
     "evaluate": "Score estimates from images by task; without a task, judge policies.",

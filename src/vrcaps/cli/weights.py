@@ -1,14 +1,16 @@
-"""`vrcaps weights list`, `publish`, `export`: published weights, referenced by name."""
+"""`vrcaps weights list`, `pull`, `publish`, `export`: published weights, referenced by name."""
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from tyro.conf import Positional, UseAppendAction
+from tyro.conf import Positional, UseAppendAction, arg
 
 from vrcaps.cli.arguments import require_file, require_folder
-from vrcaps.cli.console import console
+from vrcaps.cli.console import console, progress_bar
 from vrcaps.core.errors import InputError
 
 
@@ -39,6 +41,47 @@ class List:
             table.add_row(one.name, one.task, f"{one.bytes / 1e6:.1f}", one.summary)
         console.print(f"{len(index)} in {place}")
         console.print(table)
+
+
+@dataclass(frozen=True)
+class Pull:
+    """Fetch published weights and their model cards, each checked by its checksum.
+
+    Commands such as `vrcaps predict` then find them by name. A checkout of vrcaps has them already.
+
+    For example:
+      vrcaps weights pull --from https://example.org/vrcaps-weights
+      vrcaps weights pull depth segmentation --from /shared/vrcaps/weights
+    """
+
+    names: Positional[tuple[str, ...]] = ()
+    """Names to fetch, see `vrcaps weights list`; by default all."""
+
+    source: Annotated[str, arg(name="from")] = ""
+    """Folder or URL with an index.json and the files; by default that in VRCAPS_WEIGHTS."""
+
+    out: Path | None = None
+    """Folder to write; by default the user's data folder, where all commands look."""
+
+    def run(self) -> None:
+        """Fetch and report.
+
+        Raises:
+            InputError: If there is no source, or a file differs from the index.
+        """
+        from vrcaps.learn.hub import VARIABLE, pull, pulled_folder
+
+        source = self.source or os.environ.get(VARIABLE, "")
+        if not source:
+            raise InputError(
+                f"No source is given. Add --from FOLDER or --from URL, or set {VARIABLE}."
+            )
+        folder = self.out or pulled_folder()
+        with progress_bar("fetching") as show:
+            entries = pull(source, self.names, folder=folder, progress=show)
+        size = sum(one.bytes for one in entries) / 1e6
+        names = ", ".join(one.name for one in entries)
+        console.print(f"{len(entries)} files, {size:.1f} MB, in {folder}: {names}.")
 
 
 @dataclass(frozen=True)

@@ -1,21 +1,29 @@
 """Published weights: an index of files with checksums, in a folder or at a URL.
 
 A checkout of vrcaps contains them in its folder `weights`. An installed package has none, since
-they are larger than the rest of it. The variable `VRCAPS_WEIGHTS` names another folder or the URL
-of such a folder; files from a URL are kept in the cache folder.
+they are larger than the rest of it: `pull` copies them into the user's data folder. The variable
+`VRCAPS_WEIGHTS` names another folder or the URL of such a folder; files from a URL are kept in the
+cache folder.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from http import HTTPStatus
+from http.client import HTTPException
 from pathlib import Path
 from typing import Any
+from urllib.error import HTTPError
+from urllib.request import urlopen
 
 from vrcaps.config.convert import from_plain, to_plain
 from vrcaps.config.plain_files import decode_json
-from vrcaps.core.errors import InputError, StorageError, UnknownNameError, require
+from vrcaps.core.errors import InputError, StorageError, UnknownNameError, reason_of, require
 from vrcaps.core.files import file_sha256, write_bytes, write_json
 from vrcaps.data.store import open_store
 from vrcaps.organ.cache import cache_folder
@@ -25,6 +33,12 @@ _FORMAT = "vrcaps-published/1"
 _NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _CHECKOUT = Path(__file__).parents[3] / "weights"
+_MAX_TEXT_BYTES = 10**6
+"""Maximum size of an index or a card."""
+_MAX_BYTES = 10**10
+"""Maximum size of a file of weights."""
+_TIMEOUT = 30.0
+"""Time after which a silent web server is given up [s]."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +67,8 @@ class PublishedWeights:
         # Part of a file's name in the cache.
         is_checksum = _SHA256.fullmatch(self.sha256) is not None
         require(is_checksum, "sha256", repr(self.sha256), "64 hexadecimal digits")
+        is_size = 0 < self.bytes <= _MAX_BYTES
+        require(is_size, f"bytes of {self.name}", self.bytes, f"1 to {_MAX_BYTES}")
 
 
 @dataclass(frozen=True)
@@ -83,19 +99,94 @@ def check_name(name: str, task: str) -> None:
 
 
 def weights_folder() -> str:
-    """Folder or URL of published weights: `VRCAPS_WEIGHTS`, or `weights` of the checkout.
+    """Folder or URL of published weights.
+
+    It is `VRCAPS_WEIGHTS`, `weights` of the checkout, or the folder of pulled weights.
 
     Raises:
-        InputError: If there is neither.
+        InputError: If there is none of them.
     """
     if chosen := os.environ.get(VARIABLE):
         return chosen.rstrip("/")
-    if (_CHECKOUT / INDEX).is_file():
-        return str(_CHECKOUT)
+    for folder in (_CHECKOUT, pulled_folder()):
+        if (folder / INDEX).is_file():
+            return str(folder)
     raise InputError(
-        f"There are no published weights: the installed package has none. Set {VARIABLE} to the "
-        "folder 'weights' of a checkout of vrcaps or to its URL, or give a file (--weights FILE)."
+        "There are no published weights on this machine. Fetch them with `vrcaps weights pull "
+        f"--from URL`, set {VARIABLE} to a folder or URL that has them, or give a file (--weights "
+        "FILE)."
     )
+
+
+def pulled_folder() -> Path:
+    """Folder of pulled weights: the user's data folder, such as ~/.local/share/vrcaps/weights."""
+    from platformdirs import user_data_path
+
+    return user_data_path("vrcaps", appauthor=False) / "weights"
+
+
+def pull(
+    source: str,
+    names: Sequence[str] = (),
+    *,
+    folder: Path | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[PublishedWeights, ...]:
+    """Copy published weights and their cards from a folder or URL, and check their checksums.
+
+    Files that are there already, with the checksum of the index, are not copied again.
+
+    Args:
+        source: Folder or URL with an index.
+        names: Names to copy; empty copies all.
+        folder: Folder to copy to; None is `pulled_folder`.
+        progress: Called with the bytes copied so far and in total.
+
+    Returns:
+        The entries.
+
+    Raises:
+        InputError: If there is no index, or a file is missing or differs from it; complete files
+            are kept.
+        UnknownNameError: If nothing of a name is published.
+        StorageError: If the source cannot be reached, or the folder cannot be written.
+    """
+    source, folder = source.rstrip("/"), folder or pulled_folder()
+    index = read_index(source)
+    for name in names:
+        if name not in index:
+            raise UnknownNameError("published weights", name, index)
+    entries = tuple(index[name] for name in names or index)
+    total, done = sum(entry.bytes for entry in entries), 0
+    for entry in entries:
+        _copy(source, entry, folder)
+        add_to_index(folder, entry)
+        done += entry.bytes
+        if progress is not None:
+            progress(done, total)
+    return entries
+
+
+def _copy(source: str, entry: PublishedWeights, folder: Path) -> None:
+    path = folder / entry.file
+    if path.is_file() and file_sha256(path) == entry.sha256:
+        return
+    data = _read(source, entry.file, entry.bytes)
+    actual = hashlib.sha256(data).hexdigest()
+    if actual != entry.sha256:
+        raise InputError(
+            f"{source}/{entry.file} has sha256 {actual[:12]}…, but {INDEX} says "
+            f"{entry.sha256[:12]}…. Try again, or report it to whoever published it."
+        )
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_bytes(path, data)
+        with suppress(InputError):  # a card is not required
+            write_bytes(folder / f"{entry.name}.md", _read(source, f"{entry.name}.md"))
+    except OSError as error:
+        raise StorageError(
+            f"Cannot write {path}: {reason_of(error)}. Give another folder (--out FOLDER)."
+        ) from error
 
 
 def read_index(place: str) -> dict[str, PublishedWeights]:
@@ -186,8 +277,17 @@ def _check(path: Path, entry: PublishedWeights) -> None:
         )
 
 
-def _read(place: str, name: str) -> bytes:
+def _read(place: str, name: str, limit: int = _MAX_TEXT_BYTES) -> bytes:
+    """Read a file of a folder or URL.
+
+    Args:
+        place: Folder or URL.
+        name: Name of the file.
+        limit: Maximum number of bytes to accept from a web server.
+    """
     try:
+        if place.startswith(("http://", "https://")):
+            return _download(f"{place}/{name}", limit)
         return open_store(place).read(name)
     except FileNotFoundError as error:
         raise InputError(f"There is no {name} in {place}, the place of published weights.") from (
@@ -199,3 +299,19 @@ def _read(place: str, name: str) -> bytes:
             f"Cannot read published weights from {place}: {str(reason).splitlines()[0]}. Set "
             f"{VARIABLE} to a folder that holds them, or give a file (--weights FILE)."
         ) from error
+
+
+def _download(url: str, limit: int) -> bytes:
+    """Read a file of a web server, without the packages that other stores need."""
+    try:
+        with urlopen(url, timeout=_TIMEOUT) as response:
+            data = response.read(limit + 1)
+    except HTTPError as error:
+        if error.code == HTTPStatus.NOT_FOUND:
+            raise FileNotFoundError(url) from error
+        raise StorageError(f"the server answers {error.code} {error.reason}") from None
+    except (OSError, HTTPException, ValueError) as error:
+        raise StorageError(reason_of(str(getattr(error, "reason", error)))) from None
+    if len(data) > limit:
+        raise StorageError(f"{url} has more than {limit} bytes")
+    return data

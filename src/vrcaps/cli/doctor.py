@@ -7,13 +7,20 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
 
 from vrcaps.cli.console import console
+from vrcaps.core.errors import VrcapsError
+
+_OF_DEVELOPERS = ("dev", "docs")
+"""Extras that users do not need."""
+_MIN_FREE_GB = 5.0
+"""Free disk space below which the cache may fill the disk [GB]."""
 
 
 @dataclass(frozen=True)
 class Doctor:
-    """Print the version, the CPU features and threads in use, the catalog, and the extras.
+    """Report what is installed and usable, and how to fix what is missing.
 
-    For an extra that is not installed, the command to install it is printed.
+    Version, CPU features and threads, catalogs, the folders of cache and weights, and the packages
+    of each extra.
 
     For example:
       vrcaps doctor
@@ -24,7 +31,8 @@ class Doctor:
         from rich.table import Table
 
         table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
-        for row in [*_machine(), *_extras()]:
+        rows = [*_machine(), ("cache", _cache()), ("weights", _weights()), *_extras()]
+        for row in rows:
             table.add_row(*row)
         console.print(table)
 
@@ -46,6 +54,32 @@ def _machine() -> list[tuple[str, str]]:
     ]
 
 
+def _cache() -> str:
+    """State of the cache folder."""
+    import shutil
+
+    from vrcaps.organ.cache import cache_folder
+
+    folder = cache_folder()
+    existing = next((path for path in (folder, *folder.parents) if path.exists()), folder)
+    if not os.access(existing, os.W_OK):
+        return f"{folder} cannot be written: set VRCAPS_CACHE to another folder"
+    free = shutil.disk_usage(existing).free / 1e9
+    advice = "" if free > _MIN_FREE_GB else ": free space, or set VRCAPS_CACHE to another disk"
+    return f"{folder}, {free:.0f} GB free{advice}"
+
+
+def _weights() -> str:
+    """Published weights that commands find by name."""
+    from vrcaps.learn.hub import read_index, weights_folder
+
+    try:
+        place = weights_folder()
+        return f"{', '.join(read_index(place))} in {place}"
+    except VrcapsError as error:
+        return f"none: {error}"
+
+
 def _extras() -> list[tuple[str, str]]:
     """One row per extra: the versions of its packages, or how to install the missing ones."""
     from packaging.requirements import Requirement
@@ -56,7 +90,7 @@ def _extras() -> list[tuple[str, str]]:
         marker = str(requirement.marker or "")
         if "extra ==" in marker and requirement.marker is not None:
             extra = marker.rsplit("extra ==", 1)[1].strip(" \"')")
-            if requirement.marker.evaluate({"extra": extra}):
+            if extra not in _OF_DEVELOPERS and requirement.marker.evaluate({"extra": extra}):
                 packages.setdefault(extra, []).append(requirement.name)
     return [(f"[{extra}]", _installed(extra, names)) for extra, names in sorted(packages.items())]
 

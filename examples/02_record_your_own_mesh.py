@@ -38,7 +38,7 @@ def make_phantom(path: Path) -> None:
 
 
 def main(organ: Path | None, unit: str, frames: int, out: Path) -> None:
-    """Record, read back, and place the last depth image in the world."""
+    """Record, read back, and place the middle depth image in the world."""
     if organ is None:
         out.parent.mkdir(parents=True, exist_ok=True)
         organ, unit = out.parent / "phantom.stl", "mm"
@@ -54,16 +54,17 @@ def main(organ: Path | None, unit: str, frames: int, out: Path) -> None:
     )
     vrcaps.record(scenario, out)
 
-    # Reading gives arrays in SI units. Here the last depth image becomes a point cloud.
+    # Reading gives arrays in SI units. Here the middle depth image becomes a point cloud.
     episode = vrcaps.read_episode(out)
     for line in episode.head["organ"]["metadata"]["repairs"]:
         print("repaired:", line)
     (camera,) = episode.cameras
-    depth = episode.frame(len(episode) - 1).depth
+    middle = len(episode) // 2
+    depth = episode.frame(middle).depth
     rows, columns = np.nonzero(np.isfinite(depth))
     rays = camera.lens.unproject(np.stack([columns, rows], axis=1).astype(float))
     points_camera = rays * (depth[rows, columns] / rays[:, 2])[:, None]
-    points_world = transform_points(episode.Ts_world_camera(camera.name)[-1], points_camera)
+    points_world = transform_points(episode.Ts_world_camera(camera.name)[middle], points_camera)
 
     wall = Wall(episode.organ.vertices, episode.organ.faces)
     distance = np.abs(wall.signed_distance(points_world))

@@ -1,4 +1,4 @@
-"""Draw the thumbnails of the examples from a short run of each.
+"""Draw the missing thumbnails of the examples, from a short run of each.
 
 python docs/images/examples.py
 """
@@ -31,13 +31,16 @@ def picture_of(example: Path, folder: Path) -> Path:
 
 
 def main() -> None:
-    """Write one thumbnail for each example."""
+    """Write one thumbnail for each example that has none."""
     with tempfile.TemporaryDirectory() as folder:
         for example in sorted((ROOT / "examples").glob("[0-9]*.py")):
+            thumbnail = ROOT / "docs" / "images" / f"example_{example.stem}.jpg"
+            if thumbnail.exists():
+                continue
             with Image.open(picture_of(example, Path(folder))) as picture:
                 small = picture.convert("RGB")
             small.thumbnail((SIDE_PX, SIDE_PX // 2))
-            small.save(ROOT / "docs" / "images" / f"example_{example.stem}.jpg", quality=85)
+            small.save(thumbnail, quality=85)
 
 
 if __name__ == "__main__":

@@ -71,7 +71,7 @@ docs: $(VENV)/.stamp-docs
 	@echo "Open site/index.html"
 
 figures: $(VENV)/.stamp-dev
-	$(BIN)/python benchmarks/figures.py $(if $(ONLY),--only $(ONLY))
+	$(BIN)/python -m benchmarks.figures $(if $(ONLY),--only $(ONLY))
 
 wheel: $(VENV)/.stamp-dev
 	rm -f dist/*.whl

@@ -7,9 +7,8 @@ import pytest
 
 from vrcaps import _core
 
-_ROOT = Path(__file__).parents[1]
-_FOLDERS = (str(_ROOT), str(_ROOT / "benchmarks"))
-os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (*_FOLDERS, os.environ.get("PYTHONPATH"))))
+_ROOT = str(Path(__file__).parents[1])
+os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (_ROOT, os.environ.get("PYTHONPATH"))))
 """Search path of processes that tests start: it includes `tests.support` and `benchmarks`."""
 
 if "PYTEST_XDIST_WORKER" in os.environ:  # workers run beside each other, so each takes one thread

@@ -182,7 +182,7 @@ def test_importing_the_package_loads_nothing_heavy() -> None:
 
 
 def test_importing_the_package_loads_few_modules() -> None:
-    """Beyond NumPy, so that it is fast; `benchmarks/speed_start.py` measures the time."""
+    """Beyond NumPy, so that it is fast; `benchmarks/speed/start.py` measures the time."""
     count = "import numpy, sys; n = len(sys.modules); import vrcaps; print(len(sys.modules) - n)"
     assert int(run_python(count)) <= MAX_MODULES
 

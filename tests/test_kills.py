@@ -1,7 +1,7 @@
 """Runs killed by SIGKILL between the bytes of a file and its name, then repeated.
 
-Deterministic: the process kills itself at a given rename. `benchmarks/kill_runs.py` kills at
-moments of the clock, and more verbs.
+Deterministic: the process kills itself at a given rename.
+`benchmarks/validation/kill_runs.py` kills at moments of the clock, and more verbs.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Draw the picture of the front page: views along a generated colon, channel by channel.
 
-python docs/images/channels.py
+python -m docs.images.channels
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 A magnet on a Panda leads the capsule by held keys; the pictures are of a headless Chromium.
 
-python docs/images/cockpit.py
+python -m docs.images.cockpit
 """
 
 from __future__ import annotations

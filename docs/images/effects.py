@@ -1,6 +1,6 @@
 """Draw every effect at every severity, and write the tables of the page.
 
-python docs/images/effects.py
+python -m docs.images.effects
 """
 
 from __future__ import annotations

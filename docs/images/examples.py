@@ -1,6 +1,6 @@
 """Draw the missing thumbnails of the examples, from a short run of each.
 
-python docs/images/examples.py
+python -m docs.images.examples
 """
 
 from __future__ import annotations

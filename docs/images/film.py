@@ -1,6 +1,6 @@
 """Draw the picture of the wet film: one place of a generated colon from dry to flooded.
 
-python docs/images/film.py
+python -m docs.images.film
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Draw the picture of LED spectra: places of a generated colon under three kinds of LEDs.
 
-python docs/images/led_spectra.py
+python -m docs.images.led_spectra
 """
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from views import save_rows, view_row
 
 import vrcaps
+from docs.images.views import save_rows, view_row
 
 WAVELENGTH_NM = np.arange(380.0, 701.0, 4.0)
 

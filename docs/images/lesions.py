@@ -1,6 +1,6 @@
 """Draw the pictures of lesions: one of each kind and grade in a generated colon, and its twin.
 
-python docs/images/lesions.py
+python -m docs.images.lesions
 """
 
 from __future__ import annotations

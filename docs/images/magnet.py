@@ -1,6 +1,6 @@
 """Draw the set-up of magnetic steering: patient, stomach, capsule, magnet, arm, field lines.
 
-python docs/images/magnet.py
+python -m docs.images.magnet
 """
 
 from __future__ import annotations

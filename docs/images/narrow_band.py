@@ -1,15 +1,14 @@
 """Draw the picture of narrow-band imaging: four places of a generated colon in both lights.
 
-python docs/images/narrow_band.py
+python -m docs.images.narrow_band
 """
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from views import save_rows, view_row
-
 import vrcaps
+from docs.images.views import save_rows, view_row
 
 
 def main(path: Path) -> None:

@@ -1,6 +1,6 @@
 """Draw the picture of an organ: a generated colon with five lesions, as `vrcaps organ make` does.
 
-python docs/images/organ.py
+python -m docs.images.organ
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Draw four moments of the trained policy in a stomach in which it never learned.
 
-python docs/images/policy.py
+python -m docs.images.policy
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Draw the picture of light through tissue: one place of a generated colon, in three ways.
 
-python docs/images/tissue.py
+python -m docs.images.tissue
 """
 
 from __future__ import annotations

@@ -144,4 +144,4 @@ def test_tables_of_the_page_follow_from_the_effects() -> None:
     page = (Path(__file__).parents[2] / "docs" / "concepts" / "effects.md").read_text(
         encoding="utf-8"
     )
-    assert with_tables(page) == page, "run python docs/images/effects.py"
+    assert with_tables(page) == page, "run python -m docs.images.effects"

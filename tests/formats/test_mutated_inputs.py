@@ -1,4 +1,4 @@
-"""Readers fed with mutated files: read, or refused in one line (`benchmarks/fuzz_readers.py`)."""
+"""Readers fed with mutated files (`benchmarks/validation/fuzz_readers.py`)."""
 
 from pathlib import Path
 

@@ -25,7 +25,7 @@ SOME = [
     Bleeding(severity=2, location=PLACE),
     Colitis(mayo=3, spread=30.0 * MM, location=PLACE),
 ]
-"""All kinds: benchmarks/validate_lesions.py."""
+"""All kinds: benchmarks/validation/lesions.py."""
 
 
 @pytest.mark.slow

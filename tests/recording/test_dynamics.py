@@ -148,7 +148,7 @@ def test_stored_wall_is_what_was_rendered(whole):
 @pytest.mark.slow
 def test_labels_are_exact_on_the_moving_wall(whole):
     """Against Embree and triangles that carry its hits, as in docs/results/validation.md."""
-    from validate_moving_labels import (  # pyright: ignore[reportMissingImports]
+    from benchmarks.validation.moving_labels import (  # pyright: ignore[reportMissingImports]
         MovingTally,
         compare,
     )

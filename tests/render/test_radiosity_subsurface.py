@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scattering_theory import half_space_reflectance
+from benchmarks.validation.scattering_theory import half_space_reflectance
 from tests.support.shapes import looking, make_camera, make_model, make_organ, pinhole, sphere, tube
 from tests.support.threads import digest_at_rest_and_moved, digests_by_threads
 from vrcaps.camera.camera import Camera, Led

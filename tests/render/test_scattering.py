@@ -9,7 +9,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from scattering_theory import Medium, diffusion_profile, dipole_profile, half_space_reflectance
+from benchmarks.validation.scattering_theory import (
+    Medium,
+    diffusion_profile,
+    dipole_profile,
+    half_space_reflectance,
+)
 from tests.support.shapes import looking, make_camera, make_model, make_organ, pinhole, sphere, tube
 from vrcaps import _core
 from vrcaps.camera.camera import Camera, Led

@@ -15,7 +15,7 @@ from vrcaps.scenario.scenario import OrganFile
 
 @pytest.mark.slow
 def test_recorded_labels_agree_with_embree(tmp_path: Path) -> None:
-    from validate_labels import STEP, measure
+    from benchmarks.validation.labels import STEP, measure
 
     organ = tube(48, 120, length=0.12, folds=0.15, capped=True)
     write_ply(tmp_path / "tube.ply", Mesh(organ.vertices, organ.faces))

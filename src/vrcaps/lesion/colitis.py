@@ -104,7 +104,7 @@ ACTIVITIES = {
 }
 """By Mayo subscore: 1 erythema, decreased vascular pattern; 2 marked erythema, no vascular
 pattern, friability, erosions; 3 spontaneous bleeding, ulceration. Tints are chosen so that frames
-have the mean color of real ones (`benchmarks/fit_appearance.py`); the few real frames of subscore 2
+have the mean color of real ones (`benchmarks/appearance/fit.py`); the few real frames of subscore 2
 are paler and less yellow than those of 1, due to other cameras as much as to disease."""
 
 

@@ -25,7 +25,7 @@ class Mucosa:
     """Parameters of a mucosa.
 
     Colors are those at which frames with indirect light match the colors of real frames
-    (`benchmarks/fit_appearance.py`, docs/reference/gallery.md). There were no real frames of the
+    (`benchmarks/appearance/fit.py`, docs/reference/gallery.md). There were no real frames of the
     stomach; its colors change like the colon's, less in blue, as it has less bile. Shapes and sizes
     are chosen by eye.
 

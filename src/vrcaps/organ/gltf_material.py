@@ -1,7 +1,7 @@
 """Appearance of an organ as a glTF material: textures, exact or coded, and the coat extensions.
 
 Coded textures take a fifth of the space at the same appearance. The cost of each choice is in
-docs/concepts/datasets.md, written by benchmarks/organ_files.py.
+docs/concepts/datasets.md, written by benchmarks/speed/organ_files.py.
 """
 
 from __future__ import annotations

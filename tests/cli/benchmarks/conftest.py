@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from vrcaps.anatomy.colon import ColonParameters, generate_colon
-from vrcaps.cli.benchmarks.extent import QUICK
-from vrcaps.cli.benchmarks.stage import Stage, make_stage
+from vrcaps.cli.benchmarks.stage import QUICK, Stage, make_stage
 from vrcaps.organ.surface import Appearance
 
 

@@ -1,15 +1,12 @@
 from __future__ import annotations
 
-import runpy
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from vrcaps.cli.benchmarks import render
-from vrcaps.cli.benchmarks.extent import Extent
-from vrcaps.cli.benchmarks.stage import Stage
+from vrcaps.cli.benchmarks.stage import Extent, Stage
 from vrcaps.cli.benchmarks.studies import COMPLETE, STUDIES, Study, drawn
 from vrcaps.core.errors import UnknownNameError
 from vrcaps.render.renderer import DEFAULT_CHANNELS
@@ -89,19 +86,3 @@ def test_run_writes_what_it_found(
 def test_unknown_study_is_named() -> None:
     with pytest.raises(UnknownNameError, match=r"No study named 'colom'. Known: frame, heads"):
         render.run(only=["colom"])
-
-
-SCRIPTS = sorted((Path(__file__).parents[3] / "benchmarks").glob("speed_*.py"))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
-def test_scripts_show_their_help(
-    script: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("COLUMNS", "100")
-    monkeypatch.setattr(sys, "argv", [str(script), "--help"])
-    with pytest.raises(SystemExit) as ended:
-        runpy.run_path(str(script), run_name="__main__")
-    assert ended.value.code in (None, 0)
-    assert "Claim" in capsys.readouterr().out

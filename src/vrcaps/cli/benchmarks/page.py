@@ -2,22 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from vrcaps.cli.benchmarks.sources import ROOT, digest
 from vrcaps.core.files import write_bytes
 
 _MARK = "<!-- written by "
-_STARTED = time.monotonic()
-
-
-def sources(name: str) -> str:
-    """Ten-digit digest of the sources that a section, named as in `write_section`, depends on."""
-    first, *words = name.split()
-    is_own = first == "vrcaps"
-    return digest(Path(__file__).with_name(f"{words[1]}.py") if is_own else ROOT / first)
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -35,25 +25,18 @@ def read_sections(page: Path) -> dict[str, str]:
     return {"": parts[0], **{name: text.strip() for name, text in named}}
 
 
-def write_section(page: Path, name: str, text: str, *, command: str, title: str) -> None:
+def write_section(page: Path, name: str, text: str, *, title: str) -> None:
     """Write a section to a page, replacing the one of the same name.
-
-    The command, the digest of the measured sources and the duration follow the section.
 
     Args:
         page: Markdown file; created if it does not exist.
-        name: Script or command that measures it: `benchmarks/validate_light.py`,
-            `vrcaps bench render`; words after a script distinguish its sections.
+        name: Command that measures it, such as `vrcaps bench render`.
         text: Markdown of the section.
-        command: Command line that was run.
         title: Title of a new page.
     """
     sections = read_sections(page)
     before = sections.pop("") or title
-    seconds = time.monotonic() - _STARTED
-    foot = f"Written by `{command}` from sources `{sources(name)}` in {seconds:.0f} s."
-    sections[name] = f"{text.strip()}\n\n{foot}"
-    write_page(page, {"": before, **sections})
+    write_page(page, {"": before, **sections, name: text.strip()})
 
 
 def write_page(page: Path, sections: dict[str, str]) -> None:

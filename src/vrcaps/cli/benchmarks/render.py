@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vrcaps.cli.benchmarks.extent import FULL, QUICK, Extent
 from vrcaps.cli.benchmarks.report import Report, check_out, machine_facts, show_report
-from vrcaps.cli.benchmarks.stage import make_organ, make_stage
+from vrcaps.cli.benchmarks.stage import FULL, QUICK, Extent, make_organ, make_stage
 from vrcaps.cli.benchmarks.studies import STUDIES
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.core.errors import UnknownNameError

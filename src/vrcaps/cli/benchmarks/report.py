@@ -159,9 +159,8 @@ def show_report(report: Report, out: Path | None, console: Console) -> None:
 
 def write_report(report: Report, out: Path) -> None:
     """Write a report to a Markdown page, replacing the previous one of the same command."""
-    command = report.command
-    name = command.removeprefix("python ")
-    write_section(out, name, to_markdown(report), command=command, title=PAGE_TITLE)
+    text = f"{to_markdown(report)}\n\nWritten by `{report.command}`."
+    write_section(out, report.command, text, title=PAGE_TITLE)
 
 
 def to_markdown(report: Report) -> str:

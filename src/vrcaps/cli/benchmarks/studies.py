@@ -24,7 +24,7 @@ from vrcaps.render.settings import RenderSettings
 
 if TYPE_CHECKING:
     from vrcaps.camera.camera import Camera
-    from vrcaps.cli.benchmarks.extent import Extent
+    from vrcaps.cli.benchmarks.stage import Extent
     from vrcaps.render.channels import Frame
 
 COMPLETE = "complete frame"

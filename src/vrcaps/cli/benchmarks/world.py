@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.cli.benchmarks import claims
-from vrcaps.cli.benchmarks.extent import FULL, QUICK
 from vrcaps.cli.benchmarks.report import (
     Claim,
     Report,
@@ -21,7 +20,7 @@ from vrcaps.cli.benchmarks.report import (
     machine_facts,
     show_report,
 )
-from vrcaps.cli.benchmarks.stage import Stage, make_organ, make_stage
+from vrcaps.cli.benchmarks.stage import FULL, QUICK, Stage, make_organ, make_stage
 from vrcaps.cli.benchmarks.timing import Spread
 from vrcaps.cli.console import console
 from vrcaps.core.units import MM

@@ -1,0 +1,1 @@
+"""Appearance of simulated images compared with real ones."""

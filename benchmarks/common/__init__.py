@@ -1,0 +1,1 @@
+"""Options of scripts, sections of pages and digests of sources."""

@@ -1,0 +1,1 @@
+"""Pages of results: all sections, and the summary."""

@@ -1,0 +1,1 @@
+"""Experiment: pre-training on simulated images for tasks on real images."""

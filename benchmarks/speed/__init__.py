@@ -1,0 +1,1 @@
+"""Speed of rendering, recording, physics, data sets and the cockpit; memory and file sizes."""

@@ -1,0 +1,1 @@
+"""Validation against references, closed forms and independent implementations."""

@@ -1,0 +1,3 @@
+from tests.cli.benchmarks.conftest import stage
+
+__all__ = ["stage"]

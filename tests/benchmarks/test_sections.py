@@ -1,0 +1,66 @@
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from benchmarks.common.sections import file_of, module_of, sources, stamp_of, stamped, write_section
+from benchmarks.common.sources import ROOT
+from benchmarks.figures import __main__ as figures
+from benchmarks.figures import summary
+from vrcaps.cli.benchmarks.page import read_sections, table
+
+
+def test_a_section_replaces_its_own_and_states_command_sources_and_time(tmp_path: Path) -> None:
+    page = tmp_path / "docs" / "page.md"
+    bench, script = "vrcaps bench render", "benchmarks.speed.fem"
+    for name, text in ((bench, "old"), (script, "first"), (bench, "new")):
+        write_section(page, name, text, command=f"{name} --size 3", title="# Page\n")
+    sections = read_sections(page)
+    assert list(sections) == ["", script, bench]
+    assert sections[""].strip() == "# Page"
+    foot = rf"new\n\nWritten by `{bench} --size 3` from sources `{sources(bench)}` in \d+ s\."
+    assert re.fullmatch(foot, sections[bench])
+    assert sources(bench) != sources(script)
+
+
+def test_figures_of_the_front_page_are_cells_of_the_tables() -> None:
+    text = table(("frame", "ms"), [("plain | wet", "4.1 (3.9–5.0)"), ("other", "12.0")])
+    rows = list(summary.read_rows(f"## A\n\n{text}\n\nmore\n\n{text}"))
+    assert len(rows) == 4
+    assert summary.find(rows, "ms | plain | wet") == "4.1 (3.9–5.0)"
+    assert summary.find(rows, "most ms") == "12.0"
+    assert summary.find(rows, "least ms") == "4.1 (3.9–5.0)"
+    assert summary.find(rows, "ms | gone") == "not measured"
+
+
+_OTHER_PAGES = {
+    *("sim_to_real.page", "speed.bake"),
+    *("appearance.compare", "validation.calibration", "validation.cohort"),
+}
+
+
+def test_every_script_that_writes_a_table_is_among_the_figures() -> None:
+    folder = ROOT / "benchmarks"
+    files = [p for p in folder.rglob("*.py") if "write_section(" in p.read_text("utf-8")]
+    modules = {module_of(path) for path in files if path.parent.name != "common"}
+    listed = {figure.name for figure in figures.FIGURES}
+    others = {f"benchmarks.{name}" for name in _OTHER_PAGES}
+    assert others <= modules
+    assert modules - others <= listed | set(figures.KEPT)
+
+
+def test_every_module_of_the_figures_exists() -> None:
+    names = [f.name for f in figures.FIGURES if not f.name.startswith("vrcaps ")]
+    assert all(module_of(file_of(name)) == name and file_of(name).is_file() for name in names)
+
+
+def test_a_stamp_replaces_the_line_of_the_command() -> None:
+    text = stamped("a\n\nWritten by `vrcaps bench render`.", "vrcaps bench render", "x --y", 3.2)
+    assert text.startswith("a\n\nWritten by `x --y` from sources `")
+    assert stamp_of(text) == (sources("vrcaps bench render"), "3")
+    assert stamp_of("a") == ("", "")
+
+
+def test_every_figure_of_the_front_page_is_of_a_section_that_is_measured() -> None:
+    listed = {figure.name for figure in figures.FIGURES}
+    assert {section for _, section, _ in summary.FIGURES} <= listed

@@ -51,7 +51,7 @@ def test_missing_weights_name_the_command_that_fetches_them(
     assert "weights none: There is no index.json in" in report()
     monkeypatch.delenv("VRCAPS_WEIGHTS")
     monkeypatch.setattr("vrcaps.learn.hub._CHECKOUT", tmp_path)
-    monkeypatch.setattr("vrcaps.learn.hub.pulled_folder", lambda: tmp_path)
+    monkeypatch.setattr("vrcaps.learn.hub.download_folder", lambda: tmp_path)
     assert "weights none: There are no published weights" in report()
 
 

@@ -197,7 +197,7 @@ def home(tmp_path, monkeypatch):
     monkeypatch.delenv(VARIABLE, raising=False)
     monkeypatch.setattr(hub, "_CHECKOUT", tmp_path / "none")
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
-    monkeypatch.setattr(hub, "pulled_folder", lambda: tmp_path / "data" / "weights")
+    monkeypatch.setattr(hub, "download_folder", lambda: tmp_path / "data" / "weights")
     return tmp_path / "data" / "weights"
 
 

@@ -69,14 +69,14 @@ class Pull:
         Raises:
             InputError: If there is no source, or a file differs from the index.
         """
-        from vrcaps.learn.hub import VARIABLE, pull, pulled_folder
+        from vrcaps.learn.hub import VARIABLE, pull, download_folder
 
         source = self.source or os.environ.get(VARIABLE, "")
         if not source:
             raise InputError(
                 f"No source is given. Add --from FOLDER or --from URL, or set {VARIABLE}."
             )
-        folder = self.out or pulled_folder()
+        folder = self.out or download_folder()
         with progress_bar("fetching") as show:
             entries = pull(source, self.names, folder=folder, progress=show)
         size = sum(one.bytes for one in entries) / 1e6

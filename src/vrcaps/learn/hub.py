@@ -108,7 +108,7 @@ def weights_folder() -> str:
     """
     if chosen := os.environ.get(VARIABLE):
         return chosen.rstrip("/")
-    for folder in (_CHECKOUT, pulled_folder()):
+    for folder in (_CHECKOUT, download_folder()):
         if (folder / INDEX).is_file():
             return str(folder)
     raise InputError(
@@ -118,7 +118,7 @@ def weights_folder() -> str:
     )
 
 
-def pulled_folder() -> Path:
+def download_folder() -> Path:
     """Folder of pulled weights: the user's data folder, such as ~/.local/share/vrcaps/weights."""
     from platformdirs import user_data_path
 
@@ -139,7 +139,7 @@ def pull(
     Args:
         source: Folder or URL with an index.
         names: Names to copy; empty copies all.
-        folder: Folder to copy to; None is `pulled_folder`.
+        folder: Folder to copy to; None is `download_folder`.
         progress: Called with the bytes copied so far and in total.
 
     Returns:
@@ -151,7 +151,7 @@ def pull(
         UnknownNameError: If nothing of a name is published.
         StorageError: If the source cannot be reached, or the folder cannot be written.
     """
-    source, folder = source.rstrip("/"), folder or pulled_folder()
+    source, folder = source.rstrip("/"), folder or download_folder()
     index = read_index(source)
     for name in names:
         if name not in index:

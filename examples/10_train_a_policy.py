@@ -18,9 +18,9 @@ import numpy as np
 from vrcaps.env.rewards import Reward
 from vrcaps.policy.policy import read_policy
 from vrcaps.policy.presets import ci, default
-from vrcaps.policy.score import Score
-from vrcaps.policy.training import BEST, Progress, TrainingSettings, train
+from vrcaps.policy.training import BEST, Score, TrainingSettings, train
 from vrcaps.scenario.scenario import OrganGenerated
+from vrcaps.training.checkpoint import Progress
 
 
 def main(out: Path, preset: TrainingSettings, actions: int) -> None:
@@ -31,18 +31,18 @@ def main(out: Path, preset: TrainingSettings, actions: int) -> None:
         rewards=(Reward("log-gain", level="resolved"), Reward("force", 0.1)),
     )
     learner = replace(preset.learner, num_actions=actions)
-    train(TrainingSettings(env, learner), out, report=tell)
+    train(TrainingSettings(env, learner), out, report=print_progress)
     score = Score(env, num_episodes=4, seed=1)
     for name in (str(out / BEST), "centerline"):
         seen = 100.0 * score(read_policy(name))["coverage_resolved"]
         print(f"{name}: {seen:.1f} % resolved")
 
 
-def tell(progress: Progress) -> None:
+def print_progress(progress: Progress) -> None:
     """Print a summary of the last round."""
     if progress.rows:
         seen = 100.0 * progress.rows[-1].get("coverage_resolved", np.nan)
-        print(f"round {progress.num_rounds} of {progress.total}: {seen:.1f} % resolved")
+        print(f"round {progress.step} of {progress.total}: {seen:.1f} % resolved")
 
 
 if __name__ == "__main__":

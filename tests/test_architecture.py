@@ -49,7 +49,7 @@ HEAVY = {
     *("SimpleITK", "av", "cv2", "gymnasium", "matplotlib", "PIL", "pyarrow"),
     *("ray", "skimage", "torch", "trimesh", "viser", "xatlas"),
 }
-ALLOWED = {"env": {"gymnasium"}}
+ALLOWED = {"env": {"gymnasium"}, "learn": {"torch"}}
 """Heavy packages that a layer may load; no layer below imports it."""
 MAX_FILE_LINES = 400
 MAX_FUNCTION_LINES = 60

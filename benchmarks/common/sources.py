@@ -119,7 +119,7 @@ def _names(node: ast.AST, path: Path) -> Iterator[str]:
 
 
 def _named(text: str) -> Iterator[str]:
-    """Modules named in a string: `vrcaps.policy.random:Policy`, or all with that prefix."""
+    """Modules named in a string: `vrcaps.policy.baselines:Policy`, or all with that prefix."""
     name = text.partition(":")[0]
     yield name
     if name.endswith("."):  # from f"vrcaps.anatomy.{organ}"

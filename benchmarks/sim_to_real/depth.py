@@ -19,6 +19,7 @@ from vrcaps.formats.io import read_format
 from vrcaps.formats.shared.stored_images import image_size, read_plane, read_rgb
 from vrcaps.formats.shared.yaml_files import read_yaml
 from vrcaps.learn.letterbox import Letterbox
+from vrcaps.learn.networks import Backbone
 from vrcaps.learn.picture_border import bright_part
 from vrcaps.learn.samples import batch_of
 from vrcaps.learn.tasks.depth import DepthTask, depth_of
@@ -193,10 +194,10 @@ def depth_values(estimate: Estimate, images: Sequence[DepthImage]) -> dict[str, 
 
 def by_network(trained: Any) -> Estimate:
     """Estimates of a trained network."""
-    learner: DepthTask = trained.learner
+    learner: DepthTask = trained.task
 
     def estimate(image: np.ndarray, camera: Camera) -> np.ndarray:
-        fit = Letterbox(image.shape[0], image.shape[1], learner.size)
+        fit = Letterbox(image.shape[0], image.shape[1], learner.input_size)
         output = trained(batch_of([learner.inputs(image, fit, camera)], trained.device))[0]
         return fit.back(depth_of(output))
 
@@ -205,7 +206,7 @@ def by_network(trained: Any) -> Estimate:
 
 def by_mean(sequences: Sequence[FrameSequence], size: int, most: int = 300) -> Estimate:
     """The mean depth of the training images at each place of the image, whatever it shows."""
-    learner = DepthTask(size=size)
+    learner = DepthTask(backbone=Backbone(size))
     logs = [np.log(learner.sample(*frame)["depth"]) for frame in evenly(sequences, most)]
     with np.errstate(invalid="ignore"):
         known = np.isfinite(logs)

@@ -26,9 +26,9 @@ from vrcaps.camera.lens import LensPinhole
 from vrcaps.config.convert import to_plain
 from vrcaps.core.errors import InputError
 from vrcaps.formats.io import read_format
-from vrcaps.learn.initialize import IMAGENET, SCRATCH
-from vrcaps.learn.registry import AnyTask
 from vrcaps.learn.samples import Samples, samples_of
+from vrcaps.learn.settings import IMAGENET, SCRATCH
+from vrcaps.learn.task import Task as NetworkTask
 from vrcaps.learn.tasks.classification import ClassificationTask
 from vrcaps.learn.tasks.segmentation import SegmentationTask
 from vrcaps.learn.training import CHECKPOINT, WEIGHTS, train
@@ -64,7 +64,7 @@ def first_weights(setup: Setup, cell: Cell) -> str:
     return start
 
 
-def first_folder(setup: Setup, cell: Cell, learner: AnyTask) -> Path:
+def first_folder(setup: Setup, cell: Cell, learner: NetworkTask) -> Path:
     """Folder of what a learner learned before; tasks that learn the same have the same."""
     effort = setup.effort(task_of(cell))
     digest = data_digest(setup.ours_of(cell)) if cell.arm.endswith("ours") else "frames"
@@ -73,7 +73,7 @@ def first_folder(setup: Setup, cell: Cell, learner: AnyTask) -> Path:
     return setup.out / "weights" / name.replace("+", "-")
 
 
-def _learned(setup: Setup, cell: Cell, learner: AnyTask, start: str) -> str:
+def _learned(setup: Setup, cell: Cell, learner: NetworkTask, start: str) -> str:
     """File of weights that a learner learned from images that are not real."""
     effort, out = setup.effort(task_of(cell)), first_folder(setup, cell, learner)
     settings = replace(
@@ -87,7 +87,7 @@ def _learned(setup: Setup, cell: Cell, learner: AnyTask, start: str) -> str:
     if not (out / WEIGHTS).is_file():
         samples, validation = _first_samples(setup, cell, learner)
         out.parent.mkdir(parents=True, exist_ok=True)
-        train(settings, samples, validation, out, machine=setup.machine, is_forced=True)
+        train(settings, samples, validation, out, compute=setup.machine, is_forced=True)
         (out / CHECKPOINT).unlink(missing_ok=True)
     return str(out / WEIGHTS)
 
@@ -140,20 +140,20 @@ def lacks(setup: Setup, task: Task) -> str:
     return ""
 
 
-def _first_samples(setup: Setup, cell: Cell, learner: AnyTask) -> tuple[Samples, Samples]:
+def _first_samples(setup: Setup, cell: Cell, learner: NetworkTask) -> tuple[Samples, Samples]:
     """Images that are not real, to learn from and to validate with."""
     task = task_of(cell)
     if cell.arm.endswith("unitycam"):
         sequences = unitycam(setup.real["unitycam"])
         if task.kind != DEPTH:
-            sequences = [_large(evenly(sequences, _MAX_LARGE), 4 * learner.size).sequence()]
+            sequences = [_large(evenly(sequences, _MAX_LARGE), 4 * learner.input_size).sequence()]
         samples = samples_of(learner, sequences)
         return samples, samples
     urls = setup.ours_of(cell)
     if isinstance(learner, ClassificationTask):
-        parts = our_classes(urls, learner.classes, learner.size)
+        parts = our_classes(urls, learner.classes, learner.input_size)
     elif isinstance(learner, SegmentationTask):
-        parts = our_masks(urls, learner.classes, learner.size)
+        parts = our_masks(urls, learner.classes, learner.input_size)
     else:
         many = _MAX_DEPTH if task.kind == DEPTH else _MAX_LARGE
         chosen = [
@@ -161,7 +161,7 @@ def _first_samples(setup: Setup, cell: Cell, learner: AnyTask) -> tuple[Samples,
         ]
         if task.kind == DEPTH:
             return Samples(learner, chosen[0]), Samples(learner, chosen[1] or chosen[0])
-        parts = [_large(part or chosen[0], 4 * learner.size) for part in chosen]
+        parts = [_large(part or chosen[0], 4 * learner.input_size) for part in chosen]
     train_part, validation = (samples_of(learner, [part.sequence()]) for part in parts)
     return train_part, validation
 

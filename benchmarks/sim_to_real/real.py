@@ -157,13 +157,13 @@ def middle(image: np.ndarray, side: int) -> np.ndarray:
 def small_image(image: np.ndarray, size: int) -> np.ndarray:
     """An image whose longer side has a size [px], as `Letterbox` makes it."""
     fit = Letterbox(image.shape[0], image.shape[1], size)
-    return np.ascontiguousarray(fit.image(image)[fit.place])
+    return np.ascontiguousarray(fit.image(image)[fit.region])
 
 
 def small_map(values: np.ndarray, size: int) -> np.ndarray:
     """A map of such an image, each value that of the nearest pixel."""
     fit = Letterbox(values.shape[0], values.shape[1], size)
-    return np.ascontiguousarray(fit.nearest(values, 0)[fit.place])
+    return np.ascontiguousarray(fit.nearest(values, 0)[fit.region])
 
 
 def _frames(folder: Path) -> Iterator[Frame]:

@@ -37,16 +37,26 @@ from benchmarks.sim_to_real.tasks import DEPTH, DEPTH_TASK, Effort
 from vrcaps.config.convert import to_plain
 from vrcaps.core.files import file_sha256, files_in
 from vrcaps.learn.checkpoint import TrainedNetwork, read_weights
+from vrcaps.learn.evaluation import EvaluationResult, evaluate
 from vrcaps.learn.initialize import initialized_network
-from vrcaps.learn.registry import AnyTask
+from vrcaps.learn.model_card import task_values
 from vrcaps.learn.samples import Samples
-from vrcaps.learn.training import WEIGHTS, TrainSettings, train
-from vrcaps.learn.validation import EvaluationResult, validate
-from vrcaps.training.threads import exact_torch
+from vrcaps.learn.task import Task as NetworkTask
+from vrcaps.learn.training import WEIGHTS, train
+from vrcaps.training.compute import exact_torch
 
 WITHOUT_LEARNING = ("constant", "mean", "light")
 ONE_NETWORK = (*WITHOUT_LEARNING, PUBLISHED)
 DEPTH_ARMS = (*ONE_NETWORK, "ours", "imagenet+ours", "unitycam", "imagenet+unitycam")
+_ROW_KINDS = {"segmentation": "masks", "classification": "classes"}
+_ROW_NAMES = {
+    "exposure_jitter": "brightness",
+    "color_jitter": "tint",
+    "gamma_jitter": "gamma",
+    "min_crop": "zoom",
+    "mask_overlays": "hides",
+}
+"""Names of tasks and settings in the digests of the stored rows."""
 DEPTH_READERS = {"c3vd": read_c3vd, "sinus": read_sinus}
 
 
@@ -76,16 +86,16 @@ def _transfer(setup: Setup, cell: Cell) -> tuple[dict[str, list[float]], list[in
     if cell.fraction == 0.0:
         network = initialized_network(learner, first_weights(setup, cell))
         trained = TrainedNetwork(learner, network.to(setup.device).eval(), {}, setup.device)
-        return task.values(validate(trained, judged)), held.groups.tolist()
+        return task.values(evaluate(trained, judged)), held.groups.tolist()
     steps = setup.effort(task).steps * (LONG_FACTOR if cell.arm == LONG else 1)
     settings = settings_of(setup, cell, learner, steps)
     settings = replace(settings, start=first_weights(setup, cell), fraction=cell.fraction)
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "cell"
         few = Samples(learner, frames_of(learned)[:8])
-        train(settings, Samples(learner, frames_of(learned)), few, out, machine=setup.machine)
+        train(settings, Samples(learner, frames_of(learned)), few, out, compute=setup.machine)
         trained = read_weights(out / WEIGHTS, device=setup.device)
-    return task.values(validate(trained, judged)), held.groups.tolist()
+    return task.values(evaluate(trained, judged)), held.groups.tolist()
 
 
 def _depth(setup: Setup, cell: Cell) -> tuple[dict[str, list[float]], list[int]]:
@@ -136,9 +146,12 @@ def made_of(setup: Setup, cell: Cell) -> dict[str, str]:
     return {"basis": digest_of(basis), "first": first, **names}
 
 
-def _plain(learner: AnyTask) -> Any:
-    """A learner's settings as plain values."""
-    return to_plain(TrainSettings(learner), TrainSettings)["learner"]
+def _plain(task: NetworkTask) -> dict[str, Any]:
+    """Settings of a network's task, in the form whose digests the stored rows contain."""
+    values = {_ROW_NAMES.get(name, name): value for name, value in task_values(task).items()}
+    if task.kind in _ROW_KINDS:
+        del values["gamma"]
+    return {"kind": _ROW_KINDS.get(task.kind, task.kind), **values}
 
 
 @cache

@@ -11,10 +11,10 @@ from benchmarks.sim_to_real.images import Pictures
 from benchmarks.sim_to_real.simulated import Urls
 from benchmarks.sim_to_real.tasks import PRESETS, Effort, Task, task_named
 from vrcaps.core.errors import InputError
-from vrcaps.learn.initialize import SCRATCH
-from vrcaps.learn.registry import AnyTask
-from vrcaps.learn.training import ComputeSettings, TrainSettings
+from vrcaps.learn.settings import SCRATCH, TrainSettings
+from vrcaps.learn.task import Task as NetworkTask
 from vrcaps.recording.frame_sequence import FrameSequence
+from vrcaps.training.compute import ComputeSettings
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def task_of(cell: Cell) -> Task:
     return task_named(cell.task)
 
 
-def settings_of(setup: Setup, cell: Cell, learner: AnyTask, steps: int) -> TrainSettings:
+def settings_of(setup: Setup, cell: Cell, learner: NetworkTask, steps: int) -> TrainSettings:
     """Settings that all trainings of a task have in common."""
     effort = setup.effort(task_of(cell))
     return TrainSettings(
@@ -77,7 +77,7 @@ def settings_of(setup: Setup, cell: Cell, learner: AnyTask, steps: int) -> Train
         start=SCRATCH,
         steps=steps,
         batch=effort.batch,
-        rate=effort.rate,
+        learning_rate=effort.rate,
         evaluate_every=steps,
         evaluation_frames=8,
         seed=cell.seed,

@@ -21,13 +21,15 @@ from benchmarks.sim_to_real.real import (
     read_large,
     read_masks,
 )
-from vrcaps.learn.registry import AnyTask
+from vrcaps.learn.augment import Augmentation
+from vrcaps.learn.evaluation import EvaluationResult
+from vrcaps.learn.networks import Backbone
 from vrcaps.learn.task import Sample
+from vrcaps.learn.task import Task as NetworkTask
 from vrcaps.learn.tasks.classification import ClassificationTask, class_probabilities
 from vrcaps.learn.tasks.depth import DepthTask
 from vrcaps.learn.tasks.segmentation import LESION, SegmentationTask
 from vrcaps.learn.tasks.super_resolution import SuperResolutionTask, image_of
-from vrcaps.learn.validation import EvaluationResult
 from vrcaps.metrics.images import psnr, ssim
 from vrcaps.metrics.masks import dice
 from vrcaps.recording.shown_lesion import NORMAL
@@ -128,7 +130,7 @@ class Task:
         """Kinds of lesions among its classes."""
         return tuple(kind for kind in self.kinds if kind != "normal")
 
-    def first_learners(self, effort: Effort) -> tuple[AnyTask, ...]:
+    def first_learners(self, effort: Effort) -> tuple[NetworkTask, ...]:
         """What is learned from our images before the real ones, one after another.
 
         One network learned masks of all kinds of lesions. It went on to masks of any lesion, with
@@ -138,20 +140,24 @@ class Task:
         """
         if self.kind not in ("classes", "masks"):
             return (self.learner(effort),)
-        size, brightness, tint = effort.size, 1.5, 1.35
-        kinds = SegmentationTask(OUR_LESIONS, size, brightness=brightness, tint=tint)
+        backbone, colors = Backbone(effort.size), {"exposure_jitter": 1.5, "color_jitter": 1.35}
+        kinds = SegmentationTask(
+            OUR_LESIONS, backbone=backbone, augmentation=Augmentation(**colors)
+        )
         if self.kind == "masks":
             return kinds, replace(kinds, classes=(LESION,))
-        return kinds, ClassificationTask(OUR_CLASSES, size, brightness=brightness, tint=tint)
+        return kinds, ClassificationTask(
+            OUR_CLASSES, backbone=backbone, augmentation=Augmentation(**colors, min_crop=0.7)
+        )
 
-    def learner(self, effort: Effort) -> AnyTask:
+    def learner(self, effort: Effort) -> NetworkTask:
         """The learner, for images of a preset's size."""
         if self.kind == "classes":
-            return ClassificationTask(classes=self.kinds, size=effort.size)
+            return ClassificationTask(classes=self.kinds, backbone=Backbone(effort.size))
         if self.kind == "masks":
-            return SegmentationTask(classes=self.kinds, size=effort.size)
+            return SegmentationTask(classes=self.kinds, backbone=Backbone(effort.size))
         if self.kind == DEPTH:
-            return DepthTask(size=effort.size)
+            return DepthTask(backbone=Backbone(effort.size))
         return SuperResolutionTask(
             size=effort.size, validation_size=4 * effort.size, blocks=6, features=32
         )

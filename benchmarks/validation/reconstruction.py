@@ -11,6 +11,7 @@ given.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -19,11 +20,12 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.units import MM
 from vrcaps.learn.checkpoint import TrainedNetwork, read_weights
 from vrcaps.learn.hub import find_weights
-from vrcaps.learn.initialize import IMAGENET
-from vrcaps.learn.registry import AnyTask
+from vrcaps.learn.networks import Backbone
 from vrcaps.learn.samples import samples_of
-from vrcaps.learn.tasks.sfm import SfmTask, estimated_trajectory
-from vrcaps.learn.training import WEIGHTS, ComputeSettings, TrainSettings, train
+from vrcaps.learn.settings import IMAGENET, TrainSettings
+from vrcaps.learn.task import Task
+from vrcaps.learn.tasks.sfm import SfmTask
+from vrcaps.learn.training import WEIGHTS, train
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.metrics.depth import depth_errors, mean_depth_errors
 from vrcaps.metrics.surface import surface_distances
@@ -37,6 +39,7 @@ from vrcaps.tools.reconstruction.compare import compare
 from vrcaps.tools.reconstruction.estimates import aligned, with_network_depth, with_poses
 from vrcaps.tools.reconstruction.fusion.fuse import FuseSettings, fuse
 from vrcaps.tools.reconstruction.fusion.odometry import OdometrySettings, estimated_poses
+from vrcaps.training.compute import ComputeSettings
 
 RUNS = {
     "stomach": FlyThrough(whole=True),
@@ -62,7 +65,11 @@ def main() -> None:
     for organ in RUNS:
         sequence = recorded(organ, given.size, given.run)
         networks = {"network of ours": read_weights(find_weights("depth"))}
-        learner = read_weights(given.sfm, task="sfm").learner if given.sfm else SfmTask(96)
+        learner = (
+            read_weights(given.sfm, task="sfm").task
+            if given.sfm
+            else SfmTask(backbone=Backbone(96))
+        )
         for name, start in (("ImageNet", IMAGENET), ("ours", given.sfm)):
             if not start:
                 continue
@@ -100,14 +107,14 @@ def recorded(organ: str, frames: int, folder: Path) -> FrameSequence:
 
 
 def learned(
-    sequence: FrameSequence, learner: AnyTask, start: str, steps: int, out: Path
+    sequence: FrameSequence, learner: Task, start: str, steps: int, out: Path
 ) -> TrainedNetwork:
     """A network of sfm that learned from the run."""
     settings = TrainSettings(
         learner, start=start, steps=steps, batch=4, evaluate_every=steps, evaluation_frames=20
     )
     samples = samples_of(learner, [sequence])
-    train(settings, samples, samples, out, machine=ComputeSettings("cpu"), is_forced=True)
+    train(settings, samples, samples, out, compute=ComputeSettings("cpu"), is_forced=True)
     return read_weights(out / WEIGHTS)
 
 
@@ -121,13 +128,16 @@ def organ_rows(
     rows.append(followed(organ, "true", sequence, sequence, "se3", best))
     for name, network in networks.items():
         estimate = with_network_depth(sequence, network)
-        is_metric = network.learner.kind == "depth"
+        is_metric = network.task.kind == "depth"
         if is_metric:
             rows.append(result(organ, name, "true", estimate, sequence, best))
         align: TrajectoryAlignment = "se3" if is_metric else "sim3"
         rows.append(followed(organ, name, estimate, sequence, align, best))
         if not is_metric:
-            chained = with_poses(estimate, estimated_trajectory(network, sequence).Ts_world_camera)
+            task = cast(SfmTask, network.task)
+            chained = with_poses(
+                estimate, task.trajectory(network.network, sequence).Ts_world_camera
+            )
             moved = aligned(chained, truth, align)
             error = absolute_trajectory_error(chained.Ts_world_camera, truth, align=align)
             rows.append(result(organ, name, "its own", moved, sequence, best, error))

@@ -20,7 +20,8 @@ import numpy as np
 from benchmarks.common.scripts import ROOT, options, table, write_section
 from vrcaps.core.files import file_sha256
 from vrcaps.policy.ppo import PpoSettings
-from vrcaps.policy.training import BEST, POLICY, PROGRESS, TrainingSettings, train
+from vrcaps.policy.training import BEST, POLICY, TrainingSettings, train
+from vrcaps.training.checkpoint import PROGRESS
 
 SEED = 7
 LEARNER = PpoSettings(

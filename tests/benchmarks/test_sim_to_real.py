@@ -40,7 +40,7 @@ from vrcaps.cli.benchmarks.page import read_sections
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.data.plan import read_plan
 from vrcaps.learn.checkpoint import read_weights
-from vrcaps.learn.initialize import IMAGENET
+from vrcaps.learn.settings import IMAGENET
 from vrcaps.learn.tasks.segmentation import LESION
 from vrcaps.learn.training import WEIGHTS
 from vrcaps.metrics.bootstrap import Interval
@@ -437,7 +437,7 @@ def test_a_run_with_ours_learns_masks_first(tmp_path, monkeypatch):
     named = [(arm, 0.5) for arm in TASKS["polyp-masks"].arms]
     assert sorted(arms) == sorted([*named, ("ours", 0.0), ("imagenet+ours", 0.0)])
     first = [*(run / "weights").glob("masks-ours-*")]
-    learners = [read_weights(one / WEIGHTS).learner for one in first]
+    learners = [read_weights(one / WEIGHTS).task for one in first]
     assert {(one.classes, one.size) for one in learners} == {(OUR_LESIONS, 32), ((LESION,), 32)}
     given = tmp_path / "given"
     given.mkdir()

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import errno
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,7 +33,7 @@ def stop(args: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str]
     return exit_info.value.code, capsys.readouterr().err
 
 
-@pytest.mark.parametrize("verb", [path.split() for path in cli._VERBS])
+@pytest.mark.parametrize("verb", [path.split() for path in cli._all_verbs()])
 def test_every_verb_has_a_summary_and_help_with_an_example(
     verb: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -284,7 +287,55 @@ def test_list_names_all_that_goes_by_name(capsys: pytest.CaptureFixture[str]) ->
     assert "vrcaps organ make" in text
 
 
-def test_tasks_of_learners_are_those_of_the_registry() -> None:
-    from vrcaps.learn.registry import LEARNERS
+@pytest.mark.parametrize("verb", ["train", "evaluate", "predict"])
+def test_registered_tasks_are_commands(
+    verb: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Built-in tasks, and one that a user registers."""
+    torch = pytest.importorskip("torch", reason="PyTorch is not installed")
+    from vrcaps.learn import TASKS, Task
 
-    assert set(cli._TASKS) == set(LEARNERS)
+    class GlareTask(Task):
+        """Fraction of glare in an image."""
+
+        kind = "glare"
+
+    monkeypatch.setattr(TASKS, "_added", {})
+    TASKS.register(dataclasses.dataclass(frozen=True)(GlareTask))
+    assert "glare" in TASKS and torch
+    for task in ("depth", "glare"):
+        with pytest.raises(SystemExit):
+            cli.main([verb, task, "--help"])
+        text = capsys.readouterr().out
+        assert f"vrcaps {verb} {task} --" in text
+    assert "Fraction of glare in an image." in text
+    if verb != "evaluate":
+        with pytest.raises(SystemExit):
+            cli.main([verb, "--help"])
+        listed = capsys.readouterr().out
+        assert all(f"• {task} " in listed for task in TASKS)
+
+
+@pytest.mark.parametrize("words", [["--help"], ["train", "--help"], ["predict", "depth", "--help"]])
+def test_help_lists_tasks_without_loading_pytorch(words: list[str]) -> None:
+    code = (
+        "import sys\nimport vrcaps.cli\n"
+        f"try: vrcaps.cli.main({words!r})\n"
+        "except SystemExit: print('torch' in sys.modules)"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert result.stdout.splitlines()[-1] == "False"
+
+
+def test_missing_pytorch_is_one_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in [name for name in sys.modules if name.startswith("vrcaps.learn.task")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(SystemExit):
+        cli.main(["train", "depth", "--data", "runs/a", "--out", "runs/b"])
+    text = capsys.readouterr().err
+    assert "torch is not installed. Install it with: pip install 'vrcaps[learn]'" in text

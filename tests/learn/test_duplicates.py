@@ -10,8 +10,8 @@ from scipy.ndimage import gaussian_filter
 from tests.support.small_frames import small_sequence
 from vrcaps import cli
 from vrcaps.core.errors import InputError
-from vrcaps.learn.duplicates import NEAR, image_hash, near_duplicates, without_duplicates
-from vrcaps.learn.samples import Samples
+from vrcaps.learn.networks import Backbone
+from vrcaps.learn.samples import NEAR, Samples, image_hash, near_duplicates, without_duplicates
 from vrcaps.learn.tasks.depth import DepthTask
 from vrcaps.recording.frame_files import write_images
 
@@ -104,7 +104,7 @@ def _samples(name, images):
     values = {"time": np.arange(len(images), dtype=float)}
     for field, value in (("load", load), ("values", values)):
         object.__setattr__(sequence, field, value)
-    return Samples(DepthTask(size=32), [(sequence, k) for k in range(len(images))])
+    return Samples(DepthTask(backbone=Backbone(32)), [(sequence, k) for k in range(len(images))])
 
 
 @pytest.fixture
@@ -141,7 +141,9 @@ def test_training_leaves_out_what_it_is_tested_with(originals):
     assert found == {"train, frame 2": "test, frame 2"}
     assert [index for _, index in left.frames] == [0, 1, 3, 4]
     assert without_duplicates(left, test) == (left, {}) or not without_duplicates(left, test)[1]
-    with pytest.raises(InputError, match=r"All 1 frames to learn from .* is test, frame 1\. Give"):
+    with pytest.raises(
+        InputError, match=r"All 1 training frames are near-duplicates .* is test, frame 1\. Give"
+    ):
         without_duplicates(_samples("train", [originals[5][::-1]]), test)
 
 

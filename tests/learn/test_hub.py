@@ -17,21 +17,24 @@ from vrcaps import cli  # noqa: E402
 from vrcaps.cli.parts import part_of  # noqa: E402
 from vrcaps.core.errors import InputError, StorageError, UnknownNameError  # noqa: E402
 from vrcaps.core.files import file_sha256, files_in  # noqa: E402
-from vrcaps.learn import hub  # noqa: E402
-from vrcaps.learn import publish as publishing  # noqa: E402
+from vrcaps.learn import hub, publishing  # noqa: E402
+from vrcaps.learn.augment import Augmentation  # noqa: E402
 from vrcaps.learn.evaluation import Evaluation, write_evaluation  # noqa: E402
 from vrcaps.learn.hub import INDEX, VARIABLE, find_weights, pull, read_index  # noqa: E402
 from vrcaps.learn.model_card import train_command  # noqa: E402
-from vrcaps.learn.presets import settings_of  # noqa: E402
-from vrcaps.learn.publish import MAX_BYTES, publish  # noqa: E402
+from vrcaps.learn.networks import Backbone  # noqa: E402
+from vrcaps.learn.publishing import MAX_BYTES, publish  # noqa: E402
 from vrcaps.learn.samples import samples_of  # noqa: E402
+from vrcaps.learn.settings import TrainSettings, settings_of  # noqa: E402
 from vrcaps.learn.tasks.classification import ClassificationTask  # noqa: E402
 from vrcaps.learn.tasks.depth import DepthTask  # noqa: E402
 from vrcaps.learn.tasks.segmentation import SegmentationTask  # noqa: E402
 from vrcaps.learn.tasks.sfm import SfmTask  # noqa: E402
 from vrcaps.learn.tasks.super_resolution import SuperResolutionTask  # noqa: E402
-from vrcaps.learn.training import BEST, ComputeSettings, TrainSettings, train  # noqa: E402
+from vrcaps.learn.training import BEST, train  # noqa: E402
 from vrcaps.recording.frame_files import write_images  # noqa: E402
+from vrcaps.scenario.settings import parse_change  # noqa: E402
+from vrcaps.training.compute import ComputeSettings  # noqa: E402
 
 TASK = "super-resolution"
 LEARNER = SuperResolutionTask(2, size=32, blocks=1, features=8)
@@ -46,7 +49,7 @@ def run(tmp_path_factory):
         LEARNER, data=("runs/cohort",), start="scratch", steps=2, batch=2, evaluate_every=2
     )
     samples = samples_of(LEARNER, [small_sequence()])
-    train(settings, samples, samples, out, machine=ComputeSettings("cpu"))
+    train(settings, samples, samples, out, compute=ComputeSettings("cpu"))
     return out
 
 
@@ -64,7 +67,7 @@ def _evaluated(folder, sha256, psnr=31.25):
     return folder
 
 
-def test_what_is_published_is_found_by_its_task_and_by_its_name(run, place):
+def test_published_weights_are_found_by_task_and_name(run, place):
     publish(run, place, notes="For tests.")
     publish(run, place, name="super-resolution-mine", notes="For tests.")
     assert list(read_index(str(place))) == ["super-resolution", "super-resolution-mine"]
@@ -75,7 +78,7 @@ def test_what_is_published_is_found_by_its_task_and_by_its_name(run, place):
     assert find_weights(str(run / BEST), TASK) == run / BEST
 
 
-def test_card_says_how_the_weights_were_made_and_what_they_score(run, place, tmp_path):
+def test_card_states_training_and_metrics(run, place, tmp_path):
     scored = _evaluated(tmp_path / "scored", file_sha256(run / BEST))
     entry = publish(run, place, evaluations=[scored], notes="# Use\nOnly in tests.")
     assert entry.summary.endswith("psnr 31.2500 on cohort")
@@ -87,7 +90,7 @@ def test_card_says_how_the_weights_were_made_and_what_they_score(run, place, tmp
         f"{settings['frames'][0]} frames of `runs/cohort`",
         "7 frames of `runs/cohort`, test",
         f"| psnr | {validation:.4g} | 31.25 |",
-        "| in | `image` | color from 0 to 1",
+        "| input | `image` | color from 0 to 1",
         "factor 2, size 32",
         "Apache-2.0",
         "Only in tests.",
@@ -116,17 +119,28 @@ def test_card_holds_the_plan_of_its_data(run, place, tmp_path):
 @pytest.mark.parametrize(
     "settings",
     [
-        TrainSettings(),
-        TrainSettings(DepthTask(256, has_light_cue=False), ("runs/a b", "c3vd:d"), ("v",)),
+        TrainSettings(DepthTask()),
         TrainSettings(
-            SegmentationTask(("polyp", "ulcer")), ("a",), start="masks", steps=7, rate=1e-4
+            DepthTask(backbone=Backbone(256), has_light_cue=False), ("runs/a b", "c3vd:d"), ("v",)
+        ),
+        TrainSettings(
+            SegmentationTask(("polyp", "ulcer")),
+            ("a",),
+            start="segmentation",
+            steps=7,
+            learning_rate=1e-4,
         ),
         TrainSettings(ClassificationTask(("normal", "bleeding")), ("a",), start="scratch", seed=3),
         TrainSettings(SfmTask(step=2), ("a",), fraction=0.1, weight_decay=0.0),
-        TrainSettings(DepthTask(gamma=1.0), ("a",), start="depth", freeze_batch_norm=True),
+        TrainSettings(
+            DepthTask(augmentation=Augmentation(gamma_jitter=1.0)),
+            ("a",),
+            start="depth",
+            freeze_batch_norm=True,
+        ),
         TrainSettings(replace(LEARNER, validation_size=64), ("a",), batch=3),
     ],
-    ids=lambda settings: settings.learner.kind,
+    ids=lambda settings: settings.task.kind,
 )
 def test_command_of_a_card_gives_its_settings(settings):
     import shlex
@@ -138,7 +152,7 @@ def test_command_of_a_card_gives_its_settings(settings):
         command.preset,
         command.data,
         command.start,
-        command.set,
+        map(parse_change, command.set),
         validation=command.validation,
     )
     assert found == settings
@@ -159,7 +173,7 @@ def test_command_predicts_with_published_weights(run, place, tmp_path, capsys):
     assert TASK in said and "1 in " in said
 
 
-def test_training_begins_with_published_weights(run, place):
+def test_training_is_initialized_from_published_weights(run, place):
     publish(run, place, notes="For tests.")
     from vrcaps.learn.checkpoint import read_weights
     from vrcaps.learn.initialize import initialized_network
@@ -185,9 +199,11 @@ def test_weights_at_a_url_are_kept_in_the_cache(run, place, tmp_path, monkeypatc
     memory.rm("/published/super-resolution.safetensors")
     assert find_weights("", TASK) == found
     found.unlink()
-    with pytest.raises(InputError, match=r"no super-resolution\.safetensors in memory://published"):
+    with pytest.raises(
+        InputError, match=r"memory://published, .* contains no super-resolution\.safetensors"
+    ):
         find_weights("", TASK)
-    with pytest.raises(InputError, match=r"is no folder of this machine\. Give one: --out"):
+    with pytest.raises(InputError, match=r"is not a local folder\. Give --out"):
         cli._parse(["weights", "publish", str(run)]).run()
 
 
@@ -221,7 +237,7 @@ def test_complete_files_are_not_copied_again(run, tmp_path, home, monkeypatch):
     (entry,) = pull(str(source))
     assert entry.name == TASK
     (home / f"{TASK}.safetensors").write_bytes(b"cut")
-    with pytest.raises(InputError, match=rf"There is no {TASK}\.safetensors in"):
+    with pytest.raises(InputError, match=rf"contains no {TASK}\.safetensors"):
         pull(str(source))
 
 
@@ -230,7 +246,7 @@ def test_other_content_than_the_index_states_is_refused(run, tmp_path, home):
     publish(run, source, notes="For tests.")
     path = source / f"{TASK}.safetensors"
     path.write_bytes(path.read_bytes()[:-1] + b"x")
-    with pytest.raises(InputError, match=r"has sha256 .*, but index\.json says .* Try again"):
+    with pytest.raises(InputError, match=r"has sha256 .*, but index\.json states .* Try again"):
         pull(str(source))
     assert not (home / f"{TASK}.safetensors").exists()
 
@@ -274,14 +290,14 @@ def test_weights_of_a_web_server_are_pulled(run, tmp_path, home):
         with pytest.raises(StorageError, match=r"has more than \d+ bytes"):
             pull(url)
         (source / "index.json").unlink()
-        with pytest.raises(InputError, match=r"There is no index\.json in http://127"):
+        with pytest.raises(InputError, match=r"http://127.* contains no index\.json"):
             pull(url)
         server.shutdown()
     with pytest.raises(StorageError, match=r"from http://127.*: Connection refused\. Set VRCAPS_W"):
         pull(url)
 
 
-def test_a_place_that_cannot_be_reached_is_one_line(monkeypatch):
+def test_an_unreachable_location_is_one_line(monkeypatch):
     fsspec = pytest.importorskip("fsspec")
 
     def fail(self, path, **more):
@@ -293,8 +309,8 @@ def test_a_place_that_cannot_be_reached_is_one_line(monkeypatch):
         find_weights("", TASK)
 
 
-def test_what_is_not_published_is_one_clear_line(run, place, monkeypatch):
-    with pytest.raises(InputError, match=r"There is no index\.json in .*weights"):
+def test_missing_published_weights_are_one_line(run, place, monkeypatch):
+    with pytest.raises(InputError, match=r"weights, .* contains no index\.json"):
         find_weights("", TASK)
     publish(run, place, notes="For tests.")
     with pytest.raises(InputError, match=r"No weights of the task 'depth' are published in"):
@@ -303,10 +319,10 @@ def test_what_is_not_published_is_one_clear_line(run, place, monkeypatch):
         find_weights("super", TASK)
     path = place / "super-resolution.safetensors"
     path.write_bytes(path.read_bytes()[:-1])
-    with pytest.raises(InputError, match=r"has sha256 .*, but index\.json says"):
+    with pytest.raises(InputError, match=r"has sha256 .*, but index\.json states"):
         find_weights("", TASK)
     path.unlink()
-    with pytest.raises(InputError, match="is missing, though index"):
+    with pytest.raises(InputError, match="is missing, but index"):
         find_weights("", TASK)
     (place / INDEX).write_text("{")
     with pytest.raises(InputError, match="is not JSON"):
@@ -325,24 +341,24 @@ def test_what_is_not_published_is_one_clear_line(run, place, monkeypatch):
         find_weights("", TASK)
 
 
-def test_what_cannot_be_published_is_one_clear_line(run, place, tmp_path, monkeypatch):
+def test_a_training_that_cannot_be_published_is_one_line(run, place, tmp_path, monkeypatch):
     with pytest.raises(InputError, match=r"has no notes\. Give --notes FILE"):
         publish(run, place)
     with pytest.raises(InputError, match=r"weights is depth\. Allowed: super-resolution, or"):
         publish(run, place, name="depth", notes="n")
-    with pytest.raises(InputError, match=r"holds no best\.safetensors"):
+    with pytest.raises(InputError, match=r"contains no best\.safetensors"):
         publish(tmp_path, place, notes="n")
     scored = _evaluated(tmp_path / "scored", "0" * 64)
-    with pytest.raises(InputError, match=r"is of weights with sha256 000000000000…, not of these"):
+    with pytest.raises(InputError, match=r"belongs to weights with sha256 000000000000…, not"):
         publish(run, place, notes="n", evaluations=[scored])
-    with pytest.raises(InputError, match=r"holds no evaluation\.json"):
+    with pytest.raises(InputError, match=r"contains no evaluation\.json"):
         publish(run, place, notes="n", evaluations=[tmp_path])
     (scored / "evaluation.json").write_text('{"scores": {}}')
     with pytest.raises(InputError, match=r"evaluation file .* is damaged"):
         publish(run, place, notes="n", evaluations=[scored])
     broken = shutil.copytree(run, tmp_path / "broken")
     (broken / "progress.csv").write_text("step\n")
-    with pytest.raises(InputError, match="holds a damaged training"):
+    with pytest.raises(InputError, match="is damaged"):
         publish(broken, place, notes="n")
     (broken / "progress.csv").unlink()
     with pytest.raises(InputError, match=r"Cannot read .*progress\.csv"):
@@ -363,3 +379,11 @@ def test_our_published_weights_are_whole_and_have_cards():
     assert named == {
         f"{name}{end}" for name in read_index(str(OURS)) for end in (".md", ".safetensors")
     }
+
+
+def test_former_checkpoints_are_read():
+    """The published files still have the former names of tasks and settings."""
+    from vrcaps.learn.checkpoint import read_weights
+
+    for entry in read_index(str(OURS)).values():
+        assert read_weights(OURS / entry.file).task.kind == entry.task

@@ -10,14 +10,15 @@ pytest.importorskip("safetensors")
 from vrcaps.core.errors import InputError  # noqa: E402
 from vrcaps.learn.checkpoint import read_weights, write_weights  # noqa: E402
 from vrcaps.learn.initialize import initialized_network, origin  # noqa: E402
+from vrcaps.learn.networks import Backbone  # noqa: E402
 from vrcaps.learn.tasks.classification import ClassificationTask  # noqa: E402
 from vrcaps.learn.tasks.depth import DepthTask  # noqa: E402
 from vrcaps.learn.tasks.segmentation import SegmentationTask  # noqa: E402
 from vrcaps.learn.tasks.super_resolution import SuperResolutionTask  # noqa: E402
 
-MASKS = SegmentationTask(classes=("polyp",), size=32)
-CLASSES = ClassificationTask(size=32)
-DEPTH = DepthTask(size=32)
+MASKS = SegmentationTask(classes=("polyp",), backbone=Backbone(32))
+CLASSES = ClassificationTask(backbone=Backbone(32))
+DEPTH = DepthTask(backbone=Backbone(32))
 
 
 def _written(learner, folder, **about):
@@ -76,11 +77,17 @@ def test_what_an_encoder_lacks_begins_as_its_weights_did(began, tmp_path):
 @pytest.mark.parametrize(
     ("known", "learner"),
     [
-        (SegmentationTask(("polyp", "bleeding"), 32), SegmentationTask(("bleeding", "ulcer"), 32)),
-        (SegmentationTask(("polyp", "bleeding"), 32), SegmentationTask(("bleeding",), 32)),
         (
-            ClassificationTask(("normal", "polyp", "bleeding"), 32),
-            ClassificationTask(("bleeding", "ulcer", "normal"), 32),
+            SegmentationTask(("polyp", "bleeding"), backbone=Backbone(32)),
+            SegmentationTask(("bleeding", "ulcer"), backbone=Backbone(32)),
+        ),
+        (
+            SegmentationTask(("polyp", "bleeding"), backbone=Backbone(32)),
+            SegmentationTask(("bleeding",), backbone=Backbone(32)),
+        ),
+        (
+            ClassificationTask(("normal", "polyp", "bleeding"), backbone=Backbone(32)),
+            ClassificationTask(("bleeding", "ulcer", "normal"), backbone=Backbone(32)),
         ),
     ],
 )
@@ -100,16 +107,20 @@ def test_classes_are_known_by_their_names(known, learner, tmp_path):
 
 
 def test_masks_of_one_kind_begin_with_those_of_any_lesion(tmp_path):
-    path = _written(SegmentationTask(("bleeding", "lesion"), 32), tmp_path)
+    path = _written(SegmentationTask(("bleeding", "lesion"), backbone=Backbone(32)), tmp_path)
     trained = read_weights(path).network.state_dict()
-    found = initialized_network(SegmentationTask(("polyp", "bleeding"), 32), str(path)).state_dict()
+    found = initialized_network(
+        SegmentationTask(("polyp", "bleeding"), backbone=Backbone(32)), str(path)
+    ).state_dict()
     for layer in [*found][-2:]:
         assert torch.equal(found[layer], trained[layer][[1, 0]])
 
 
 def test_a_class_of_images_does_not_begin_with_one_that_is_called_lesion(tmp_path):
-    path = _written(ClassificationTask(("normal", "lesion"), 32), tmp_path)
-    found = initialized_network(ClassificationTask(("polyp", "normal"), 32), str(path)).state_dict()
+    path = _written(ClassificationTask(("normal", "lesion"), backbone=Backbone(32)), tmp_path)
+    found = initialized_network(
+        ClassificationTask(("polyp", "normal"), backbone=Backbone(32)), str(path)
+    ).state_dict()
     assert not found[[*found][-2]][0].any()
     assert found[[*found][-2]][1].any()
 
@@ -126,8 +137,10 @@ def test_color_is_seen_as_by_the_network_of_maps(tmp_path):
 
 def test_a_network_without_that_encoder_is_refused(tmp_path):
     path = _written(SuperResolutionTask(), tmp_path)
-    with pytest.raises(InputError, match=r"'super-resolution' with no encoder; 'classes' has the"):
+    with pytest.raises(
+        InputError, match=r"'super-resolution' with no encoder; 'classification' has the"
+    ):
         initialized_network(CLASSES, str(path))
-    other = ClassificationTask(size=32, encoder="resnet18")
+    other = ClassificationTask(backbone=Backbone(32, "resnet18"))
     with pytest.raises(InputError, match=r"'resnet18'.*Allowed: weights of the same task"):
         initialized_network(other, str(_written(MASKS, tmp_path)))

@@ -11,12 +11,15 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 from tests.support.small_frames import image_of, small_sequence  # noqa: E402
 from vrcaps.core.errors import InputError  # noqa: E402
 from vrcaps.learn.checkpoint import TrainedNetwork  # noqa: E402
-from vrcaps.learn.predict import predict  # noqa: E402
+from vrcaps.learn.networks import Backbone  # noqa: E402
+from vrcaps.learn.prediction import predict  # noqa: E402
 from vrcaps.learn.samples import Samples, samples_of  # noqa: E402
+from vrcaps.learn.settings import TrainSettings  # noqa: E402
 from vrcaps.learn.tasks.segmentation import SegmentationTask  # noqa: E402
 from vrcaps.learn.tasks.sfm import SfmTask  # noqa: E402
 from vrcaps.learn.tasks.super_resolution import SuperResolutionTask  # noqa: E402
-from vrcaps.learn.training import BEST, ComputeSettings, TrainSettings, train  # noqa: E402
+from vrcaps.learn.training import BEST, train  # noqa: E402
+from vrcaps.training.compute import ComputeSettings  # noqa: E402
 
 LEARNER = SuperResolutionTask(2, size=32, blocks=1, features=8)
 SETTINGS = TrainSettings(LEARNER, start="scratch", batch=2, steps=4, evaluate_every=2)
@@ -35,7 +38,7 @@ def _damaged(*numbers):
 
 def _train(samples, out, settings=SETTINGS, **more):
     held_out = samples_of(LEARNER, [small_sequence(1, "other")])
-    return train(settings, samples, held_out, out, machine=ComputeSettings("cpu"), **more)
+    return train(settings, samples, held_out, out, compute=ComputeSettings("cpu"), **more)
 
 
 def test_damaged_image_amid_training_is_skipped_counted_and_named(tmp_path):
@@ -87,7 +90,9 @@ def test_masks_of_another_size_than_their_images_are_named():
         image = image_of(channel, index)
         return image[:-1] if channel == "instance" else image
 
-    samples = samples_of(SegmentationTask(size=32), [replace(small_sequence(), load=load)])
+    samples = samples_of(
+        SegmentationTask(backbone=Backbone(32)), [replace(small_sequence(), load=load)]
+    )
     with pytest.raises(InputError, match=r"an image of \(48, 48\) and a mask of \(47, 48\) pixels"):
         samples.next(0)
 
@@ -95,7 +100,7 @@ def test_masks_of_another_size_than_their_images_are_named():
 @pytest.mark.slow
 def test_trajectory_leaves_out_what_cannot_be_read(tmp_path):
     pytest.importorskip("segmentation_models_pytorch", reason="its package is not installed")
-    learner = SfmTask(size=32, encoder="test_resnet")
+    learner = SfmTask(backbone=Backbone(32, "test_resnet"))
     torch.manual_seed(0)
     trained = TrainedNetwork(learner, learner.network(is_pretrained=False).eval(), {})
     sequences = (_damaged(3, 4), replace(_damaged(*range(20)), name="black"))

@@ -10,10 +10,11 @@ import pytest
 from tests.support.small_frames import SIDE, small_sequence
 from vrcaps.core.errors import InputError
 from vrcaps.learn.letterbox import Letterbox
-from vrcaps.learn.overlays import Overlay, tissue_mask
+from vrcaps.learn.networks import Backbone
+from vrcaps.learn.picture_border import Overlay, tissue_mask
 from vrcaps.learn.tasks.classification import ClassificationTask
 
-LEARNER = ClassificationTask(("normal", "polyp"), size=64)
+LEARNER = ClassificationTask(("normal", "polyp"), backbone=Backbone(64))
 
 
 @pytest.mark.parametrize(("height", "width"), [(64, 64), (50, 80)])
@@ -26,7 +27,7 @@ def test_corners_and_insert_are_hidden_whatever_is_there(height, width):
     images = [LEARNER.inputs(one, fit, None)["image"] for one in (plain, marked)]
     np.testing.assert_array_equal(*images)
     assert (images[0] > 0).any(axis=-1).mean() > 0.3
-    shown = replace(LEARNER, hides=()).inputs(marked, fit, None)["image"]
+    shown = replace(LEARNER, mask_overlays=()).inputs(marked, fit, None)["image"]
     np.testing.assert_array_equal(shown, fit.image(marked))
 
 
@@ -55,17 +56,19 @@ def test_a_recorded_lesion_counts_where_it_is_seen():
     episode = SimpleNamespace(head={"organ": {"lesions": lesions}})
     values = {"time": sequence.times}
     sequence = replace(sequence, values=values, load=load, episode=episode)
-    named = LEARNER.with_classes(sequence)
+    named = LEARNER.prepare(sequence)
     assert list(named.values["class"][:2]) == ["polyp", "normal"]
-    assert LEARNER.with_classes(named) is named
-    assert list(replace(LEARNER, hides=()).items(sequence)) == list(range(len(sequence)))
+    assert LEARNER.prepare(named) is named
+    assert list(replace(LEARNER, mask_overlays=()).items(sequence)) == list(range(len(sequence)))
 
 
 def test_each_class_must_have_frames():
     frames = [(small_sequence(), k) for k in (1, 3, 5)]
-    with pytest.raises(InputError, match=r"the class 'normal' from; there are 3 polyp\. Give"):
-        LEARNER.require_classes(frames)
-    LEARNER.require_classes([*frames, (small_sequence(), 0)])
+    with pytest.raises(
+        InputError, match=r"No training frame has the class 'normal'\. Frames: 3 polyp\. Give"
+    ):
+        LEARNER.require(frames)
+    LEARNER.require([*frames, (small_sequence(), 0)])
     bare = replace(small_sequence(), values={"time": np.arange(20.0)})
-    with pytest.raises(InputError, match=r"small has no classes\. Give a folder with a folder"):
+    with pytest.raises(InputError, match=r"small has no classes\. Give a folder with a subfolder"):
         LEARNER.items(bare)

@@ -11,6 +11,7 @@ from vrcaps.camera.lens import LensPinhole
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.color import linear_from_srgb, srgb_from_linear
 from vrcaps.core.errors import InputError
+from vrcaps.learn.networks import Backbone
 from vrcaps.learn.picture_border import (
     assumed_camera,
     bright_part,
@@ -18,7 +19,7 @@ from vrcaps.learn.picture_border import (
     inserts,
     view_of,
 )
-from vrcaps.learn.predict import images_of
+from vrcaps.learn.prediction import images_of
 from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import EXPOSURE, FrameSequence
 
@@ -55,9 +56,9 @@ def test_depth_takes_the_image_at_the_exposure_of_the_camera() -> None:
     one = sequence(image)
     exposed = replace(one, values={**one.values, EXPOSURE: np.array([2.0])})
     half = srgb_from_linear(0.5 * linear_from_srgb(image))
-    np.testing.assert_array_equal(input_image("depth", exposed, 0), half)
-    np.testing.assert_array_equal(input_image("masks", exposed, 0), image)
-    np.testing.assert_array_equal(input_image("depth", one, 0), image)
+    np.testing.assert_array_equal(input_image(exposed, 0, predicts_lengths=True), half)
+    np.testing.assert_array_equal(input_image(exposed, 0), image)
+    np.testing.assert_array_equal(input_image(one, 0, predicts_lengths=True), image)
 
 
 def test_an_insert_is_a_box_of_foreign_color_with_a_margin() -> None:
@@ -70,7 +71,7 @@ def test_an_insert_is_a_box_of_foreign_color_with_a_margin() -> None:
 def test_the_lens_follows_the_part_that_is_left() -> None:
     """A ray through a pixel of the part is the ray through that pixel of the image."""
     lens = LensPinhole(fx=50.0, fy=50.0, cx=47.5, cy=31.5)
-    view = view_of("depth", sequence(framed(), Camera("a", lens, 96, 64)), framed())
+    view = view_of(sequence(framed(), Camera("a", lens, 96, 64)), framed(), predicts_lengths=True)
     assert view.camera is not None
     assert (view.camera.width, view.camera.height) == (WIDTH, HEIGHT)
     pixel = np.array([[5.0, 7.0]])
@@ -83,12 +84,11 @@ def test_the_lens_follows_the_part_that_is_left() -> None:
 
 def test_tissue_in_blue_light_is_no_insert() -> None:
     blue = np.full((64, 96, 3), (40, 90, 80), np.uint8)
-    assert not view_of("depth", sequence(blue), blue).is_insert.any()
+    assert not view_of(sequence(blue), blue, predicts_lengths=True).is_insert.any()
 
 
-@pytest.mark.parametrize("kind", ["masks", "classes", "super-resolution"])
-def test_other_tasks_see_the_whole_image(kind: str) -> None:
-    view = view_of(kind, sequence(framed()), framed())
+def test_tasks_without_lengths_see_the_whole_image() -> None:
+    view = view_of(sequence(framed()), framed())
     assert view.image.shape == (64, 96, 3) and not view.is_insert.any()
 
 
@@ -108,11 +108,11 @@ def test_a_lens_is_asked_for_before_a_network_is_loaded(tmp_path) -> None:
     for task in ("depth", "sfm"):
         with pytest.raises(InputError, match=r"Give --capsule NAME .* or --fov DEGREES"):
             images_of(folder, task)
-    assert images_of(folder, "masks")[0].camera is None
+    assert images_of(folder, "segmentation")[0].camera is None
     assert images_of(folder, "depth", field_of_view=2.0)[0].camera is None
     with pytest.raises(InputError, match=r"has 96 x 64 pixels, but the camera 'front' makes 320 x"):
         images_of(folder, "depth", "mirocam")
-    with pytest.raises(InputError, match=r"one of --capsule and --fov"):
+    with pytest.raises(InputError, match=r"--capsule and --fov are both given"):
         images_of(folder, "depth", "mirocam", 2.0)
     with pytest.raises(InputError, match=r"--fov is -1"):
         images_of(folder, "depth", field_of_view=math.radians(-1.0))
@@ -129,21 +129,21 @@ def test_predict_estimates_what_evaluate_scores(tmp_path) -> None:
     """The estimate that is written is that of the sample that is scored, to the step of 10 µm."""
     torch = pytest.importorskip("torch", reason="PyTorch is not installed")
     from vrcaps.learn.checkpoint import TrainedNetwork
-    from vrcaps.learn.predict import predict
+    from vrcaps.learn.evaluation import evaluate
+    from vrcaps.learn.prediction import predict
     from vrcaps.learn.samples import samples_of
     from vrcaps.learn.tasks.depth import DepthTask, depth_of
-    from vrcaps.learn.validation import validate
     from vrcaps.recording.frame_files import read_image
 
     torch.manual_seed(0)
-    learner = DepthTask(size=32)
+    learner = DepthTask(backbone=Backbone(32))
     trained = TrainedNetwork(learner, learner.network(is_pretrained=False).eval(), {})
     camera = Camera("a", LensPinhole(fx=50.0, fy=50.0, cx=47.5, cy=31.5), 96, 64)
     one = sequence(framed(), camera)
-    found = validate(trained, samples_of(learner, [one]))
+    found = evaluate(trained, samples_of(learner, [one]))
     predict(trained, (one,), tmp_path / "out")
     written = read_image(tmp_path / "out" / "a" / "000000.png").astype(float) * 1e-5
-    view = view_of("depth", one, framed())
+    view = view_of(one, framed(), predicts_lengths=True)
     from vrcaps.learn.letterbox import Letterbox
 
     expected = view.whole(Letterbox(HEIGHT, WIDTH, 32).back(depth_of(found.outputs[0])))

@@ -8,9 +8,10 @@ import pytest
 
 from tests.support.small_frames import COUNT, LENS, SIDE, image_of, small_sequence
 from vrcaps.core.errors import InputError
+from vrcaps.learn.augment import Augmentation
 from vrcaps.learn.letterbox import Letterbox
+from vrcaps.learn.networks import Backbone
 from vrcaps.learn.samples import Samples, samples_of, split_samples
-from vrcaps.learn.task import recolored, zoomed
 from vrcaps.learn.tasks.classification import ClassificationTask
 from vrcaps.learn.tasks.depth import DepthTask
 from vrcaps.learn.tasks.segmentation import SegmentationTask
@@ -20,7 +21,7 @@ from vrcaps.lumen.particles import FIRST_CLUMP
 @pytest.mark.parametrize("shape", [(48, 48), (30, 90), (101, 57), (640, 480)])
 def test_image_keeps_its_aspect_and_a_map_comes_back(shape):
     fit = Letterbox(*shape, 64)
-    rows, columns = fit.place
+    rows, columns = fit.region
     height, width = rows.stop - rows.start, columns.stop - columns.start
     assert max(height, width) == 64
     assert height / width == pytest.approx(shape[0] / shape[1], abs=1.0 / min(height, width))
@@ -33,7 +34,7 @@ def test_image_keeps_its_aspect_and_a_map_comes_back(shape):
 
 def test_depth_and_ray_are_of_one_pixel():
     sequence = small_sequence()
-    sample = DepthTask(size=32).sample(sequence, 3)
+    sample = DepthTask(backbone=Backbone(32)).sample(sequence, 3)
     fit = Letterbox(SIDE, SIDE, 32)
     column, row = fit.pixels[10, 20]
     np.testing.assert_allclose(sample["ray"][10, 20], LENS.unproject([column, row]), atol=1e-6)
@@ -41,13 +42,13 @@ def test_depth_and_ray_are_of_one_pixel():
 
 
 def test_rays_turn_with_their_pixels():
-    learner = DepthTask(size=SIDE // 32 * 32, zoom=1.0)
+    learner = DepthTask(backbone=Backbone(SIDE // 32 * 32), augmentation=Augmentation(min_crop=1.0))
     sample = learner.sample(small_sequence(), 0)
     turned = [sample["depth"], sample["depth"].T]
     symmetries = [np.flip(one, axes) for one in turned for axes in ((), (0,), (1,), (0, 1))]
     found, unchanged = set(), 0
     for seed in range(60):
-        changed = learner.augmented(sample, np.random.default_rng(seed))
+        changed = learner.augment(sample, np.random.default_rng(seed))
         np.testing.assert_allclose(changed["ray"], sample["ray"], atol=1e-6)  # a centered lens
         which = [k for k, one in enumerate(symmetries) if np.array_equal(changed["depth"], one)]
         assert which
@@ -55,8 +56,8 @@ def test_rays_turn_with_their_pixels():
         unchanged += changed["image"].sum() == sample["image"].sum()
     assert len(found) == 8
     assert 15 < unchanged < 45  # half of the images keep their colors
-    same = replace(learner, brightness=1.0, tint=1.0, gamma=1.0)
-    sums = {same.augmented(sample, np.random.default_rng(k))["image"].sum() for k in range(10)}
+    same = replace(learner, augmentation=Augmentation(1.0, 1.0, 1.0, 1.0))
+    sums = {same.augment(sample, np.random.default_rng(k))["image"].sum() for k in range(10)}
     assert sums == {sample["image"].sum()}
 
 
@@ -66,7 +67,7 @@ def test_labels_of_a_part_are_those_of_its_pixels():
     image = np.stack([4 * columns, 4 * rows, 0 * rows], axis=-1).astype(np.uint8)
     sample = {"image": image, "place": np.stack([columns, rows], axis=-1), "class": np.asarray(1)}
     for seed in range(10):
-        part = zoomed(sample, np.random.default_rng(seed), 0.5)
+        part = Augmentation(min_crop=0.5).crop(sample, np.random.default_rng(seed))
         assert part["image"].shape == image.shape
         assert part["class"] == 1
         inner = slice(2, -2)  # at the border color is that of its own side only
@@ -74,19 +75,14 @@ def test_labels_of_a_part_are_those_of_its_pixels():
         assert np.abs(shown - part["place"][inner, inner]).max() <= 1.0
         width = np.ptp(part["place"][..., 0]) + 1
         assert 0.5 * size - 1 <= width <= size
-    assert (
-        zoomed(sample, np.random.default_rng(0), 1.0)["place"].tolist() == sample["place"].tolist()
-    )
+    whole = Augmentation(min_crop=1.0).crop(sample, np.random.default_rng(0))
+    assert whole["place"].tolist() == sample["place"].tolist()
 
 
 def test_colors_stay_within_their_factors():
     gray = np.full((4, 4, 3), 100, np.uint8)
-    shown = np.stack(
-        [
-            recolored(gray, np.random.default_rng(k), exposure=1.2, tint=1.1, gamma=1.0)[0, 0]
-            for k in range(200)
-        ]
-    )
+    jitter = Augmentation(exposure_jitter=1.2, color_jitter=1.1, gamma_jitter=1.0)
+    shown = np.stack([jitter.recolor(gray, np.random.default_rng(k))[0, 0] for k in range(200)])
     assert shown.min() >= 100 / 1.32 - 1
     assert shown.max() <= 132 + 1
     assert np.ptp(shown, axis=1).max() > 5
@@ -101,7 +97,7 @@ def test_masks_of_one_kind_of_lesion():
         small_sequence(episode=SimpleNamespace(head={"organ": {"lesions": lesions}})),
         load=lambda channel, index: numbers if channel == "instance" else image_of(channel, index),
     )
-    learner = SegmentationTask(size=64, classes=("polyp", "bleeding", "lesion"))
+    learner = SegmentationTask(backbone=Backbone(64), classes=("polyp", "bleeding", "lesion"))
     assert len(learner.items(recorded)) == COUNT
     masks = learner.sample(recorded, 0)["mask"]
     assert (masks[..., 0] | masks[..., 1]).tolist() == masks[..., 2].tolist()
@@ -111,17 +107,19 @@ def test_masks_of_one_kind_of_lesion():
 
 
 def test_mask_turns_with_its_image():
-    learner = SegmentationTask(size=64, brightness=1.0, tint=1.0)
+    learner = SegmentationTask(
+        backbone=Backbone(64), augmentation=Augmentation(exposure_jitter=1.0, color_jitter=1.0)
+    )
     sample = learner.sample(small_sequence(), 1)
     for seed in range(6):
-        changed = learner.augmented(sample, np.random.default_rng(seed))
+        changed = learner.augment(sample, np.random.default_rng(seed))
         red = changed["image"][..., 0] > 1.8 * changed["image"][..., 1].astype(int)
         assert (red == (changed["mask"][..., 0] == 1)).mean() > 0.96
 
 
 def test_patients_are_not_in_both_parts():
     sequences = [small_sequence(k, f"s{k}", patient=str(k // 2)) for k in range(20)]
-    train, held = split_samples(DepthTask(size=32), sequences)
+    train, held = split_samples(DepthTask(backbone=Backbone(32)), sequences)
     of = [{one.patient for one, _ in part.frames} for part in (train, held)]
     assert not of[0] & of[1]
     assert len(of[1]) == 2
@@ -130,7 +128,7 @@ def test_patients_are_not_in_both_parts():
 def test_splits_of_the_data_are_kept_and_its_test_part_is_not_touched():
     splits = ("train", "val", "test")
     sequences = [small_sequence(k, split=split) for k, split in enumerate(splits)]
-    train, held = split_samples(DepthTask(size=32), sequences)
+    train, held = split_samples(DepthTask(backbone=Backbone(32)), sequences)
     assert {one.split for one, _ in train.frames} == {"train"}
     assert {one.split for one, _ in held.frames} == {"val"}
 
@@ -140,7 +138,7 @@ def test_part_of_what_is_learned_from_is_held_out_where_no_validation_split_is()
     sequences = [
         small_sequence(k, f"s{k}", patient=str(k), split=split) for k, split in enumerate(splits)
     ]
-    train, held = split_samples(DepthTask(size=32), sequences)
+    train, held = split_samples(DepthTask(backbone=Backbone(32)), sequences)
     names = [{one.name for one, _ in part.frames} for part in (train, held)]
     assert len(names[0]) == 8
     assert len(names[1]) == 2
@@ -149,7 +147,7 @@ def test_part_of_what_is_learned_from_is_held_out_where_no_validation_split_is()
 
 
 def test_shares_of_a_learning_curve_lie_within_one_another():
-    samples = samples_of(DepthTask(size=32), [small_sequence()])
+    samples = samples_of(DepthTask(backbone=Backbone(32)), [small_sequence()])
     small, large = (samples.subset(fraction, seed=1).frames for fraction in (0.25, 0.5))
     assert len(small) == COUNT // 4
     assert {k for _, k in small} < {k for _, k in large}
@@ -163,7 +161,7 @@ def test_damaged_image_is_skipped_counted_and_named():
 
     sequence = small_sequence()
     object.__setattr__(sequence, "load", load)
-    samples = Samples(SegmentationTask(size=32), [(sequence, k) for k in range(4)])
+    samples = Samples(SegmentationTask(backbone=Backbone(32)), [(sequence, k) for k in range(4)])
     assert samples.get(2) is None
     assert np.array_equal(samples.next(2)["image"], samples.get(3)["image"])
     assert samples.skipped == {"small, frame 2": "Cannot read 000002.png: truncated."}
@@ -172,13 +170,13 @@ def test_damaged_image_is_skipped_counted_and_named():
 def test_what_cannot_be_learned_from_is_one_clear_line():
     sequence = small_sequence()
     bare = sequence.with_channels(("rgb",))
-    with pytest.raises(InputError, match="needs the channel 'depth', which small has not"):
+    with pytest.raises(InputError, match=r"requires the channel 'depth'\. small has none"):
         samples_of(DepthTask(), [bare])
-    with pytest.raises(InputError, match="images without masks"):
+    with pytest.raises(InputError, match="images have no masks"):
         samples_of(SegmentationTask(), [bare])
-    with pytest.raises(InputError, match="There is no frame to learn classes from"):
+    with pytest.raises(InputError, match="No frame of small can be used to train classification"):
         samples_of(ClassificationTask(classes=("ulcer", "bleeding")), [sequence])
     with pytest.raises(InputError, match=r"size is 100\. Allowed: multiples of 32"):
-        SegmentationTask(size=100)
-    with pytest.raises(InputError, match="classes of images"):
+        SegmentationTask(backbone=Backbone(100))
+    with pytest.raises(InputError, match="classes is"):
         ClassificationTask(classes=("polyp",))

@@ -11,23 +11,27 @@ pytest.importorskip("segmentation_models_pytorch", reason="its package is not in
 from tests.support.small_frames import small_sequence  # noqa: E402
 from vrcaps.core.errors import InputError, UnknownNameError  # noqa: E402
 from vrcaps.learn.checkpoint import read_weights, write_weights  # noqa: E402
-from vrcaps.learn.networks import imagenet_weights  # noqa: E402
-from vrcaps.learn.predict import predict  # noqa: E402
+from vrcaps.learn.networks import Backbone, imagenet_weights  # noqa: E402
+from vrcaps.learn.prediction import predict  # noqa: E402
 from vrcaps.learn.samples import batch_of, samples_of  # noqa: E402
+from vrcaps.learn.settings import TrainSettings  # noqa: E402
 from vrcaps.learn.tasks.classification import ClassificationTask  # noqa: E402
-from vrcaps.learn.tasks.depth import DepthTask, depth_of, light_cue  # noqa: E402
-from vrcaps.learn.tasks.segmentation import SegmentationTask  # noqa: E402
+from vrcaps.learn.tasks.depth import DepthTask, depth_loss, depth_of, light_cue  # noqa: E402
+from vrcaps.learn.tasks.segmentation import SegmentationTask, segmentation_loss  # noqa: E402
 from vrcaps.learn.tasks.super_resolution import SuperResolutionTask  # noqa: E402
-from vrcaps.learn.training import BEST, ComputeSettings, TrainSettings, train  # noqa: E402
+from vrcaps.learn.training import BEST, train  # noqa: E402
+from vrcaps.training.compute import ComputeSettings  # noqa: E402
 
-DEPTH = DepthTask(size=32)
+DEPTH = DepthTask(backbone=Backbone(32))
 CPU = ComputeSettings("cpu")
 
 
 def _train(learner, out, report=lambda progress: None, **changes):
     samples = samples_of(learner, [small_sequence()])
-    settings = TrainSettings(learner, start="scratch", batch=4, rate=2e-3, evaluate_every=2)
-    return train(replace(settings, **changes), samples, samples, out, machine=CPU, report=report)
+    settings = TrainSettings(
+        learner, start="scratch", batch=4, learning_rate=2e-3, evaluate_every=2
+    )
+    return train(replace(settings, **changes), samples, samples, out, compute=CPU, report=report)
 
 
 def test_loss_of_the_truth_is_zero_and_its_gradient_is_right():
@@ -35,25 +39,24 @@ def test_loss_of_the_truth_is_zero_and_its_gradient_is_right():
     sample["depth"][:4] = np.nan
     batch = {"depth": torch.from_numpy(sample["depth"][None]).double()}
     exact = torch.log(torch.nan_to_num(batch["depth"], nan=1.0) / 0.03)[:, None]
-    assert float(DEPTH.output_loss(exact, batch)["loss"]) == pytest.approx(0.0, abs=1e-12)
+    assert float(depth_loss(exact, batch["depth"], 0.5)["loss"]) == pytest.approx(0.0, abs=1e-12)
     np.testing.assert_allclose(depth_of(exact[0].numpy())[4:], sample["depth"][4:], rtol=1e-6)
     small = {"depth": batch["depth"][:, 2:10, :8]}
     guess = (exact[:, :, 2:10, :8] + 0.1 * torch.randn(1, 1, 8, 8, dtype=torch.float64)).detach()
     guess.requires_grad_(True)
-    assert torch.autograd.gradcheck(lambda x: DEPTH.output_loss(x, small)["loss"], guess)
+    assert torch.autograd.gradcheck(lambda x: depth_loss(x, small["depth"], 0.5)["loss"], guess)
 
 
 def test_loss_of_masks_ignores_what_lies_beyond_the_image():
-    learner = SegmentationTask(size=32)
     mask = torch.zeros(1, 1, 32, 32, dtype=torch.uint8)
     mask[..., 8:16, 8:16], mask[..., 24:, :] = 1, 2
     output = torch.randn(1, 1, 32, 32)
     other = output.clone()
     other[..., 24:, :] = 9.0
-    losses = [float(learner.output_loss(x, {"mask": mask})["loss"]) for x in (output, other)]
+    losses = [float(segmentation_loss(x, mask)["loss"]) for x in (output, other)]
     assert losses[0] == pytest.approx(losses[1])
     exact = torch.where(mask == 1, 40.0, -40.0)
-    assert float(learner.output_loss(exact, {"mask": mask})["loss"]) == pytest.approx(0.0, abs=1e-4)
+    assert float(segmentation_loss(exact, mask)["loss"]) == pytest.approx(0.0, abs=1e-4)
 
 
 def test_cue_of_the_light_is_the_logarithm_of_distance():
@@ -72,9 +75,9 @@ def test_new_network_for_super_resolution_enlarges_as_bicubic(factor):
     assert sample["truth"].shape == (48, 48, 3)
     with torch.inference_mode():
         output = learner.network(is_pretrained=False)(batch_of([sample])["image"])[0].numpy()
-    scores = learner.scores([output], [sample])
+    scores = learner.metrics([output], [sample])
     assert scores["psnr"] == pytest.approx(scores["psnr_bicubic"], abs=1.0)
-    changed = learner.augmented(sample, np.random.default_rng(0))
+    changed = learner.augment(sample, np.random.default_rng(0))
     assert changed["truth"].shape == (32, 32, 3)
     assert changed["image"].shape == (32 // factor, 32 // factor, 3)
     with pytest.raises(InputError, match=r"has 48 x 48 pixels\. Allowed: 64 or more"):
@@ -85,7 +88,7 @@ def test_new_network_for_super_resolution_enlarges_as_bicubic(factor):
 @pytest.mark.parametrize("classes", [("normal", "polyp"), ("a", "b", "c", "d")])
 def test_a_new_classifier_gives_all_classes_the_same_chance(classes):
     """Cross entropy then begins at ln c."""
-    learner = ClassificationTask(classes, size=32)
+    learner = ClassificationTask(classes, backbone=Backbone(32))
     network = learner.network(is_pretrained=False).train()
     batch = {"image": torch.rand(4, 3, 32, 32), "class": torch.tensor([0, 1, 0, 1])}
     assert learner.loss(network, batch)["loss"].item() == pytest.approx(np.log(len(classes)))
@@ -107,7 +110,7 @@ def test_imagenet_weights_know_a_cat():
 
 @pytest.mark.slow
 def test_training_that_was_cut_off_ends_in_the_same_bytes(tmp_path):
-    learner = SegmentationTask(size=32)
+    learner = SegmentationTask(backbone=Backbone(32))
 
     class Killed(Exception):
         pass
@@ -164,7 +167,7 @@ def test_frozen_batch_normalization_keeps_its_statistics_and_learns(tmp_path):
 @pytest.mark.slow
 def test_super_resolution_is_learned(tmp_path):
     learner = SuperResolutionTask(2, size=32, blocks=2, features=16)
-    row = _train(learner, tmp_path, steps=60, evaluate_every=60, rate=3e-3).rows[-1]
+    row = _train(learner, tmp_path, steps=60, evaluate_every=60, learning_rate=3e-3).rows[-1]
     assert row["psnr"] > row["psnr_bicubic"] + 0.3
 
 
@@ -174,7 +177,7 @@ def test_weights_come_back(tmp_path):
     write_weights(tmp_path / "w.safetensors", DEPTH, network, {"steps": 0})
     assert (tmp_path / "w.safetensors").stat().st_size < 25e6
     trained = read_weights(tmp_path / "w.safetensors")
-    assert trained.learner == DEPTH
+    assert trained.task == DEPTH
     batch = batch_of([DEPTH.sample(small_sequence(), k) for k in range(2)])
     with torch.inference_mode():
         exact = network(*(batch[name] for name in DEPTH.input_names))
@@ -190,7 +193,7 @@ def test_bad_input_is_one_clear_line(tmp_path):
     with pytest.raises(InputError, match=r"Cannot read .*bad\.safetensors"):
         read_weights(tmp_path / "bad.safetensors")
     with pytest.raises(UnknownNameError, match="encoder of timm"):
-        DepthTask(encoder="resnet1520").network(is_pretrained=False)
+        DepthTask(backbone=Backbone(encoder="resnet1520")).network(is_pretrained=False)
     with pytest.raises(InputError, match="holds numbers that are not finite"):
         _train(DEPTH, tmp_path / "nan", steps=2, start=str(_broken(tmp_path)))
 

@@ -15,18 +15,21 @@ from vrcaps.camera.lens import LensEquidistant, LensKannalaBrandt, LensPinhole  
 from vrcaps.core.errors import InputError  # noqa: E402
 from vrcaps.learn.checkpoint import read_weights  # noqa: E402
 from vrcaps.learn.letterbox import Letterbox  # noqa: E402
-from vrcaps.learn.samples import Samples, batch_of  # noqa: E402
-from vrcaps.learn.tasks.depth import MIDDLE  # noqa: E402
-from vrcaps.learn.tasks.sfm import SfmTask, estimated_trajectory  # noqa: E402
-from vrcaps.learn.training import BEST, ComputeSettings, TrainSettings, train  # noqa: E402
-from vrcaps.learn.view_synthesis import (  # noqa: E402
-    inconsistency_of,
-    matched_brightness,
-    matrix_of,
+from vrcaps.learn.losses import (  # noqa: E402
+    inconsistency,
+    match_brightness,
     photometric_error,
-    predicted,
+    pose_matrix,
     smoothness,
+    synthesize_view,
 )
+from vrcaps.learn.networks import Backbone  # noqa: E402
+from vrcaps.learn.samples import Samples, batch_of  # noqa: E402
+from vrcaps.learn.settings import TrainSettings  # noqa: E402
+from vrcaps.learn.tasks.depth import MIDDLE  # noqa: E402
+from vrcaps.learn.tasks.sfm import SfmTask  # noqa: E402
+from vrcaps.learn.training import BEST, train  # noqa: E402
+from vrcaps.training.compute import ComputeSettings  # noqa: E402
 
 SIDE, RADIUS = 32, 0.03
 PINHOLE = LensPinhole(fx=22.0, fy=23.0, cx=15.2, cy=15.9, k1=-0.05, k2=0.01, p1=1e-3, p2=-2e-3)
@@ -80,24 +83,24 @@ def test_prediction_is_that_of_opencv(lens):
         pixels, _ = cv2.fisheye.projectPoints(points, rotation, shift, matrix, coefficients)
     grid = pixels.reshape(SIDE, SIDE, 2).astype(np.float32)
     oracle = cv2.remap(neighbor, grid, None, cv2.INTER_LINEAR)
-    found = predicted(
+    view = synthesize_view(
         torch.from_numpy(np.moveaxis(neighbor, -1, 0)[None].copy()).double(),
         torch.zeros(1, 1, SIDE, SIDE, dtype=torch.float64),
         torch.from_numpy(np.log(reach)[None, None]),
-        matrix_of(MOTION),
+        pose_matrix(MOTION),
         ray,
         _views(lens),
     )
-    inner = (grid > 0).all(-1) & (grid < SIDE - 1).all(-1) & found.is_valid[0].numpy()
+    inner = (grid > 0).all(-1) & (grid < SIDE - 1).all(-1) & view.is_valid[0].numpy()
     inner &= ray[0, 2].numpy() > 0.1  # OpenCV's fisheye sees nothing beside or behind
-    difference = np.abs(np.moveaxis(found.color[0].numpy(), 0, -1) - oracle)[inner]
+    difference = np.abs(np.moveaxis(view.color[0].numpy(), 0, -1) - oracle)[inner]
     assert inner.mean() > 0.7
     assert difference.max() < 0.04  # OpenCV rounds places to 1/32 px
     assert difference.mean() < 0.01
 
 
 def test_motion_is_that_of_scipy():
-    matrix = matrix_of(MOTION)[0].numpy()
+    matrix = pose_matrix(MOTION)[0].numpy()
     oracle = Rotation.from_rotvec(MOTION[0, :3].numpy()).as_matrix()
     np.testing.assert_allclose(matrix[:3, :3], oracle, atol=1e-12)
     np.testing.assert_allclose(matrix[:3, 3], MOTION[0, 3:])
@@ -106,14 +109,14 @@ def test_motion_is_that_of_scipy():
 @pytest.mark.parametrize("lens", [PINHOLE, FISHEYE, EQUIDISTANT], ids=lambda one: one.kind)
 def test_true_distances_and_motion_predict_the_frame(lens):
     image, own = _sphere(lens, PLACE)
-    neighbor, other = _sphere(lens, PLACE @ np.linalg.inv(matrix_of(MOTION)[0].numpy()))
+    neighbor, other = _sphere(lens, PLACE @ np.linalg.inv(pose_matrix(MOTION)[0].numpy()))
     ray, views = _rays(lens), _views(lens)
 
     def losses(motion, output):
-        found = predicted(neighbor, other, output, matrix_of(motion), ray, views)
-        valid = found.is_valid
-        error = photometric_error(found.color, image)[valid].mean()
-        return float(error), float(inconsistency_of(found)[valid].mean()), float(valid.sum())
+        view = synthesize_view(neighbor, other, output, pose_matrix(motion), ray, views)
+        valid = view.is_valid
+        error = photometric_error(view.color, image)[valid].mean()
+        return float(error), float(inconsistency(view)[valid].mean()), float(valid.sum())
 
     true = losses(MOTION, own)
     assert true[0] < 0.01
@@ -127,15 +130,15 @@ def test_true_distances_and_motion_predict_the_frame(lens):
 @pytest.mark.slow
 def test_learner_trains_and_writes_a_trajectory(tmp_path):
     pytest.importorskip("segmentation_models_pytorch", reason="its package is not installed")
-    learner, sequence = SfmTask(size=32), small_sequence()
+    learner, sequence = SfmTask(backbone=Backbone(32)), small_sequence()
     samples = Samples(learner, [(sequence, k) for k in (1, 2)])
     settings = TrainSettings(learner, start="scratch", steps=2, batch=2, evaluate_every=2)
     (row,) = train(
-        settings, samples, samples, tmp_path / "run", machine=ComputeSettings("cpu")
+        settings, samples, samples, tmp_path / "run", compute=ComputeSettings("cpu")
     ).rows
     assert np.isfinite(row["loss"])
     trained = read_weights(tmp_path / "run" / BEST, task="sfm")
-    poses = estimated_trajectory(trained, sequence).Ts_world_camera
+    poses = learner.trajectory(trained.network, sequence).Ts_world_camera
     assert poses.shape == (len(sequence), 4, 4)
     np.testing.assert_allclose(np.linalg.det(poses[:, :3, :3]), 1.0, atol=1e-5)
     step = np.linalg.inv(poses[4]) @ poses[5]
@@ -144,17 +147,17 @@ def test_learner_trains_and_writes_a_trajectory(tmp_path):
     )
     with torch.inference_mode():
         motion = trained.network.motion(frames["image"][:1], frames["image"][1:])
-    expected = matrix_of(motion)[0].numpy()
+    expected = pose_matrix(motion)[0].numpy()
     expected[:3, 3] *= MIDDLE  # distances are in units of 30 mm, and so are motions
     np.testing.assert_allclose(step, expected, atol=1e-5)
     bare = sequence.with_channels(("depth",))
-    with pytest.raises(InputError, match="Learning from video needs images"):
+    with pytest.raises(InputError, match="Training on video requires images"):
         learner.items(bare)
 
 
 def test_true_distances_and_motion_cost_nothing_under_supervision():
     sequence = ellipsoid_sequence(EQUIDISTANT, SIDE, SIDE)
-    learner = SfmTask(size=32, supervision=1.0)
+    learner = SfmTask(backbone=Backbone(32), supervision=1.0)
     batch = batch_of([learner.sample(sequence, k) for k in learner.items(sequence)])
     Ts = torch.stack([batch[f"T_{name}_own"] for name in ("before", "after")])
 
@@ -184,21 +187,21 @@ def test_true_distances_and_motion_cost_nothing_under_supervision():
     # A turn by θ about an axis moves a matrix by √8 sin(θ/2); θ is √3 · 0.02 here, both ways.
     assert labels(turn=0.02) == pytest.approx(2.0 * np.sqrt(2.0) * np.sqrt(3.0), rel=0.02)
     blind = replace(sequence, channels=("rgb",))
-    with pytest.raises(InputError, match="Supervision needs depth, which ball/front has not"):
+    with pytest.raises(InputError, match=r"Supervision requires depth\. ball/front has none"):
         learner.items(blind)
-    assert "T_before_own" not in SfmTask(size=32).sample(sequence, 1)
+    assert "T_before_own" not in SfmTask(backbone=Backbone(32)).sample(sequence, 1)
 
 
 def test_gradients_are_those_of_finite_differences():
     image, own = _sphere(EQUIDISTANT, PLACE)
     ray, views = _rays(EQUIDISTANT), _views(EQUIDISTANT)
-    neighbor, other = _sphere(EQUIDISTANT, PLACE @ np.linalg.inv(matrix_of(MOTION)[0].numpy()))
+    neighbor, other = _sphere(EQUIDISTANT, PLACE @ np.linalg.inv(pose_matrix(MOTION)[0].numpy()))
 
     def loss(motion, offset):
-        found = predicted(neighbor, other, own + offset, matrix_of(motion), ray, views)
-        color = matched_brightness(found.color, image, found.is_valid)
-        error = photometric_error(color, image) + inconsistency_of(found)
-        return (error * found.is_valid)[:, 8:24, 8:24].mean()
+        view = synthesize_view(neighbor, other, own + offset, pose_matrix(motion), ray, views)
+        color = match_brightness(view.color, image, view.is_valid)
+        error = photometric_error(color, image) + inconsistency(view)
+        return (error * view.is_valid)[:, 8:24, 8:24].mean()
 
     motion = (0.9 * MOTION).requires_grad_(True)
     offset = torch.tensor(0.03, dtype=torch.float64, requires_grad=True)
@@ -209,7 +212,7 @@ def test_brightness_is_taken_away_and_slopes_cost():
     image, own = _sphere(EQUIDISTANT, PLACE)
     valid = torch.ones(1, SIDE, SIDE, dtype=torch.bool)
     darker = 0.6 * image + 0.05
-    np.testing.assert_allclose(matched_brightness(darker, image, valid), image, atol=1e-4)
+    np.testing.assert_allclose(match_brightness(darker, image, valid), image, atol=1e-4)
     assert float(photometric_error(image, image).max()) == pytest.approx(0.0, abs=1e-9)
     flat = torch.zeros_like(own)
     assert float(smoothness(flat, image)) == 0.0

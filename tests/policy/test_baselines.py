@@ -9,9 +9,8 @@ from tests.support.small_envs import small_settings
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.start import Start
 from vrcaps.env.vector_env import CapsuleVectorEnv
-from vrcaps.policy.centerline import Walk
-from vrcaps.policy.policy import read_policy
-from vrcaps.policy.registry import BASELINES
+from vrcaps.policy.baselines import Walk
+from vrcaps.policy.policy import BASELINES, read_policy
 from vrcaps.policy.route import make_route
 
 

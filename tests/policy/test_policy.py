@@ -10,9 +10,8 @@ import pytest
 from gymnasium import spaces
 
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.policy.policy import Policy, Requirements, read_policy
-from vrcaps.policy.random import RandomPolicy
-from vrcaps.policy.registry import BASELINES
+from vrcaps.policy.baselines import RandomPolicy
+from vrcaps.policy.policy import BASELINES, Policy, Requirements, read_policy
 
 
 @pytest.fixture
@@ -37,7 +36,7 @@ def test_every_baseline_is_a_policy(name: str) -> None:
 
 
 def test_a_policy_of_ones_own_by_its_import_path() -> None:
-    assert isinstance(read_policy("vrcaps.policy.random:RandomPolicy"), RandomPolicy)
+    assert isinstance(read_policy("vrcaps.policy.baselines:RandomPolicy"), RandomPolicy)
 
 
 @pytest.mark.parametrize(
@@ -45,7 +44,7 @@ def test_a_policy_of_ones_own_by_its_import_path() -> None:
     [
         ("centreline-typo", UnknownNameError, "No policy named 'centreline-typo'. Known: .*random"),
         ("no.such.module:Mine", InputError, "No policy at no.such.module:Mine"),
-        ("vrcaps.policy.random:Mine", InputError, "the module has no 'Mine'"),
+        ("vrcaps.policy.baselines:Mine", InputError, "the module has no 'Mine'"),
         ("pathlib:Path", InputError, "pathlib:Path is no policy"),
         ("vrcaps.policy.policy:read_policy", InputError, "is no policy"),
         ("vrcaps.policy.policy:Policy", InputError, "cannot be made without arguments: TypeError"),
@@ -55,7 +54,7 @@ def test_a_policy_of_ones_own_by_its_import_path() -> None:
         ("subprocess:Popen", InputError, "subprocess:Popen is no policy"),
         (":Mine", InputError, "No policy at :Mine: ValueError"),
         (".mine:Mine", InputError, "No policy at .mine:Mine: TypeError"),
-        ("vrcaps.policy.random:", InputError, "the module has no ''"),
+        ("vrcaps.policy.baselines:", InputError, "the module has no ''"),
         ("odd_policies:Called", InputError, "odd_policies:Called is no policy"),
         ("odd_policies:Halves", InputError, "odd_policies:Halves is no policy"),
         ("odd_policies:Exits", InputError, "cannot be made without arguments: SystemExit: 3"),

@@ -22,7 +22,8 @@ from vrcaps.env.vector_env import CapsuleVectorEnv
 from vrcaps.policy.mlp_policy import MlpPolicy, read_mlp_policy
 from vrcaps.policy.policy import Policy, read_policy
 from vrcaps.policy.ppo import Ppo, PpoSettings
-from vrcaps.policy.training import Progress, TrainingSettings, train
+from vrcaps.policy.training import TrainingSettings, train
+from vrcaps.training.checkpoint import Progress
 
 LEARNER = PpoSettings(
     num_envs=2, num_actions=24, updates=2, hidden=(8, 8), batch=4, epochs=2, evaluate_every=2
@@ -39,7 +40,7 @@ def settings_of(learner: PpoSettings = LEARNER, **keywords: Any) -> TrainingSett
 
 def killed_after(count: int) -> Callable[[Progress], None]:
     def report(progress: Progress) -> None:
-        if progress.num_rounds == count:
+        if progress.step == count:
             raise KeyboardInterrupt
 
     return report
@@ -48,7 +49,7 @@ def killed_after(count: int) -> Callable[[Progress], None]:
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("trained")
-    assert train(settings_of(), out).num_rounds == 3
+    assert train(settings_of(), out).step == 3
     return out
 
 
@@ -57,7 +58,7 @@ def test_cut_off_and_resumed_it_ends_in_the_same_bytes(trained: Path, tmp_path: 
     for count in (0, 1, 2):
         with pytest.raises(KeyboardInterrupt):
             train(settings_of(), tmp_path, report=killed_after(count))
-    assert train(settings_of(), tmp_path).num_rounds == 3
+    assert train(settings_of(), tmp_path).step == 3
     for name in ("policy.npz", "best.npz"):
         assert (tmp_path / name).read_bytes() == (trained / name).read_bytes()
     lines = (tmp_path / "progress.csv").read_text().splitlines()
@@ -138,7 +139,7 @@ def test_a_training_of_other_versions_goes_on_only_if_forced(trained: Path, tmp_
     (tmp_path / "settings.json").write_text(json.dumps(stated))
     with pytest.raises(InputError, match=r"begun with other versions: torch was 1\.0, now"):
         train(settings_of(), tmp_path)
-    assert train(settings_of(), tmp_path, is_forced=True).num_rounds == 3
+    assert train(settings_of(), tmp_path, is_forced=True).step == 3
     (tmp_path / "checkpoint.npz").write_bytes(b"cut off")
     with pytest.raises(InputError, match=r"checkpoint\.npz is damaged"):
         train(settings_of(), tmp_path, is_forced=True)

@@ -16,8 +16,7 @@ from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.policy import presets
 from vrcaps.policy.mlp_policy import read_mlp_policy
 from vrcaps.policy.ppo import Ppo
-from vrcaps.policy.training import TrainingSettings, train
-from vrcaps.policy.warm_start import start_file, warm_start
+from vrcaps.policy.training import TrainingSettings, start_file, train, warm_start
 from vrcaps.training.folder import _with_grown
 
 
@@ -40,8 +39,8 @@ def run(tmp_path_factory) -> Path:
 @pytest.mark.slow
 def test_a_training_goes_on_with_more_actions_and_not_with_fewer(tmp_path: Path) -> None:
     out = tmp_path / "run"
-    assert train(settings(), out).num_rounds == 1
-    assert train(settings(24), out).num_rounds == 3
+    assert train(settings(), out).step == 1
+    assert train(settings(24), out).step == 3
     stated = json.loads((out / "settings.json").read_text())["settings"]
     assert stated["learner"]["num_actions"] == 24
     with pytest.raises(InputError, match=r"learner\.num_actions was 24, now 8"):
@@ -81,7 +80,7 @@ def test_a_start_that_does_not_fit_is_one_line(run: Path, tmp_path: Path) -> Non
     with pytest.raises(InputError, match=r"holds no checkpoint\.npz\. Give the folder of a train"):
         start_file(tmp_path)
     started = train(settings(), tmp_path / "started", start=run)
-    assert started.num_rounds == 1
+    assert started.step == 1
     with pytest.raises(InputError, match=r"other settings: start was"):
         train(settings(), tmp_path / "started")
 

@@ -12,8 +12,9 @@ from typing import Any, Protocol
 
 from vrcaps.cli.arguments import check_verb, option_error, require_file
 from vrcaps.cli.console import EXIT_BROKEN_PIPE, configure_streams, discard_output, flush_output
-from vrcaps.core.errors import VrcapsError, reason_of
+from vrcaps.core.errors import MissingExtraError, VrcapsError, reason_of
 from vrcaps.formats.format import FORMATS
+from vrcaps.learn.registry import TASKS
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
@@ -22,15 +23,6 @@ _DESCRIPTION = """A virtual environment for capsule endoscopy: headless, exactly
 
 Start with `vrcaps demo`. Every verb shows examples with --help."""
 
-
-_TASKS = {
-    "depth": "depth",
-    "masks": "masks of lesions",
-    "classes": "classes of images",
-    "super-resolution": "images of more pixels",
-    "sfm": "depth and motion without labels",
-}
-"""Tasks of networks; `tests/cli` compares them with the registry, whose import takes longer."""
 
 _VERBS = {
     "demo": ("vrcaps.cli.record", "Demo", "Record a labeled episode in a generated colon."),
@@ -44,7 +36,7 @@ _VERBS = {
     "dataset check": ("vrcaps.cli.dataset", "Check", "Verify a data set."),
     "dataset card": ("vrcaps.cli.dataset_show", "Card", "Write the data card of a data set."),
     "dataset show": ("vrcaps.cli.dataset_show", "Show", "Show the contents of a data set."),
-    "evaluate": ("vrcaps.cli.evaluate", "Evaluate", "Judge policies that move the capsule."),
+    "evaluate": ("vrcaps.cli.evaluate", "Evaluate", "Evaluate policies that steer the capsule."),
     "organ list": ("vrcaps.cli.organ", "List", "List organs, lesions, mucosae, capsules."),
     "organ inspect": ("vrcaps.cli.organ", "Inspect", "Measure and draw an organ."),
     "organ from-ct": ("vrcaps.cli.from_ct", "FromCt", "Create organs from a CT scan or labels."),
@@ -63,39 +55,41 @@ _VERBS = {
     "bench render": ("vrcaps.cli.bench", "Render", "Measure rendering."),
     "bench record": ("vrcaps.cli.bench", "Record", "Measure recording to disk."),
     "bench world": ("vrcaps.cli.bench", "World", "Measure the physics."),
-    "train coverage": ("vrcaps.cli.train", "Coverage", "Learn to see the whole wall, by PPO."),
-    **{
-        f"export {kind}": ("vrcaps.cli.export", kind, FORMATS.summary(kind))
-        for kind in FORMATS.built_in
-    },
-    **{
-        f"{verb} {task}": ("vrcaps.cli.learn", f"{verb}_{task}", f"{meaning} {what}.")
-        for verb, meaning in (
-            ("train", "Learn to estimate"),
-            ("evaluate", "Score estimates of"),
-            ("predict", "Estimate"),
-        )
-        for task, what in _TASKS.items()
-    },
+    "train coverage": (
+        "vrcaps.cli.train",
+        "Coverage",
+        "Train a policy for coverage, by PPO.",
+    ),
     "weights list": ("vrcaps.cli.weights", "List", "List published weights."),
     "weights pull": ("vrcaps.cli.weights", "Pull", "Fetch published weights by name."),
-    "weights publish": ("vrcaps.cli.weights", "Publish", "Publish a training's best weights."),
-    "weights export": ("vrcaps.cli.weights", "Export", "Write trained weights as ONNX."),
+    "weights publish": ("vrcaps.cli.weights", "Publish", "Publish the best weights of a training."),
+    "weights export": ("vrcaps.cli.weights", "Export", "Export trained weights as ONNX."),
     "doctor": ("vrcaps.cli.doctor", "Doctor", "Report the installation and missing extras."),
 }
-"""Module, dataclass and summary of each verb."""
+"""Module, dataclass and summary of each verb; those of families are added."""
+
+_FAMILIES = {
+    "export": (FORMATS, "vrcaps.cli.export"),
+    "train": (TASKS, "vrcaps.cli.learn"),
+    "evaluate": (TASKS, "vrcaps.cli.learn"),
+    "predict": (TASKS, "vrcaps.cli.learn"),
+}
+"""Registry of the words after a verb, and the module of their commands."""
 
 _GROUPS = {
-    "train": "Learn: policies that steer a capsule, and estimates from images.",
-    "predict": "Estimate from images with trained weights.",
-    "weights": "Trained weights: list, fetch, publish with a model card, write as ONNX.",
+    "train": "Train policies that steer a capsule, and networks on images.",
+    "predict": "Predict from images with trained weights.",
+    "weights": "List, fetch and publish trained weights; export them as ONNX.",
     "dataset": "Generate and verify data sets of many recordings, split by patient.",
     "export": "Export episodes and data sets to the layouts of other tools.",
-    "evaluate": "Score estimates from images by task; without a task, judge policies.",
+    "evaluate": "Evaluate predictions from images by task, or policies.",
     "organ": "Generate organs, create them from CT, texture them from photographs, measure them.",
     "calibrate": "Calibrate the camera of a real capsule from photographs and frames.",
     "bench": "Measure speed on this machine.",
 }
+
+_EXTRAS = {"torch": "learn"}
+"""Extra that installs a package which modules import at their top."""
 
 _NOUNS = {"export": "format", "predict": "task", "evaluate": "task or policy"}
 """Terms for the word after the verb of a group, for messages."""
@@ -124,9 +118,19 @@ def main(args: Sequence[str] | None = None) -> None:
 def _run(args: Sequence[str]) -> None:
     """Run a command; errors become one line."""
     try:
+        if (
+            list(args[:1]) == ["train"]
+            and " ".join(args[:2]) not in _VERBS
+            and "--help" not in args
+        ):
+            import_module("vrcaps.cli.learn").check_paths(args)  # before PyTorch is loaded
         _parse(args).run()
     except VrcapsError as error:
         _stop(str(error), EXIT_BAD_INPUT)
+    except ModuleNotFoundError as error:
+        if error.name not in _EXTRAS:
+            raise
+        _stop(str(MissingExtraError(error.name, _EXTRAS[error.name])), EXIT_BAD_INPUT)
     except BrokenPipeError:
         discard_output()
         raise SystemExit(EXIT_BROKEN_PIPE) from None
@@ -186,11 +190,19 @@ def _app(args: Sequence[str]) -> Any:
             parent = groups.setdefault(group[0], SubcommandApp())
             app.command(parent, name=group[0], help=_GROUPS[group[0]])
         if path.split() == words[: len(group) + 1]:
-            parent.command(name=verb)(getattr(import_module(module), noun))
+            parent.command(name=verb)(_command(module, path, noun))
         else:
             parent.command(name=verb, help=summary)(_not_chosen)
     markers = (DisallowNone, FlagCreatePairsOff)
     return app.cli(prog="vrcaps", description=_DESCRIPTION, args=args, config=markers)
+
+
+def _command(module: str, path: str, noun: str) -> Any:
+    """Dataclass of a verb; a module may create it from a registry."""
+    commands = import_module(module)
+    if hasattr(commands, "command"):
+        return commands.command(*path.split())
+    return getattr(commands, noun)
 
 
 def _help(verb: Sequence[str]) -> str:
@@ -201,24 +213,26 @@ def _help(verb: Sequence[str]) -> str:
     return text.getvalue()
 
 
-def _all_verbs(words: Sequence[str]) -> dict[str, tuple[str, str, str]]:
-    """All verbs; plug-ins, which may add formats, are loaded only for `export`."""
-    if list(words[:1]) != ["export"]:
-        return _VERBS
-    added = (kind for kind in FORMATS if f"export {kind}" not in _VERBS)
-    return _VERBS | {
-        f"export {kind}": ("vrcaps.cli.export", kind, FORMATS.summary(kind)) for kind in added
-    }
+def _all_verbs(words: Sequence[str] = ()) -> dict[str, tuple[str, str, str]]:
+    """All verbs; plug-ins, which may extend a family, are loaded only for a verb that has one."""
+    verbs = dict(_VERBS)
+    for verb, (registry, module) in _FAMILIES.items():
+        kinds = registry if list(words[:1]) == [verb] else registry.built_in
+        verbs |= {f"{verb} {kind}": (module, kind, registry.summary(kind)) for kind in kinds}
+    return verbs
 
 
 def _verbs(words: Sequence[str]) -> dict[str, tuple[str, str, str]]:
     """Verbs of a command line.
 
-    `evaluate` is followed by a learner's task, or by policies.
+    `evaluate` is followed by the task of a network, or by policies.
     """
-    is_task = words[:1] == ["evaluate"] and words[1:2] != [] and words[1] in _TASKS
-    left_out = {"evaluate"} if is_task else {f"evaluate {task}" for task in _TASKS}
-    return {path: verb for path, verb in _all_verbs(words).items() if path not in left_out}
+    verbs = _all_verbs(words)
+    is_task = words[:1] == ["evaluate"] and " ".join(words[:2]) in verbs and len(words) > 1
+    if is_task:
+        del verbs["evaluate"]
+        return verbs
+    return {path: verb for path, verb in verbs.items() if not path.startswith("evaluate ")}
 
 
 def _not_chosen() -> None:

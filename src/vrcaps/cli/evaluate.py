@@ -27,15 +27,15 @@ class Evaluate:
     over time) and median.mp4 (a video of the median run); and for all of them index.html with
     summary.png and summary.csv. To resume an interrupted evaluation, repeat the command.
 
-    To score predictions from images instead, give their task first: vrcaps evaluate depth, masks,
-    classes, super-resolution or sfm (each has its own --help).
+    To evaluate predictions from images instead, name their task first, such as vrcaps evaluate
+    depth; vrcaps predict --help lists the tasks.
 
     Coverage is evaluated at the levels that need no images: frustum, visible, resolved. For
     `readable`, record an episode with --coverage.
 
     For example:
-      vrcaps evaluate centerline --organs stomach:0-1 --seeds 4 --episodes 1 --out runs/judged
-      vrcaps evaluate runs/coverage/best.npz next-best-view --out runs/judged
+      vrcaps evaluate centerline --organs stomach:0-1 --seeds 4 --episodes 1 --out runs/evaluated
+      vrcaps evaluate runs/coverage/best.npz next-best-view --out runs/evaluated
       vrcaps evaluate next-best-view --capsules mono stereo dual panoramic --out runs/designs
       vrcaps evaluate navigator --task navigate --seeds 20 --episodes 1 --out runs/navigated
       vrcaps evaluate mine.policies:Mine --organs stomach.glb colon:0-4 --out runs/mine
@@ -88,7 +88,7 @@ class Evaluate:
 
         if not self.policies:
             raise InputError("No policy is given. Allowed: one or more, such as centerline.")
-        subjects = self._judge()
+        subjects = self._evaluate()
         for subject in subjects:
             video = subject.evaluation.folder / VIDEO
             if self.video and not video.is_file():
@@ -99,7 +99,7 @@ class Evaluate:
         _report(subjects)
         console.print(f"Written: {', '.join(map(str, written))}")
 
-    def _judge(self) -> list[Subject]:
+    def _evaluate(self) -> list[Subject]:
         """Run all episodes of all policies with all capsules; errors are raised before any run."""
         from vrcaps.policy.evaluate import Plan, evaluate
         from vrcaps.policy.evaluation import Evaluation
@@ -107,22 +107,22 @@ class Evaluate:
         from vrcaps.tools.reports.evaluation import Subject
 
         plan = Plan(self.seeds, self.episodes, self.worlds)
-        to_judge: list[tuple[Policy, EnvSettings, str]] = []
+        planned: list[tuple[Policy, EnvSettings, str]] = []
         for name in self.policies:
             for capsule in self.capsules or ("",):
                 policy = read_policy(name)
                 settings = self._settings(policy, capsule)
                 policy.requires.check(settings, name)
                 label = " ".join(filter(None, [_short(name), capsule and _short(capsule)]))
-                to_judge.append((policy, settings, label))
-        labels = [label for *_, label in to_judge]
+                planned.append((policy, settings, label))
+        labels = [label for *_, label in planned]
         if len(set(labels)) < len(labels):
             raise InputError(
-                f"Two would share a folder: {', '.join(labels)}. Rename one, or judge it into "
-                "another --out."
+                f"Two policies have the same output folder: {', '.join(labels)}. Rename one, or "
+                "give it another --out."
             )
         subjects = []
-        for policy, settings, label in to_judge:
+        for policy, settings, label in planned:
             folder = self.out / label.replace(" ", "-")
             evaluation = Evaluation(folder, self._stated(label, settings))
             with progress_bar(label) as progress:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -13,13 +15,14 @@ from vrcaps.cli.arguments import require_sources
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.cli.parts import command_of, part_of
 from vrcaps.core.errors import InputError
-from vrcaps.learn.registry import LEARNERS, AnyTask
+from vrcaps.learn.registry import TASKS
 
 if TYPE_CHECKING:
     from vrcaps.learn.samples import Samples
     from vrcaps.recording.frame_sequence import FrameSequence
+    from vrcaps.training.checkpoint import Progress
 
-_TOLD = 20
+_MAX_LISTED = 20
 """Maximum number of near-duplicates to list."""
 
 
@@ -38,7 +41,7 @@ class _Train:
     """Output folder: new, empty, or of the same training, which is resumed."""
 
     preset: Literal["default", "paper", "ci"] = "default"
-    """Preset of all settings: ours, the paper's, or one that takes a minute."""
+    """Preset of all settings: the default, the paper's, or a smoke test that takes a minute."""
 
     start: str = ""
     """Initial weights: imagenet, scratch, a checkpoint to fine-tune, such as one pre-trained on
@@ -46,8 +49,9 @@ class _Train:
     used. By default that of the preset."""
 
     set: UseAppendAction[tuple[str, ...]] = ()
-    """Change any setting of training: NAME=VALUE, such as steps=5000, batch=16, rate=1e-4,
-    fraction=0.1 or seed=3; repeat for more. settings.json contains all of them."""
+    """Change any setting of training: NAME=VALUE, such as steps=5000, batch=16,
+    learning_rate=1e-4, fraction=0.1 or seed=3; repeat for more. settings.json contains all of
+    them."""
 
     duplicates: Literal["drop", "keep", "refuse"] = "drop"
     """Handling of real training images that are near-duplicates of validation or test images:
@@ -65,7 +69,7 @@ class _Train:
     force: bool = False
     """Resume a training that was started with another version of vrcaps or of a package."""
 
-    part: ClassVar[type[AnyTask]]
+    part: ClassVar[type[Any]]
 
     def run(self) -> None:
         """Train and report.
@@ -73,82 +77,85 @@ class _Train:
         Raises:
             InputError: If the data are not suitable for training.
         """
-        require_sources((*self.data, *self.validation))
-        from vrcaps.learn.hub import SUFFIX, find_weights
-
-        if self.start.endswith(SUFFIX):
-            find_weights(self.start)
+        _require_paths((*self.data, *self.validation), (self.start,))
         from vrcaps.formats.io import read_sources
-        from vrcaps.learn.presets import settings_of
         from vrcaps.learn.samples import samples_of, split_samples
-        from vrcaps.learn.training import BEST, ComputeSettings, Progress, train
+        from vrcaps.learn.settings import settings_of
+        from vrcaps.learn.training import BEST, train
+        from vrcaps.scenario.settings import parse_change
+        from vrcaps.training.compute import ComputeSettings
 
-        learner = part_of(self)
+        task = part_of(self)
+        changes = map(parse_change, self.set)
         settings = settings_of(
-            learner, self.preset, self.data, self.start, self.set, validation=self.validation
+            task, self.preset, self.data, self.start, changes, validation=self.validation
         )
         sequences = read_sources(self.data)
         if self.validation:
-            samples = samples_of(learner, [s for s in sequences if s.split in (None, "train")])
-            held_out = samples_of(learner, read_sources(self.validation))
+            samples = samples_of(task, [s for s in sequences if s.split in (None, "train")])
+            held_out = samples_of(task, read_sources(self.validation))
         else:
-            samples, held_out = split_samples(learner, sequences)
+            samples, held_out = split_samples(task, sequences)
         tested = [s for s in sequences if s.split == "test"]
         samples = self._without_duplicates(samples, held_out, tested)
-        console.print(f"{len(samples)} frames to learn from, {len(held_out)} to validate with.")
-        figure, told = learner.figure.name, 0
+        console.print(f"{len(samples)} training frames, {len(held_out)} validation frames.")
         with progress_bar("training") as show:
-
-            def report(progress: Progress) -> None:
-                nonlocal told
-                show(progress.step, progress.total)
-                for row in progress.rows[told:]:
-                    console.print(
-                        f"step {row['step']:,.0f}: loss {row['training_loss']:.4f}, {figure} "
-                        f"{row[figure]:.4f} (best {progress.best:.4f})"
-                    )
-                told = len(progress.rows)
-
             train(
                 settings,
                 samples,
                 held_out,
                 self.out,
-                machine=ComputeSettings(self.device, self.threads),
+                compute=ComputeSettings(self.device, self.threads),
                 is_forced=self.force,
                 tensorboard=self.tensorboard,
-                report=report,
+                report=_reporter(task.metric.name, show),
             )
-        _tell_skipped({**samples.skipped, **held_out.skipped})
+        _report_skipped({**samples.skipped, **held_out.skipped})
         console.print(f"Written: {self.out / BEST}. Pictures: {self.out / 'pictures'}.")
 
     def _without_duplicates(
         self, samples: Samples, held_out: Samples, tested: list[FrameSequence]
     ) -> Samples:
         """Training frames without near-duplicates of validation or test frames."""
-        from vrcaps.learn.duplicates import without_duplicates
-        from vrcaps.learn.samples import Samples
+        from vrcaps.learn.samples import Samples, without_duplicates
 
         if self.duplicates == "keep":
             return samples
         test = [(one, index) for one in tested for index in range(len(one))]
-        others = Samples(held_out.learner, [*held_out.frames, *test])
+        others = Samples(held_out.task, [*held_out.frames, *test])
         with progress_bar("comparing") as show:
-            left, found = without_duplicates(samples, others, progress=show)
-        if found and self.duplicates == "refuse":
-            name, other = next(iter(found.items()))
+            kept, dropped = without_duplicates(samples, others, progress=show)
+        if dropped and self.duplicates == "refuse":
+            name, other = next(iter(dropped.items()))
             raise InputError(
-                f"{len(found)} images to learn from are among those to validate or test with: "
-                f"{name} is {other}. Give --duplicates drop to leave them out."
+                f"{len(dropped)} training images are near-duplicates of validation or test images: "
+                f"{name} is {other}. Give --duplicates drop to exclude them."
             )
-        for name, other in list(found.items())[:_TOLD]:
-            console.print(f"Not learned from: {name}, which is {other}.")
-        if found:
+        for name, other in list(dropped.items())[:_MAX_LISTED]:
+            console.print(f"Dropped {name}: duplicate of {other}.")
+        if dropped:
             console.print(
-                f"{len(found)} near-duplicates of images to validate or test with are not learned "
-                "from. Give --duplicates keep to do so."
+                f"Dropped {len(dropped)} training images that are near-duplicates of validation or "
+                "test images. Give --duplicates keep to use them."
             )
-        return left
+        return kept
+
+
+def _reporter(metric: str, show: Callable[[int, int], None]) -> Callable[[Progress], None]:
+    """Callback that prints a line per evaluation and advances a progress bar."""
+    printed = 0
+
+    def report(progress: Progress) -> None:
+        nonlocal printed
+        show(progress.step, progress.total)
+        for row in progress.rows[printed:]:
+            console.print(
+                f"step {row['step']:,.0f}: loss {row['training_loss']:.4f}, {metric} "
+                f"{row[metric]:.4f} (best {progress.best:.4f})"
+            )
+        printed = len(progress.rows)
+
+    return report
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,10 +170,10 @@ class _Evaluate:
     """Frames with ground truth, as for `vrcaps train`; repeat for more."""
 
     split: str = ""
-    """Split to use of data with splits: train, val or test."""
+    """Split of the data to use, if it has splits: train, val or test."""
 
     out: Path | None = None
-    """Output folder for scores.csv, evaluation.json (input of a model card) and a figure."""
+    """Output folder for scores.csv, evaluation.json (input of a model card) and a picture."""
 
     device: str = "auto"
     """cpu, cuda, mps, or auto for the fastest available."""
@@ -180,37 +187,37 @@ class _Evaluate:
             InputError: If weights and data do not match.
         """
         require_sources(self.data)
+        from vrcaps.learn.hub import find_weights
+
+        weights = find_weights(self.weights, self.task)
         from vrcaps.core.files import file_sha256, write_csv
         from vrcaps.formats.io import read_sources
         from vrcaps.learn.checkpoint import read_weights
-        from vrcaps.learn.evaluation import Evaluation, write_evaluation
-        from vrcaps.learn.hub import find_weights
+        from vrcaps.learn.evaluation import Evaluation, evaluate, write_evaluation, write_pictures
         from vrcaps.learn.samples import samples_of
-        from vrcaps.learn.training import chosen_device
-        from vrcaps.learn.validation import validate, write_pictures
+        from vrcaps.training.compute import available_device
 
-        weights = find_weights(self.weights, self.task)
-        trained = read_weights(weights, task=self.task, device=chosen_device(self.device))
+        trained = read_weights(weights, task=self.task, device=available_device(self.device))
         sequences = [s for s in read_sources(self.data) if self.split in ("", s.split)]
-        samples = samples_of(trained.learner, sequences)
-        found = validate(trained, samples)
-        for name, value in found.scores.items():
+        samples = samples_of(trained.task, sequences)
+        result = evaluate(trained, samples)
+        for name, value in result.metrics.items():
             console.print(f"{name:16} {value:.4f}")
-        _tell_skipped(samples.skipped)
+        _report_skipped(samples.skipped)
         if self.out is not None:
             self.out.mkdir(parents=True, exist_ok=True)
-            write_csv(self.out / "scores.csv", [dict(found.scores)])
+            write_csv(self.out / "scores.csv", [dict(result.metrics)])
             evaluation = Evaluation(
                 task=self.task,
                 sha256=file_sha256(weights),
                 data=self.data,
                 split=self.split,
-                frames=len(found.samples),
+                frames=len(result.samples),
                 skipped=len(samples.skipped),
-                scores=found.scores,
+                scores=result.metrics,
             )
             write_evaluation(self.out, evaluation)
-            write_pictures(self.out / "frames.png", trained.learner, found)
+            write_pictures(self.out / "frames.png", trained.task, result)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -253,63 +260,87 @@ class _Predict:
         weights = find_weights(self.weights, self.task)
         from vrcaps.core.files import require_new_folder
         from vrcaps.learn.checkpoint import read_weights
-        from vrcaps.learn.predict import images_of, predict
-        from vrcaps.learn.training import chosen_device
+        from vrcaps.learn.prediction import images_of, predict
+        from vrcaps.training.compute import available_device
 
         require_new_folder(self.out)
         field = None if self.fov is None else radians(self.fov)
         images = images_of(self.images, self.task, self.capsule, field)
         if self.fov is not None:
             console.print(
-                f"Assumed: an equidistant lens that sees {self.fov:g} degrees across the picture, "
-                "where the camera is not known."
+                f"Assumed for images without a camera: an equidistant lens with a field of view of "
+                f"{self.fov:g} degrees."
             )
-        trained = read_weights(weights, task=self.task, device=chosen_device(self.device))
-        with progress_bar("estimating") as show:
+        trained = read_weights(weights, task=self.task, device=available_device(self.device))
+        with progress_bar("predicting") as show:
             skipped = predict(trained, images, self.out, field_of_view=field, progress=show)
-        _tell_skipped(skipped)
+        _report_skipped(skipped)
         console.print(f"Written: {self.out}, with contact sheet sheet.png.")
 
 
-def _tell_skipped(skipped: dict[str, str]) -> None:
+def check_paths(args: Sequence[str]) -> None:
+    """Check the paths in the command line of a training.
+
+    Raises:
+        InputError: If one does not exist.
+    """
+    split = [text for arg in args for text in (arg.split("=", 1) if arg[:2] == "--" else [arg])]
+    pairs = list(pairwise(split))
+    sources = [value for flag, value in pairs if flag in ("--data", "--validation")]
+    _require_paths(sources, [value for flag, value in pairs if flag == "--start"])
+
+
+def _require_paths(sources: Sequence[str], starts: Sequence[str]) -> None:
+    """Check that the data and the initial weights of a training exist.
+
+    Raises:
+        InputError: If one does not.
+    """
+    from vrcaps.learn.hub import SUFFIX, find_weights
+
+    require_sources(sources)
+    for start in starts:
+        if start.endswith(SUFFIX):
+            find_weights(start)
+
+
+def _report_skipped(skipped: dict[str, str]) -> None:
     for name, reason in skipped.items():
         console.print(f"Skipped {name}: {reason}")
 
 
+_PUBLISHED = {"depth", "segmentation", "classification", "super-resolution"}
+"""Tasks whose examples need no file of weights."""
 _EXAMPLES = {
     "train": """  vrcaps train {0} --data runs/cohort --out runs/{0}
   vrcaps train {0} --data runs/cohort --out runs/{0}-try --preset ci
   vrcaps train {0} --data images:real --start runs/{0}/best.safetensors --out runs/{0}-real""",
     "evaluate": """  vrcaps evaluate {0} --data runs/cohort --split test --out runs/{0}-test
   vrcaps evaluate {0} --weights runs/{0}/best.safetensors --data runs/cohort""",
-    "predict": """  vrcaps predict {0} --images photos{1} --out runs/photos
+    "predict": """  vrcaps predict {0} --images runs/colon --out runs/colon-{0}
   vrcaps predict {0} --weights runs/{0}/best.safetensors --images runs/colon --out runs/mine""",
 }
-_LENS = " --fov 140"
-"""Addition to the example of a task that needs a lens."""
-_UNPUBLISHED = ("sfm",)
-"""Tasks without published weights, whose examples name a file."""
+_PHOTOS = "  vrcaps predict {0} --images photos{1} --out runs/photos"
+_LENS = {"depth": " --fov 140"}
+"""Lens of plain images in the example of a task that needs one."""
 
 
-def _examples(verb: str, task: str) -> str:
-    """Example lines of the help."""
-    lens = _LENS if "ray" in LEARNERS[task].input_names else ""
-    lines = _EXAMPLES[verb].format(task, lens).split("\n")
-    if verb != "train" and task in _UNPUBLISHED:
-        lines = [line for line in lines if "--weights" in line]
-    return "\n".join(lines)
+def command(verb: str, task: str) -> Any:
+    """Create the command of a verb and a task.
 
+    Only training imports the task, whose settings are flags, and with it PyTorch.
 
-def __getattr__(name: str) -> Any:
-    """Command of a verb and a task, such as `train_depth`."""
-    verb, _, task = name.partition("_")
-    if verb not in _EXAMPLES or task not in LEARNERS:
-        raise AttributeError(name)
-    learner, examples = LEARNERS[task], _examples(verb, task)
+    Raises:
+        UnknownNameError: If there is no such task.
+    """
+    lines = _EXAMPLES[verb].format(task).split("\n")
     if verb == "train":
-        return command_of(_Train, learner, examples)
+        return command_of(_Train, TASKS[task], "\n".join(lines))
+    if task not in _PUBLISHED:
+        lines = [line for line in lines if "--weights" in line]
+    elif verb == "predict":
+        lines.append(_PHOTOS.format(task, _LENS.get(task, "")))
     base = {"evaluate": _Evaluate, "predict": _Predict}[verb]
-    meaning = (learner.__doc__ or "").partition("\n")[0]
     own = {"task": task, "__module__": __name__}
-    own["__doc__"] = f"{meaning}\n\nFor example:\n{examples}"
+    own["__doc__"] = f"{TASKS.summary(task)}\n\nFor example:\n" + "\n".join(lines)
     return dataclass(frozen=True, kw_only=True)(type(verb, (base,), own))

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import inspect
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import Annotated, Any, get_type_hints
+
+from tyro.conf import OmitArgPrefixes
 
 
 def command_of(base: type, part: type, examples: str) -> Any:
     """Create a command with the flags of `base` and, as further flags, the fields of `part`.
+
+    Fields of the dataclasses within the part become flags as well, without a prefix.
 
     Args:
         base: Dataclass of the command; its class attribute `part` is set.
@@ -18,6 +22,13 @@ def command_of(base: type, part: type, examples: str) -> Any:
     meaning, attributes, options = inspect.cleandoc(part.__doc__ or "").partition("Attributes:")
     doc = f"{meaning.rstrip()}\n\nFor example:\n{examples}\n\n{attributes}{options}"
     own: dict[str, Any] = {"part": part, "__doc__": doc, "__module__": base.__module__}
+    hints = get_type_hints(part)
+    inner = [f for f in fields(part) if is_dataclass(hints[f.name])]
+    own |= {
+        f.name: field(default=f.default, default_factory=f.default_factory)  # type: ignore[call-overload]
+        for f in inner
+    }
+    own["__annotations__"] = {f.name: Annotated[hints[f.name], OmitArgPrefixes] for f in inner}
     return dataclass(frozen=True, kw_only=True)(type(part.__name__, (base, part), own))
 
 

@@ -12,7 +12,8 @@ from vrcaps.cli.arguments import require_existing
 from vrcaps.cli.console import console, progress_bar
 
 if TYPE_CHECKING:
-    from vrcaps.policy.training import Progress, TrainingSettings
+    from vrcaps.policy.training import TrainingSettings
+    from vrcaps.training.checkpoint import Progress
 
 
 @dataclass(frozen=True)
@@ -31,14 +32,15 @@ class Coverage:
       --set learner.entropy=0.003
       vrcaps train coverage --out runs/coverage --actions 6000000
       vrcaps train coverage --out runs/colon --organ colon:0-7 --start runs/coverage
-      vrcaps evaluate runs/coverage/best.npz --out runs/judged
+      vrcaps evaluate runs/coverage/best.npz --out runs/evaluated
     """
 
     out: Path
     """Output folder: new, empty, or of the same training, which is resumed."""
 
     preset: Literal["default", "paper", "ci"] = "default"
-    """Preset of all other settings: ours, the paper's, or one that takes seconds."""
+    """Preset of all other settings: the default, the paper's, or a smoke test that takes
+    seconds."""
 
     organ: UseAppendAction[tuple[str, ...]] = ()
     """Organ to train in: a name with its seeds, such as stomach:0-15, or a mesh with its unit,
@@ -85,7 +87,7 @@ class Coverage:
         with progress_bar("training") as show:
 
             def report(progress: Progress) -> None:
-                show(progress.num_rounds, progress.total)
+                show(progress.step, progress.total)
                 line = _line(progress)
                 if line:
                     console.print(line)
@@ -99,7 +101,7 @@ class Coverage:
                 tensorboard=self.out / "tensorboard" if self.tensorboard else None,
                 report=report,
             )
-        console.print(f"Written: {self.out / BEST} after {progress.num_rounds} rounds.")
+        console.print(f"Written: {self.out / BEST} after {progress.step} rounds.")
 
     def settings(self) -> TrainingSettings:
         """Preset with the changes of the flags.
@@ -108,8 +110,9 @@ class Coverage:
             InputError: If a value is invalid.
             UnknownNameError: If a setting is unknown.
         """
-        from vrcaps.policy.presets import PRESETS, changed_settings
+        from vrcaps.policy.presets import PRESETS
         from vrcaps.scenario.settings import parse_change
+        from vrcaps.training.presets import changed_settings
 
         settings = replace(PRESETS[self.preset](), seed=self.seed)
         if self.organ:
@@ -117,9 +120,7 @@ class Coverage:
         for name, value in (("num_actions", self.actions), ("num_envs", self.envs)):
             if value is not None:
                 settings = replace(settings, learner=replace(settings.learner, **{name: value}))
-        for change in self.set:
-            settings = changed_settings(settings, *parse_change(change))
-        return settings
+        return changed_settings(settings, map(parse_change, self.set))
 
 
 def _line(progress: Progress) -> str:
@@ -127,17 +128,17 @@ def _line(progress: Progress) -> str:
     if not progress.rows:
         return ""
     row = progress.rows[-1]
-    said = f"round {progress.num_rounds} of {progress.total}, {row['actions']:,.0f} actions"
+    text = f"round {progress.step} of {progress.total}, {row['actions']:,.0f} actions"
     for name, title in (("coverage_visible", "visible in training"), ("entropy", "entropy")):
         if name in row:
             scale, unit = (100.0, " %") if name.startswith("coverage") else (1.0, "")
-            said += f", {scale * row[name]:.1f}{unit} {title}"
-    said += f", {row['seconds']:.0f} s"
-    found = row.get("evaluation_coverage_visible")
-    if found is None:
-        return said
+            text += f", {scale * row[name]:.1f}{unit} {title}"
+    text += f", {row['seconds']:.0f} s"
+    coverage = row.get("evaluation_coverage_visible")
+    if coverage is None:
+        return text
     return (
-        f"{said}; evaluated: {100.0 * found:.1f} % visible, "
+        f"{text}; evaluated: {100.0 * coverage:.1f} % visible, "
         f"{100.0 * row['evaluation_coverage_frustum']:.1f} % in the frustum, "
         f"reward {row['evaluation_reward']:.2f} (best {progress.best or 0.0:.2f})"
     )

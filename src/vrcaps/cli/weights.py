@@ -32,14 +32,14 @@ class List:
 
         from vrcaps.learn.hub import read_index, weights_folder
 
-        place = weights_folder()
+        location = weights_folder()
         table = Table(box=None, padding=(0, 2, 0, 0))
-        for title in ("name", "task", "MB", "what"):
-            table.add_column(title, overflow="fold", no_wrap=title != "what")
-        index = read_index(place)
+        for title in ("name", "task", "MB", "description"):
+            table.add_column(title, overflow="fold", no_wrap=title != "description")
+        index = read_index(location)
         for one in index.values():
             table.add_row(one.name, one.task, f"{one.bytes / 1e6:.1f}", one.summary)
-        console.print(f"{len(index)} in {place}")
+        console.print(f"{len(index)} in {location}")
         console.print(table)
 
 
@@ -88,7 +88,7 @@ class Pull:
 class Publish:
     """Publish the best weights of a training: file, model card and checksum.
 
-    The card lists inputs, outputs, training data and scores. Your notes are kept when the weights
+    The card lists inputs, outputs, training data and metrics. Your notes are kept when the weights
     are published again.
 
     For example:
@@ -128,12 +128,12 @@ class Publish:
         if self.notes is not None:
             require_file(self.notes, "a file of Markdown")
         from vrcaps.learn.hub import weights_folder
-        from vrcaps.learn.publish import publish
+        from vrcaps.learn.publishing import publish
 
-        place = str(self.out or weights_folder())
-        if "://" in place:
-            raise InputError(f"{place} is no folder of this machine. Give one: --out FOLDER.")
-        folder = Path(place)
+        location = str(self.out or weights_folder())
+        if "://" in location:
+            raise InputError(f"{location} is not a local folder. Give --out FOLDER.")
+        folder = Path(location)
         entry = publish(
             self.training,
             folder,
@@ -143,7 +143,7 @@ class Publish:
             license_name=self.license,
         )
         console.print(f"{entry.name}: {entry.summary}")
-        console.print(f"Written: {folder / entry.file}, its card {entry.name}.md, index.json.")
+        console.print(f"Written: {folder / entry.file}, model card {entry.name}.md, index.json.")
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ class Export:
 
     For example:
       vrcaps weights export depth --out depth.onnx
-      vrcaps weights export runs/masks/best.safetensors --out masks.onnx
+      vrcaps weights export runs/segmentation/best.safetensors --out segmentation.onnx
     """
 
     weights: Positional[str]
@@ -172,16 +172,15 @@ class Export:
             InputError: If there are no such weights.
         """
         from vrcaps.core.errors import MissingExtraError, require
-        from vrcaps.learn.checkpoint import read_weights
+        from vrcaps.learn.checkpoint import onnx_difference, read_weights, write_onnx
         from vrcaps.learn.hub import find_weights
-        from vrcaps.learn.onnx import onnx_difference, write_onnx
 
         require(self.out.suffix == ".onnx", "--out", self.out, "a name that ends in .onnx")
         trained = read_weights(find_weights(self.weights))
         write_onnx(self.out, trained)
         console.print(f"Written: {self.out}, {self.out.stat().st_size / 1e6:.1f} MB.")
         try:
-            largest = onnx_difference(self.out, trained)
-            console.print(f"Its outputs are PyTorch's but for {largest:.1e}.")
+            difference = onnx_difference(self.out, trained)
+            console.print(f"Its outputs differ from those of PyTorch by at most {difference:.1e}.")
         except MissingExtraError:
-            console.print("Not compared with PyTorch: pip install onnxruntime to do so.")
+            console.print("Not compared with PyTorch: onnxruntime is not installed.")

@@ -1,17 +1,95 @@
-"""Evaluation results of a checkpoint, in a file with the checksum of its weights."""
+"""Evaluation of a trained network on frames with ground truth, and its file."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from vrcaps.config.plain_files import read_plain
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import write_json
+from vrcaps.learn.checkpoint import TrainedNetwork
+from vrcaps.learn.samples import Samples, batch_of
+from vrcaps.learn.task import Sample, Task
+
+if TYPE_CHECKING:
+    from jaxtyping import UInt8
+    from numpy.typing import NDArray
 
 EVALUATION = "evaluation.json"
+_BATCH = 8
+_ROWS = 6
+"""Maximum number of frames of a picture."""
+
+
+@dataclass(frozen=True)
+class EvaluationResult:
+    """Result of an evaluation.
+
+    Attributes:
+        metrics: Metrics of the task.
+        outputs: The network's output for each frame.
+        samples: Input and ground truth of each frame.
+    """
+
+    metrics: Mapping[str, float]
+    outputs: list[NDArray]
+    samples: list[Sample]
+
+
+def evaluate(
+    trained: TrainedNetwork, samples: Samples, max_frames: int | None = None
+) -> EvaluationResult:
+    """Evaluate a network on frames; unreadable ones are omitted and noted in `samples.skipped`.
+
+    Args:
+        trained: Task and network.
+        samples: Frames with ground truth.
+        max_frames: Maximum number of frames, evenly spaced; None for all.
+
+    Raises:
+        InputError: If no frame can be read.
+    """
+    indices = samples.evenly(len(samples) if max_frames is None else max_frames)
+    known = [sample for k in indices if (sample := samples.get(int(k))) is not None]
+    if not known:
+        samples.next(0)  # raises with the reason
+    is_one_size = len({sample["image"].shape for sample in known}) == 1
+    step = _BATCH if is_one_size else 1
+    task, outputs, losses = trained.task, [], []
+    for first in range(0, len(known), step):
+        batch = batch_of(known[first : first + step], trained.device)
+        outputs.extend(trained(batch))
+        if task.metric.name == "loss":
+            losses.append(trained.loss(batch))
+    metrics = dict(task.metrics(outputs, known))
+    if losses:
+        metrics["loss"] = float(np.mean(losses))
+    return EvaluationResult(metrics, outputs, known)
+
+
+def write_pictures(path: Path, task: Task, result: EvaluationResult) -> UInt8[np.ndarray, "h w 3"]:
+    """Write a picture of a few frames, stacked vertically, and return it."""
+    from PIL import Image
+
+    chosen = np.unique(np.linspace(0, len(result.samples) - 1, _ROWS).astype(int))
+    rows = [task.picture(result.outputs[k], result.samples[k]) for k in chosen]
+    picture = stack_vertically(rows)
+    path.parent.mkdir(exist_ok=True)
+    Image.fromarray(picture).save(path)
+    return picture
+
+
+def stack_vertically(pictures: Sequence[NDArray]) -> UInt8[np.ndarray, "h w 3"]:
+    """Stack pictures vertically, with black padding of narrow ones."""
+    width = max(picture.shape[1] for picture in pictures)
+    wide = [np.pad(one, ((0, 0), (0, width - one.shape[1]), (0, 0))) for one in pictures]
+    return np.concatenate(wide, axis=0)
 
 
 @dataclass(frozen=True)
@@ -25,7 +103,7 @@ class Evaluation:
         split: Split of the data; empty for all.
         frames: Number of evaluated frames.
         skipped: Number of frames that could not be read.
-        scores: Metrics of the learner; NaN if undefined.
+        scores: Metrics of the task; NaN if undefined.
     """
 
     task: str
@@ -52,7 +130,7 @@ def read_evaluation(folder: Path) -> Evaluation:
     path = folder / EVALUATION
     if not path.is_file():
         raise InputError(
-            f"{folder} holds no {EVALUATION}. Give a folder that `vrcaps evaluate TASK --out` made."
+            f"{folder} contains no {EVALUATION}. Give the output folder of `vrcaps evaluate TASK`."
         )
     plain = read_plain(path, "evaluation")
     try:

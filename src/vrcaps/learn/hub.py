@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from http import HTTPStatus
 from http.client import HTTPException
 from pathlib import Path
-from typing import Any
 from urllib.error import HTTPError
 from urllib.request import urlopen
 
@@ -175,7 +174,7 @@ def _copy(source: str, entry: PublishedWeights, folder: Path) -> None:
     actual = hashlib.sha256(data).hexdigest()
     if actual != entry.sha256:
         raise InputError(
-            f"{source}/{entry.file} has sha256 {actual[:12]}…, but {INDEX} says "
+            f"{source}/{entry.file} has sha256 {actual[:12]}…, but {INDEX} states "
             f"{entry.sha256[:12]}…. Try again, or report it to whoever published it."
         )
     try:
@@ -189,14 +188,14 @@ def _copy(source: str, entry: PublishedWeights, folder: Path) -> None:
         ) from error
 
 
-def read_index(place: str) -> dict[str, PublishedWeights]:
+def read_index(location: str) -> dict[str, PublishedWeights]:
     """Read the index of a folder or URL; returns its entries by name.
 
     Raises:
         InputError: If there is no index, or it is damaged.
         StorageError: If the location cannot be reached.
     """
-    at, text = f"{place}/{INDEX}", _read(place, INDEX)
+    at, text = f"{location}/{INDEX}", _read(location, INDEX)
     found = from_plain(Index, decode_json(text, at), at=at)
     return {one.name: one for one in found.weights}
 
@@ -220,38 +219,38 @@ def find_weights(given: str, task: str = "") -> Path:
             f"No file at {given}. Give a file of weights ({SUFFIX}), or the name of published ones "
             "(`vrcaps weights list`)."
         )
-    place = weights_folder()
-    index = read_index(place)
+    location = weights_folder()
+    index = read_index(location)
     if not given and task not in index:
         raise InputError(
-            f"No weights of the task {task!r} are published in {place}. Give --weights FILE; "
-            f"`vrcaps train {task}` makes one."
+            f"No weights of the task {task!r} are published in {location}. Give --weights FILE; "
+            f"`vrcaps train {task}` writes one."
         )
     if (given or task) not in index:
         raise UnknownNameError("file or published weights", given, index or ("none",))
-    return fetch(place, index[given or task])
+    return fetch(location, index[given or task])
 
 
-def fetch(place: str, entry: PublishedWeights) -> Path:
+def fetch(location: str, entry: PublishedWeights) -> Path:
     """Return a local copy of a published file, with the checksum of the index.
 
     Raises:
         InputError: If it is missing, or differs from the index.
         StorageError: If the location cannot be reached.
     """
-    if "://" not in place:
-        path = Path(place) / entry.file
+    if "://" not in location:
+        path = Path(location) / entry.file
         if not path.is_file():
             raise InputError(
-                f"{path} is missing, though {INDEX} beside it names it. Copy the whole folder "
-                "again, or give another file (--weights FILE)."
+                f"{path} is missing, but {INDEX} lists it. Copy the whole folder again, or give "
+                "another file (--weights FILE)."
             )
         _check(path, entry)
         return path
     path = cache_folder() / "weights" / f"{entry.name}-{entry.sha256[:16]}{SUFFIX}"
     if not path.is_file() or file_sha256(path) != entry.sha256:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_bytes(path, _read(place, entry.file))
+        write_bytes(path, _read(location, entry.file))
     _check(path, entry)
     return path
 
@@ -272,32 +271,32 @@ def _check(path: Path, entry: PublishedWeights) -> None:
     actual = file_sha256(path)
     if actual != entry.sha256:
         raise InputError(
-            f"{path} has sha256 {actual[:12]}…, but {INDEX} says {entry.sha256[:12]}…. Copy both "
-            "from one place again, or publish the weights again (vrcaps weights publish)."
+            f"{path} has sha256 {actual[:12]}…, but {INDEX} states {entry.sha256[:12]}…. Copy both "
+            "from one location again, or publish the weights again (vrcaps weights publish)."
         )
 
 
-def _read(place: str, name: str, limit: int = _MAX_TEXT_BYTES) -> bytes:
+def _read(location: str, name: str, limit: int = _MAX_TEXT_BYTES) -> bytes:
     """Read a file of a folder or URL.
 
     Args:
-        place: Folder or URL.
+        location: Folder or URL.
         name: Name of the file.
         limit: Maximum number of bytes to accept from a web server.
     """
     try:
-        if place.startswith(("http://", "https://")):
-            return _download(f"{place}/{name}", limit)
-        return open_store(place).read(name)
+        if location.startswith(("http://", "https://")):
+            return _download(f"{location}/{name}", limit)
+        return open_store(location).read(name)
     except FileNotFoundError as error:
-        raise InputError(f"There is no {name} in {place}, the place of published weights.") from (
+        raise InputError(f"{location}, the folder of published weights, contains no {name}.") from (
             error
         )
     except StorageError as error:
-        reason: Any = error.__cause__ or error
+        reason = error.__cause__ or error
         raise StorageError(
-            f"Cannot read published weights from {place}: {str(reason).splitlines()[0]}. Set "
-            f"{VARIABLE} to a folder that holds them, or give a file (--weights FILE)."
+            f"Cannot read published weights from {location}: {str(reason).splitlines()[0]}. Set "
+            f"{VARIABLE} to a folder that contains them, or give a file (--weights FILE)."
         ) from error
 
 

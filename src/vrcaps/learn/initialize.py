@@ -3,49 +3,46 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+
+from torch import Tensor, nn
 
 from vrcaps.core.errors import InputError
 from vrcaps.learn.checkpoint import TrainedNetwork, read_weights
 from vrcaps.learn.hub import find_weights
 from vrcaps.learn.networks import ENCODER, with_inputs
-from vrcaps.learn.registry import AnyTask
-from vrcaps.learn.tasks.segmentation import LESION, SegmentationTask
+from vrcaps.learn.settings import IMAGENET, SCRATCH
+from vrcaps.learn.task import Task
 
-SCRATCH, IMAGENET = "scratch", "imagenet"
 _DENSE, _WHOLE = "net.encoder.model.", "net."
 """Prefixes of the encoder's parameter names in dense networks and in classifiers."""
 
 
-def initialized_network(learner: AnyTask, start: str) -> Any:
+def initialized_network(task: Task, start: str) -> nn.Module:
     """Create a network and initialize its weights.
 
     From a checkpoint of the same task, all parameters of the same shape are copied; of the last
-    layer, the rows of the classes that both have, by name. Segmentation classes missing from the
-    checkpoint are initialized from its `lesion` class, if it has one. From a checkpoint of another
+    layer, the rows of the classes that both have, by name. Classes missing from the checkpoint are
+    initialized from the task's fallback class, if the checkpoint has it: for segmentation, that of
+    any lesion. From a checkpoint of another
     task, the encoder is copied. The rest of a network is then initialized from ImageNet weights if
     the checkpoint was, and if these weights need no hub.
 
     Args:
-        learner: The task and its settings.
+        task: The task and its settings.
         start: `scratch`, `imagenet`, a checkpoint file, or the name of published weights.
 
     Raises:
         InputError: If there are no such weights, or they have no part for this task.
     """
     if start in (SCRATCH, IMAGENET):
-        return learner.network(is_pretrained=start == IMAGENET)
+        return task.network(is_pretrained=start == IMAGENET)
     path = find_weights(start)
     trained = read_weights(path)
-    is_same_task = trained.learner.kind == learner.kind
-    is_known = getattr(learner, "encoder", None) == ENCODER and _origin(trained) == IMAGENET
-    network = learner.network(is_pretrained=is_known and not is_same_task)
+    is_same_task = trained.task.kind == task.kind
+    is_known = task.encoder == ENCODER and _origin(trained) == IMAGENET
+    network = task.network(is_pretrained=is_known and not is_same_task)
     own = network.state_dict()
-    known = (
-        _own_classes(trained, learner, own)
-        if is_same_task
-        else _encoder(trained, learner, own, path)
-    )
+    known = _own_classes(trained, task, own) if is_same_task else _encoder(trained, task, own, path)
     network.load_state_dict(
         {k: v for k, v in known.items() if k in own and own[k].shape == v.shape}, strict=False
     )
@@ -66,17 +63,16 @@ def origin(start: str) -> str:
 
 
 def _origin(trained: TrainedNetwork) -> str:
-    return str(trained.about.get("origin", ""))
+    return str(trained.metadata.get("origin", ""))
 
 
-def _own_classes(trained: TrainedNetwork, learner: AnyTask, own: dict[str, Any]) -> dict[str, Any]:
-    """State of a network trained on the same task, with the last layer for a learner's classes."""
+def _own_classes(trained: TrainedNetwork, task: Task, own: dict[str, Tensor]) -> dict[str, Tensor]:
+    """State of a network trained on the same task, with the last layer for a task's classes."""
     known = trained.network.state_dict()
-    theirs, ours = (getattr(one, "classes", ()) for one in (trained.learner, learner))
+    theirs, ours = (getattr(one, "classes", ()) for one in (trained.task, task))
     if theirs == ours:
         return known
-    other = LESION if isinstance(learner, SegmentationTask) else ""
-    sources = [name if name in theirs else other for name in ours]
+    sources = [name if name in theirs else task.fallback_class for name in ours]
     to = [k for k, name in enumerate(sources) if name in theirs]
     of = [theirs.index(sources[k]) for k in to]
     for name in [*own][-2:]:  # weight and bias of the last layer
@@ -87,27 +83,27 @@ def _own_classes(trained: TrainedNetwork, learner: AnyTask, own: dict[str, Any])
 
 
 def _encoder(
-    trained: TrainedNetwork, learner: AnyTask, own: dict[str, Any], path: Path
-) -> dict[str, Any]:
+    trained: TrainedNetwork, task: Task, own: dict[str, Tensor], path: Path
+) -> dict[str, Tensor]:
     """Parameters of a trained encoder by their names in a network of another task."""
-    encoders = [getattr(one, "encoder", None) for one in (trained.learner, learner)]
-    if None in encoders or encoders[0] != encoders[1]:
+    theirs, ours = trained.task.encoder, task.encoder
+    if theirs is None or theirs != ours:
         raise InputError(
-            f"{path} holds weights of the task {trained.learner.kind!r} with "
-            f"{_named(encoders[0])}; {learner.kind!r} has {_named(encoders[1])}. Allowed: weights "
-            "of the same task, or of one with the same encoder."
+            f"{path} contains weights of the task {trained.task.kind!r} with {_named(theirs)}; "
+            f"{task.kind!r} has {_named(ours)}. Allowed: weights of the same task, or of one with "
+            "the same encoder."
         )
     state = trained.network.state_dict()
-    theirs, ours = _prefix(state), _prefix(own)
-    found = {
-        ours + name.removeprefix(theirs): value
+    before, after = _prefix(state), _prefix(own)
+    encoder = {
+        after + name.removeprefix(before): value
         for name, value in state.items()
-        if name.startswith(theirs)
+        if name.startswith(before)
     }
-    return {k: with_inputs(v, own[k]) if k in own else v for k, v in found.items()}
+    return {k: with_inputs(v, own[k]) if k in own else v for k, v in encoder.items()}
 
 
-def _prefix(state: dict[str, Any]) -> str:
+def _prefix(state: dict[str, Tensor]) -> str:
     return _DENSE if any(name.startswith(_DENSE) for name in state) else _WHOLE
 
 

@@ -4,27 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-
-from vrcaps.core.errors import require
+from torch import Tensor
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int, UInt8
     from numpy.typing import NDArray
-
-
-_STEP = 32
-
-
-def require_size(size: int) -> None:
-    """Check that the size is divisible by the total stride of a dense network, 32.
-
-    Raises:
-        InputError: If it is not.
-    """
-    require(size % _STEP == 0, "size", size, f"multiples of {_STEP}")
 
 
 @dataclass(frozen=True)
@@ -48,7 +35,7 @@ class Letterbox:
         return max(1, round(scale * self.height)), max(1, round(scale * self.width))
 
     @property
-    def place(self) -> tuple[slice, slice]:
+    def region(self) -> tuple[slice, slice]:
         """Rows and columns of the square that the image covers."""
         height, width = self.shape
         top, left = (self.size - height) // 2, (self.size - width) // 2
@@ -62,10 +49,10 @@ class Letterbox:
         columns = ((np.arange(width) + 0.5) * self.width / width).astype(int)
         return np.stack(np.meshgrid(columns, rows), axis=-1)
 
-    def to_square(self, pixels: Any) -> Any:
-        """Convert pixels of the image [... 2] (column, row) to the square; arrays or tensors."""
+    def to_square(self, pixels: Tensor) -> tuple[Tensor, Tensor]:
+        """Convert pixels of the image [... 2] (column, row) to columns and rows of the square."""
         height, width = self.shape
-        rows, columns = self.place
+        rows, columns = self.region
         column = (pixels[..., 0] + 0.5) * (width / self.width) - 0.5 + columns.start
         row = (pixels[..., 1] + 0.5) * (height / self.height) - 0.5 + rows.start
         return column, row
@@ -85,13 +72,13 @@ class Letterbox:
     def padded(self, values: NDArray, fill: float) -> NDArray:
         """Pad values of the image region to a square with `fill`."""
         square = np.full((self.size, self.size, *values.shape[2:]), fill, values.dtype)
-        square[self.place] = values
+        square[self.region] = values
         return square
 
     def back(self, square: Float[np.ndarray, "s s"]) -> Float[np.ndarray, "h w"]:
         """Resize a map of the square to the size of the image, by linear interpolation."""
         from PIL import Image
 
-        inner = np.ascontiguousarray(square[self.place], np.float32)
+        inner = np.ascontiguousarray(square[self.region], np.float32)
         size = (self.width, self.height)
         return np.asarray(Image.fromarray(inner).resize(size, Image.Resampling.BILINEAR))

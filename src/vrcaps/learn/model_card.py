@@ -10,17 +10,17 @@ import json
 import math
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 from vrcaps.config.convert import to_plain
 from vrcaps.learn.evaluation import Evaluation
 from vrcaps.learn.hub import PublishedWeights
-from vrcaps.learn.registry import AnyTask
-from vrcaps.learn.task import INPUTS
-from vrcaps.learn.training import TrainSettings
+from vrcaps.learn.settings import TrainSettings
+from vrcaps.learn.task import INPUTS, Task
 
-_NOTES = "<!-- Below is written by hand; it stays when the weights are published again. -->"
+_NOTES = "<!-- Hand-written notes; they are kept when the weights are published again. -->"
+_FORMER_NOTES = "<!-- Below is written by hand; it stays when the weights are published again. -->"
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def card_text(
         license_name: License of the weights.
         notes: Hand-written notes in Markdown.
     """
-    learner = training.settings.learner
+    task = training.settings.task
     return "\n".join(
         (
             f"# {entry.name}",
@@ -73,24 +73,24 @@ def card_text(
             "",
             *_use(entry),
             "",
-            "## In and out",
+            "## Inputs and outputs",
             "",
-            "| | name | what |",
+            "| | name | description |",
             "|---|---|---|",
-            *(f"| in | `{name}` | {INPUTS[name]} |" for name in learner.input_names),
-            f"| out | `output` | {learner.output_text} |",
+            *(f"| input | `{name}` | {INPUTS.get(name, '')} |" for name in task.input_names),
+            f"| output | `output` | {task.output_text} |",
             "",
-            "Settings of the task: " + _settings_text(learner) + ".",
+            "Settings of the task: " + _settings_text(task) + ".",
             "",
             *_scores(training, evaluations),
             "",
-            "## Made by",
+            "## Training command",
             "",
             "```sh",
             train_command(training.settings, f"runs/{entry.name}"),
             "```",
             "",
-            "With " + ", ".join(f"{k} {v}" for k, v in training.made_with.items() if v) + ".",
+            "Versions: " + ", ".join(f"{k} {v}" for k, v in training.made_with.items() if v) + ".",
             "",
             *_plans(training),
             _NOTES,
@@ -103,7 +103,7 @@ def card_text(
 
 def notes_of(card: str) -> str:
     """Hand-written part of a card; empty if there is none."""
-    return card.partition(_NOTES)[2].strip()
+    return card.replace(_FORMER_NOTES, _NOTES).partition(_NOTES)[2].strip()
 
 
 def train_command(settings: TrainSettings, out: str) -> str:
@@ -113,42 +113,52 @@ def train_command(settings: TrainSettings, out: str) -> str:
         settings: Settings of the training.
         out: Folder of the training.
     """
-    usual = TrainSettings(type(settings.learner)())
-    words = ["vrcaps", "train", settings.learner.kind]
+    usual = TrainSettings(type(settings.task)())
+    words = ["vrcaps", "train", settings.task.kind]
     for flag, sources in (("--data", settings.data), ("--validation", settings.validation)):
         words += [word for source in sources for word in (flag, source)]
-    for field in fields(settings.learner):
-        value = getattr(settings.learner, field.name)
-        if value != getattr(usual.learner, field.name):
-            words += _flag(field.name.replace("_", "-"), value)
+    defaults = task_values(usual.task)
+    for name, value in task_values(settings.task).items():
+        if value != defaults[name]:
+            words += _flag(name.replace("_", "-"), value)
     for name, value in to_plain(settings, TrainSettings).items():
-        if name in ("learner", "data", "validation") or value == getattr(usual, name):
+        if name in ("task", "data", "validation") or value == getattr(usual, name):
             continue
-        shown = str(value).lower() if isinstance(value, bool) else value
-        words += ["--start", value] if name == "start" else ["--set", f"{name}={shown}"]
+        text = str(value).lower() if isinstance(value, bool) else value
+        words += ["--start", value] if name == "start" else ["--set", f"{name}={text}"]
     return shlex.join([*words, "--out", out])
 
 
-def _flag(name: str, value: Any) -> list[str]:
+def task_values(task: Any) -> dict[str, object]:
+    """Values of a task's settings, including those of its parts, by the names of its flags."""
+    values: dict[str, object] = {}
+    for field in fields(task):
+        value = getattr(task, field.name)
+        values |= task_values(value) if is_dataclass(value) else {field.name: value}
+    return values
+
+
+def _flag(name: str, value: object) -> list[str]:
     if isinstance(value, bool):
         return [f"--{name}" if value else f"--no-{name}"]
     return [f"--{name}", *map(str, value if isinstance(value, tuple) else [value])]
 
 
 def _facts(entry: PublishedWeights, training: Training, license_name: str) -> list[str]:
-    settings, (learned, chosen) = training.settings, training.frames
-    ended = "" if training.done == settings.steps else f"; ended after {training.done:,}"
+    settings, (num_training, num_validation) = training.settings, training.frames
+    ended = "" if training.done == settings.steps else f"; stopped after {training.done:,}"
     data = ", ".join(f"`{source}`" for source in settings.data) or "not stated"
     rows = {
         "task": f"`{entry.task}`",
-        "file": f"`{entry.file}`, {entry.bytes / 1e6:.1f} MB, numbers of 16 bits",
+        "file": f"`{entry.file}`, {entry.bytes / 1e6:.1f} MB, fp16",
         "sha256": f"`{entry.sha256}`",
         "license": license_name,
-        "learned from": f"{learned:,} frames of {data}",
-        "weights chosen by": f"{settings.learner.figure.name} on {chosen:,} other frames",
-        "began with": f"`{settings.start}`",
-        "steps": f"the best of {settings.steps:,} was {training.step:,}{ended}; "
-        f"{settings.batch} frames each",
+        "training data": f"{num_training:,} frames of {data}",
+        "checkpoint selected by": f"{settings.task.metric.name} on {num_validation:,} validation "
+        "frames",
+        "initialized from": f"`{settings.start}`",
+        "steps": f"best checkpoint: step {training.step:,} of {settings.steps:,}{ended}; batch "
+        f"size {settings.batch}",
     }
     return ["| | |", "|---|---|", *(f"| {name} | {text} |" for name, text in rows.items())]
 
@@ -164,28 +174,26 @@ def _use(entry: PublishedWeights) -> list[str]:
     ]
 
 
-def _settings_text(learner: AnyTask) -> str:
-    return ", ".join(
-        f"{field.name.replace('_', ' ')} {_value_text(getattr(learner, field.name))}"
-        for field in fields(learner)
-    )
+def _settings_text(task: Task) -> str:
+    values = task_values(task).items()
+    return ", ".join(f"{name.replace('_', ' ')} {_value_text(value)}" for name, value in values)
 
 
-def _value_text(value: Any) -> str:
+def _value_text(value: object) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 def _scores(training: Training, evaluations: Sequence[Evaluation]) -> list[str]:
-    chosen_by = Evaluation(
-        training.settings.learner.kind, "", training.settings.data, "", 0, 0, training.scores
+    selection = Evaluation(
+        training.settings.task.kind, "", training.settings.data, "", 0, 0, training.scores
     )
-    columns = [("frames that chose the weights", chosen_by)]
+    columns = [("validation", selection)]
     columns += [(_data_text(one), one) for one in evaluations]
     names = dict.fromkeys(name for _, one in columns for name in one.scores)
     return [
-        "## Scores",
+        "## Metrics",
         "",
         "| | " + " | ".join(title for title, _ in columns) + " |",
         "|---|" + "---:|" * len(columns),
@@ -196,9 +204,10 @@ def _scores(training: Training, evaluations: Sequence[Evaluation]) -> list[str]:
             for name in names
         ),
         "",
-        "The first column is too good, as weights were chosen by it."
+        "Validation metrics are optimistic: the checkpoint was selected on them."
         if evaluations
-        else "They are too good, as the weights were chosen by them; no other frames were scored.",
+        else "These metrics are optimistic: the checkpoint was selected on them, and there is no "
+        "other evaluation.",
     ]
 
 
@@ -209,7 +218,7 @@ def _plans(training: Training) -> list[str]:
         for source, plan in training.plans.items()
         for line in (
             "<details>",
-            f"<summary>{source} is what <code>vrcaps dataset make plan.json</code> makes</summary>",
+            f"<summary>Plan of {source}, for <code>vrcaps dataset make plan.json</code></summary>",
             "",
             "```json",
             json.dumps(plan),

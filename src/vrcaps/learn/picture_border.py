@@ -1,14 +1,19 @@
-"""Parts of an endoscope's picture that show no tissue: the black border, and inserts of the device.
+"""Parts of an endoscope's picture that show no tissue: black border, corners, inserts and text.
 
-Depth prediction excludes both, in `vrcaps predict` and in `vrcaps evaluate`. Recordings of vrcaps
-have no border to exclude: their cameras state the extent of the image.
+Depth prediction excludes border and inserts, in `vrcaps predict` and in `vrcaps evaluate`.
+Recordings of vrcaps have no border to exclude: their cameras state the extent of the image.
+
+Overlays differ between hospitals and classes, so that a network can classify by them without using
+the tissue. Classification hides them in every image at the same position, whether they are present
+or not: a mask that followed the image would reveal them.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from functools import lru_cache
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import scipy
@@ -33,8 +38,20 @@ _FILLED = 0.02
 _MAX_INSERT = 0.3
 """Maximum fraction of non-tissue colors that are inserts; larger fractions are due to the light,
 such as narrow-band imaging."""
-_METRIC = ("depth",)
-"""Tasks that infer a length: their networks take the tissue alone, at the camera's own exposure."""
+LENS_NEEDED = (
+    "Depth requires the lens of the camera that took the images. Give --capsule NAME (a name of "
+    "the catalog such as colonoscope, or a device file), or --fov DEGREES for an assumed lens, "
+    "such as --fov 140."
+)
+
+Overlay = Literal["corners", "insert", "text"]
+_RADIUS = 0.46
+"""Half axes of the visible ellipse of an image, relative to its sides: it lies within the octagons
+and circles of HyperKvasir, Kvasir-SEG and WCEBleedGen."""
+_INSERT = (0.56, 0.45)
+"""Top and right edge of the lower left part where HyperKvasir shows the endoscope's position."""
+_TEXT = 0.27
+"""Right edge of the left part where HyperKvasir and Kvasir-SEG show date and name."""
 
 
 @dataclass(frozen=True)
@@ -44,56 +61,57 @@ class PictureView:
     Attributes:
         image: Colors of the part, uint8 [h w 3].
         camera: Camera of the part; None if it is not known.
-        place: Rows and columns of the part in the image.
+        region: Rows and columns of the part in the image.
         shape: Height and width of the image [px].
         is_insert: Mask of the device's inserts within the part [h w].
     """
 
     image: UInt8[np.ndarray, "h w 3"]
     camera: Camera | None
-    place: tuple[slice, slice]
+    region: tuple[slice, slice]
     shape: tuple[int, int]
     is_insert: Bool[np.ndarray, "h w"]
 
     def whole(self, values: NDArray) -> NDArray:
         """Convert a map of the part to the whole image, with 0 outside it and in inserts."""
-        found = np.zeros((*self.shape, *values.shape[2:]), values.dtype)
-        found[self.place] = np.where(self.is_insert, 0, values)
-        return found
+        whole = np.zeros((*self.shape, *values.shape[2:]), values.dtype)
+        whole[self.region] = np.where(self.is_insert, 0, values)
+        return whole
 
 
-def input_image(kind: str, sequence: FrameSequence, index: int) -> UInt8[np.ndarray, "h w 3"]:
-    """Return the color image of a frame as the network of a task takes it.
-
-    For depth, an image of a known automatic exposure is converted to the camera's own exposure,
-    because the brightness is a cue of the distance.
+def input_image(
+    sequence: FrameSequence, index: int, *, predicts_lengths: bool = False
+) -> UInt8[np.ndarray, "h w 3"]:
+    """Return the color image of a frame as input of a network.
 
     Args:
-        kind: Name of the task.
         sequence: Sequence of the image.
         index: Index of the frame.
+        predicts_lengths: Whether the task infers lengths. An image of a known automatic exposure is
+            then converted to the camera's own exposure, because brightness is a cue of distance.
     """
     image = sequence.image("rgb", index)
-    if kind not in _METRIC or EXPOSURE not in sequence.values:
+    if not predicts_lengths or EXPOSURE not in sequence.values:
         return image
     exposure = float(sequence.values[EXPOSURE][index])
     return srgb_from_linear(linear_from_srgb(image) / exposure)
 
 
 def view_of(
-    kind: str,
     sequence: FrameSequence,
     image: UInt8[np.ndarray, "h w 3"],
     field_of_view: float | None = None,
+    *,
+    predicts_lengths: bool = False,
 ) -> PictureView:
-    """Return the part of an image that is the input of a task's network.
+    """Return the part of an image that is the input of a network.
 
     Args:
-        kind: Name of the task.
         sequence: Sequence of the image.
         image: The whole image.
         field_of_view: Angle across the width of the part [rad], for an assumed lens if the camera
             is not known.
+        predicts_lengths: Whether the task infers lengths. The part is then the tissue alone.
 
     Raises:
         InputError: If the camera makes images of another size.
@@ -107,10 +125,10 @@ def view_of(
         )
     rows, columns = slice(0, height), slice(0, width)
     is_insert: NDArray = np.zeros((height, width), bool)
-    if kind in _METRIC and sequence.episode is None:
+    if predicts_lengths and sequence.episode is None:
         rows, columns = bright_part(image)
-        found = inserts(image[rows, columns])
-        is_insert = found & (found.mean() < _MAX_INSERT)
+        foreign = inserts(image[rows, columns])
+        is_insert = foreign & (foreign.mean() < _MAX_INSERT)
     part = np.ascontiguousarray(image[rows, columns])
     if camera is not None:
         camera = _part_of(camera, rows, columns)
@@ -171,6 +189,29 @@ def assumed_camera(width: int, height: int, field_of_view: float) -> Camera:
         focal=focal, cx=0.5 * (width - 1), cy=0.5 * (height - 1), max_angle=widest
     )
     return Camera("assumed", lens, width, height)
+
+
+@lru_cache(maxsize=64)
+def tissue_mask(height: int, width: int, overlays: tuple[Overlay, ...]) -> Bool[np.ndarray, "h w"]:
+    """Mask of the pixels that are not hidden by the overlays.
+
+    Args:
+        height: Height of the image [px].
+        width: Width of the image [px].
+        overlays: `corners` keeps the largest ellipse that both capsules and endoscopes show,
+            `insert` hides the lower left, `text` the left.
+    """
+    y = ((np.arange(height) + 0.5) / height)[:, None]
+    x = (np.arange(width) + 0.5) / width
+    mask = np.ones((height, width), bool)
+    if "corners" in overlays:
+        mask &= (x - 0.5) ** 2 + (y - 0.5) ** 2 <= _RADIUS**2
+    if "insert" in overlays:
+        mask &= (y < _INSERT[0]) | (x > _INSERT[1])
+    if "text" in overlays:
+        mask &= x > _TEXT
+    mask.setflags(write=False)
+    return mask
 
 
 def _part_of(camera: Camera, rows: slice, columns: slice) -> Camera:

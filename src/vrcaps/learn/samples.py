@@ -1,40 +1,56 @@
-"""Samples of several sequences: cached in memory, and split for validation."""
+"""Samples of several sequences: cached in memory, split for validation, without near-duplicates.
+
+Near-duplicates are images that were resized, mirrored or compressed. They are detected by a
+perceptual hash: the signs of the low frequencies of the gray image, from a discrete cosine
+transform (Zauner, Implementation and Benchmarking of Perceptual Image Hash Functions, 2010, section
+3.2.1, keeps 64). Mirroring flips the signs at odd frequencies, and transposition transposes the
+signs, so that one hash gives the hashes of all eight orientations of an image.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
+import torch
+from torch import Tensor
 
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError, reason_of
-from vrcaps.learn.networks import require_torch
 from vrcaps.learn.task import Batch, Sample, Task
-from vrcaps.learn.tasks.classification import ClassificationTask
 from vrcaps.recording.frame_sequence import FrameSequence
 
 if TYPE_CHECKING:
-    from jaxtyping import Int
+    from jaxtyping import Int, Int8, UInt8
+
+    Hashes = Int8[np.ndarray, "n k k"]
 
 _KEPT_BYTES = 4 * 10**9
 _IMAGES = ("image", "before", "after")
 _HELD_OUT = 0.2
 """Fraction of frames that is held out if the data has no split."""
+_SIDE, _FREQUENCIES = 64, 16
+"""Side of the gray image [px], and number of frequencies kept per axis."""
+NEAR = 0.12
+"""Maximum fraction of different signs of near-duplicates; `docs/concepts/learning.md` has the error
+rates of this threshold."""
+_AT_ONCE = 2048
 
 
 @dataclass
 class Samples:
-    """Frames that a learner can use.
+    """Frames that a task can use.
 
     Attributes:
-        learner: Task that reads the frames.
+        task: Task that reads the frames.
         frames: Sequence and index of each frame.
         skipped: Reasons of unreadable frames, by name; they are counted but not used.
     """
 
-    learner: Task
+    task: Task
     frames: Sequence[tuple[FrameSequence, int]]
     skipped: dict[str, str] = field(default_factory=dict)
     _kept: dict[int, Sample] = field(default_factory=dict, repr=False)
@@ -52,7 +68,7 @@ class Samples:
         if name in self.skipped:
             return None
         try:
-            sample = self.learner.sample(sequence, index)
+            sample = self.task.sample(sequence, index)
         except (InputError, OSError) as error:
             self.skipped[name] = reason_of(error)
             return None
@@ -78,27 +94,27 @@ class Samples:
         """Random fraction of the frames; smaller fractions are subsets of larger ones."""
         order = rng.stream(seed, "learn/fraction").permutation(len(self))
         kept = np.sort(order[: max(1, round(fraction * len(self)))])
-        return Samples(self.learner, [self.frames[k] for k in kept], self.skipped)
+        return Samples(self.task, [self.frames[k] for k in kept], self.skipped)
 
     def evenly(self, count: int) -> Int[np.ndarray, " m"]:
         """Indices of at most `count` frames, evenly spaced."""
         return np.unique(np.linspace(0, len(self) - 1, min(count, len(self))).astype(int))
 
 
-def samples_of(learner: Task, sequences: Sequence[FrameSequence]) -> Samples:
+def samples_of(task: Task, sequences: Sequence[FrameSequence]) -> Samples:
     """Collect all usable frames of sequences.
 
     Raises:
         InputError: If a sequence lacks a required channel, or there is no frame.
     """
-    frames = [frame for one in sequences for frame in _frames(learner, one)]
+    frames = [frame for one in sequences for frame in _frames(task, one)]
     if not frames:
         names = ", ".join(one.name for one in sequences[:3]) or "nothing"
-        raise InputError(f"There is no frame to learn {learner.kind} from in {names}.")
-    return Samples(learner, frames)
+        raise InputError(f"No frame of {names} can be used to train {task.kind}.")
+    return Samples(task, frames)
 
 
-def split_samples(learner: Task, sequences: Sequence[FrameSequence]) -> tuple[Samples, Samples]:
+def split_samples(task: Task, sequences: Sequence[FrameSequence]) -> tuple[Samples, Samples]:
     """Split frames into training and validation frames.
 
     Existing splits `train` and `val` are kept. Data without a `val` split is split by patient if it
@@ -111,43 +127,155 @@ def split_samples(learner: Task, sequences: Sequence[FrameSequence]) -> tuple[Sa
     held = [one for one in sequences if one.split == "val"]
     sequences = [one for one in sequences if one.split in (None, "train")]
     if held:
-        return samples_of(learner, sequences), samples_of(learner, held)
+        return samples_of(task, sequences), samples_of(task, held)
     patients = sorted({one.patient for one in sequences if one.patient})
     if len(patients) * _HELD_OUT >= 1.0:
         last = set(patients[-round(len(patients) * _HELD_OUT) :])
         train = [one for one in sequences if one.patient not in last]
         held = [one for one in sequences if one.patient in last]
-        return samples_of(learner, train), samples_of(learner, held)
+        return samples_of(task, train), samples_of(task, held)
     before, after = [], []
     for one in sequences:
-        frames = _frames(learner, one)
+        frames = _frames(task, one)
         cut = len(frames) - round(_HELD_OUT * len(frames))
         before.extend(frames[:cut])
         after.extend(frames[cut:])
     if not before or not after:
-        raise InputError(f"There are too few frames to learn {learner.kind} from: five or more.")
-    return Samples(learner, before), Samples(learner, after)
+        raise InputError(f"Too few frames to train {task.kind}. Allowed: 5 or more.")
+    return Samples(task, before), Samples(task, after)
 
 
-def _frames(learner: Task, sequence: FrameSequence) -> list[tuple[FrameSequence, int]]:
+def _frames(task: Task, sequence: FrameSequence) -> list[tuple[FrameSequence, int]]:
     """Usable frames of a sequence."""
-    if isinstance(learner, ClassificationTask):
-        sequence = learner.with_classes(sequence)
-    return [(sequence, index) for index in learner.items(sequence)]
+    sequence = task.prepare(sequence)
+    return [(sequence, index) for index in task.items(sequence)]
 
 
 def batch_of(samples: Sequence[Sample], device: str = "cpu") -> Batch:
     """Tensors of samples: images from 0 to 1, with channels before rows."""
-    torch = require_torch()
 
-    def tensor(name: str) -> Any:
+    def convert(name: str) -> Tensor | list[object]:
         values = [sample[name] for sample in samples]
         if not isinstance(values[0], np.ndarray):
             return values
         stacked = np.stack(values)
         if stacked.ndim == 4:
             stacked = np.ascontiguousarray(np.moveaxis(stacked, -1, 1))
-        found = torch.from_numpy(stacked).to(device)
-        return found.float() / 255.0 if name in _IMAGES else found
+        tensor = torch.from_numpy(stacked).to(device)
+        return tensor.float() / 255.0 if name in _IMAGES else tensor
 
-    return {name: tensor(name) for name in samples[0]}
+    return {name: convert(name) for name in samples[0]}
+
+
+def image_hash(image: UInt8[np.ndarray, "h w 3"]) -> Int8[np.ndarray, "k k"]:
+    """Signs of the low frequencies of an image, −1 or 1; 0 for its mean."""
+    from PIL import Image
+
+    size = (_SIDE, _SIDE)
+    gray = Image.fromarray(image).convert("L").resize(size, Image.Resampling.BOX)
+    waves = np.asarray(scipy.fft.dctn(np.asarray(gray, float), norm="ortho"))
+    low = waves[:_FREQUENCIES, :_FREQUENCIES]
+    signs = np.where(low > 0.0, 1, -1).astype(np.int8)
+    signs[0, 0] = 0
+    return signs
+
+
+def near_duplicates(first: Hashes, second: Hashes, near: float = NEAR) -> Int[np.ndarray, "m 2"]:
+    """Return pairs of images that are near-duplicates, up to mirroring and rotation by 90°.
+
+    Args:
+        first: Hashes of images.
+        second: Hashes of other images.
+        near: Maximum fraction of signs that differ.
+
+    Returns:
+        A row for each image of the second set that has a near-duplicate in the first: the index of
+            the nearest image there, and its own index; in the order of the second set.
+    """
+    if not len(first) or not len(second):
+        return np.zeros((0, 2), int)
+    known = first.reshape(len(first), -1).astype(np.float32)
+    bits = _FREQUENCIES**2 - 1
+    pairs = []
+    for begin in range(0, len(second), _AT_ONCE):
+        part = second[begin : begin + _AT_ONCE]
+        alike = np.full(len(part), -1.0)
+        nearest = np.zeros(len(part), int)
+        for turned in _positions(part):
+            same = turned.reshape(len(part), -1).astype(np.float32) @ known.T
+            best = same.argmax(axis=1)
+            value = same[np.arange(len(part)), best]
+            nearest = np.where(value > alike, best, nearest)
+            alike = np.maximum(alike, value)
+        matches = np.flatnonzero((bits - alike) / 2.0 <= near * bits)
+        pairs.append(np.stack([nearest[matches], matches + begin], axis=1))
+    return np.concatenate(pairs)
+
+
+def without_duplicates(
+    samples: Samples, others: Samples, *, progress: Callable[[int, int], None] | None = None
+) -> tuple[Samples, dict[str, str]]:
+    """Remove the training frames that are near-duplicates of validation or test frames.
+
+    Frames of episodes are not compared: they differ by patient, and no real image is one of them.
+    Frames that cannot be read are kept; training skips and reports them.
+
+    Args:
+        samples: Training frames.
+        others: Validation or test frames.
+        progress: Called with the number of images read and the total.
+
+    Returns:
+        The remaining frames, and a map from the names of removed frames to those of their
+            duplicates.
+
+    Raises:
+        InputError: If no frame would remain.
+    """
+    own = [k for k, (one, _) in enumerate(samples.frames) if one.episode is None]
+    known = [k for k, (one, _) in enumerate(others.frames) if one.episode is None]
+    if not own or not known:
+        return samples, {}
+    frames = [*(others.frames[k] for k in known), *(samples.frames[k] for k in own)]
+    hashes = []
+    for done, (sequence, index) in enumerate(frames):
+        hashes.append(_hash_of(sequence, index))
+        if progress is not None:
+            progress(done + 1, len(frames))
+    read = [k for k, one in enumerate(hashes) if one is not None]
+    first = [k for k in read if k < len(known)]
+    second = [k for k in read if k >= len(known)]
+    there, here = (np.array([hashes[k] for k in part]) for part in (first, second))
+    pairs = near_duplicates(there, here)
+    matches = {second[own_]: first[other] for other, own_ in pairs}
+    names = {_name(*frames[k]): _name(*frames[other]) for k, other in matches.items()}
+    dropped = {own[k - len(known)] for k in matches}
+    left = [frame for k, frame in enumerate(samples.frames) if k not in dropped]
+    if not left:
+        name, other = next(iter(names.items()))
+        raise InputError(
+            f"All {len(names)} training frames are near-duplicates of validation or test frames: "
+            f"{name} is {other}. Give other data, or --duplicates keep."
+        )
+    return Samples(samples.task, left, samples.skipped), names
+
+
+def _hash_of(sequence: FrameSequence, index: int) -> Int8[np.ndarray, "k k"] | None:
+    try:
+        return image_hash(sequence.image("rgb", index))
+    except (InputError, OSError):
+        return None  # training reports it
+
+
+def _name(sequence: FrameSequence, index: int) -> str:
+    return f"{sequence.name}, frame {index}"
+
+
+def _positions(hashes: Hashes) -> Iterator[Hashes]:
+    """Yield the hashes of the eight orientations: original, mirrored and transposed."""
+    sign = np.where(np.arange(_FREQUENCIES) % 2 == 0, 1, -1).astype(np.int8)
+    for one in (hashes, hashes.transpose(0, 2, 1)):
+        yield one
+        yield one * sign
+        yield one * sign[:, None]
+        yield one * sign * sign[:, None]

@@ -1,4 +1,4 @@
-"""Training of a learner in a folder: checkpoints, progress, pictures, the best weights."""
+"""Training of a network in a folder: checkpoints, progress, pictures, the best weights."""
 
 from __future__ import annotations
 
@@ -6,111 +6,42 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import torch
+from torch import Tensor, nn
 
 from vrcaps.config.convert import to_plain
-from vrcaps.config.limits import Range, check_fields
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import atomic_write, write_csv
 from vrcaps.learn.checkpoint import TrainedNetwork, write_weights
-from vrcaps.learn.initialize import IMAGENET, initialized_network, origin
-from vrcaps.learn.networks import freeze_batch_norm, require_torch
-from vrcaps.learn.optimized import NetworkOptimizer
-from vrcaps.learn.registry import AnyTask
+from vrcaps.learn.evaluation import evaluate, write_pictures
+from vrcaps.learn.initialize import initialized_network, origin
+from vrcaps.learn.networks import freeze_batch_norm
 from vrcaps.learn.samples import Samples, batch_of
-from vrcaps.learn.task import Adversarial
-from vrcaps.learn.tasks.classification import ClassificationTask
-from vrcaps.learn.tasks.depth import DepthTask
-from vrcaps.learn.validation import validate, write_pictures
+from vrcaps.learn.settings import TrainSettings, current_training
+from vrcaps.learn.task import Batch, Sample
+from vrcaps.training.checkpoint import PROGRESS, Progress, restoring, run_training
+from vrcaps.training.compute import ComputeSettings, available_device, exact_torch
 from vrcaps.training.folder import begin_training
-from vrcaps.training.threads import exact_torch
 
-CHECKPOINT, PROGRESS = "checkpoint.pt", "progress.csv"
+if TYPE_CHECKING:
+    from torch.utils.tensorboard import SummaryWriter
+
+CHECKPOINT = "checkpoint.pt"
 WEIGHTS, BEST = "weights.safetensors", "best.safetensors"
 _PACKAGES = ("numpy", "pillow", "segmentation-models-pytorch", "timm", "torch")
 """Packages that a training's bytes depend on."""
 _WARM_UP = 0.05
 """Fraction of the steps in which the learning rate rises."""
-_ADVERSARIAL_MOMENTUM = 0.5
-"""First beta coefficient of AdamW in adversarial training (Radford, ICLR 2016)."""
-
-
-@dataclass(frozen=True)
-class TrainSettings:
-    """All settings that determine a training's result, besides the files of its data.
-
-    Attributes:
-        learner: The task and its settings.
-        data: Sources of the training data, as given on the command line.
-        validation: Validation data, likewise; empty holds out part of the training data.
-        start: `imagenet`, `scratch`, or a checkpoint to fine-tune: a file, or a published name.
-        steps: Number of training steps.
-        batch: Batch size, in frames.
-        rate: Maximum learning rate of AdamW, after a linear warm-up; cosine decay to zero.
-        weight_decay: Weight decay of AdamW.
-        fraction: Fraction of the training frames that is used, for learning curves.
-        evaluate_every: Steps between evaluations and checkpoints.
-        evaluation_frames: Maximum number of frames of an evaluation, evenly spaced.
-        freeze_batch_norm: Whether batch normalization keeps its initial statistics. Otherwise the
-            brightness of a small batch, and with it absolute depth, is partly normalized away. Use
-            it for fine-tuning, not when training from scratch.
-        seed: Random seed.
-    """
-
-    learner: AnyTask = field(default_factory=DepthTask)
-    data: tuple[str, ...] = ()
-    validation: tuple[str, ...] = ()
-    start: str = IMAGENET
-    steps: Annotated[int, Range(1)] = 20_000
-    batch: Annotated[int, Range(1)] = 8
-    rate: Annotated[float, Range(above=0.0)] = 5e-4
-    weight_decay: Annotated[float, Range(0.0)] = 1e-2
-    fraction: Annotated[float, Range(above=0.0, max=1.0)] = 1.0
-    evaluate_every: Annotated[int, Range(1)] = 500
-    evaluation_frames: Annotated[int, Range(1)] = 400
-    freeze_batch_norm: bool = False
-    seed: Annotated[int, Range(0)] = 0
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Progress of a training.
-
-    Attributes:
-        step: Number of completed steps.
-        total: Total number of steps.
-        rows: A row for each evaluation: mean loss since the previous one, and the metrics.
-        best: Best value of the learner's metric; None before the first evaluation.
-    """
-
-    step: int
-    total: int
-    rows: tuple[dict[str, float], ...] = ()
-    best: float | None = None
-
-
-@dataclass(frozen=True)
-class ComputeSettings:
-    """Compute settings: device and number of threads.
-
-    Attributes:
-        device: `cpu`, `cuda`, `mps`, or `auto` for the fastest available.
-        threads: PyTorch threads on a CPU; more than one is slower on a machine with other load.
-    """
-
-    device: str = "auto"
-    threads: Annotated[int, Range(1)] = 1
-
-    def __post_init__(self) -> None:
-        check_fields(self)
+_MAX_GRADIENT = 1.0
+"""Maximum norm of the gradients, by clipping."""
+_MOMENTUM, _ADVERSARIAL_MOMENTUM = 0.9, 0.5
+"""First beta coefficient of AdamW, and in adversarial training (Radford, ICLR 2016)."""
 
 
 def train(
@@ -119,12 +50,12 @@ def train(
     validation: Samples,
     out: Path,
     *,
-    machine: ComputeSettings | None = None,
+    compute: ComputeSettings | None = None,
     is_forced: bool = False,
     tensorboard: bool = False,
     report: Callable[[Progress], None] = lambda progress: None,
 ) -> Progress:
-    """Train a learner, or resume an interrupted training; bytes are reproducible on a CPU.
+    """Train a network, or resume an interrupted training; on a CPU to the same bytes.
 
     `out` then holds `best.safetensors` of the best evaluation, `weights.safetensors` of the last,
     `settings.json`, `progress.csv`, `pictures/`, and `checkpoint.pt` to resume from.
@@ -134,7 +65,7 @@ def train(
         samples: Training frames.
         validation: Validation frames, which select the best checkpoint.
         out: Folder: new, empty, or of the same training.
-        machine: Compute settings; by default the fastest available device.
+        compute: Compute settings; by default the fastest available device.
         is_forced: Resume even if vrcaps or a package has changed since the start of the training.
         tensorboard: Whether files for TensorBoard are written.
         report: Called after each step.
@@ -144,45 +75,18 @@ def train(
             checkpoint is kept.
         MissingExtraError: If a package is not installed.
     """
-    machine = machine or ComputeSettings()
-    device = chosen_device(machine.device)
+    compute = compute or ComputeSettings()
+    device = available_device(compute.device)
     plain = to_plain(settings, TrainSettings)
     plain["frames"] = [len(samples), len(validation)]
-    begin_training(out, plain, _PACKAGES, is_forced=is_forced)
+    begin_training(out, plain, _PACKAGES, is_forced=is_forced, update=current_training)
     samples = samples.subset(settings.fraction, settings.seed)
-    if isinstance(settings.learner, ClassificationTask):
-        settings.learner.require_classes(samples.frames)
-    # Some operations of the learners have no deterministic implementation on a GPU.
-    with exact_torch(machine.threads) if device == "cpu" else nullcontext():
+    settings.task.require(samples.frames)
+    # Some operations of the networks have no deterministic implementation on a GPU.
+    with exact_torch(compute.threads) if device == "cpu" else nullcontext():
         run = _Run(settings, samples, validation, out, device)
-        writer = _writer(out / "tensorboard") if tensorboard else None
-        report(run.progress)
-        while run.progress.step < settings.steps:
-            run.step()
-            if run.is_due():
-                run.evaluate(writer)
-            report(run.progress)
-    return run.progress
-
-
-def chosen_device(device: str) -> str:
-    """Resolve `auto` to a device, and check that a named one is available.
-
-    Raises:
-        InputError: If it is not available.
-        MissingExtraError: If PyTorch is not installed.
-    """
-    torch = require_torch()
-    there = ["cpu"]
-    if torch.cuda.is_available():
-        there.insert(0, "cuda")
-    if torch.backends.mps.is_available():
-        there.insert(0, "mps")
-    if device == "auto":
-        return there[0]
-    if device.split(":", maxsplit=1)[0] not in there:
-        raise InputError(f"The device is {device!r}. Here: {', '.join(sorted(there))}, auto.")
-    return device
+        run.log_to(_writer(out / "tensorboard") if tensorboard else None)
+        return run_training(run, report)
 
 
 class _Run:
@@ -196,156 +100,173 @@ class _Run:
         out: Path,
         device: str,
     ) -> None:
-        torch = require_torch()
         self.settings, self.samples, self.validation = settings, samples, validation
-        self.out, self.device, self.learner = out, device, settings.learner
+        self.out, self.device, self.task = out, device, settings.task
         torch.manual_seed(settings.seed)
         # The channels-last memory format reduces the time of convolutions to two thirds.
-        self.network = initialized_network(settings.learner, settings.start).to(
-            device, memory_format=torch.channels_last
+        self.network = initialized_network(self.task, settings.start).to(
+            device,
+            memory_format=torch.channels_last,  # pyright: ignore[reportCallIssue]
         )
         self._origin = origin(settings.start)
-        self.adversary = _adversary(settings, device)
-        self.learning = _optimized(settings, self.network, self.adversary)
+        discriminator = self.task.discriminator()
+        self.discriminator = None if discriminator is None else discriminator.to(device)
+        self.optimizers = self._make_optimizers()
         self.progress = Progress(0, settings.steps)
+        self._writer: SummaryWriter | None = None
         self._losses: list[float] = []
         self._began = time.perf_counter()
         self._read_checkpoint()
 
-    def step(self) -> None:
+    def log_to(self, writer: SummaryWriter | None) -> None:
+        """Write the metrics of evaluations to TensorBoard as well."""
+        self._writer = writer
+
+    def advance(self) -> None:
+        """Train on one batch, and evaluate if it is due."""
+        self._step()
+        done = self.progress.step
+        if done % self.settings.evaluate_every == 0 or done == self.settings.steps:
+            self._evaluate()
+
+    def _step(self) -> None:
         """Train on one batch."""
-        torch = require_torch()
-        number = self.progress.step
-        torch.manual_seed(int(rng.stream(self.settings.seed, "learn/step", number).integers(2**31)))
+        index = self.progress.step
+        torch.manual_seed(int(rng.stream(self.settings.seed, "learn/step", index).integers(2**31)))
         self.network.train()
         if self.settings.freeze_batch_norm:
             freeze_batch_norm(self.network)
-        batch = batch_of(self._samples_of(number), self.device)
+        batch = batch_of(self._samples_of(index), self.device)
         with torch.autocast(self.device.split(":")[0], torch.bfloat16, self.device != "cpu"):
             losses = self._losses_of(batch)
         value = losses[0].item()
         if not all(math.isfinite(loss.item()) for loss in losses):
             raise InputError(
-                f"The loss is {value} at step {number}. {self.out / BEST} and the last "
-                "checkpoint are kept. Try a smaller --set rate."
+                f"The loss is {value} at step {index}. {self.out / BEST} and the last checkpoint "
+                "are kept. Try a smaller --set learning_rate."
             )
-        for part, loss in zip(self.learning, losses, strict=True):
-            part.learn(loss, self._rate(number))
+        for optimizer, loss in zip(self.optimizers, losses, strict=True):
+            optimizer.step(loss, self._learning_rate(index))
         self._losses.append(value)
-        self.progress = Progress(
-            number + 1, self.settings.steps, self.progress.rows, self.progress.best
-        )
+        self.progress = replace(self.progress, step=index + 1)
 
-    def _losses_of(self, batch: Any) -> list[Any]:
+    def _losses_of(self, batch: Batch) -> list[Tensor]:
         """Loss of each trained network."""
-        if self.adversary is None or not isinstance(self.learner, Adversarial):
-            return [self.learner.loss(self.network, batch)["loss"]]
-        both = self.learner.losses(self.network, self.adversary, batch)
+        if self.discriminator is None:
+            return [self.task.loss(self.network, batch)["loss"]]
+        both = self.task.adversarial_losses(self.network, self.discriminator, batch)
         return [terms["loss"] for terms in both]
 
-    def is_due(self) -> bool:
-        """Return whether an evaluation is due."""
-        done = self.progress.step
-        return done % self.settings.evaluate_every == 0 or done == self.settings.steps
-
-    def evaluate(self, writer: Any) -> None:
+    def _evaluate(self) -> None:
         """Evaluate, keep the best weights, and write the checkpoint."""
-        trained = TrainedNetwork(self.learner, self.network.eval(), {}, self.device, threads=None)
-        found = validate(trained, self.validation, self.settings.evaluation_frames)
-        value, progress = found.scores[self.learner.figure.name], self.progress
+        trained = TrainedNetwork(self.task, self.network.eval(), {}, self.device, threads=None)
+        result = evaluate(trained, self.validation, self.settings.evaluation_frames)
+        progress = self.progress
         row = {
             "step": float(progress.step),
             "training_loss": float(np.mean(self._losses)),
-            **found.scores,
+            **result.metrics,
             "skipped": float(len(self.samples.skipped) + len(self.validation.skipped)),
             "seconds": time.perf_counter() - self._began,
         }
-        best = progress.best
-        about = {"steps": progress.step, "scores": dict(found.scores)}
+        value, best = result.metrics[self.task.metric.name], progress.best
+        about = {"steps": progress.step, "scores": dict(result.metrics)}
         about |= {"data": list(self.settings.data), "origin": self._origin}
-        if best is None or self.learner.figure.is_better(value, best):
+        if best is None or self.task.metric.is_better(value, best):
             best = value
-            write_weights(self.out / BEST, self.learner, self.network, about)
+            write_weights(self.out / BEST, self.task, self.network, about)
         if progress.step == progress.total:
-            write_weights(self.out / WEIGHTS, self.learner, self.network, about)
+            write_weights(self.out / WEIGHTS, self.task, self.network, about)
         picture = self.out / "pictures" / f"step-{progress.step:07d}.png"
-        shown = write_pictures(picture, self.learner, found)
-        self.progress = Progress(progress.step, progress.total, (*progress.rows, row), best)
+        pixels = write_pictures(picture, self.task, result)
+        self.progress = replace(progress, rows=(*progress.rows, row), best=best)
         self._losses, self._began = [], time.perf_counter()
         self._write_checkpoint()
-        if writer is not None:
+        if self._writer is not None:
             for name, number in row.items():
-                writer.add_scalar(f"evaluation/{name}", number, progress.step)
-            writer.add_image("pictures", shown, progress.step, dataformats="HWC")
-            writer.flush()
+                self._writer.add_scalar(f"evaluation/{name}", number, progress.step)
+            self._writer.add_image("pictures", pixels, progress.step, dataformats="HWC")
+            self._writer.flush()
 
-    def _samples_of(self, number: int) -> list[Any]:
+    def _samples_of(self, index: int) -> list[Sample]:
         """Augmented samples of a batch; the same for the same index."""
         count, size = len(self.samples), self.settings.batch
-        places = np.arange(number * size, (number + 1) * size)
+        positions = np.arange(index * size, (index + 1) * size)
         orders = {
             epoch: rng.stream(self.settings.seed, "learn/order", int(epoch)).permutation(count)
-            for epoch in np.unique(places // count)
+            for epoch in np.unique(positions // count)
         }
-        chance = rng.stream(self.settings.seed, "learn/augment", number)
+        draw = rng.stream(self.settings.seed, "learn/augment", index)
         return [
-            self.learner.augmented(self.samples.next(int(orders[p // count][p % count])), chance)
-            for p in places
+            self.task.augment(self.samples.next(int(orders[p // count][p % count])), draw)
+            for p in positions
         ]
 
-    def _rate(self, number: int) -> float:
-        done = number / self.settings.steps
-        warm = min(1.0, (number + 1) / max(1.0, _WARM_UP * self.settings.steps))
-        return self.settings.rate * warm * 0.5 * (1.0 + math.cos(math.pi * done))
+    def _learning_rate(self, index: int) -> float:
+        done = index / self.settings.steps
+        warm = min(1.0, (index + 1) / max(1.0, _WARM_UP * self.settings.steps))
+        return self.settings.learning_rate * warm * 0.5 * (1.0 + math.cos(math.pi * done))
+
+    def _make_optimizers(self) -> list[_NetworkOptimizer]:
+        decay = self.settings.weight_decay
+        if self.discriminator is None:
+            return [_NetworkOptimizer(self.network, decay, _MOMENTUM)]
+        both = (self.network, self.discriminator)
+        return [_NetworkOptimizer(one, decay, _ADVERSARIAL_MOMENTUM) for one in both]
 
     def _write_checkpoint(self) -> None:
-        torch = require_torch()
         write_csv(self.out / PROGRESS, self.progress.rows)
-        network, *others = (part.state() for part in self.learning)
+        network, *others = (one.state() for one in self.optimizers)
         state = {
             **network,
-            "adversaries": others,
+            "discriminators": others,
             "progress": {**asdict(self.progress), "rows": list(self.progress.rows)},
         }
         with atomic_write(self.out / CHECKPOINT) as temporary:
             torch.save(state, temporary)
 
     def _read_checkpoint(self) -> None:
-        torch, path = require_torch(), self.out / CHECKPOINT
+        path = self.out / CHECKPOINT
         if not path.is_file():
             return
-        try:
+        with restoring(path):
             state = torch.load(path, map_location=self.device, weights_only=True)
-            known = [state, *state.get("adversaries", [])]
-            for part, one in zip(self.learning, known, strict=True):
-                part.load(one)
-            found = state["progress"]
-            self.progress = Progress(**{**found, "rows": tuple(found["rows"])})
-        except Exception as error:  # errors of a damaged pickle have no common base
-            reason = str(error).splitlines()[0]
-            raise InputError(f"{path} is damaged ({reason}). Give a new folder.") from error
+            others = state.get("discriminators", state.get("adversaries", []))  # former name
+            for optimizer, one in zip(self.optimizers, [state, *others], strict=True):
+                optimizer.load(one)
+            progress = state["progress"]
+            self.progress = Progress(**{**progress, "rows": tuple(progress["rows"])})
 
 
-def _adversary(settings: TrainSettings, device: str) -> Any | None:
-    """Discriminator of the learner; None for most learners."""
-    found = settings.learner.adversary() if isinstance(settings.learner, Adversarial) else None
-    return None if found is None else found.to(device)
+class _NetworkOptimizer:
+    """A network that AdamW optimizes."""
+
+    def __init__(self, network: nn.Module, weight_decay: float, momentum: float) -> None:
+        self.network = network
+        self.optimizer = torch.optim.AdamW(
+            network.parameters(), betas=(momentum, 0.999), weight_decay=weight_decay
+        )
+
+    def step(self, loss: Tensor, learning_rate: float) -> None:
+        """Take one gradient step on a loss."""
+        for group in self.optimizer.param_groups:
+            group["lr"] = learning_rate
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        nn.utils.clip_grad_norm_(self.network.parameters(), _MAX_GRADIENT)
+        self.optimizer.step()
+
+    def state(self) -> dict[str, Any]:
+        """State for a checkpoint."""
+        return {"network": self.network.state_dict(), "optimizer": self.optimizer.state_dict()}
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Restore a state."""
+        self.network.load_state_dict(state["network"])
+        self.optimizer.load_state_dict(state["optimizer"])
 
 
-def _optimized(
-    settings: TrainSettings, network: Any, adversary: Any | None
-) -> list[NetworkOptimizer]:
-    """The networks to train, each with its optimizer."""
-    decay = settings.weight_decay
-    if adversary is None:
-        return [NetworkOptimizer(network, weight_decay=decay)]
-    return [
-        NetworkOptimizer(one, weight_decay=decay, momentum=_ADVERSARIAL_MOMENTUM)
-        for one in (network, adversary)
-    ]
-
-
-def _writer(folder: Path) -> Any:
+def _writer(folder: Path) -> SummaryWriter:
     from torch.utils.tensorboard import SummaryWriter
 
     return SummaryWriter(str(folder))

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.policy.registry import BASELINES
 
 if TYPE_CHECKING:
     import numpy as np
@@ -17,6 +16,14 @@ if TYPE_CHECKING:
     from vrcaps.env.settings import EnvSettings
     from vrcaps.env.vector_env import CapsuleVectorEnv
 
+BASELINES = {
+    "random": "vrcaps.policy.baselines:RandomPolicy",
+    "centerline": "vrcaps.policy.baselines:CenterlinePolicy",
+    "look-around": "vrcaps.policy.baselines:LookAroundPolicy",
+    "next-best-view": "vrcaps.policy.next_best_view:NextBestViewPolicy",
+    "navigator": "vrcaps.policy.navigator:NavigatorPolicy",
+}
+"""Import path of each baseline by its name."""
 _NO_POLICY = (
     "is no policy. Allowed: a class with `requires`, `reset` and `act`, see "
     "vrcaps.policy.policy.Policy."

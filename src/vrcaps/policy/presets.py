@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, is_dataclass, replace
-from typing import Any, cast, get_args, get_type_hints
+from dataclasses import replace
 
-from vrcaps.config.convert import from_plain
-from vrcaps.core.errors import UnknownNameError
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.observations.landmarks import LandmarksObservation
 from vrcaps.env.observations.state import StateObservation
@@ -79,49 +76,6 @@ def ci() -> TrainingSettings:
 
 PRESETS = {"default": default, "paper": paper, "ci": ci}
 """Presets of the task `coverage` by name."""
-
-
-def changed_settings(settings: Any, path: str, value: Any) -> Any:
-    """Return settings with one value changed.
-
-    Example:
-        >>> changed_settings(default(), "env.actuation", "magnet")
-        >>> changed_settings(default(), "learner.epochs", 4)
-
-    Args:
-        settings: A dataclass.
-        path: Dotted path of field names, relative to `settings`.
-        value: A plain value; a part or a list of parts may be given by kind.
-
-    Raises:
-        UnknownNameError: If there is no such field.
-        InputError: If the value is not allowed.
-    """
-    name, _, rest = path.partition(".")
-    known = [f.name for f in fields(settings)] if is_dataclass(settings) else []
-    if name not in known:
-        raise UnknownNameError("setting", name, known)
-    if rest:
-        new = changed_settings(getattr(settings, name), rest, value)
-    else:
-        new = _from_plain(get_type_hints(type(settings))[name], value, name)
-    return replace(cast(Any, settings), **{name: new})
-
-
-def _from_plain(declared: Any, value: Any, at: str) -> Any:
-    """Convert a plain value to a type; parts may be given by kind."""
-    kinds = {cls.kind: cls for cls in _members(declared) if hasattr(cls, "kind")}
-    if isinstance(value, str) and kinds and str not in _members(declared):
-        if value not in kinds:
-            raise UnknownNameError(at, value, kinds)
-        return kinds[value]()
-    if isinstance(value, list) and get_args(declared):
-        return tuple(_from_plain(get_args(declared)[0], item, at) for item in value)
-    return from_plain(declared, value, at=at)
-
-
-def _members(declared: Any) -> tuple[Any, ...]:
-    return get_args(declared) or (declared,)
 
 
 def _stomachs(count: int) -> tuple[OrganGenerated, ...]:

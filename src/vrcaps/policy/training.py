@@ -6,7 +6,7 @@ import hashlib
 import json
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
@@ -15,23 +15,25 @@ import numpy as np
 
 from vrcaps.config.convert import to_plain
 from vrcaps.config.limits import Range, check_fields
+from vrcaps.core import rng
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import file_sha256, read_arrays, write_arrays, write_csv
 from vrcaps.env.organs import check_names
 from vrcaps.env.settings import EnvSettings
+from vrcaps.env.vector_env import CapsuleVectorEnv
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.policy.mlp_policy import write_mlp_policy
+from vrcaps.policy.mlp_policy import read_mlp_policy, write_mlp_policy
 from vrcaps.policy.ppo import Ppo, PpoSettings, require_learner
-from vrcaps.policy.score import Score
-from vrcaps.policy.warm_start import CHECKPOINT, start_file, warm_start
 from vrcaps.scenario.scenario import OrganFile, OrganGenerated
+from vrcaps.training.checkpoint import PROGRESS, Progress, restoring, run_training
+from vrcaps.training.compute import exact_torch
 from vrcaps.training.folder import begin_training
-from vrcaps.training.threads import exact_torch
 
 if TYPE_CHECKING:
     from vrcaps.policy.mlp_policy import MlpPolicy
+    from vrcaps.policy.policy import Policy
 
-PROGRESS = "progress.csv"
+CHECKPOINT = "checkpoint.npz"
 POLICY, BEST = "policy.npz", "best.npz"
 _PACKAGES = ("gymnasium", "numpy", "scipy", "stable-baselines3", "torch")
 """Packages that a training's bytes depend on."""
@@ -55,23 +57,6 @@ class TrainingSettings:
         check_fields(self)
 
 
-@dataclass(frozen=True)
-class Progress:
-    """Progress of a training.
-
-    Attributes:
-        num_rounds: Number of completed rounds.
-        total: Total number of rounds.
-        rows: Statistics of each round.
-        best: Maximum score of an evaluation; None before the first.
-    """
-
-    num_rounds: int
-    total: int
-    rows: tuple[dict[str, float], ...] = ()
-    best: float | None = None
-
-
 def train(
     settings: TrainingSettings,
     out: Path,
@@ -84,7 +69,7 @@ def train(
 ) -> Progress:
     """Train a policy, or resume an interrupted training byte for byte.
 
-    A completed training continues if `num_actions` has grown since; an annealed learning rate then
+    A completed training continues if `num_actions` has increased; an annealed learning rate then
     decreases until the new end. `out` then holds `policy.npz`, the last policy, `best.npz`, the one
     with the best evaluation, `settings.json`, `progress.csv` with a row for each round, and
     `checkpoint.npz` to resume from.
@@ -124,50 +109,44 @@ def train(
             begin()
         if tensorboard is not None:
             learner.log_to(tensorboard)
-        progress = _run(settings, out, learner, report)
+        progress = run_training(_Run(settings, out, learner), report)
         learner.close()
     return progress
 
 
-def _run(
-    settings: TrainingSettings, out: Path, learner: Ppo, report: Callable[[Progress], None]
-) -> Progress:
-    """Run all rounds from the last checkpoint on."""
-    score = Score(settings.env, settings.learner.evaluation_episodes, settings.seed)
-    progress = _read_checkpoint(out, learner)
-    report(progress)
-    while progress.num_rounds < progress.total:
-        progress = _round(settings, out, learner, score, progress)
-        _write_checkpoint(out, learner, progress)
-        report(progress)
-    return progress
+class _Run:
+    """Policy in training, and its progress."""
 
+    def __init__(self, settings: TrainingSettings, out: Path, learner: Ppo) -> None:
+        self.settings, self.out, self.learner = settings, out, learner
+        self.score = Score(settings.env, settings.learner.evaluation_episodes, settings.seed)
+        self.progress = _read_checkpoint(out, learner)
 
-def _round(
-    settings: TrainingSettings, out: Path, learner: Ppo, score: Score, progress: Progress
-) -> Progress:
-    """Run one round, and the evaluation that is due after it."""
-    number, began = progress.num_rounds, time.perf_counter()
-    row = {"round": number + 1.0, "actions": (number + 1.0) * learner.actions_per_round}
-    row |= learner.run_round(number)
-    policy, best, every = learner.policy(), progress.best, settings.learner.evaluate_every
-    is_last = number + 1 == progress.total
-    if every and ((number + 1) % every == 0 or is_last):
-        found = score(policy)
-        row |= {f"evaluation_{name}": value for name, value in found.items()}
-        if best is None or found["reward"] > best:
-            best = found["reward"]
-            _write_policy(out / BEST, policy, settings, number + 1)
-    if is_last:
-        _write_policy(out / POLICY, policy, settings, number + 1)
-        if not every:
-            _write_policy(out / BEST, policy, settings, number + 1)
-    row["seconds"] = time.perf_counter() - began
-    return Progress(number + 1, progress.total, (*progress.rows, row), best)
+    def advance(self) -> None:
+        """Run one round, the evaluation that is due after it, and write the checkpoint."""
+        settings, learner, progress = self.settings, self.learner, self.progress
+        index, began = progress.step, time.perf_counter()
+        done = index + 1
+        row = {"round": float(done), "actions": float(done) * learner.actions_per_round}
+        row |= learner.run_round(index)
+        policy, best, every = learner.policy(), progress.best, settings.learner.evaluate_every
+        is_last = done == progress.total
+        if every and (done % every == 0 or is_last):
+            scores = self.score(policy)
+            row |= {f"evaluation_{name}": value for name, value in scores.items()}
+            if best is None or scores["reward"] > best:
+                best = scores["reward"]
+                self._write_policy(BEST, policy, done)
+        if is_last:
+            self._write_policy(POLICY, policy, done)
+            if not every:
+                self._write_policy(BEST, policy, done)
+        row["seconds"] = time.perf_counter() - began
+        self.progress = replace(progress, step=done, rows=(*progress.rows, row), best=best)
+        _write_checkpoint(self.out, learner, self.progress)
 
-
-def _write_policy(path: Path, policy: MlpPolicy, settings: TrainingSettings, done: int) -> None:
-    write_mlp_policy(path, policy, {"rounds": done, "seed": settings.seed})
+    def _write_policy(self, name: str, policy: MlpPolicy, done: int) -> None:
+        write_mlp_policy(self.out / name, policy, {"rounds": done, "seed": self.settings.seed})
 
 
 def plain_settings(settings: TrainingSettings) -> dict[str, Any]:
@@ -198,19 +177,119 @@ def _read_checkpoint(out: Path, learner: Ppo) -> Progress:
     path = out / CHECKPOINT
     if not path.is_file():
         return Progress(0, learner.num_rounds)
-    try:
+    with restoring(path):
         arrays = read_arrays(path)
         stated = json.loads(str(arrays.pop("progress")))
         learner.load(arrays)
-        return Progress(
-            stated["num_rounds"], learner.num_rounds, tuple(stated["rows"]), stated["best"]
-        )
-    except Exception as error:  # errors of PyTorch for damaged states have no common base
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"{path} is damaged ({reason}). Give a new folder.") from error
+        rows, best = tuple(stated["rows"]), stated["best"]
+        return Progress(stated["num_rounds"], learner.num_rounds, rows, best)
 
 
 def _write_checkpoint(out: Path, learner: Ppo, progress: Progress) -> None:
-    stated = {"num_rounds": progress.num_rounds, "rows": progress.rows, "best": progress.best}
-    write_csv(out / PROGRESS, progress.rows)  # first, so that the checkpoint completes the state
+    stated = {"num_rounds": progress.step, "rows": progress.rows, "best": progress.best}
+    write_csv(out / PROGRESS, progress.rows)
     write_arrays(out / CHECKPOINT, {**learner.state(), "progress": np.array(json.dumps(stated))})
+
+
+def start_file(start: Path) -> Path:
+    """Resolve a start to a file: the checkpoint of a training's folder, or a policy's file.
+
+    Raises:
+        InputError: If there is none.
+    """
+    path = start / CHECKPOINT if start.is_dir() else start
+    if not path.is_file():
+        raise InputError(
+            f"{start} contains no {CHECKPOINT}. Give the folder of a training, or a policy's file."
+        )
+    return path
+
+
+def warm_start(learner: Ppo, path: Path) -> None:
+    """Initialize a learner from a checkpoint or a policy's file.
+
+    A checkpoint holds the policy, its value function, Adam's moments and the normalizer; the file
+    of a policy holds the policy and the normalizer.
+
+    Args:
+        learner: Untrained learner.
+        path: File from `start_file`.
+
+    Raises:
+        InputError: If the file is damaged, or of other observations, actions or layers.
+    """
+    try:
+        if path.name == CHECKPOINT:
+            arrays = read_arrays(path)
+            arrays.pop("progress")
+            learner.load(arrays)
+        else:
+            _load_policy(learner, path)
+    except (OSError, ValueError, LookupError, RuntimeError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(
+            f"Cannot start from {path}: {str(error).splitlines()[0]} Allowed: a training of the "
+            "same observations, actions and layers."
+        ) from error
+
+
+def _load_policy(learner: Ppo, path: Path) -> None:
+    import torch
+
+    policy, net = read_mlp_policy(path), learner.model.policy
+    chain: list[Any] = [*net.mlp_extractor.policy_net, net.action_net]  # type: ignore[attr-defined]
+    layers = [module for module in chain if hasattr(module, "weight")]
+    given = [weight.shape for weight, _ in policy.layers]
+    own = [tuple(module.weight.shape) for module in layers]
+    if given != own:
+        raise InputError(f"{path} has layers of {given}. Allowed: {own}, as the settings have.")
+    with torch.no_grad():
+        for module, (weight, bias) in zip(layers, policy.layers, strict=True):
+            module.weight.copy_(torch.from_numpy(weight))
+            module.bias.copy_(torch.from_numpy(bias))
+    if learner.settings.is_normalized:
+        spread: Any = learner.envs.obs_rms
+        spread.mean, spread.var = policy.normalizer.mean.copy(), policy.normalizer.variance.copy()
+        spread.count = float(learner.actions_per_round)  # as if one round had been seen
+
+
+class Score:
+    """Mean metrics of any policy over the same episodes."""
+
+    def __init__(self, settings: EnvSettings, num_episodes: int, seed: int) -> None:
+        """Create the environment; worlds are created on the first call.
+
+        Args:
+            settings: Settings of the environment.
+            num_episodes: Number of episodes.
+            seed: Seed of the episodes; training uses none of them.
+        """
+        draw = rng.stream(seed, "policy/score")
+        self._envs = CapsuleVectorEnv(settings, num_episodes)
+        self._seeds = draw.integers(2**31, size=num_episodes).tolist()
+
+    def __call__(self, policy: Policy) -> dict[str, float]:
+        """Return the mean sum of rewards, and the mean of each metric at the end."""
+        count = self._envs.num_envs
+        observations, infos = self._envs.reset(seed=self._seeds)
+        policy.reset(np.arange(count), self._seeds)
+        total, is_over = np.zeros(count), np.zeros(count, bool)
+        last = {name: infos[name].copy() for name in _numbers(infos)}
+        while not is_over.all():
+            actions = policy.act(observations, self._envs)
+            observations, rewards, terminated, truncated, infos = self._envs.step(actions)
+            total += np.where(is_over, 0.0, rewards)
+            for name, values in last.items():
+                values[~is_over] = infos[name][~is_over]
+            is_over |= terminated | truncated
+        return {"reward": float(total.mean()), **{k: float(v.mean()) for k, v in last.items()}}
+
+    def close(self) -> None:
+        """Close the worlds."""
+        self._envs.close()
+
+
+def _numbers(infos: dict) -> list[str]:
+    """Names of the numeric and boolean metrics."""
+    return [k for k, v in infos.items() if not k.startswith("_") and v.dtype.kind in "fb"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ def begin_training(
     *,
     is_forced: bool = False,
     growing: tuple[str, ...] = (),
+    update: Callable[[Any], Any] = lambda plain: plain,
 ) -> None:
     """Create the folder of a training, or check that it belongs to the same one.
 
@@ -31,6 +33,7 @@ def begin_training(
         packages: Packages that the result's bytes depend on.
         is_forced: Resume even if vrcaps or a package has changed since the start of the training.
         growing: Dotted paths of settings that may have grown; the new values are written.
+        update: Replaces former names in the settings of an older version.
 
     Raises:
         InputError: If the folder holds something else, or a training of other settings or versions.
@@ -39,30 +42,30 @@ def begin_training(
     made_with = {"vrcaps": __version__, "core": core_sha256(), **versions(packages)}
     if not path.is_file():
         if not is_new_folder(out):
-            raise InputError(f"{out} holds no training. Give a new or empty folder.")
+            raise InputError(f"{out} contains no training. Give a new or empty folder.")
         out.mkdir(parents=True, exist_ok=True)
         write_json(path, {"made_with": made_with, "settings": plain})
         return
     try:
-        found = decode_json(path.read_bytes(), path)
-        before, versions_before = found["settings"], found["made_with"]
+        stored = decode_json(path.read_bytes(), path)
+        before, versions_before = update(stored["settings"]), stored["made_with"]
     except (InputError, LookupError, TypeError) as error:
         raise InputError(f"{path} is damaged. Give a new folder.") from error
     grown = _with_grown(before, plain, growing)
     changed = _differences(grown, plain)
     if changed:
         raise InputError(
-            f"{out} holds a training with other settings: {', '.join(changed[:5])}. Give a new "
-            "folder, or the settings that it was begun with."
+            f"{out} contains a training with other settings: {', '.join(changed[:5])}. Give a new "
+            "folder, or its original settings."
         )
     newer = _differences(versions_before, made_with)
     if newer and not is_forced:
         raise InputError(
-            f"{out} was begun with other versions: {', '.join(newer)}. Its result would not be the "
-            "same. Give a new folder, or --force to go on."
+            f"{out} contains a training of other versions: {', '.join(newer)}. Its result would "
+            "not be the same. Give a new folder, or --force to resume."
         )
     if grown != before:
-        write_json(path, {**found, "settings": plain})
+        write_json(path, {**stored, "settings": plain})
 
 
 def _with_grown(before: Any, now: Any, growing: tuple[str, ...]) -> Any:
@@ -89,7 +92,7 @@ def _differences(before: Any, now: Any, at: str = "") -> list[str]:
             for key in keys
             for line in _differences(before.get(key), now.get(key), f"{at}.{key}".strip("."))
         ]
-    if before is None and now == []:  # a list that an older version did not know
+    if before is None and now == []:  # a list that an older version lacked
         return []
     return [] if before == now else [f"{at} was {_short(before)}, now {_short(now)}"]
 

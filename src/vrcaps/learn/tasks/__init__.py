@@ -1,1 +1,1 @@
-"""Tasks: one module each."""
+"""Tasks on images: depth, segmentation, classification, super-resolution and motion."""

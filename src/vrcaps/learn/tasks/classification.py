@@ -4,27 +4,19 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
 
 import numpy as np
+from torch import Tensor, nn
 
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError, require
+from vrcaps.learn.augment import Augmentation, random_flip
 from vrcaps.learn.letterbox import Letterbox
-from vrcaps.learn.networks import ENCODER, classifier, require_torch
-from vrcaps.learn.overlays import Overlay, tissue_mask
-from vrcaps.learn.task import (
-    MAX_CLASSES,
-    MAX_SIZE,
-    Batch,
-    Metric,
-    Sample,
-    mirrored,
-    outputs_of,
-    recolored,
-    zoomed,
-)
+from vrcaps.learn.networks import Backbone, classifier
+from vrcaps.learn.picture_border import Overlay, tissue_mask
+from vrcaps.learn.task import MAX_CLASSES, BackboneTask, Batch, Losses, Metric, Presets, Sample
 from vrcaps.metrics.classification import accuracy, confusion_matrix, f1_scores, matthews, roc_auc
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.recording.shown_lesion import NORMAL, shown_lesion
@@ -33,10 +25,12 @@ if TYPE_CHECKING:
     from jaxtyping import UInt8
     from numpy.typing import NDArray
 
+    from vrcaps.camera.camera import Camera
+
 
 @dataclass(frozen=True)
-class ClassificationTask:
-    """Classification of images.
+class ClassificationTask(BackboneTask):
+    """Image classification: normal or lesion type.
 
     The label of an image in a folder of classes is the name of its folder. The label of a recorded
     frame is the kind of the lesion with the largest area, if it covers at least `min_fraction` of
@@ -44,40 +38,46 @@ class ClassificationTask:
     label outside `classes`, are excluded.
 
     In many real datasets, black corners, inserts and text correlate with the class. Therefore the
-    same regions of every image are blackened in training and prediction: those of `hides`.
+    same regions of every image are blackened in training and prediction: those of
+    `mask_overlays`.
 
     Attributes:
         classes: Names of the classes, at least two.
-        size: Side of the network's input images [px]; maps need a multiple of 32.
-        encoder: Name of a timm model, such as resnet152.
-        hides: Hidden regions: `corners` (everything outside an ellipse), `insert` (the lower left
-            part), `text` (the left part). Capsules have corners only.
+        backbone: Input size and encoder of the network.
+        mask_overlays: Hidden regions: `corners` (everything outside an ellipse), `insert` (the
+            lower left part), `text` (the left part). Capsules have corners only.
         min_fraction: Minimum fraction of a recorded frame that a lesion must cover to be its label.
         dropout: Fraction of features that are dropped in training.
-        brightness: Maximum random change of exposure, as a factor: 1.3 is ± 30 %.
-        tint: Maximum random change of each color channel, as a factor.
-        zoom: Minimum side of a random crop, relative to the image; 1 is the whole image.
+        augmentation: Random changes of training images.
     """
 
     classes: tuple[str, ...] = (NORMAL, "polyp", "ulcer")
-    size: Annotated[int, Range(32, MAX_SIZE)] = 192
-    encoder: str = ENCODER
-    hides: tuple[Overlay, ...] = ("corners", "insert")
+    backbone: Backbone = field(default_factory=Backbone)
+    mask_overlays: tuple[Overlay, ...] = ("corners", "insert")
     min_fraction: Annotated[float, Range(0.0, 1.0)] = 0.005
     dropout: Annotated[float, Range(0.0, below=1.0)] = 0.2
-    brightness: Annotated[float, Range(1.0, 10.0)] = 1.3
-    tint: Annotated[float, Range(1.0, 10.0)] = 1.25
-    zoom: Annotated[float, Range(above=0.0, max=1.0)] = 0.7
+    augmentation: Augmentation = field(default_factory=lambda: Augmentation(1.3, 1.25, 1.3, 0.7))
 
-    kind: ClassVar[str] = "classes"
-    input_names: ClassVar[tuple[str, ...]] = ("image",)
+    kind: ClassVar[str] = "classification"
     output_text: ClassVar[str] = "logit of each class [b c]"
-    figure: ClassVar[Metric] = Metric("f1", is_error=False)
+    presets: ClassVar[Presets] = {
+        **BackboneTask.presets,
+        # Incetan et al. 2021: ResNet-152 from scratch, 10 epochs of 8,714 images.
+        "paper": {
+            "task.backbone.encoder": "resnet152",
+            "task.backbone.size": 224,
+            "start": "scratch",
+            "steps": 2723,
+            "batch": 32,
+            "learning_rate": 1e-3,
+        },
+    }
+    metric: ClassVar[Metric] = Metric("f1", is_error=False)
 
     def __post_init__(self) -> None:
         check_fields(self)
         is_few = 1 < len(set(self.classes)) <= MAX_CLASSES
-        require(is_few, "classes of images", self.classes[:9], f"2 to {MAX_CLASSES} names")
+        require(is_few, "classes", self.classes[:9], f"2 to {MAX_CLASSES} names")
 
     def items(self, sequence: FrameSequence) -> Iterable[int]:
         """Return the frames that have one of the classes.
@@ -85,10 +85,10 @@ class ClassificationTask:
         Raises:
             InputError: If the frames have no labels.
         """
-        names = self.with_classes(sequence).values["class"]
+        names = self.prepare(sequence).values["class"]
         return [k for k, name in enumerate(names) if name in self.classes]
 
-    def with_classes(self, sequence: FrameSequence) -> FrameSequence:
+    def prepare(self, sequence: FrameSequence) -> FrameSequence:
         """Return the sequence with the labels among its values, so that they are read once.
 
         Raises:
@@ -99,7 +99,7 @@ class ClassificationTask:
         names = np.array([self._class_of(sequence, k) or "" for k in range(len(sequence))])
         return replace(sequence, values={**sequence.values, "class": names})
 
-    def require_classes(self, frames: Sequence[tuple[FrameSequence, int]]) -> None:
+    def require(self, frames: Sequence[tuple[FrameSequence, int]]) -> None:
         """Check that each class has a training frame.
 
         Raises:
@@ -108,10 +108,10 @@ class ClassificationTask:
         counts = Counter(self._class_of(*frame) for frame in frames)
         missing = [name for name in self.classes if not counts[name]]
         if missing:
-            there = [name for name in self.classes if counts[name]]
+            present = [name for name in self.classes if counts[name]]
             raise InputError(
-                f"There is no frame to learn the class {missing[0]!r} from; there are "
-                f"{', '.join(f'{counts[name]} {name}' for name in there)}. Give more data, or "
+                f"No training frame has the class {missing[0]!r}. Frames: "
+                f"{', '.join(f'{counts[name]} {name}' for name in present)}. Give more data, or "
                 "other --classes."
             )
 
@@ -119,9 +119,9 @@ class ClassificationTask:
         """Return the image and the index of its class."""
         image = sequence.image("rgb", index)
         name = self._class_of(sequence, index)
-        number = np.asarray(self.classes.index(str(name)))
-        fit = Letterbox(image.shape[0], image.shape[1], self.size)
-        return {**self.inputs(image, fit, None), "class": number}
+        label = np.asarray(self.classes.index(str(name)))
+        letterbox = Letterbox(image.shape[0], image.shape[1], self.input_size)
+        return {**self.inputs(image, letterbox, None), "class": label}
 
     def _class_of(self, sequence: FrameSequence, index: int) -> str | None:
         """Label of a frame; None if it is neither normal nor clearly a lesion."""
@@ -129,40 +129,45 @@ class ClassificationTask:
             return str(sequence.values["class"][index])
         if sequence.episode is None:
             raise InputError(
-                f"{sequence.name} has no classes. Give a folder with a folder for each class."
+                f"{sequence.name} has no classes. Give a folder with a subfolder for each class."
             )
         if "instance" not in sequence.channels:
             raise InputError(
-                f"Learning classes needs the channel 'instance', which {sequence.name} has not."
+                f"Training for classification requires the channel 'instance'. {sequence.name} has "
+                "none."
             )
         lesions = sequence.episode.head["organ"]["lesions"]
         instance = sequence.image("instance", index)
-        seen = np.where(tissue_mask(*instance.shape, self.hides), instance, 0)
+        seen = np.where(tissue_mask(*instance.shape, self.mask_overlays), instance, 0)
         return shown_lesion(seen, lesions, self.min_fraction)
 
-    def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Letterbox, camera: Any) -> Sample:
+    def inputs(
+        self, image: UInt8[np.ndarray, "h w 3"], letterbox: Letterbox, camera: Camera | None
+    ) -> Sample:
         """Return the image with overlays hidden; the camera is not used."""
-        square = fit.image(image)
-        square[fit.place] *= tissue_mask(*fit.shape, self.hides)[..., None]
+        square = letterbox.image(image)
+        mask = tissue_mask(*letterbox.shape, self.mask_overlays)
+        square[letterbox.region] *= mask[..., None]
         return {"image": square}
 
-    def augmented(self, sample: Sample, rng: np.random.Generator) -> Sample:
+    def augment(self, sample: Sample, rng: np.random.Generator) -> Sample:
         """Apply a random crop, flips, rotations by 90° and color jitter."""
-        sample = mirrored(zoomed(sample, rng, self.zoom), rng)
+        sample = random_flip(self.augmentation.crop(sample, rng), rng)
         image = np.rot90(sample["image"], int(rng.integers(4))).copy()
-        image = recolored(image, rng, exposure=self.brightness, tint=self.tint, gamma=1.3)
-        return sample | {"image": image}
+        return sample | {"image": self.augmentation.recolor(image, rng)}
 
-    def network(self, *, is_pretrained: bool) -> Any:
+    def network(self, *, is_pretrained: bool) -> nn.Module:
         """Create a network from batches to logits [b c]."""
-        return _network_class()(self.encoder, len(self.classes), is_pretrained, self.dropout)
+        return _ClassificationNetwork(
+            self.encoder, len(self.classes), is_pretrained=is_pretrained, dropout=self.dropout
+        )
 
-    def loss(self, network: Any, batch: Batch) -> dict[str, Any]:
+    def loss(self, network: nn.Module, batch: Batch) -> Losses:
         """Cross-entropy loss."""
-        torch, output = require_torch(), outputs_of(network, self, batch)
-        return {"loss": torch.nn.functional.cross_entropy(output, batch["class"].long())}
+        output = self.output(network, batch)
+        return {"loss": nn.functional.cross_entropy(output, batch["class"].long())}
 
-    def scores(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
+    def metrics(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
         """Mean F1 of the classes that occur, F1 of each, accuracy, Matthews coefficient and AUC."""
         logits = np.stack(list(outputs))
         truth = np.array([int(sample["class"]) for sample in samples])
@@ -170,8 +175,8 @@ class ClassificationTask:
         confusion = confusion_matrix(logits.argmax(axis=1), truth, count)
         each = f1_scores(confusion)
         occurs = np.bincount(truth, minlength=count) > 0
-        chances = class_probabilities(logits)
-        areas = [roc_auc(chances[:, k], truth == k) for k in np.flatnonzero(occurs)]
+        probabilities = class_probabilities(logits)
+        areas = [roc_auc(probabilities[:, k], truth == k) for k in np.flatnonzero(occurs)]
         return {
             "f1": float(each[occurs].mean()),
             **{f"f1_{name}": float(f1) for name, f1 in zip(self.classes, each, strict=True)},
@@ -191,15 +196,11 @@ class ClassificationTask:
         ImageDraw.Draw(shown).text((4, 4), text, fill=(255, 255, 255), stroke_width=1)
         return np.asarray(shown)
 
-    def files(self, output: NDArray, fit: Letterbox) -> Mapping[str, NDArray]:
-        """None."""
-        return {}
-
-    def row(self, output: NDArray) -> Mapping[str, Any]:
+    def row(self, output: NDArray) -> Mapping[str, object]:
         """The most probable class, and the probability of each class."""
-        chances = class_probabilities(output[None])[0]
-        each = {name: f"{p:.4f}" for name, p in zip(self.classes, chances, strict=True)}
-        return {"class": self.classes[int(chances.argmax())], **each}
+        probabilities = class_probabilities(output[None])[0]
+        each = {name: f"{p:.4f}" for name, p in zip(self.classes, probabilities, strict=True)}
+        return {"class": self.classes[int(probabilities.argmax())], **each}
 
 
 def class_probabilities(logits: NDArray) -> NDArray:
@@ -209,21 +210,17 @@ def class_probabilities(logits: NDArray) -> NDArray:
     return softmax(logits, axis=-1)
 
 
-def _network_class() -> Any:
-    torch = require_torch()
+class _ClassificationNetwork(nn.Module):
+    """Classifier of color images."""
 
-    class ClassNetwork(torch.nn.Module):
-        """Classifier of color images."""
+    def __init__(self, encoder: str, classes: int, *, is_pretrained: bool, dropout: float) -> None:
+        super().__init__()
+        self.net = classifier(encoder, classes, is_pretrained=is_pretrained, dropout=dropout)
+        # timm scales the last layer's weights by the number of classes: with few classes they
+        # are so large that hundreds of steps are spent on reducing them.
+        head: nn.Module = cast(Any, self.net).get_classifier()
+        for value in head.parameters():
+            nn.init.zeros_(value)
 
-        def __init__(self, encoder: str, classes: int, is_pretrained: bool, dropout: float) -> None:
-            super().__init__()
-            self.net = classifier(encoder, classes, is_pretrained=is_pretrained, dropout=dropout)
-            # timm scales the last layer's weights by the number of classes: with few classes they
-            # are so large that hundreds of steps are spent on reducing them.
-            for value in self.net.get_classifier().parameters():
-                torch.nn.init.zeros_(value)
-
-        def forward(self, image: Any) -> Any:
-            return self.net(2.0 * image - 1.0)
-
-    return ClassNetwork
+    def forward(self, image: Tensor) -> Tensor:
+        return self.net(2.0 * image - 1.0)

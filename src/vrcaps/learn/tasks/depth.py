@@ -13,28 +13,20 @@ The loss is on d = ln prediction − ln ground truth: its mean absolute value, i
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
+import torch
+from torch import Tensor, nn
 
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError
-from vrcaps.learn.letterbox import Letterbox, require_size
-from vrcaps.learn.networks import ENCODER, dense_network, require_torch
-from vrcaps.learn.picture_border import input_image, view_of
-from vrcaps.learn.task import (
-    MAX_SIZE,
-    MAX_WEIGHT,
-    Batch,
-    Metric,
-    Sample,
-    flip,
-    outputs_of,
-    recolored,
-    transposed,
-    zoomed,
-)
+from vrcaps.learn.augment import Augmentation, flip, transpose
+from vrcaps.learn.letterbox import Letterbox
+from vrcaps.learn.networks import Backbone, UNet
+from vrcaps.learn.picture_border import LENS_NEEDED, input_image, view_of
+from vrcaps.learn.task import MAX_WEIGHT, BackboneTask, Batch, Losses, Metric, Sample, total
 from vrcaps.metrics.depth import depth_errors, mean_depth_errors
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.render.channels import CHANNELS
@@ -48,49 +40,37 @@ if TYPE_CHECKING:
 MIDDLE = 0.03
 """Depth [m] at an output of 0."""
 
-LENS_NEEDED = (
-    "Depth needs the lens of the camera that took the images. Give --capsule NAME (a name of the "
-    "catalog such as colonoscope, or a device file), or --fov DEGREES for an assumed lens, such "
-    "as --fov 140."
-)
 _DARK = 0.004
 """Offset of the linear brightness in the light cue: one step of 8 bits."""
 _SCALES = 4
 
 
 @dataclass(frozen=True)
-class DepthTask:
-    """Depth z of every pixel [m].
+class DepthTask(BackboneTask):
+    """Metric depth z of every pixel [m].
 
     Attributes:
-        size: Side of the network's input images [px]; maps need a multiple of 32.
-        encoder: Name of a timm model, such as resnet152.
+        backbone: Input size and encoder of the network.
         has_light_cue: Whether the light cue is an input of the network.
         gradient_weight: Weight of the gradient loss.
-        brightness: Maximum random change of exposure, as a factor: 1.3 is ± 30 %.
-        tint: Maximum random change of each color channel, as a factor.
-        gamma: Maximum random exponent. With 1 for this and both above, colors are not changed; use
-            it for one camera with known exposure and light.
-        zoom: Minimum side of a random crop, relative to the frame; 1 is the whole frame.
+        augmentation: Random changes of training images. Disable the changes of color for one camera
+            with known exposure and light.
     """
 
-    size: Annotated[int, Range(32, MAX_SIZE)] = 192
-    encoder: str = ENCODER
+    backbone: Backbone = field(default_factory=Backbone)
     has_light_cue: bool = True
     gradient_weight: Annotated[float, Range(0.0, MAX_WEIGHT)] = 0.5
-    brightness: Annotated[float, Range(1.0, 10.0)] = 1.2
-    tint: Annotated[float, Range(1.0, 10.0)] = 1.2
-    gamma: Annotated[float, Range(1.0, 10.0)] = 1.15
-    zoom: Annotated[float, Range(above=0.0, max=1.0)] = 0.6
+    augmentation: Augmentation = field(default_factory=lambda: Augmentation(1.2, 1.2, 1.15, 0.6))
 
     kind: ClassVar[str] = "depth"
     input_names: ClassVar[tuple[str, ...]] = ("image", "ray")
     output_text: ClassVar[str] = "ln(depth z / 30 mm) of each pixel [b 1 s s]"
-    figure: ClassVar[Metric] = Metric("abs_rel", is_error=True)
+    metric: ClassVar[Metric] = Metric("abs_rel", is_error=True)
+    predicts_lengths: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         check_fields(self)
-        require_size(self.size)
+        self.backbone.require_stride()
 
     def items(self, sequence: FrameSequence) -> Iterable[int]:
         """Return all frames of a sequence with images, depth and a camera.
@@ -101,73 +81,55 @@ class DepthTask:
         missing = [name for name in ("rgb", "depth") if name not in sequence.channels]
         if missing or sequence.camera is None:
             what = f"the channel {missing[0]!r}" if missing else "a calibrated camera"
-            raise InputError(f"Learning depth needs {what}, which {sequence.name} has not.")
+            raise InputError(f"Training for depth requires {what}. {sequence.name} has none.")
         return range(len(sequence))
 
     def sample(self, sequence: FrameSequence, index: int) -> Sample:
         """Return the image without its black border, the rays, and the true depth or NaN."""
-        view = view_of(self.kind, sequence, input_image(self.kind, sequence, index))
-        fit = Letterbox(view.image.shape[0], view.image.shape[1], self.size)
-        depth = sequence.image("depth", index)[view.place]
-        truth = fit.nearest(np.where(view.is_insert, np.nan, depth), np.nan)
-        return {**self.inputs(view.image, fit, view.camera), "depth": truth}
+        image = input_image(sequence, index, predicts_lengths=True)
+        view = view_of(sequence, image, predicts_lengths=True)
+        letterbox = Letterbox(view.image.shape[0], view.image.shape[1], self.input_size)
+        depth = sequence.image("depth", index)[view.region]
+        truth = letterbox.nearest(np.where(view.is_insert, np.nan, depth), np.nan)
+        return {**self.inputs(view.image, letterbox, view.camera), "depth": truth}
 
     def inputs(
-        self, image: UInt8[np.ndarray, "h w 3"], fit: Letterbox, camera: Camera | None
+        self, image: UInt8[np.ndarray, "h w 3"], letterbox: Letterbox, camera: Camera | None
     ) -> Sample:
         """Return the image and unit rays, zero where the lens has none.
 
         Raises:
             InputError: If there is no camera.
         """
-        return image_and_rays(image, fit, camera)
+        return image_and_rays(image, letterbox, camera)
 
-    def augmented(self, sample: Sample, rng: np.random.Generator) -> Sample:
+    def augment(self, sample: Sample, rng: np.random.Generator) -> Sample:
         """Apply a random crop, flips and transposition, and color jitter to half of the samples.
 
         Brightness is a cue of distance. The loss is mainly absolute, so it is minimal at the
         median: as half of the images keep their colors, the prediction keeps their scale.
         """
-        sample = zoomed(sample, rng, self.zoom)
+        sample = self.augmentation.crop(sample, rng)
         for axis, component in ((1, 0), (0, 1)):
             if rng.random() < 0.5:
                 sample = flip(sample, axis)
                 sample["ray"][..., component] *= -1.0
         if rng.random() < 0.5:
-            sample = transposed(sample)
+            sample = transpose(sample)
             sample["ray"] = sample["ray"][..., [1, 0, 2]]
         if rng.random() < 0.5:
             return sample
-        image = recolored(
-            sample["image"], rng, exposure=self.brightness, tint=self.tint, gamma=self.gamma
-        )
-        return sample | {"image": image}
+        return sample | {"image": self.augmentation.recolor(sample["image"], rng)}
 
-    def network(self, *, is_pretrained: bool) -> Any:
+    def network(self, *, is_pretrained: bool) -> nn.Module:
         """Create a network from batches to ln(depth / 30 mm) [b 1 s s]."""
-        return _network_class()(self.encoder, self.has_light_cue, is_pretrained)
+        return _DepthNetwork(self.backbone, self.has_light_cue, is_pretrained=is_pretrained)
 
-    def loss(self, network: Any, batch: Batch) -> dict[str, Any]:
+    def loss(self, network: nn.Module, batch: Batch) -> Losses:
         """Loss terms over the pixels that have a true depth."""
-        return self.output_loss(outputs_of(network, self, batch), batch)
+        return depth_loss(self.output(network, batch), batch["depth"], self.gradient_weight)
 
-    def output_loss(self, output: Any, batch: Batch) -> dict[str, Any]:
-        """Loss terms of an output [b 1 s s]."""
-        torch = require_torch()
-        truth = batch["depth"]
-        valid = torch.isfinite(truth) & (truth > 0.0)
-        target = torch.log(torch.where(valid, truth, MIDDLE) / MIDDLE)
-        error = torch.where(valid, output[:, 0] - target, 0.0)
-        count = valid.sum(dim=(1, 2)).clamp(min=1)
-        mean = error.sum(dim=(1, 2)) / count
-        terms = {
-            "absolute": (error.abs().sum(dim=(1, 2)) / count).mean(),
-            "variance": ((error**2).sum(dim=(1, 2)) / count - mean**2).mean(),
-            "gradient": self.gradient_weight * _gradients(error, valid),
-        }
-        return {**terms, "loss": sum(terms.values())}
-
-    def scores(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
+    def metrics(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
         """Errors without alignment, and the relative error after scaling by the median."""
         plain, aligned = [], []
         for output, sample in zip(outputs, samples, strict=True):
@@ -183,17 +145,46 @@ class DepthTask:
         """Image, true depth and predicted depth on one color scale."""
         return depth_picture(depth_of(output), sample)
 
-    def files(self, output: NDArray, fit: Letterbox) -> Mapping[str, NDArray]:
+    def files(self, output: NDArray, letterbox: Letterbox) -> Mapping[str, NDArray]:
         """Depth in 16 bits, in steps of 10 µm as in an episode."""
-        return {".png": CHANNELS["depth"].encoding.encode(fit.back(depth_of(output)))}
+        return {".png": CHANNELS["depth"].encoding.encode(letterbox.back(depth_of(output)))}
 
-    def row(self, output: NDArray) -> Mapping[str, Any]:
-        """Return no columns."""
-        return {}
+
+class _DepthNetwork(UNet):
+    """U-Net on color, rays and the light cue."""
+
+    def __init__(self, backbone: Backbone, has_light_cue: bool, *, is_pretrained: bool) -> None:
+        super().__init__(backbone, 6 + has_light_cue, 1, is_pretrained=is_pretrained)
+        self.has_light_cue = has_light_cue
+
+    def forward(self, image: Tensor, *maps: Tensor) -> Tensor:
+        return super().forward(image, *maps, *([light_cue(image)] if self.has_light_cue else []))
+
+
+def depth_loss(output: Tensor, depth: Tensor, gradient_weight: float) -> Losses:
+    """Loss terms of an output [b 1 s s] over the pixels that have a true depth.
+
+    Args:
+        output: ln(depth / 30 mm).
+        depth: True depth [m] [b s s], NaN or 0 where it is not known.
+        gradient_weight: Weight of the gradient loss.
+    """
+    valid = torch.isfinite(depth) & (depth > 0.0)
+    target = torch.log(torch.where(valid, depth, MIDDLE) / MIDDLE)
+    error = torch.where(valid, output[:, 0] - target, 0.0)
+    count = valid.sum(dim=(1, 2)).clamp(min=1)
+    mean = error.sum(dim=(1, 2)) / count
+    return total(
+        {
+            "absolute": (error.abs().sum(dim=(1, 2)) / count).mean(),
+            "variance": ((error**2).sum(dim=(1, 2)) / count - mean**2).mean(),
+            "gradient": gradient_weight * _gradients(error, valid),
+        }
+    )
 
 
 def image_and_rays(
-    image: UInt8[np.ndarray, "h w 3"], fit: Letterbox, camera: Camera | None
+    image: UInt8[np.ndarray, "h w 3"], letterbox: Letterbox, camera: Camera | None
 ) -> Sample:
     """Image and unit rays in the square, zero where the lens has none.
 
@@ -202,8 +193,8 @@ def image_and_rays(
     """
     if camera is None:
         raise InputError(LENS_NEEDED)
-    rays = np.nan_to_num(camera.lens.unproject(fit.pixels.astype(float)))
-    return {"image": fit.image(image), "ray": fit.padded(rays.astype(np.float32), 0.0)}
+    rays = np.nan_to_num(camera.lens.unproject(letterbox.pixels.astype(float)))
+    return {"image": letterbox.image(image), "ray": letterbox.padded(rays.astype(np.float32), 0.0)}
 
 
 def depth_of(output: Float[np.ndarray, "1 s s"]) -> Float[np.ndarray, "s s"]:
@@ -222,39 +213,18 @@ def depth_picture(depth: Float[np.ndarray, "s s"], sample: Sample) -> UInt8[np.n
     return np.concatenate([sample["image"], *colored], axis=1)
 
 
-def light_cue(image: Any) -> Any:
+def light_cue(image: Tensor) -> Tensor:
     """−½ ln of linear brightness [b 1 s s], from color [b 3 s s] between 0 and 1."""
-    torch = require_torch()
     linear = torch.where(image <= 0.04045, image / 12.92, ((image + 0.055) / 1.055) ** 2.4)
     return -0.5 * torch.log(linear.mean(dim=1, keepdim=True) + _DARK)
 
 
-def _gradients(error: Any, valid: Any) -> Any:
+def _gradients(error: Tensor, valid: Tensor) -> Tensor:
     """Mean absolute difference between the errors of neighbors, over scales 1, 2, 4, 8."""
-    total = 0.0
+    result = torch.zeros((), device=error.device)
     for step in (2**k for k in range(_SCALES)):
         e, v = error[:, ::step, ::step], valid[:, ::step, ::step]
         across, down = v[:, :, 1:] & v[:, :, :-1], v[:, 1:] & v[:, :-1]
-        total = total + ((e[:, :, 1:] - e[:, :, :-1]).abs() * across).sum() / across.sum().clamp(1)
-        total = total + ((e[:, 1:] - e[:, :-1]).abs() * down).sum() / down.sum().clamp(1)
-    return total
-
-
-def _network_class() -> Any:
-    torch = require_torch()
-
-    class DepthNetwork(torch.nn.Module):
-        """U-Net on color, rays and the light cue."""
-
-        def __init__(self, encoder: str, has_light_cue: bool, is_pretrained: bool) -> None:
-            super().__init__()
-            self.has_light_cue = has_light_cue
-            self.net = dense_network(encoder, 6 + has_light_cue, 1, is_pretrained=is_pretrained)
-
-        def forward(self, image: Any, ray: Any) -> Any:
-            maps = [2.0 * image - 1.0, ray]
-            if self.has_light_cue:
-                maps.append(light_cue(image))
-            return self.net(torch.cat(maps, dim=1))
-
-    return DepthNetwork
+        for slope, known in ((e[:, :, 1:] - e[:, :, :-1], across), (e[:, 1:] - e[:, :-1], down)):
+            result = result + (slope.abs() * known).sum() / known.sum().clamp(1)
+    return result

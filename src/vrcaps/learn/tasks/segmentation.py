@@ -7,26 +7,18 @@ et al., Nature Methods 18, 2021, use this sum).
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
+import torch
+from torch import Tensor, nn
 
-from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError, require
-from vrcaps.learn.letterbox import Letterbox, require_size
-from vrcaps.learn.networks import ENCODER, dense_network, require_torch
-from vrcaps.learn.task import (
-    MAX_CLASSES,
-    MAX_SIZE,
-    Batch,
-    Metric,
-    Sample,
-    mirrored,
-    outputs_of,
-    recolored,
-    zoomed,
-)
+from vrcaps.learn.augment import Augmentation, random_flip, transpose
+from vrcaps.learn.letterbox import Letterbox
+from vrcaps.learn.networks import Backbone, UNet
+from vrcaps.learn.task import MAX_CLASSES, BackboneTask, Batch, Losses, Metric, Sample, total
 from vrcaps.lesion.library import LESIONS
 from vrcaps.metrics.masks import boundary_f_score, dice, iou
 from vrcaps.recording.frame_sequence import FrameSequence
@@ -44,36 +36,29 @@ _UNKNOWN = 2
 
 
 @dataclass(frozen=True)
-class SegmentationTask:
-    """Segmentation of lesions, with one mask per class; masks may overlap.
+class SegmentationTask(BackboneTask):
+    """Lesion segmentation, with one mask per class; masks may overlap.
 
     Attributes:
         classes: `lesion` for any lesion, kinds of lesions of a recording such as `polyp`, or names
             of labels.
-        size: Side of the network's input images [px]; maps need a multiple of 32.
-        encoder: Name of a timm model, such as resnet152.
-        brightness: Maximum random change of exposure, as a factor: 1.3 is ± 30 %.
-        tint: Maximum random change of each color channel, as a factor.
-        zoom: Minimum side of a random crop, relative to the image; 1 is the whole image.
+        backbone: Input size and encoder of the network.
+        augmentation: Random changes of training images.
     """
 
     classes: tuple[str, ...] = (LESION,)
-    size: Annotated[int, Range(32, MAX_SIZE)] = 192
-    encoder: str = ENCODER
-    brightness: Annotated[float, Range(1.0, 10.0)] = 1.3
-    tint: Annotated[float, Range(1.0, 10.0)] = 1.25
-    zoom: Annotated[float, Range(above=0.0, max=1.0)] = 0.6
+    backbone: Backbone = field(default_factory=Backbone)
+    augmentation: Augmentation = field(default_factory=lambda: Augmentation(1.3, 1.25, 1.3, 0.6))
 
-    kind: ClassVar[str] = "masks"
-    input_names: ClassVar[tuple[str, ...]] = ("image",)
+    kind: ClassVar[str] = "segmentation"
     output_text: ClassVar[str] = "logit of each class in each pixel, above 0 inside [b c s s]"
-    figure: ClassVar[Metric] = Metric("dice", is_error=False)
+    metric: ClassVar[Metric] = Metric("dice", is_error=False)
+    fallback_class: ClassVar[str] = LESION
 
     def __post_init__(self) -> None:
-        check_fields(self)
-        require_size(self.size)
+        self.backbone.require_stride()
         is_few = 0 < len(self.classes) <= MAX_CLASSES
-        require(is_few, "number of classes of masks", len(self.classes), f"1 to {MAX_CLASSES}")
+        require(is_few, "number of classes", len(self.classes), f"1 to {MAX_CLASSES}")
 
     def items(self, sequence: FrameSequence) -> Iterable[int]:
         """Return all frames of a sequence with images and masks.
@@ -86,8 +71,8 @@ class SegmentationTask:
             for needed in ("rgb", channel):
                 if needed not in sequence.channels:
                     raise InputError(
-                        f"Learning masks needs the channel {needed!r}, which {sequence.name} has "
-                        "not: images without masks."
+                        f"Training for segmentation requires the channel {needed!r}. "
+                        f"{sequence.name} has none: its images have no masks."
                     )
             if channel == "label" and name not in (LESION, *sequence.label_names):
                 known = ", ".join(sequence.label_names[1:])
@@ -99,7 +84,7 @@ class SegmentationTask:
     def sample(self, sequence: FrameSequence, index: int) -> Sample:
         """Return the image and its masks [s s c]: 0, 1, or 2 in the padding."""
         image = sequence.image("rgb", index)
-        fit = Letterbox(image.shape[0], image.shape[1], self.size)
+        letterbox = Letterbox(image.shape[0], image.shape[1], self.input_size)
         masks = [self._mask(sequence, index, name) for name in self.classes]
         for mask in masks:
             if mask.shape != image.shape[:2]:
@@ -107,8 +92,8 @@ class SegmentationTask:
                     f"Frame {index} of {sequence.name} has an image of {image.shape[:2]} and a "
                     f"mask of {mask.shape} pixels. Allowed: one size."
                 )
-        truth = fit.nearest(np.stack(masks, axis=-1).astype(np.uint8), _UNKNOWN)
-        return {**self.inputs(image, fit, None), "mask": truth}
+        truth = letterbox.nearest(np.stack(masks, axis=-1).astype(np.uint8), _UNKNOWN)
+        return {**self.inputs(image, letterbox, None), "mask": truth}
 
     def _mask(self, sequence: FrameSequence, index: int, name: str) -> NDArray:
         shown = sequence.image(_channel_of(sequence, name), index)
@@ -118,61 +103,39 @@ class SegmentationTask:
             return np.isin(shown, _kinds(sequence)[name])
         return shown == sequence.label_names.index(name)
 
-    def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Letterbox, camera: Any) -> Sample:
-        """Return the image; the camera is not used."""
-        return {"image": fit.image(image)}
-
-    def augmented(self, sample: Sample, rng: np.random.Generator) -> Sample:
+    def augment(self, sample: Sample, rng: np.random.Generator) -> Sample:
         """Apply a random crop, flips, a transposition and color jitter."""
-        sample = mirrored(zoomed(sample, rng, self.zoom), rng)
+        sample = random_flip(self.augmentation.crop(sample, rng), rng)
         if rng.random() < 0.5:
-            sample = {name: np.swapaxes(array, 0, 1).copy() for name, array in sample.items()}
-        image = recolored(sample["image"], rng, exposure=self.brightness, tint=self.tint, gamma=1.3)
-        return sample | {"image": image}
+            sample = transpose(sample)
+        return sample | {"image": self.augmentation.recolor(sample["image"], rng)}
 
-    def network(self, *, is_pretrained: bool) -> Any:
+    def network(self, *, is_pretrained: bool) -> nn.Module:
         """Create a network from batches to logits [b c s s]."""
-        return _network_class()(self.encoder, len(self.classes), is_pretrained)
+        return UNet(self.backbone, 3, len(self.classes), is_pretrained=is_pretrained)
 
-    def loss(self, network: Any, batch: Batch) -> dict[str, Any]:
+    def loss(self, network: nn.Module, batch: Batch) -> Losses:
         """Cross-entropy and Dice over the pixels of the images."""
-        return self.output_loss(outputs_of(network, self, batch), batch)
+        return segmentation_loss(self.output(network, batch), batch["mask"])
 
-    def output_loss(self, output: Any, batch: Batch) -> dict[str, Any]:
-        """Loss terms of an output [b c s s]."""
-        torch = require_torch()
-        truth = batch["mask"]
-        known = (truth != _UNKNOWN).float()
-        target = (truth == 1).float()
-        entropy = torch.nn.functional.binary_cross_entropy_with_logits(
-            output, target, reduction="none"
-        )
-        chance = torch.sigmoid(output) * known
-        both = (chance * target).sum(dim=(2, 3))
-        total = (chance + target * known).sum(dim=(2, 3))
-        terms = {
-            "entropy": (entropy * known).sum() / known.sum().clamp(min=1),
-            "dice": (1.0 - (2.0 * both + 1.0) / (total + 1.0)).mean(),
-        }
-        return {**terms, "loss": sum(terms.values())}
-
-    def scores(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
+    def metrics(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
         """Means over images and classes; images without a lesion count in `specificity` only.
 
         `specificity` is the fraction of lesion-free masks with an empty prediction.
         """
-        found: dict[str, list[float]] = {"dice": [], "iou": [], "boundary_f": [], "specificity": []}
+        names = ("dice", "iou", "boundary_f", "specificity")
+        values: dict[str, list[float]] = {name: [] for name in names}
         for output, sample in zip(outputs, samples, strict=True):
-            for number in range(len(self.classes)):
-                mask = sample["mask"][..., number]
-                truth, estimate = mask == 1, (output[number] > 0.0) & (mask != _UNKNOWN)
+            for index in range(len(self.classes)):
+                mask = sample["mask"][..., index]
+                truth, estimate = mask == 1, (output[index] > 0.0) & (mask != _UNKNOWN)
                 if not truth.any():
-                    found["specificity"].append(float(not estimate.any()))
+                    values["specificity"].append(float(not estimate.any()))
                     continue
-                found["dice"].append(dice(estimate, truth))
-                found["iou"].append(iou(estimate, truth))
-                found["boundary_f"].append(boundary_f_score(estimate, truth))
-        return {k: float(np.mean(v)) if v else float("nan") for k, v in found.items()}
+                values["dice"].append(dice(estimate, truth))
+                values["iou"].append(iou(estimate, truth))
+                values["boundary_f"].append(boundary_f_score(estimate, truth))
+        return {k: float(np.mean(v)) if v else float("nan") for k, v in values.items()}
 
     def picture(self, output: NDArray, sample: Sample) -> UInt8[np.ndarray, "s k 3"]:
         """Image with the outlines of the true and of the predicted masks."""
@@ -181,14 +144,27 @@ class SegmentationTask:
             masks.insert(0, (sample["mask"] == 1).any(axis=-1))
         return np.concatenate([_outlined(sample["image"], mask) for mask in masks], axis=1)
 
-    def files(self, output: NDArray, fit: Letterbox) -> Mapping[str, NDArray]:
+    def files(self, output: NDArray, letterbox: Letterbox) -> Mapping[str, NDArray]:
         """A mask for each class: 255 inside."""
-        masks = (np.where(fit.back(logits) > 0.0, 255, 0).astype(np.uint8) for logits in output)
+        logits = (letterbox.back(one) for one in output)
+        masks = (np.where(one > 0.0, 255, 0).astype(np.uint8) for one in logits)
         return {f"_{name}.png": mask for name, mask in zip(self.classes, masks, strict=True)}
 
-    def row(self, output: NDArray) -> Mapping[str, Any]:
-        """Return no columns."""
-        return {}
+
+def segmentation_loss(output: Tensor, mask: Tensor) -> Losses:
+    """Loss terms of an output [b c s s] with true masks: 0, 1, or 2 in the padding."""
+    known = (mask != _UNKNOWN).float()
+    target = (mask == 1).float()
+    entropy = nn.functional.binary_cross_entropy_with_logits(output, target, reduction="none")
+    probability = torch.sigmoid(output) * known
+    both = (probability * target).sum(dim=(2, 3))
+    area = (probability + target * known).sum(dim=(2, 3))
+    return total(
+        {
+            "entropy": (entropy * known).sum() / known.sum().clamp(min=1),
+            "dice": (1.0 - (2.0 * both + 1.0) / (area + 1.0)).mean(),
+        }
+    )
 
 
 def _channel_of(sequence: FrameSequence, name: str) -> str:
@@ -210,19 +186,3 @@ def _outlined(image: NDArray, mask: NDArray) -> NDArray:
 
     line = binary_dilation(mask, iterations=2) & ~mask
     return np.where(line[..., None], _OUTLINE, image)
-
-
-def _network_class() -> Any:
-    torch = require_torch()
-
-    class MaskNetwork(torch.nn.Module):
-        """U-Net on color."""
-
-        def __init__(self, encoder: str, classes: int, is_pretrained: bool) -> None:
-            super().__init__()
-            self.net = dense_network(encoder, 3, classes, is_pretrained=is_pretrained)
-
-        def forward(self, image: Any) -> Any:
-            return self.net(2.0 * image - 1.0)
-
-    return MaskNetwork

@@ -23,28 +23,31 @@ fine-tuned on video without labels.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, cast
 
 import numpy as np
+import torch
+from torch import Tensor, nn
 
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import invert
-from vrcaps.learn.letterbox import Letterbox, require_size
-from vrcaps.learn.networks import ENCODER, dense_network, motion_network, require_torch
-from vrcaps.learn.samples import batch_of
-from vrcaps.learn.task import MAX_SIZE, MAX_WEIGHT, Batch, Metric, Sample, with_gain
-from vrcaps.learn.tasks.depth import MIDDLE, DepthTask, depth_of, depth_picture, image_and_rays
-from vrcaps.learn.view_synthesis import (
-    inconsistency_of,
-    matched_brightness,
-    matrix_of,
+from vrcaps.formats.slam.tum import trajectory_text
+from vrcaps.learn.augment import with_gain
+from vrcaps.learn.letterbox import Letterbox
+from vrcaps.learn.losses import (
+    inconsistency,
+    match_brightness,
     photometric_error,
-    predicted,
+    pose_matrix,
     smoothness,
+    synthesize_view,
 )
+from vrcaps.learn.networks import Backbone, UNet, motion_network
+from vrcaps.learn.task import MAX_WEIGHT, BackboneTask, Batch, Losses, Metric, Sample, total
+from vrcaps.learn.tasks.depth import MIDDLE, depth_loss, depth_of, depth_picture, image_and_rays
 from vrcaps.metrics.depth import depth_errors, mean_depth_errors
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.render.channels import CHANNELS
@@ -54,21 +57,21 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vrcaps.camera.camera import Camera
-    from vrcaps.learn.checkpoint import TrainedNetwork
 
 _NEIGHBORS = ("before", "after")
+_GRADIENT_WEIGHT = 0.5
+"""Weight of the gradient loss on true distances."""
 _MIN_COSINE = 0.05
 """Minimum cosine of the angle between a ray and the axis: near a right angle, depth along the axis
 does not determine the distance."""
 
 
 @dataclass(frozen=True)
-class SfmTask:
+class SfmTask(BackboneTask):
     """Depth up to scale and camera motion, from video without labels.
 
     Attributes:
-        size: Side of the network's input images [px]; maps need a multiple of 32.
-        encoder: Name of a timm model, such as resnet18.
+        backbone: Input size and encoder of the network.
         step: Offset from a frame to its neighbors, in frames.
         photometric_weight: Weight of the photometric loss.
         smoothness_weight: Weight of the smoothness loss.
@@ -77,8 +80,7 @@ class SfmTask:
         supervision: Weight of the loss on true distances and motions; 0 needs no labels.
     """
 
-    size: Annotated[int, Range(32, MAX_SIZE)] = 192
-    encoder: str = ENCODER
+    backbone: Backbone = field(default_factory=Backbone)
     step: Annotated[int, Range(1, 1000)] = 1
     photometric_weight: Annotated[float, Range(0.0, MAX_WEIGHT)] = 1.0
     smoothness_weight: Annotated[float, Range(0.0, MAX_WEIGHT)] = 0.1
@@ -89,11 +91,11 @@ class SfmTask:
     kind: ClassVar[str] = "sfm"
     input_names: ClassVar[tuple[str, ...]] = ("image", "ray")
     output_text: ClassVar[str] = "ln(distance along the ray / 30 mm), up to a scale [b 1 s s]"
-    figure: ClassVar[Metric] = Metric("loss", is_error=True)
+    metric: ClassVar[Metric] = Metric("loss", is_error=True)
 
     def __post_init__(self) -> None:
         check_fields(self)
-        require_size(self.size)
+        self.backbone.require_stride()
 
     def items(self, sequence: FrameSequence) -> Iterable[int]:
         """Return the frames that have both neighbors.
@@ -104,82 +106,88 @@ class SfmTask:
         """
         if "rgb" not in sequence.channels or sequence.camera is None:
             what = "images" if sequence.camera else "a calibrated camera"
-            raise InputError(f"Learning from video needs {what}, which {sequence.name} has not.")
+            raise InputError(f"Training on video requires {what}. {sequence.name} has none.")
         if len(sequence) <= 2 * self.step:
             raise InputError(
                 f"{sequence.name} has {len(sequence)} frames. Allowed: {2 * self.step + 1} or more."
             )
         if self.supervision > 0.0:
             if "depth" not in sequence.channels:
-                raise InputError(f"Supervision needs depth, which {sequence.name} has not.")
+                raise InputError(f"Supervision requires depth. {sequence.name} has none.")
             _ = sequence.Ts_world_camera
         return range(self.step, len(sequence) - self.step)
 
     def sample(self, sequence: FrameSequence, index: int) -> Sample:
         """Return the frame with its rays, its neighbors, and its true depth if known."""
         image = sequence.image("rgb", index)
-        fit = Letterbox(image.shape[0], image.shape[1], self.size)
-        sample = self.inputs(image, fit, sequence.camera)
+        letterbox = Letterbox(image.shape[0], image.shape[1], self.input_size)
+        sample = self.inputs(image, letterbox, sequence.camera)
         for name, offset in zip(_NEIGHBORS, (-self.step, self.step), strict=True):
-            sample[name] = fit.image(sequence.image("rgb", index + offset))
+            sample[name] = letterbox.image(sequence.image("rgb", index + offset))
             if self.supervision > 0.0:
                 own, other = sequence.Ts_world_camera[[index, index + offset]]
                 sample[f"T_{name}_own"] = (invert(other) @ own).astype(np.float32)
         if "depth" in sequence.channels:
-            sample["depth"] = fit.nearest(sequence.image("depth", index), np.nan)
-        return {**sample, "view": (fit, sequence.camera)}
+            sample["depth"] = letterbox.nearest(sequence.image("depth", index), np.nan)
+        return {**sample, "view": (letterbox, sequence.camera)}
 
     def inputs(
-        self, image: UInt8[np.ndarray, "h w 3"], fit: Letterbox, camera: Camera | None
+        self, image: UInt8[np.ndarray, "h w 3"], letterbox: Letterbox, camera: Camera | None
     ) -> Sample:
         """Return the image and unit rays, zero where the lens has none.
 
         Raises:
             InputError: If there is no camera.
         """
-        return image_and_rays(image, fit, camera)
+        return image_and_rays(image, letterbox, camera)
 
-    def augmented(self, sample: Sample, rng: np.random.Generator) -> Sample:
+    def augment(self, sample: Sample, rng: np.random.Generator) -> Sample:
         """Apply the same change of exposure, white balance and gamma to all three frames."""
         gain = 1.2 ** rng.uniform(-1.0, 1.0) * rng.uniform(0.95, 1.05, 3)
         gamma = rng.uniform(0.9, 1.1)
         changed = {n: with_gain(sample[n], gain, gamma) for n in ("image", *_NEIGHBORS)}
         return sample | changed
 
-    def network(self, *, is_pretrained: bool) -> Any:
+    def network(self, *, is_pretrained: bool) -> nn.Module:
         """Create a network from batches to ln(distance / 30 mm) [b 1 s s], and motion."""
-        return _network_class()(self.encoder, is_pretrained)
+        return SfmNetwork(self.backbone, is_pretrained=is_pretrained)
 
-    def loss(self, network: Any, batch: Batch) -> dict[str, Any]:
+    def loss(self, network: nn.Module, batch: Batch) -> Losses:
         """Loss terms over both neighbors."""
-        terms = {"photometric": 0.0, "geometry": 0.0, "labels": 0.0}
         image, ray = batch["image"], batch["ray"]
-        own = network(image, ray).float()
+        photometric, geometry, labels = (image.new_zeros(()) for _ in range(3))
+        own = self.output(network, batch)
         for name in _NEIGHBORS:
             other = network(batch[name], ray).float()
-            T_other_own = matrix_of(network.motion(image, batch[name]).float())
-            found = predicted(batch[name], other, own, T_other_own, ray, batch["view"])
-            unlike = inconsistency_of(found)
-            color = found.color
+            T_other_own = _motion(network, image, batch[name])
+            view = synthesize_view(batch[name], other, own, T_other_own, ray, batch["view"])
+            unlike, color = inconsistency(view), view.color
             if self.matches_brightness:
-                color = matched_brightness(color, image, found.is_valid)
+                color = match_brightness(color, image, view.is_valid)
             error = photometric_error(color, image) * (1.0 - unlike)
-            count = found.is_valid.sum().clamp(min=1)
-            terms["photometric"] += (error * found.is_valid).sum() / count
-            terms["geometry"] += (unlike * found.is_valid).sum() / count
+            count = view.is_valid.sum().clamp(min=1)
+            photometric = photometric + (error * view.is_valid).sum() / count
+            geometry = geometry + (unlike * view.is_valid).sum() / count
             if self.supervision > 0.0:
-                terms["labels"] += _motion_error(T_other_own, batch[f"T_{name}_own"])
+                labels = labels + _motion_error(T_other_own, batch[f"T_{name}_own"])
         if self.supervision > 0.0:
-            terms["labels"] += DepthTask().output_loss(own, _distances(batch))["loss"]
-        weighted = {
-            "photometric": 0.5 * self.photometric_weight * terms["photometric"],
-            "geometry": 0.5 * self.geometry_weight * terms["geometry"],
-            "smoothness": self.smoothness_weight * smoothness(own, image),
-            "labels": self.supervision * terms["labels"],
-        }
-        return {**weighted, "loss": sum(weighted.values())}
+            labels = labels + depth_loss(own, _distances(batch), _GRADIENT_WEIGHT)["loss"]
+        return total(
+            {
+                "photometric": 0.5 * self.photometric_weight * photometric,
+                "geometry": 0.5 * self.geometry_weight * geometry,
+                "smoothness": self.smoothness_weight * smoothness(own, image),
+                "labels": self.supervision * labels,
+            }
+        )
 
-    def scores(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
+    def outputs(self, network: nn.Module, batch: Batch) -> dict[str, Tensor]:
+        """Return the distances, and the motion between neighbors in the batch."""
+        image = batch["image"]
+        motion = cast(SfmNetwork, network).motion(image, image.roll(1, 0)).float()
+        return {**super().outputs(network, batch), "motion": motion}
+
+    def metrics(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
         """Depth errors after scaling by the median of each frame, where true depth is known."""
         errors = [
             depth_errors(_depth_of(output, sample), sample["depth"], align="median")
@@ -195,84 +203,90 @@ class SfmTask:
             depth *= np.nanmedian(sample["depth"]) / np.median(depth)
         return depth_picture(depth, sample)
 
-    def files(self, output: NDArray, fit: Letterbox) -> Mapping[str, NDArray]:
+    def files(self, output: NDArray, letterbox: Letterbox) -> Mapping[str, NDArray]:
         """Distance along the ray in 16 bits, in steps of 10 µm, at a reference scale of 30 mm."""
-        return {".png": CHANNELS["ray_distance"].encoding.encode(fit.back(depth_of(output)))}
+        return {".png": CHANNELS["ray_distance"].encoding.encode(letterbox.back(depth_of(output)))}
 
-    def row(self, output: NDArray) -> Mapping[str, Any]:
-        """Return no columns."""
-        return {}
+    def sequence_files(
+        self, network: nn.Module, sequence: FrameSequence, frames: Sequence[int], device: str
+    ) -> Mapping[str, bytes]:
+        """Predicted trajectory of a sequence in TUM format."""
+        trajectory = self.trajectory(network, sequence, frames, device=device)
+        return {"trajectory.txt": trajectory_text(trajectory).encode()}
+
+    def trajectory(
+        self,
+        network: nn.Module,
+        sequence: FrameSequence,
+        frames: Sequence[int] = (),
+        *,
+        device: str = "cpu",
+    ) -> FrameSequence:
+        """Predict the trajectory of a sequence, in the frame of its first camera.
+
+        Motions between neighboring frames are chained; they are known up to one scale.
+
+        Args:
+            network: Trained network.
+            sequence: Frames of one camera.
+            frames: Increasing indices of the frames to use; the result has only these. Empty for
+                all.
+            device: Device of the network.
+
+        Returns:
+            The sequence with the predicted poses.
+
+        Raises:
+            InputError: If an image cannot be read.
+        """
+        poses = [np.eye(4)]
+        kept = np.array(frames or range(len(sequence)))
+        squares = (self._square(sequence.image("rgb", int(index)), device) for index in kept)
+        with torch.inference_mode():
+            for before, here in pairwise(squares):
+                T_before_here = _motion(network, here, before)[0].double().cpu().numpy()
+                T_before_here[:3, 3] *= MIDDLE  # the scale of its distances
+                poses.append(poses[-1] @ T_before_here)
+        values = {TIME: sequence.times[kept], CAMERA_POSE: np.stack(poses)}
+        return replace(sequence.subset(kept), values=values)
+
+    def _square(self, image: UInt8[np.ndarray, "h w 3"], device: str) -> Tensor:
+        """Image as input of the network [1 3 s s]."""
+        square = Letterbox(image.shape[0], image.shape[1], self.input_size).image(image)
+        channels = np.ascontiguousarray(np.moveaxis(square[None], -1, 1))
+        return torch.from_numpy(channels).to(device).float() / 255.0
 
 
-def estimated_trajectory(
-    trained: TrainedNetwork, sequence: FrameSequence, frames: Sequence[int] = ()
-) -> FrameSequence:
-    """Predict the trajectory of a sequence, in the frame of its first camera.
+class SfmNetwork(UNet):
+    """Distances of one frame, and the motion between two."""
 
-    Motions between neighboring frames are chained; they are known up to one scale.
+    def __init__(self, backbone: Backbone, *, is_pretrained: bool) -> None:
+        super().__init__(backbone, 6, 1, is_pretrained=is_pretrained)
+        self.moves = motion_network(backbone.encoder, is_pretrained=is_pretrained)
 
-    Args:
-        trained: Task and network.
-        sequence: Frames of one camera.
-        frames: Increasing indices of the frames to use; the result has only these. Empty for all.
-
-    Returns:
-        The sequence with the predicted poses.
-
-    Raises:
-        InputError: If an image cannot be read.
-    """
-    torch = require_torch()
-    poses = [np.eye(4)]
-    kept = np.array(frames or range(len(sequence)))
-    images = (sequence.image("rgb", int(index)) for index in kept)
-    size = trained.learner.size
-    squares = (Letterbox(image.shape[0], image.shape[1], size).image(image) for image in images)
-    tensors = (batch_of([{"image": square}])["image"] for square in squares)
-    with torch.inference_mode():
-        for before, here in pairwise(one.to(trained.device) for one in tensors):
-            motion = matrix_of(trained.network.motion(here, before).float())[0]
-            T_before_here = motion.double().cpu().numpy()
-            T_before_here[:3, 3] *= MIDDLE  # the scale of its distances
-            poses.append(poses[-1] @ T_before_here)
-    values = {TIME: sequence.times[kept], CAMERA_POSE: np.stack(poses)}
-    return replace(sequence.subset(kept), values=values)
+    def motion(self, image: Tensor, other: Tensor) -> Tensor:
+        """Rotation vector [rad] and translation of the frame in the other [b 6]."""
+        return 0.01 * self.moves(2.0 * torch.cat([image, other], dim=1) - 1.0)
 
 
-def _motion_error(motion: Any, T_other_own: Any) -> Any:
+def _motion(network: nn.Module, image: Tensor, other: Tensor) -> Tensor:
+    """Pose [b 4 4] of frames in others."""
+    return pose_matrix(cast(SfmNetwork, network).motion(image, other).float())
+
+
+def _motion_error(motion: Tensor, T_other_own: Tensor) -> Tensor:
     """Error of motions [b 4 4], in units of 2 mm and 0.02 rad, about a pixel each."""
     turned = (motion[:, :3, :3] - T_other_own[:, :3, :3]).flatten(1).norm(dim=1)
     shifted = (MIDDLE * motion[:, :3, 3] - T_other_own[:, :3, 3]).norm(dim=1)
     return (turned / 0.02 + shifted / 0.002).mean()
 
 
-def _distances(batch: Batch) -> Batch:
-    """True distances along rays, in the form of true depth for `DepthTask`."""
+def _distances(batch: Batch) -> Tensor:
+    """True distances along rays [b s s]."""
     along = batch["ray"][:, 2]
-    return {"depth": batch["depth"] / along.where(along > _MIN_COSINE, np.nan)}
+    return batch["depth"] / along.where(along > _MIN_COSINE, np.nan)
 
 
 def _depth_of(output: NDArray, sample: Sample) -> NDArray:
     """Depth z from distances along rays."""
     return depth_of(output) * np.maximum(sample["ray"][..., 2], 0.0)
-
-
-def _network_class() -> Any:
-    torch = require_torch()
-
-    class SfmNetwork(torch.nn.Module):
-        """Distances of one frame, and the motion between two."""
-
-        def __init__(self, encoder: str, is_pretrained: bool) -> None:
-            super().__init__()
-            self.net = dense_network(encoder, 6, 1, is_pretrained=is_pretrained)
-            self.moves = motion_network(encoder, is_pretrained=is_pretrained)
-
-        def forward(self, image: Any, ray: Any) -> Any:
-            return self.net(torch.cat([2.0 * image - 1.0, ray], dim=1))
-
-        def motion(self, image: Any, other: Any) -> Any:
-            """Rotation vector [rad] and translation of the frame in the other [b 6]."""
-            return 0.01 * self.moves(2.0 * torch.cat([image, other], dim=1) - 1.0)
-
-    return SfmNetwork

@@ -14,30 +14,34 @@ with features φ of a network pre-trained on ImageNet. The output looks sharper 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
+import torch
+from torch import Tensor, nn
 
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError
-from vrcaps.learn.adversary import deceiving_loss, discriminating_loss, patch_discriminator
-from vrcaps.learn.attention_unet import attention_unet
-from vrcaps.learn.feature_losses import content_loss, feature_distance, style_loss
+from vrcaps.learn.augment import random_flip, with_gain
 from vrcaps.learn.letterbox import Letterbox
-from vrcaps.learn.networks import ENCODER, feature_network, require_torch
-from vrcaps.learn.task import (
-    MAX_SIZE,
-    MAX_WEIGHT,
-    Batch,
-    Metric,
-    Sample,
-    mirrored,
-    outputs_of,
-    with_gain,
+from vrcaps.learn.losses import (
+    content_loss,
+    discriminator_loss,
+    feature_distance,
+    generator_loss,
+    style_loss,
 )
+from vrcaps.learn.networks import (
+    ENCODER,
+    MAX_SIZE,
+    AttentionUnet,
+    PatchDiscriminator,
+    feature_network,
+)
+from vrcaps.learn.task import MAX_WEIGHT, Batch, Losses, Metric, Presets, Sample, Task, total
 from vrcaps.metrics.images import psnr, ssim
 from vrcaps.recording.frame_sequence import FrameSequence
 
@@ -45,12 +49,14 @@ if TYPE_CHECKING:
     from jaxtyping import UInt8
     from numpy.typing import NDArray
 
+    from vrcaps.camera.camera import Camera
+
 _LARGEST = 255.0
-_MEASURES = ("psnr", "ssim", "feature_distance")
+_METRICS = ("psnr", "ssim", "feature_distance")
 
 
 @dataclass(frozen=True)
-class SuperResolutionTask:
+class SuperResolutionTask(Task):
     """Upsampling of images by a factor of two, four or eight per side.
 
     Attributes:
@@ -81,12 +87,38 @@ class SuperResolutionTask:
     feature_encoder: str = ENCODER
 
     kind: ClassVar[str] = "super-resolution"
-    input_names: ClassVar[tuple[str, ...]] = ("image",)
     output_text: ClassVar[str] = "color from 0 to 1 at the larger size [b 3 fs fs]"
-    figure: ClassVar[Metric] = Metric("psnr", is_error=False)
+    presets: ClassVar[Presets] = {
+        "ci": {"task.size": 64},
+        # EndoL2H from 256 to 1024 pixels, 100 epochs of 6,400 images. Its published program gives
+        # batch size, learning rate and adversarial weight (1 : 100 relative to the absolute
+        # difference). It defines content and style losses but never uses them, and the text gives
+        # no weights: these make each as large as the adversarial term at the start of training.
+        "paper": {
+            "task.size": 1024,
+            "task.validation_size": 1024,
+            "task.generator": "attention-unet",
+            "task.halvings": 8,
+            "task.adversarial": 0.01,
+            "task.content": 3e-4,
+            "task.style": 7e-5,
+            "start": "scratch",
+            "steps": 640_000,
+            "batch": 1,
+            "learning_rate": 2e-4,
+            "weight_decay": 0.0,
+        },
+    }
+    free_axes: ClassVar[Mapping[int, str]] = {0: "batch", 2: "height", 3: "width"}
+    metric: ClassVar[Metric] = Metric("psnr", is_error=False)
 
     def __post_init__(self) -> None:
         check_fields(self)
+
+    @property
+    def input_size(self) -> int:
+        """Side of the network's input images [px]; it takes images of any size."""
+        return self.size
 
     def items(self, sequence: FrameSequence) -> Iterable[int]:
         """Return all frames of a sequence with images.
@@ -95,7 +127,7 @@ class SuperResolutionTask:
             InputError: If it has none.
         """
         if "rgb" not in sequence.channels:
-            raise InputError(f"Super-resolution needs images, which {sequence.name} has not.")
+            raise InputError(f"Super-resolution requires images. {sequence.name} has none.")
         return range(len(sequence))
 
     def sample(self, sequence: FrameSequence, index: int) -> Sample:
@@ -115,12 +147,12 @@ class SuperResolutionTask:
         )
         return self._pair(_middle(image, *sides))
 
-    def augmented(self, sample: Sample, rng: np.random.Generator) -> Sample:
+    def augment(self, sample: Sample, rng: np.random.Generator) -> Sample:
         """Apply a random crop, flips, rotations by 90° and exposure."""
         truth = sample["truth"]
         top, left = (int(rng.integers(side - self.size + 1)) for side in truth.shape[:2])
         crop = {"truth": truth[top : top + self.size, left : left + self.size]}
-        crop = mirrored(crop, rng)
+        crop = random_flip(crop, rng)
         turned = np.ascontiguousarray(np.rot90(crop["truth"], int(rng.integers(4))))
         gain = 1.2 ** rng.uniform(-1.0, 1.0) * rng.uniform(0.95, 1.05, 3)
         return self._pair(with_gain(turned, gain, 1.0))
@@ -129,66 +161,64 @@ class SuperResolutionTask:
         small = _resized(truth, truth.shape[0] // self.factor, truth.shape[1] // self.factor)
         return {"image": small, "truth": truth}
 
-    def inputs(self, image: UInt8[np.ndarray, "h w 3"], fit: Letterbox, camera: Any) -> Sample:
+    def inputs(
+        self, image: UInt8[np.ndarray, "h w 3"], letterbox: Letterbox, camera: Camera | None
+    ) -> Sample:
         """Return the image unchanged; the camera is not used."""
         return {"image": image}
 
-    def network(self, *, is_pretrained: bool) -> Any:
+    def network(self, *, is_pretrained: bool) -> nn.Module:
         """Create a network from images [b 3 h w] to [b 3 fh fw], without ImageNet weights."""
-        if self.generator == "edsr":
-            body = partial(_residual_blocks, self.blocks, self.features)
-        else:
-            body = partial(attention_unet, self.features, self.halvings)
-        return _network_class()(self.factor, body, self.features)
+        return _SuperResolutionNetwork(self)
 
-    def adversary(self) -> Any | None:
+    def discriminator(self) -> nn.Module | None:
         """Create a patch discriminator, if the adversarial loss has a weight."""
-        return patch_discriminator(self.features) if self.adversarial > 0.0 else None
+        return PatchDiscriminator(self.features) if self.adversarial > 0.0 else None
 
-    def loss(self, network: Any, batch: Batch) -> dict[str, Any]:
+    def loss(self, network: nn.Module, batch: Batch) -> Losses:
         """Mean absolute difference, content and style losses."""
-        return _summed(self._terms(outputs_of(network, self, batch), _truth_of(batch)))
+        return total(self._terms(self.output(network, batch), _truth_of(batch)))
 
-    def losses(
-        self, network: Any, adversary: Any, batch: Batch
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
+    def adversarial_losses(
+        self, network: nn.Module, discriminator: nn.Module, batch: Batch
+    ) -> tuple[Losses, Losses]:
         """Losses of the network, including the adversarial one, and of the discriminator."""
-        small, truth, output = batch["image"], _truth_of(batch), outputs_of(network, self, batch)
-        deceived = self.adversarial * deceiving_loss(adversary(small, output))
-        judged = adversary(small, truth), adversary(small, output.detach())
-        terms = {**self._terms(output, truth), "adversarial": deceived}
-        return _summed(terms), {"loss": discriminating_loss(*judged)}
+        small, truth, output = batch["image"], _truth_of(batch), self.output(network, batch)
+        adversarial = self.adversarial * generator_loss(discriminator(small, output))
+        logits = discriminator(small, truth), discriminator(small, output.detach())
+        terms = {**self._terms(output, truth), "adversarial": adversarial}
+        return total(terms), {"loss": discriminator_loss(*logits)}
 
-    def _terms(self, output: Any, truth: Any) -> dict[str, Any]:
+    def _terms(self, output: Tensor, truth: Tensor) -> Losses:
         terms = {"pixel": (output - truth).abs().mean()}
         if self.content > 0.0 or self.style > 0.0:
             maps = feature_network(self.feature_encoder, str(output.device))
-            found, wanted = ([m.float() for m in maps(image)] for image in (output, truth))
-            terms["content"] = self.content * content_loss(found, wanted)
-            terms["style"] = self.style * style_loss(found, wanted)
+            outputs, targets = ([m.float() for m in maps(image)] for image in (output, truth))
+            terms["content"] = self.content * content_loss(outputs, targets)
+            terms["style"] = self.style * style_loss(outputs, targets)
         return terms
 
-    def scores(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
+    def metrics(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
         """PSNR [dB] and SSIM of 8-bit images, also for bicubic upsampling.
 
-        A border of `factor` pixels is excluded. `feature_distance` is that of `feature_losses`,
+        A border of `factor` pixels is excluded. `feature_distance` is that of `losses`,
         with the feature network of the settings.
         """
         rows = []
         distance = partial(feature_distance, encoder=self.feature_encoder)
         within = {"data_range": _LARGEST, "crop": self.factor}
-        measures = (partial(psnr, **within), partial(ssim, **within), distance)
+        functions = (partial(psnr, **within), partial(ssim, **within), distance)
         for output, sample in zip(outputs, samples, strict=True):
             truth = sample["truth"]
             bicubic = _resized(sample["image"], *truth.shape[:2])
             rows.append(
                 [
-                    measure(image, truth)
+                    function(image, truth)
                     for image in (image_of(output), bicubic)
-                    for measure in measures
+                    for function in functions
                 ]
             )
-        names = [f"{n}{of}" for of in ("", "_bicubic") for n in _MEASURES]
+        names = [f"{n}{of}" for of in ("", "_bicubic") for n in _METRICS]
         return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))
 
     def picture(self, output: NDArray, sample: Sample) -> UInt8[np.ndarray, "s k 3"]:
@@ -198,13 +228,9 @@ class SuperResolutionTask:
         shown += [sample["truth"]] if "truth" in sample else []
         return np.concatenate([_middle(one, self.size, self.size) for one in shown], axis=1)
 
-    def files(self, output: NDArray, fit: Letterbox) -> Mapping[str, NDArray]:
+    def files(self, output: NDArray, letterbox: Letterbox) -> Mapping[str, NDArray]:
         """The upsampled image."""
         return {".png": image_of(output)}
-
-    def row(self, output: NDArray) -> Mapping[str, Any]:
-        """Return no columns."""
-        return {}
 
 
 def image_of(output: NDArray) -> UInt8[np.ndarray, "h w 3"]:
@@ -228,56 +254,44 @@ def _middle(image: NDArray, height: int, width: int) -> NDArray:
     return np.ascontiguousarray(image[top : top + height, left : left + width])
 
 
-def _truth_of(batch: Batch) -> Any:
+def _truth_of(batch: Batch) -> Tensor:
     """True images [b 3 h w], 0 to 1."""
     return batch["truth"].float() / _LARGEST
 
 
-def _summed(terms: dict[str, Any]) -> dict[str, Any]:
-    return {**terms, "loss": sum(terms.values())}
+class _ResidualBlock(nn.Module):
+    """Two convolutions with a residual connection."""
+
+    def __init__(self, features: int) -> None:
+        super().__init__()
+        self.first = nn.Conv2d(features, features, 3, padding=1)
+        self.second = nn.Conv2d(features, features, 3, padding=1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        return x + self.second(torch.relu(self.first(x)))
 
 
-def _residual_blocks(count: int, features: int) -> Any:
-    torch = require_torch()
-    nn = torch.nn
+class _SuperResolutionNetwork(nn.Module):
+    """Residual to bicubic upsampling, added to it."""
 
-    class Block(nn.Module):
-        """Two convolutions with a residual connection."""
+    def __init__(self, task: SuperResolutionTask) -> None:
+        super().__init__()
+        self.factor, features = task.factor, task.features
+        self.head = nn.Conv2d(3, features, 3, padding=1)
+        if task.generator == "edsr":
+            self.body = nn.Sequential(*(_ResidualBlock(features) for _ in range(task.blocks)))
+        else:
+            self.body = AttentionUnet(features, task.halvings)
+        self.tail = nn.Conv2d(features, 3 * self.factor**2, 3, padding=1)
+        nn.init.zeros_(self.tail.weight)  # initially bicubic upsampling
+        nn.init.zeros_(self.tail.bias)  # type: ignore[arg-type]
 
-        def __init__(self, features: int) -> None:
-            super().__init__()
-            self.first = nn.Conv2d(features, features, 3, padding=1)
-            self.second = nn.Conv2d(features, features, 3, padding=1)
-
-        def forward(self, x: Any) -> Any:
-            return x + self.second(torch.relu(self.first(x)))
-
-    return nn.Sequential(*(Block(features) for _ in range(count)))
-
-
-def _network_class() -> Any:
-    nn = require_torch().nn
-
-    class SuperResolutionNetwork(nn.Module):
-        """Residual to bicubic upsampling, added to it."""
-
-        def __init__(self, factor: int, body: Callable[[], Any], features: int) -> None:
-            super().__init__()
-            self.factor = factor
-            self.head = nn.Conv2d(3, features, 3, padding=1)
-            self.body = body()
-            self.tail = nn.Conv2d(features, 3 * factor**2, 3, padding=1)
-            nn.init.zeros_(self.tail.weight)  # initially bicubic upsampling
-            nn.init.zeros_(self.tail.bias)
-
-        def forward(self, image: Any) -> Any:
-            features = self.head(2.0 * image - 1.0)
-            added = nn.functional.pixel_shuffle(
-                self.tail(features + self.body(features)), self.factor
-            )
-            large = nn.functional.interpolate(
-                image, scale_factor=self.factor, mode="bicubic", align_corners=False
-            )
-            return large + added
-
-    return SuperResolutionNetwork
+    def forward(self, image: Tensor) -> Tensor:
+        features = self.head(2.0 * image - 1.0)
+        residual = nn.functional.pixel_shuffle(
+            self.tail(features + self.body(features)), self.factor
+        )
+        large = nn.functional.interpolate(
+            image, scale_factor=self.factor, mode="bicubic", align_corners=False
+        )
+        return large + residual

@@ -140,7 +140,9 @@ def with_network_depth(sequence: FrameSequence, trained: TrainedNetwork) -> Fram
     return with_depth(
         sequence,
         lambda index: network_depth(
-            trained, input_image(trained.learner.kind, sequence, index), camera
+            trained,
+            input_image(sequence, index, predicts_lengths=trained.task.predicts_lengths),
+            camera,
         ),
     )
 
@@ -163,11 +165,11 @@ def network_depth(
 
     require_depth(trained)
     height, width = rgb.shape[:2]
-    fit = Letterbox(height, width, trained.learner.size)
-    sample = trained.learner.inputs(rgb, fit, camera)
-    image = trained.learner.files(trained(batch_of([sample]))[0], fit)[".png"]
+    letterbox = Letterbox(height, width, trained.task.input_size)
+    sample = trained.task.inputs(rgb, letterbox, camera)
+    image = trained.task.files(trained(batch_of([sample]))[0], letterbox)[".png"]
     depth = CHANNELS["depth"].encoding.decode(image)
-    if trained.learner.kind == "sfm":  # distances along rays
+    if trained.task.kind == "sfm":  # distances along rays
         depth = depth * camera.lens.unproject(pixel_grid(width, height))[..., 2]
     return depth
 
@@ -178,7 +180,7 @@ def require_depth(trained: TrainedNetwork) -> None:
     Raises:
         InputError: If they do not.
     """
-    kind = trained.learner.kind
+    kind = trained.task.kind
     if kind not in ("depth", "sfm"):
         raise InputError(f"The weights are of the task {kind!r}. Allowed: 'depth' or 'sfm'.")
 

@@ -316,6 +316,7 @@ def test_depth_of_another_source_begins_at_the_scale_of_the_frames():
 def test_depth_by_a_network_is_that_of_the_stitched_image():
     torch = pytest.importorskip("torch", reason="PyTorch is not installed")
     from vrcaps.learn.checkpoint import TrainedNetwork
+    from vrcaps.learn.networks import Backbone
     from vrcaps.learn.tasks.depth import DepthTask
     from vrcaps.learn.tasks.super_resolution import SuperResolutionTask
 
@@ -327,7 +328,9 @@ def test_depth_by_a_network_is_that_of_the_stitched_image():
     rgb[:5] = 0
     lens = LensPinhole(fx=40.0, fy=40.0, cx=29.5, cy=19.5)
     mosaic = Mosaic(rgb, np.full((40, 60), np.nan, np.float32), Camera("a", lens, 60, 40), 0, (0,))
-    depth, has_scale = estimated_depth(TrainedNetwork(DepthTask(size=32), Constant(), {}), mosaic)
+    depth, has_scale = estimated_depth(
+        TrainedNetwork(DepthTask(backbone=Backbone(32)), Constant(), {}), mosaic
+    )
     assert has_scale
     assert np.isnan(depth[:5]).all()
     np.testing.assert_allclose(depth[5:], 0.02, atol=1e-5)

@@ -328,4 +328,4 @@ def estimated_depth(
         InputError: If the weights are of another task.
     """
     depth = network_depth(trained, mosaic.rgb, mosaic.camera)
-    return np.where(mosaic.rgb.any(axis=2), depth, np.nan), trained.learner.kind == "depth"
+    return np.where(mosaic.rgb.any(axis=2), depth, np.nan), trained.task.kind == "depth"

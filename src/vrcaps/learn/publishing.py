@@ -1,4 +1,7 @@
-"""Publishing: copy a training's best checkpoint, with its model card, into a folder of weights."""
+"""Publishing: copy a training's best checkpoint, with its model card, into a folder of weights.
+
+A network with the same output for all images is refused; its outputs for a few probes are compared.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +9,13 @@ import csv
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from vrcaps.config.convert import from_plain
+import numpy as np
+
+from vrcaps.capsule.device_file import read_device
 from vrcaps.config.plain_files import read_plain
+from vrcaps.core import rng
 from vrcaps.core.errors import InputError, VrcapsError, require
 from vrcaps.core.files import file_sha256, write_bytes
 from vrcaps.data.ledger import read_plain_plan
@@ -18,14 +24,27 @@ from vrcaps.formats.format import FORMATS
 from vrcaps.learn.checkpoint import TrainedNetwork, read_weights
 from vrcaps.learn.evaluation import Evaluation, read_evaluation
 from vrcaps.learn.hub import SUFFIX, PublishedWeights, add_to_index, check_name
+from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.model_card import Training, card_text, notes_of
-from vrcaps.learn.registry import AnyTask
-from vrcaps.learn.responses import require_responses
-from vrcaps.learn.training import BEST, PROGRESS, TrainSettings
+from vrcaps.learn.samples import batch_of
+from vrcaps.learn.settings import TrainSettings, read_settings
+from vrcaps.learn.task import Sample, Task
+from vrcaps.learn.training import BEST
+from vrcaps.training.checkpoint import PROGRESS
 from vrcaps.training.folder import SETTINGS
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, UInt8
 
 MAX_BYTES = 25 * 10**6
 """Maximum size of a published file."""
+MIN_RESPONSE = 0.01
+"""Minimum change of each output, relative to its root mean square. Outputs of the published
+networks change by 0.05 or more between the probes."""
+_SIDE = 256
+_COLORS = ((180.0, 90.0, 70.0), (90.0, 60.0, 50.0), (200.0, 150.0, 130.0), (120.0, 60.0, 40.0))
+_WAVELENGTHS = (0.5, 0.2, 0.05, 0.3)
+_CAPSULES = ("pillcam-colon2", "mono", "panoramic", "mirocam")
 
 
 def publish(
@@ -56,10 +75,10 @@ def publish(
     """
     best = run / BEST
     if not best.is_file():
-        raise InputError(f"{run} holds no {BEST}. Give the folder of a training.")
+        raise InputError(f"{run} contains no {BEST}. Give the folder of a training.")
     trained = read_weights(best)
-    name = name or trained.learner.kind
-    check_name(name, trained.learner.kind)
+    name = name or trained.task.kind
+    check_name(name, trained.task.kind)
     require_responses(trained)
     sha256, size = file_sha256(best), best.stat().st_size
     allowed = f"up to {MAX_BYTES:,}; train a smaller encoder"
@@ -74,8 +93,8 @@ def publish(
             f"The card of {name} has no notes. Give --notes FILE: Markdown with the intended use "
             "and the known limits of these weights."
         )
-    summary = _summary(trained.learner, training, scored)
-    entry = PublishedWeights(name, trained.learner.kind, name + SUFFIX, sha256, size, summary)
+    summary = _summary(trained.task, training, scored)
+    entry = PublishedWeights(name, trained.task.kind, name + SUFFIX, sha256, size, summary)
     folder.mkdir(parents=True, exist_ok=True)
     write_bytes(folder / entry.file, best.read_bytes())
     write_bytes(card, card_text(entry, training, scored, license_name, notes).encode())
@@ -84,13 +103,13 @@ def publish(
 
 
 def _evaluation(folder: Path, sha256: str) -> Evaluation:
-    found = read_evaluation(folder)
-    if found.sha256 != sha256:
+    evaluation = read_evaluation(folder)
+    if evaluation.sha256 != sha256:
         raise InputError(
-            f"The evaluation in {folder} is of weights with sha256 {found.sha256[:12]}…, not of "
-            f"these, {sha256[:12]}…. Evaluate {BEST} again."
+            f"The evaluation in {folder} belongs to weights with sha256 "
+            f"{evaluation.sha256[:12]}…, not {sha256[:12]}…. Evaluate {BEST} again."
         )
-    return found
+    return evaluation
 
 
 def _training(run: Path, trained: TrainedNetwork) -> Training:
@@ -99,26 +118,26 @@ def _training(run: Path, trained: TrainedNetwork) -> Training:
     stated = read_plain(path, "settings")
     try:
         plain: dict[str, Any] = dict(stated["settings"])
-        learned, chosen = plain.pop("frames")
-        settings = from_plain(TrainSettings, plain, at=str(path))
+        num_training, num_validation = plain.pop("frames")
+        settings = read_settings(plain, at=str(path))
         made_with = {str(k): str(v) for k, v in stated["made_with"].items() if k != "core"}
         with (run / PROGRESS).open(encoding="utf-8", newline="") as file:
             rows = list(csv.DictReader(file))
         done = int(float(rows[-1]["step"]))
-        step, scores = int(trained.about["steps"]), dict(trained.about["scores"])
+        step, scores = int(trained.metadata["steps"]), dict(trained.metadata["scores"])
     except OSError as error:
         raise InputError(f"Cannot read {run / PROGRESS}: {error.strerror}.") from error
     except (LookupError, TypeError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{run} holds a damaged training: {error}.") from error
-    frames = (max(1, round(settings.fraction * learned)), chosen)
+        raise InputError(f"The training in {run} is damaged: {error}.") from error
+    frames = (max(1, round(settings.fraction * num_training)), num_validation)
     return Training(settings, frames, made_with, step, done, scores, _plans(settings))
 
 
 def _plans(settings: TrainSettings) -> dict[str, dict[str, Any]]:
     """Plans of the data that `vrcaps dataset make` generated, if it is still available."""
-    found = {}
+    plans = {}
     for source in (*settings.data, *settings.validation):
         if source.partition(":")[0] in FORMATS:
             continue
@@ -126,8 +145,8 @@ def _plans(settings: TrainSettings) -> dict[str, dict[str, Any]]:
             plan = read_plain_plan(open_store(source))
         except VrcapsError:
             continue  # an episode, or data that is no longer here; the card names it
-        found[source] = {key: plan[key] for key in ("dataset", "scenario") if key in plan}
-    return found
+        plans[source] = {key: plan[key] for key in ("dataset", "scenario") if key in plan}
+    return plans
 
 
 def _by_name(training: Training, scored: Sequence[Evaluation]) -> tuple[Training, list[Evaluation]]:
@@ -149,14 +168,79 @@ def _by_name(training: Training, scored: Sequence[Evaluation]) -> tuple[Training
     return training, [replace(one, data=renamed(one.data)) for one in scored]
 
 
-def _summary(learner: AnyTask, training: Training, scored: Sequence[Evaluation]) -> str:
+def _summary(task: Task, training: Training, scored: Sequence[Evaluation]) -> str:
     """One-line summary of the weights with their main metric."""
-    meaning = (type(learner).__doc__ or "").partition("\n")[0].rstrip(".")
-    figure = learner.figure.name
+    meaning = (type(task).__doc__ or "").partition("\n")[0].rstrip(".")
+    metric = task.metric.name
     scores = scored[-1].scores if scored else training.scores
     where = (
         f" on {', '.join(Path(one).name for one in scored[-1].data)}"
         if scored
         else " on validation frames"
     )
-    return f"{meaning}; {figure} {scores[figure]:.4f}{where}"
+    return f"{meaning}; {metric} {scores[metric]:.4f}{where}"
+
+
+def responses(trained: TrainedNetwork, samples: Sequence[Sample]) -> dict[str, float]:
+    """Change of each output between samples, relative to its root mean square.
+
+    One input changes at a time; the others are those of the first sample.
+
+    Args:
+        trained: Task and network.
+        samples: Two or more inputs of the network, as `Task.inputs` returns them.
+
+    Returns:
+        The change by the name of the output, its channel and the input, such as
+        ``output 0 by image``.
+    """
+    batch = batch_of(samples, trained.device)
+    result: dict[str, float] = {}
+    for name in trained.task.input_names:
+        first = {key: value[:1].expand_as(value) for key, value in batch.items()}
+        for output, values in trained.outputs({**first, name: batch[name]}).items():
+            changes = _changes(values)
+            result |= {f"{output} {k} by {name}": float(one) for k, one in enumerate(changes)}
+    return result
+
+
+def require_responses(trained: TrainedNetwork) -> None:
+    """Check that each output of a network depends on its image.
+
+    Raises:
+        InputError: If an output is the same for all images.
+    """
+    for name, change in responses(trained, probes(trained)).items():
+        if name.endswith(" by image") and not change > MIN_RESPONSE:
+            raise InputError(
+                f"The network of the task {trained.task.kind!r} gives the same output for all "
+                f"images: {name.removesuffix(' by image')} changes by {change:.2g} of its size. "
+                f"Allowed: above {MIN_RESPONSE:g}. Train it for longer."
+            )
+
+
+def probes(trained: TrainedNetwork) -> list[Sample]:
+    """Inputs of a network that differ in color, pattern and lens; the same on every run."""
+    fit = Letterbox(_SIDE, _SIDE, trained.task.input_size)
+    cameras = [read_device(name).cameras[0] for name in _CAPSULES]
+    return [
+        trained.task.inputs(_probe(k), fit, replace(camera, width=_SIDE, height=_SIDE))
+        for k, camera in enumerate(cameras)
+    ]
+
+
+def _probe(index: int) -> UInt8[np.ndarray, "s s 3"]:
+    """Image of a color modulated by waves in random directions."""
+    draw = rng.stream(index, "learn/probe")
+    position = np.stack(np.meshgrid(*2 * [np.linspace(0.0, 1.0, _SIDE)]), axis=-1)
+    waves = draw.normal(size=(8, 2)) / _WAVELENGTHS[index]
+    pattern = np.cos(2.0 * np.pi * (position @ waves.T) + draw.uniform(0.0, 2.0 * np.pi, 8))
+    bright = 1.0 + 0.15 * pattern.sum(axis=-1)
+    return np.clip(bright[..., None] * _COLORS[index], 0, 255).astype(np.uint8)
+
+
+def _changes(values: Float[np.ndarray, "b c ..."]) -> Float[np.ndarray, " c"]:
+    """Standard deviation over a batch, relative to the root mean square of the values."""
+    flat = values.reshape(*values.shape[:2], -1).astype(float)
+    change = np.sqrt(((flat - flat.mean(axis=0)) ** 2).mean(axis=(0, 2)))
+    return change / np.maximum(np.sqrt((flat**2).mean(axis=(0, 2))), 1e-12)

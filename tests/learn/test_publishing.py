@@ -12,7 +12,8 @@ from vrcaps.core.errors import InputError  # noqa: E402
 from vrcaps.learn.checkpoint import TrainedNetwork, read_weights  # noqa: E402
 from vrcaps.learn.hub import read_index  # noqa: E402
 from vrcaps.learn.letterbox import Letterbox  # noqa: E402
-from vrcaps.learn.responses import (  # noqa: E402
+from vrcaps.learn.networks import Backbone  # noqa: E402
+from vrcaps.learn.publishing import (  # noqa: E402
     MIN_RESPONSE,
     probes,
     require_responses,
@@ -43,8 +44,8 @@ def pictures() -> list[np.ndarray]:
 def samples(trained: TrainedNetwork) -> list[dict]:
     """Network's inputs of the pictures, all by one camera."""
     camera = small_sequence().camera
-    fit = Letterbox(SIDE, SIDE, trained.learner.size)
-    return [trained.learner.inputs(picture, fit, camera) for picture in pictures()]
+    fit = Letterbox(SIDE, SIDE, trained.task.input_size)
+    return [trained.task.inputs(picture, fit, camera) for picture in pictures()]
 
 
 @pytest.mark.slow
@@ -53,7 +54,7 @@ def test_no_published_network_ignores_its_inputs(entry) -> None:
     """Each output changes with each input by more than a hundredth of its size."""
     trained = read_weights(OURS / entry.file)
     by_probes = responses(trained, probes(trained))
-    assert set(by_probes) >= {f"output 0 by {name}" for name in trained.learner.input_names}
+    assert set(by_probes) >= {f"output 0 by {name}" for name in trained.task.input_names}
     assert min(by_probes.values()) > MIN_RESPONSE
     by_image = {k: v for k, v in responses(trained, samples(trained)).items() if "image" in k}
     assert min(by_image.values()) > MIN_RESPONSE
@@ -62,13 +63,13 @@ def test_no_published_network_ignores_its_inputs(entry) -> None:
 @pytest.mark.slow
 def test_a_constant_network_is_found() -> None:
     """A classifier whose last layer is zero, and a network of motion that is."""
-    learner = ClassificationTask(("normal", "polyp"), size=32)
+    learner = ClassificationTask(("normal", "polyp"), backbone=Backbone(32))
     untrained = TrainedNetwork(learner, learner.network(is_pretrained=False).eval(), {})
     found = responses(untrained, probes(untrained))
     assert found == {"output 0 by image": 0.0, "output 1 by image": 0.0}
     with pytest.raises(InputError, match=r"same output for all images: output 0 changes by 0 of"):
         require_responses(untrained)
-    video = SfmTask(size=32)
+    video = SfmTask(backbone=Backbone(32))
     network = video.network(is_pretrained=False).eval()
     for value in network.moves.get_classifier().parameters():
         torch.nn.init.constant_(value, 0.1)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,15 +17,18 @@ from vrcaps.core.files import atomic_folder, write_bytes, write_csv
 from vrcaps.core.names import inside
 from vrcaps.formats.detection.image_folders import file_name
 from vrcaps.formats.io import read_source
-from vrcaps.formats.slam.tum import trajectory_text
 from vrcaps.learn.checkpoint import TrainedNetwork
+from vrcaps.learn.evaluation import stack_vertically
 from vrcaps.learn.letterbox import Letterbox
-from vrcaps.learn.picture_border import PictureView, assumed_camera, input_image, view_of
-from vrcaps.learn.registry import LEARNERS
+from vrcaps.learn.picture_border import (
+    LENS_NEEDED,
+    PictureView,
+    assumed_camera,
+    input_image,
+    view_of,
+)
+from vrcaps.learn.registry import TASKS
 from vrcaps.learn.samples import batch_of
-from vrcaps.learn.tasks.depth import LENS_NEEDED
-from vrcaps.learn.tasks.sfm import SfmTask, estimated_trajectory
-from vrcaps.learn.validation import below_one_another
 from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import FrameSequence
 
@@ -51,19 +54,20 @@ def images_of(
             makes images of another size.
     """
     if capsule and field_of_view is not None:
-        raise InputError("The lens comes from one of --capsule and --fov. Drop the other.")
+        raise InputError("--capsule and --fov are both given. Allowed: one of them.")
     camera = read_device(capsule).cameras[0] if capsule else None
     if field_of_view is not None:
         assumed_camera(1, 1, field_of_view)
     sequences = tuple(
         one if one.camera else replace(one, camera=camera) for one in read_source(source)
     )
+    cls = TASKS[task]
     for one in sequences:
-        if "ray" in LEARNERS[task].input_names and not (one.camera or field_of_view):
+        if "ray" in cls.input_names and not (one.camera or field_of_view):
             raise InputError(LENS_NEEDED)
         if len(one) and "rgb" in one.channels:
             with suppress(OSError):
-                view_of(task, one, one.image("rgb", 0))
+                view_of(one, one.image("rgb", 0), predicts_lengths=cls.predicts_lengths)
     return sequences
 
 
@@ -79,9 +83,8 @@ def predict(
 
     Depth is 0, no value, in the black border and the inserts of an endoscope's picture.
 
-    `sheet.png` shows a selection. For a task that predicts motion, `trajectory.txt` of each
-    sequence holds the poses of its readable images in TUM format. The folder appears once
-    everything is written.
+    `sheet.png` shows a selection. A task may add files of each sequence, such as `trajectory.txt`
+    of `sfm` with the poses of its readable images. The folder appears once everything is written.
 
     Args:
         trained: Task and network.
@@ -97,10 +100,10 @@ def predict(
         InputError: If the folder is not empty, or no image can be used.
     """
     with atomic_folder(out) as partial:
-        return _write_estimates(trained, sequences, partial, field_of_view, progress)
+        return _write_predictions(trained, sequences, partial, field_of_view, progress)
 
 
-def _write_estimates(
+def _write_predictions(
     trained: TrainedNetwork,
     sequences: tuple[FrameSequence, ...],
     out: Path,
@@ -110,63 +113,68 @@ def _write_estimates(
     """Write the predictions into a folder; return the unreadable images with the reason."""
     frames = [(one, index) for one in sequences for index in range(len(one))]
     shown = set(np.unique(np.linspace(0, len(frames) - 1, _SHEET_ROWS).astype(int)).tolist())
-    rows: list[dict[str, Any]] = []
+    rows: list[dict[str, object]] = []
     pictures: list[NDArray] = []
     skipped: dict[str, str] = {}
     read: list[tuple[FrameSequence, int]] = []
-    for number, (sequence, index) in enumerate(frames):
+    task = trained.task
+    for done, (sequence, index) in enumerate(frames):
         name = f"{sequence.name}/{file_name(sequence, index)}"
+        lengths = {"predicts_lengths": task.predicts_lengths}
         try:
-            image = input_image(trained.learner.kind, sequence, index)
-            view = view_of(trained.learner.kind, sequence, image, field_of_view)
+            image = input_image(sequence, index, **lengths)
+            view = view_of(sequence, image, field_of_view, **lengths)
         except (InputError, OSError) as error:
             skipped[name] = reason_of(error)
             continue
         read.append((sequence, index))
-        fit = Letterbox(view.image.shape[0], view.image.shape[1], trained.learner.size)
-        sample = trained.learner.inputs(view.image, fit, view.camera)
+        letterbox = Letterbox(view.image.shape[0], view.image.shape[1], task.input_size)
+        sample = task.inputs(view.image, letterbox, view.camera)
         output = trained(batch_of([sample]))[0]
-        path = inside(out, name)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        files = trained.learner.files(output, fit).items()
-        write_images(
-            [
-                (path.with_name(path.name + ending), _in_place(view, estimate))
-                for ending, estimate in files
-            ]
-        )
-        rows.append({"image": name, **trained.learner.row(output)})
-        if number in shown or not pictures:
-            pictures.append(trained.learner.picture(output, sample))
-        progress(number + 1, len(frames))
+        _write_files(inside(out, name), view, task.files(output, letterbox))
+        rows.append({"image": name, **task.row(output)})
+        if done in shown or not pictures:
+            pictures.append(task.picture(output, sample))
+        progress(done + 1, len(frames))
     if not rows:
-        raise InputError(f"No image can be read: {next(iter(skipped.values()), 'there is none')}")
-    if isinstance(trained.learner, SfmTask):
-        _write_trajectories(trained, read, out, field_of_view)
+        raise InputError(f"No image can be read: {next(iter(skipped.values()), 'none is given')}")
+    _write_sequence_files(trained, read, out, field_of_view)
     if len(rows[0]) > 1:
-        write_csv(out / f"{trained.learner.kind}.csv", rows)
-    write_images([(out / "sheet.png", below_one_another(pictures))])
+        write_csv(out / f"{task.kind}.csv", rows)
+    write_images([(out / "sheet.png", stack_vertically(pictures))])
     return skipped
 
 
-def _in_place(view: PictureView, estimate: NDArray) -> NDArray:
-    """Convert a map of a part of an image to the whole image; larger images are unchanged."""
-    return view.whole(estimate) if estimate.shape[:2] == view.image.shape[:2] else estimate
+def _write_files(path: Path, view: PictureView, files: Mapping[str, NDArray]) -> None:
+    """Write output images; maps of a part of an image cover the whole image."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_images(
+        [
+            (
+                path.with_name(path.name + suffix),
+                view.whole(values) if values.shape[:2] == view.image.shape[:2] else values,
+            )
+            for suffix, values in files.items()
+        ]
+    )
 
 
-def _write_trajectories(
+def _write_sequence_files(
     trained: TrainedNetwork,
     frames: list[tuple[FrameSequence, int]],
     out: Path,
     field_of_view: float | None,
 ) -> None:
-    """Write the predicted trajectory of each sequence, over the given frames."""
+    """Write the task's files of each sequence, over the given frames."""
     for _, group in groupby(frames, key=lambda frame: id(frame[0])):
-        found = list(group)
-        sequence, first = found[0]
+        known = list(group)
+        sequence, first = known[0]
         if sequence.camera is None and field_of_view is not None:
             height, width = sequence.image("rgb", first).shape[:2]
             camera = assumed_camera(width, height, field_of_view)
             sequence = replace(sequence, camera=camera)
-        trajectory = estimated_trajectory(trained, sequence, [index for _, index in found])
-        write_bytes(out / sequence.name / "trajectory.txt", trajectory_text(trajectory).encode())
+        files = trained.task.sequence_files(
+            trained.network, sequence, [index for _, index in known], trained.device
+        )
+        for name, content in files.items():
+            write_bytes(out / sequence.name / name, content)

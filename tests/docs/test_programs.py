@@ -6,6 +6,7 @@ The blocks of a page run in order and share their names. `test_five_jobs` runs t
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -20,11 +21,15 @@ ELSEWHERE = {"README.md", "docs/tutorials/quickstart.md", "docs/how-to/extending
 NOT_RUN = ("import datasets", "from lerobot", "open_cockpit(")
 """Blocks that need a package which the tests do not install, or a person."""
 
-EPISODE = """
+
+def episode(name: str, **settings: object) -> str:
+    """Statements that record a stomach."""
+    return f"""
 import vrcaps
-scenario = vrcaps.Scenario("{organ}", channels=("rgb", "depth", "normal"), frames={frames})
-vrcaps.record(scenario, "runs/{name}")
+vrcaps.record(vrcaps.Scenario("stomach", **{settings!r}), "runs/{name}")
 """
+
+
 COHORT = '''
 from pathlib import Path
 Path("plan.toml").write_text("""
@@ -45,7 +50,9 @@ except SystemExit as error:
     assert not error.code
 '''
 SETUP = {
-    "concepts/coverage.md": EPISODE.format(organ="stomach", frames=2, name="stomach"),
+    "concepts/coverage.md": episode(
+        "stomach", frames=2, channels=("rgb", "ray_distance", "normal", "face")
+    ),
     "concepts/datasets.md": COHORT,
     "concepts/effects.md": """
 import vrcaps
@@ -60,10 +67,26 @@ test_images = train_images = [rng.integers(0, 256, (64, 64, 3), dtype=np.uint8) 
 pairs = [(t + 0.001, t) for t in 0.02 + 0.02 * rng.random((4, 32, 32))]
 patients = [0, 0, 1, 1]
 """,
-    "reference/episode-format.md": EPISODE.format(organ="stomach", frames=13, name="colon").replace(
-        "frames=13", "frames=13, wall=True"
+    "how-to/ct.md": """
+import numpy as np
+import trimesh
+from pathlib import Path
+from tests.support import phantom
+from vrcaps.mesh.mesh import Mesh
+gut = trimesh.creation.capsule(0.05, 0.015, count=[30, 30])
+gut = Mesh(np.array(gut.vertices), np.array(gut.faces))
+scanner = phantom.Scanner(spacing=(1.5e-3, 1e-3, 1e-3))
+phantom.write_dicom(Path("dicom"), phantom.scan_of(gut, scanner, np.random.default_rng(0)))
+""",
+    "reference/episode-format.md": episode(
+        "colon", frames=13, wall=True, channels=("rgb", "depth")
     ),
-    "reference/formats.md": EPISODE.format(organ="stomach", frames=2, name="colon"),
+    "reference/formats.md": episode("colon", frames=2, capsule="mono", channels=("rgb", "depth"))
+    + COHORT
+    + """
+from vrcaps.formats import WebDataset, export
+export(WebDataset(), vrcaps.data.sequences_of("runs/cohort"), "runs/cohort-wds")
+""",
     "reference/conventions.md": 'import shutil\nshutil.copy("DEVICE", "my_capsule.toml")\n',
 }
 """Statements before the first block of a page."""
@@ -77,6 +100,7 @@ SHORTER = (
         'Sb3VecEnv(EnvSettings(organs=("stomach",)), 2)',
     ),
     ("num_envs=16", "num_envs=2"),
+    ("{000000..000004}", "000000"),
     ('PPO("MultiInputPolicy", envs)', 'PPO("MultiInputPolicy", envs, n_steps=16)'),
 )
 PAGES = sorted(
@@ -112,6 +136,7 @@ def test_the_programs_of_a_page_run(page: str, tmp_path: Path) -> None:
         text=True,
         timeout=WATCHDOG,
         cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])},
         check=False,
     )
     assert result.returncode == 0, result.stderr[-3000:]

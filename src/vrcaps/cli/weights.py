@@ -69,7 +69,7 @@ class Pull:
         Raises:
             InputError: If there is no source, or a file differs from the index.
         """
-        from vrcaps.learn.hub import VARIABLE, pull, download_folder
+        from vrcaps.learn.hub import VARIABLE, download_folder, pull
 
         source = self.source or os.environ.get(VARIABLE, "")
         if not source:

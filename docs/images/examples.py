@@ -14,7 +14,10 @@ from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[2]
 SIDE_PX = 360
-WITHOUT_PICTURE = {"10_train_a_policy": ROOT / "docs" / "images" / "policy.jpg"}
+WITHOUT_PICTURE = {
+    "09_own_controller": ROOT / "docs" / "images" / "gallery_segments_stomach.jpg",
+    "10_train_a_policy": ROOT / "docs" / "images" / "policy.jpg",
+}
 """Examples that print text only, and a picture for them."""
 
 

@@ -156,7 +156,7 @@ HEAD_CHANNELS = (
 )
 
 
-TEXT = r"""## Color, gradients and highlights, beside real frames
+TEXT = r"""## Color, gradients and highlights compared with real frames
 
 `python -m benchmarks.appearance.compare --out docs/reference/gallery.md`: our frames beside real
 ones of seven classes (human capsule frames of WCEBleedGen, colonoscopies of EndoAngel and

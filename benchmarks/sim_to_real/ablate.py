@@ -106,7 +106,7 @@ def page_text(rows: Sequence[Row]) -> str:
     titles = [f"{TASKS[name].title}: {TASKS[name].figure}" for name in names]
     seeds = len({row.cell.seed for row in rows})
     parts = [
-        "## What of the simulator matters, measured",
+        "## Simulator ablation: results",
         about(rows),
         f"All our images show the same patients, {PATIENTS} at most. Up to {seeds} networks of "
         "each kind; an interval over few of them is too narrow. Each network learned first "

@@ -234,19 +234,20 @@ TASKS = {
     task.name: task
     for task in (
         Task(
-            "polyp-masks", "masks", "kvasir_seg", ("polyp",), "Masks of polyps (Kvasir-SEG)", "Dice"
+            "polyp-masks", "masks", "kvasir_seg", ("polyp",),
+            "Segmentation of polyps (Kvasir-SEG)", "Dice",
         ),
         Task(
             "bleeding-masks", "masks", "wce_bleedgen", ("bleeding",),
-            "Masks of bleeding (WCEBleedGen, capsule)", "Dice",
+            "Segmentation of bleeding (WCEBleedGen, capsule)", "Dice",
         ),
         Task(
             "bleeding-classes", "classes", "wce_bleedgen", ("normal", "bleeding"),
-            "Bleeding or not (WCEBleedGen, capsule)", "mean F1",
+            "Classification of bleeding (WCEBleedGen, capsule)", "mean F1",
         ),
         Task(
             "polyp-classes", "classes", "hyperkvasir", ("polyp", "colitis"),
-            "Polyp or colitis (HyperKvasir)", "mean F1", has_overlays=True,
+            "Classification of polyps and colitis (HyperKvasir)", "mean F1", has_overlays=True,
         ),
         Task(
             "super-resolution", "super-resolution", "bkai", (),

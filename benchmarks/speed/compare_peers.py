@@ -104,11 +104,14 @@ def measure(stage: Stage, extent: Extent, names: tuple[str, ...]) -> Report:
     more = () if "embree" not in names or "embree" in skipped else (one_thread(extent),)
     versions = ", ".join(f"{name} {number}" for name, number in package_versions().items())
     return Report(
-        title="Speed beside peers",
+        title="Rendering speed compared with other renderers",
         command="python -m benchmarks.speed.compare_peers",
         setting=setting(stage, extent),
         claims=tuple(judged(*entry) for entry in _JUDGED),
-        tables=(Table("One frame beside peers", (*COLUMNS, "times ours"), rows), *more),
+        tables=(
+            Table("One frame compared with other renderers", (*COLUMNS, "times ours"), rows),
+            *more,
+        ),
         skipped=skipped,
         machine=machine_facts() | {"peers": versions},
     )

@@ -91,7 +91,7 @@ def main() -> None:
         rows.append(measure(num * given.size // 600, supine, 60 * MM))
         print(*rows[-1], sep=" | ", flush=True)
     text = (
-        "## Time and memory of CT\n\n`python -m benchmarks.speed.ct`: a made scan of a generated "
+        "## CT: time and memory\n\n`python -m benchmarks.speed.ct`: a made scan of a generated "
         f"colon with tagged fluid in it, on\n{os.cpu_count()} cores, from DICOM files to the "
         "organ's file and its picture, the start of the command included.\n\n"
         + table(HEAD, rows)

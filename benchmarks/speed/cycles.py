@@ -105,7 +105,8 @@ def main() -> None:
     ratios = np.divide(costs[1], costs[0])
     verdict = "yes" if ratios[1] >= LIMIT else "NO"
     text = (
-        f"## Speed beside Cycles\n\n`python -m benchmarks.speed.cycles --blender-python …`: "
+        "## Rendering speed compared with Cycles\n\n"
+        "`python -m benchmarks.speed.cycles --blender-python …`: "
         f"{given.size} × {given.size} pixels, {SAMPLES} paths a pixel, {DEPTH}\nreflections, "
         f"{THREADS} threads, median of {IMAGES} frames after the first, a matt generated colon.\n\n"
         + table(HEAD, rows)

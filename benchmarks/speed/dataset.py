@@ -78,7 +78,7 @@ def main() -> None:
         share = f"{rate * unit / workers:.0%}"
         rows.append([str(workers), "simulated", shown, f"{rate:.3g}", share, f"{busy:.2%}"])
     head = ("workers", "", "a unit", "units a second", "of the ideal", "head at work")
-    text = f"""## Scale of data sets
+    text = f"""## Scaling of dataset generation
 
 {given.size} recordings of two frames of 40 × 36 pixels, one thread each. The head needs
 {1e3 * times.head:.2f} ms of a processor for a unit (its outcome is received, and the next one

@@ -89,7 +89,7 @@ def main() -> None:
     marks = sorted({1, 10, warm, given.size // 4, given.size // 2, given.size})
     rows = [[f"{n:,}", f"{found[n]:.1f}"] for n in marks if n in found]
     verdict = "yes" if growth <= _ALLOWED else "NO"
-    text = f"""## Memory of making a data set
+    text = f"""## Memory use of dataset generation
 
 {given.size:,} recordings of one frame (`rgb`, `depth`, `normal`, `label`, `instance`) in one
 process. Growth after unit {warm}: {growth:.1%}; claimed: at most {_ALLOWED:.0%}: {verdict}.

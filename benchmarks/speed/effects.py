@@ -70,7 +70,7 @@ def main() -> None:
     times = interleave(subjects, num_views=FRAMES, num_rounds=ROUNDS)
     files = [[_recorded("", DEFAULT), _recorded(EFFECTS, DEFAULT)] for _ in range(5)]
     one, lossy = (Spread.of(1e3 * column) for column in np.transpose(files))
-    text = f"""## Speed of lens and sensor
+    text = f"""## Camera-pipeline speed
 
 {FRAMES} frames of a flight at 2 cm/s through a generated colon, 30 a second, 320 × 320 pixels,
 color, depth, normal, label and instance; effects `{EFFECTS}`. Mean over the frames; median of

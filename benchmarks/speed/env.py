@@ -63,7 +63,7 @@ def main() -> None:
         rows += [native(settings, count) for count in counts if count <= args.most]
         if dynamics == "quasi-static" and args.most >= 4:
             rows.append(asynchronous(settings, 4))
-    text = f"""## Speed of environments
+    text = f"""## Environment speed
 
 `Coverage-v0` of a generated stomach, capsule `magnetic`, observations `state` and `map`, smooth
 random actions; an action is five steps of 1/30 s, visibility by 4,096 points once an action;

@@ -50,7 +50,7 @@ def main() -> None:
         row(organ, FemDeformation(edge=edge * MM, model=law), given.size) for law, edge in _WALLS
     ]
     rows.append(world_row(organ, FemDeformation(edge=22.0 * MM), given.size))
-    text = f"""## Speed of the elastic wall
+    text = f"""## Elastic-wall speed
 
 A generated colon of {len(organ.faces):,} triangles, pushed at one place; steps of
 {1e3 * _DT:g} ms. Processor time of all threads, median of {given.size} steps. In a world: what a

@@ -148,7 +148,7 @@ def main() -> None:
         totals = [f"{sum(column):.1f}" for column in zip(*found.values(), strict=True)]
         rows.append([codec.name, *sizes, *totals, codec.opens])
     shape = frames[0]["depth"].shape
-    text = f"""## Codecs of image files
+    text = f"""## Image codecs
 
 Mean of {given.size} frames of {shape[1]} × {shape[0]} pixels in the default colon:
 kB of each channel and of all, and ms of one processor for all, without the disk.

@@ -126,7 +126,7 @@ def main() -> None:
             said = f"≤ {LIMIT:g} µs: {'yes' if median <= LIMIT else 'NO'}"
             spread = f"{low:.2f} to {high:.2f} µs"
             rows.append((name, f"{1e3 * distance:.0f} mm", f"{median:.2f} µs", spread, said))
-    text = f"""## Speed of magnets
+    text = f"""## Magnet speed
 
 `python -m benchmarks.speed.magnets`: CPU time on one core. Field, gradient and wrench of eight
 sources, 100 mm across, on a capsule with one magnet:

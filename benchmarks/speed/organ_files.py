@@ -165,7 +165,7 @@ def main() -> None:
             rows.append(row(name, "as episodes have it" if compact else "`vrcaps organ make`",
                             size, seconds, found))  # fmt: skip
     height, width = look.height.shape
-    text = f"""## Size of an organ file
+    text = f"""## Organ file size
 
 Default colon, {len(model.organ.faces):,} triangles, {width} × {height} texels;
 {given.size} images of {model.device.title} along it, with radiosity

@@ -81,7 +81,7 @@ def main() -> None:
         rows += compare(scene)
         print(*rows[-2:], sep="\n", flush=True)
     text = (
-        "## Speed of path tracing\n\n`python -m benchmarks.speed.path`: "
+        "## Path-tracing speed\n\n`python -m benchmarks.speed.path`: "
         f"{given.size} × {given.size} pixels, {SAMPLES} paths a pixel, {DEPTH} reflections, "
         "against Mitsuba 3\n(`llvm_ad_rgb`, `path`, on the same rays, no film), median of "
         f"{IMAGES} images in turns.\n\n"

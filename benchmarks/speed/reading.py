@@ -55,7 +55,7 @@ def main() -> None:
         folder = made_dataset(Path(scratch), args.size)
         rows = [row(name, *rate(loader)) for name, loader in local_loaders(folder)]
         remote = [remote_row(folder, latency) for latency in LATENCIES_MS]
-    text = f"""## Speed of reading
+    text = f"""## Reading speed
 
 8 recordings of {args.size} frames, rgb and depth, 320 × 320; batches of {BATCH}, shuffled; \
 {os.cpu_count()} processors.

@@ -121,7 +121,7 @@ def main() -> None:
         for size, shadows in ((64, True), (64, False), (32, False)):
             images += image_rows(model, size, shadows, given.size)
         views += view_rows(model, given.size)
-    text = f"""## Speed of views
+    text = f"""## Batched rendering speed
 
 `python -m benchmarks.speed.views`: color and depth by direct light, {_core.num_threads()} threads:
 

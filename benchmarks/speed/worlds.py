@@ -51,7 +51,7 @@ def main() -> None:
     World(model)
     counts = [count for count in COUNTS if count <= args.most]
     rows = [row(model, count, dynamics) for dynamics in DYNAMICS for count in counts]
-    text = f"""## Speed of many worlds
+    text = f"""## Speed of parallel worlds
 
 A generated stomach of {len(organ.faces)} triangles, the capsule `magnetic` at places along it, led
 along the upper wall by a magnet at {1e3 * SPEED:.0f} mm/s; steps of 1/30 s, physics in substeps of

@@ -44,7 +44,7 @@ def main() -> None:
         judging.run()
         rows += design_rows(policy, folder / TABLE)
     write_bytes(IMAGE, (given.run / POLICIES[0] / PICTURE).read_bytes())
-    text = f"""## Designs of a capsule
+    text = f"""## Capsule designs
 
 `python -m benchmarks.validation.capsule_designs`: {given.size} seeds of two episodes of 60 s in
 stomachs 100 to 119, quasi-static dynamics. Medians over episodes, with 10th to 90th percentile,

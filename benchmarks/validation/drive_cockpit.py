@@ -95,7 +95,7 @@ def main() -> None:
         browser.close()
     shutil.rmtree(root)
     text = (
-        f"## Driven by hand\n\n{' '.join((__doc__ or '').split('    python')[0].split())}\n\n"
+        f"## Manual control\n\n{' '.join((__doc__ or '').split('    python')[0].split())}\n\n"
         f"{table(HEAD, rows)}\n\nLoad of the machine at the end: {os.getloadavg()[0]:.1f} on "
         f"{os.cpu_count()} cores."
     )

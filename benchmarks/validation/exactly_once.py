@@ -76,7 +76,7 @@ def main() -> None:
                 print(rows[title], flush=True)
                 STORE.parent.mkdir(exist_ok=True)
                 STORE.write_text(json.dumps({key: rows}, indent=1))
-    text = f"""## Data sets whose makers are killed
+    text = f"""## Crash safety of dataset generation
 
 `python -m benchmarks.validation.exactly_once`: {given.size} recordings of two frames. A random
 worker is killed by SIGKILL {given.kills} times and the head {given.heads} times, at random

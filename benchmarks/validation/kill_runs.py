@@ -134,7 +134,7 @@ def main() -> None:
             count = max(1, round(VERBS[verb].share * given.size / 100))
             rows.append(row(verb, count, killed(place, verb, count)))
             print(rows[-1], flush=True)
-    text = f"""## Runs that are killed
+    text = f"""## Crash safety of commands
 
 `python -m benchmarks.validation.kill_runs`: the process of a command is killed by SIGKILL at a
 seeded moment, {sum(int(row[1]) for row in rows)} times in all; then the same command runs to its

@@ -48,7 +48,7 @@ def main() -> None:
     head = ("policy", "episodes", *(name for name, *_ in FIGURES), "wall escapes")
     rows = [figures_row(name, found) for name, found in judged.items()]
     compared = [difference_row(name, judged) for name in POLICIES[1:]]
-    text = f"""## A policy that learned
+    text = f"""## Trained policy
 
 `python -m benchmarks.validation.learning`: `vrcaps evaluate` under full physics in stomachs 100 to
 119, at least {given.size} seeds of five episodes of 60 s. `coverage-ppo` learned in stomachs 0 to

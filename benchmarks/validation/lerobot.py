@@ -64,7 +64,7 @@ def main() -> None:
         ["export", "frames", "state", "action", "depth", "color [of 255]", "tasks", "claimed"], rows
     )
     head = (
-        f"## LeRobot's loader\n\n`LeRobotDataset` of lerobot {_version(given.python)}: largest "
+        f"## LeRobot loader\n\n`LeRobotDataset` of lerobot {_version(given.python)}: largest "
         "difference from what was recorded, in float32; of color the mean. Films lose color.\n\n"
     )
     write_section(given.out, Path(__file__), head + text)

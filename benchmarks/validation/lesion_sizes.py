@@ -82,7 +82,7 @@ def main() -> None:
 def section(rows: list[tuple[str, ...]]) -> str:
     """The table and what it means."""
     return (
-        "## The largest lesions\n\n`python -m benchmarks.validation.lesion_sizes`: the largest "
+        "## Largest lesions\n\n`python -m benchmarks.validation.lesion_sizes`: the largest "
         "that each kind allows or, where it does not fit,\nthe largest that fits, "
         "for, by tenths.\n\n"
         + table(("organ", "asked for", "size", "triangles of it", "cuts"), rows)

@@ -62,7 +62,7 @@ def main() -> None:
             steered.append(steer_row(name, pose, errors))
             if errors.located:
                 located.append(locate_row(name, errors))
-    text = f"""## Steering by a located pose
+    text = f"""## Steering with the localized pose
 
 `python -m benchmarks.validation.located_steering`: capsule `magnetic`, magnet `cylinder-76.2` by
 hand, {FPS:g} frames/s, {given.size} seeds of the sensors. *true*: the controller has the

@@ -44,7 +44,7 @@ def main() -> None:
         run(cut, None)
         rows = [[f"`{f}`", file_sha256(whole / f)[:16], file_sha256(cut / f)[:16]] for f in FILES]
         same = all(file_sha256(whole / f) == file_sha256(cut / f) for f in FILES)
-    text = f"""## Training that is killed
+    text = f"""## Resuming interrupted training
 
 `python -m benchmarks.validation.resume`: PPO in a short tube, {LEARNER.num_actions:,} actions in 8
 worlds. Killed by SIGKILL {given.size} times, {", ".join(f"{w:.1f}" for w in waits)} s after the

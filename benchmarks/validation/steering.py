@@ -65,7 +65,7 @@ def main() -> None:
     held = [hold_row(tube, arm, 0.5) for tube in tubes for arm in (False, True)]
     held += [hold_row(tube, True, 1.0) for tube in tubes]
     hand = FreeActuator()
-    text = f"""## Steering by a magnet
+    text = f"""## Magnetic steering
 
 `python -m benchmarks.validation.steering`: capsule `magnetic`, wet walls with `physical` drag. In
 tubes: magnet `cylinder-76.2`, a push of {PUSH:g} N along the tube that rises within {RISE:g} s,

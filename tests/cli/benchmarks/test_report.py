@@ -21,7 +21,7 @@ from vrcaps.core.errors import InputError
 
 FAST = Claim(text="fast", sense="≥", limit=100.0, unit="per second", reference="a paper | page 3")
 REPORT = Report(
-    title="Speed of rendering",
+    title="Rendering speed",
     command="vrcaps bench render",
     setting="A wall.",
     claims=(
@@ -68,7 +68,7 @@ def test_page_keeps_what_another_benchmark_wrote(tmp_path: Path) -> None:
         replace(REPORT, title="Other", command="vrcaps bench record"), out, Console(quiet=True)
     )
     page = out.read_text("utf-8")
-    assert page.index("## Other") < page.index("## Speed of rendering")
+    assert page.index("## Other") < page.index("## Rendering speed")
 
 
 def test_console_shows_the_verdict() -> None:

@@ -60,13 +60,13 @@ def measure(*, num_frames: int, num_runs: int) -> Report:
         else replace(claims.MEMORY, reason="this system does not tell"),
     )
     return Report(
-        title="Speed of recording",
+        title="Recording speed",
         command="vrcaps bench record",
         setting=setting,
         claims=found,
         tables=(
-            _stages(runs, "Where the time of a frame goes"),
-            _stages(quick_runs, "The same with direct light and no shadows"),
+            _stages(runs, "Time per stage of a frame"),
+            _stages(quick_runs, "Time per stage with direct light and no shadows"),
             _whole(runs),
         ),
         machine=machine_facts(),
@@ -115,4 +115,4 @@ def _whole(runs: list[dict[str, Any]]) -> Table:
         "finish": "contact sheet",
     }
     rows = tuple(Row(name.replace("_", " "), (_spread(runs, name),), notes[name]) for name in notes)
-    return Table("Where the time of a run goes", ("s",), rows)
+    return Table("Time per stage of a run", ("s",), rows)

@@ -56,7 +56,7 @@ def measure(extent: Extent, *, only: Sequence[str]) -> Report:
             found.append(STUDIES[name](stage, extent, _counter(advance, extent.num_rounds + 1)))
     is_whole = tuple(only) == tuple(STUDIES)
     return Report(
-        title="Speed of rendering" if is_whole else f"Speed of rendering: {', '.join(only)}",
+        title="Rendering speed" if is_whole else f"Rendering speed: {', '.join(only)}",
         command="vrcaps bench render" + ("" if is_whole else f" --only {' '.join(only)}"),
         setting=setting(stage, extent),
         claims=tuple(claim for study in found for claim in study.claims),

@@ -183,7 +183,7 @@ def refit(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
     rows = tuple(
         row(s, times[s.name], Spread.of(times[s.name].wall).scaled(_MS * share)) for s in subjects
     )
-    table = Table("Moving the wall", (*COLUMNS, "ms per 100,000 triangles"), rows)
+    table = Table("Refit of a moved wall", (*COLUMNS, "ms per 100,000 triangles"), rows)
     measured = Spread.of(times["refit"].wall).scaled(_MS * share)
     return Study(table, (replace(claims.REFIT, measured=measured),))
 

@@ -88,7 +88,7 @@ def measure(num_triangles: int, num_rounds: int) -> Report:
         console.print(f"timing {part.__name__.strip('_').replace('_', ' ')} …")
         found.append(part(stage, num_rounds))
     return Report(
-        title="Speed of the physics",
+        title="Physics speed",
         command="vrcaps bench world",
         setting=(
             f"A generated colon of {stage.num_triangles} triangles, default tissue with the "
@@ -150,7 +150,7 @@ def _wave(stage: Stage, num_rounds: int) -> tuple[Claim, Table]:
     times = _timed(wave, num_rounds)
     note = "as a recording does: a world's step with one substep, its state, the renderer's wall"
     table = Table(
-        "The muscle's wave",
+        "Muscle wave",
         ("ms", "ms of processors"),
         (times.row("wave, wall and refit", note, 1e3),),
     )

@@ -17,7 +17,8 @@ import numpy as np
 
 from vrcaps.env import CapsuleVectorEnv
 from vrcaps.env.settings import env_settings
-from vrcaps.policy.policy import Requirements, read_policy
+from vrcaps.policy.catalog import read_policy
+from vrcaps.policy.policy import Requirements
 
 
 class Frontier:

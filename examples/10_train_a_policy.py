@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from vrcaps.env.rewards import Reward
-from vrcaps.policy.policy import read_policy
+from vrcaps.policy.catalog import read_policy
 from vrcaps.policy.presets import ci, default
 from vrcaps.policy.training import BEST, Score, TrainingSettings, train
 from vrcaps.scenario.scenario import OrganGenerated

@@ -13,7 +13,7 @@ from vrcaps.cli.evaluate import Evaluate
 from vrcaps.core.errors import InputError, VrcapsError
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.settings import EnvSettings
-from vrcaps.policy.policy import read_policy
+from vrcaps.policy.catalog import read_policy
 from vrcaps.tools.reports.evaluation import PAGE, PICTURE, TABLE
 
 

@@ -10,7 +10,7 @@ from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.start import Start
 from vrcaps.env.vector_env import CapsuleVectorEnv
 from vrcaps.policy.baselines import Walk
-from vrcaps.policy.policy import BASELINES, read_policy
+from vrcaps.policy.catalog import BASELINES, read_policy
 from vrcaps.policy.route import make_route
 
 

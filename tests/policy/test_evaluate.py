@@ -14,6 +14,7 @@ from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.settings import EnvSettings
 from vrcaps.env.start import Start
 from vrcaps.env.tasks.navigate import NavigateTask
+from vrcaps.policy.catalog import read_policy
 from vrcaps.policy.evaluate import Plan, evaluate
 from vrcaps.policy.evaluation import (
     EPISODES,
@@ -24,7 +25,6 @@ from vrcaps.policy.evaluation import (
     read_rows,
     success_measures,
 )
-from vrcaps.policy.policy import read_policy
 
 STATED = {"policy": "centerline"}
 

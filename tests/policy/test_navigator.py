@@ -16,8 +16,8 @@ from vrcaps.env.tasks.coverage import CoverageTask
 from vrcaps.env.tasks.navigate import NavigateTask
 from vrcaps.env.vector_env import CapsuleVectorEnv
 from vrcaps.organ.surface import OrganSurface
+from vrcaps.policy.catalog import read_policy
 from vrcaps.policy.navigator import Guide, NavigatorPolicy
-from vrcaps.policy.policy import read_policy
 
 
 def folded(height: float) -> OrganSurface:

@@ -11,7 +11,8 @@ from gymnasium import spaces
 
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.policy.baselines import RandomPolicy
-from vrcaps.policy.policy import BASELINES, Policy, Requirements, read_policy
+from vrcaps.policy.catalog import BASELINES, read_policy
+from vrcaps.policy.policy import Policy, Requirements
 
 
 @pytest.fixture
@@ -46,7 +47,7 @@ def test_a_policy_of_ones_own_by_its_import_path() -> None:
         ("no.such.module:Mine", InputError, "No policy at no.such.module:Mine"),
         ("vrcaps.policy.baselines:Mine", InputError, "the module has no 'Mine'"),
         ("pathlib:Path", InputError, "pathlib:Path is no policy"),
-        ("vrcaps.policy.policy:read_policy", InputError, "is no policy"),
+        ("vrcaps.policy.catalog:read_policy", InputError, "is no policy"),
         ("vrcaps.policy.policy:Policy", InputError, "cannot be made without arguments: TypeError"),
         ("os:abort", InputError, "os:abort is no policy"),
         ("sys:exit", InputError, "sys:exit is no policy"),

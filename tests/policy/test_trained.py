@@ -10,7 +10,7 @@ import pytest
 import vrcaps.policy
 from vrcaps.env.settings import env_settings
 from vrcaps.env.vector_env import CapsuleVectorEnv
-from vrcaps.policy.policy import policy_names, read_policy
+from vrcaps.policy.catalog import policy_names, read_policy
 from vrcaps.scenario.scenario import OrganGenerated
 
 FOLDER = Path(vrcaps.policy.__file__).parent / "trained"

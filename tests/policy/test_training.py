@@ -19,8 +19,9 @@ pytest.importorskip("stable_baselines3")
 from vrcaps.core.errors import InputError
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.vector_env import CapsuleVectorEnv
+from vrcaps.policy.catalog import read_policy
 from vrcaps.policy.mlp_policy import MlpPolicy, read_mlp_policy
-from vrcaps.policy.policy import Policy, read_policy
+from vrcaps.policy.policy import Policy
 from vrcaps.policy.ppo import Ppo, PpoSettings
 from vrcaps.policy.training import TrainingSettings, train
 from vrcaps.training.checkpoint import Progress

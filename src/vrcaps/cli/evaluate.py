@@ -101,9 +101,9 @@ class Evaluate:
 
     def _evaluate(self) -> list[Subject]:
         """Run all episodes of all policies with all capsules; errors are raised before any run."""
+        from vrcaps.policy.catalog import read_policy
         from vrcaps.policy.evaluate import Plan, evaluate
         from vrcaps.policy.evaluation import Evaluation
-        from vrcaps.policy.policy import read_policy
         from vrcaps.tools.reports.evaluation import Subject
 
         plan = Plan(self.seeds, self.episodes, self.worlds)

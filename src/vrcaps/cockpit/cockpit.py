@@ -14,7 +14,7 @@ from vrcaps.cockpit.panels import PANELS
 from vrcaps.cockpit.server import Gate, dock, make_gate, require_viser, serving
 from vrcaps.cockpit.session.session import Session
 from vrcaps.core.errors import InputError
-from vrcaps.policy.policy import read_policy
+from vrcaps.policy.catalog import read_policy
 
 if TYPE_CHECKING:
     import viser

@@ -87,7 +87,7 @@ def to_plain(value: Any, declared: Any, *, units: bool = False) -> Any:
         }
         if units:
             plain = {key: item for key, item in plain.items() if item is not None}
-        tagged = "" not in kinds_of(declared)
+        tagged = "" not in classes_by_kind(declared)
         return {"kind": value.kind, **plain} if tagged else plain  # type: ignore[attr-defined]
     if isinstance(value, tuple):
         types_ = _item_types(_member(declared, tuple), len(value))
@@ -182,7 +182,7 @@ def _note(index: int, item: Any) -> str:
 
 def _union_hook(converter: Converter, declared: Any, units: bool) -> Callable[[Any, Any], Any]:
     def structure(plain: Any, _: Any) -> Any:
-        classes = kinds_of(declared)
+        classes = classes_by_kind(declared)
         if isinstance(plain, Mapping) and classes:
             if "" in classes:
                 return converter.structure(plain, classes[""])
@@ -343,7 +343,7 @@ def _item_types(declared: Any, count: int) -> tuple[Any, ...]:
     return (items[0],) * count if items[-1] is ... else items
 
 
-def kinds_of(declared: Any) -> Mapping[str, type]:
+def classes_by_kind(declared: Any) -> Mapping[str, type]:
     """Dataclasses of a union or a family by kind; the only one, by an empty text.
 
     Dataclasses without a kind, next to others, have no plain form.

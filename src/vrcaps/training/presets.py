@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, TypeVar, cast, get_args, get_type_hints
 
-from vrcaps.config.convert import from_plain, kinds_of
+from vrcaps.config.convert import classes_by_kind, from_plain
 from vrcaps.core.errors import UnknownNameError
 
 Settings = TypeVar("Settings")
@@ -59,8 +59,13 @@ def _changed(settings: Any, path: str, value: Any) -> Any:
 
 def _from_plain(declared: Any, value: Any, at: str) -> Any:
     """Convert a plain value to a type; parts may be given by kind."""
-    kinds = kinds_of(declared)
-    if isinstance(value, str) and kinds and str not in (get_args(declared) or (declared,)):
+    kinds = classes_by_kind(declared)
+    if (
+        isinstance(value, str)
+        and kinds
+        and "" not in kinds
+        and str not in (get_args(declared) or (declared,))
+    ):
         if value not in kinds:
             raise UnknownNameError(at, value, kinds)
         return kinds[value]()

@@ -13,7 +13,8 @@ from vrcaps.cockpit.session.operator import Operator
 from vrcaps.cockpit.session.policy_driver import PolicyDriver
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.motion.rollout import Rollout
-from vrcaps.policy.policy import Requirements, policy_names
+from vrcaps.policy.catalog import policy_names
+from vrcaps.policy.policy import Requirements
 from vrcaps.scenario.build import build
 from vrcaps.world.schedule import PostureChange
 

@@ -12,9 +12,9 @@ from tests.support.small_envs import SHORT_GUT, small_settings
 from vrcaps.capsule.device_file import read_device
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.patient import Patients
+from vrcaps.policy.catalog import read_policy
 from vrcaps.policy.evaluate import Plan, evaluate
 from vrcaps.policy.evaluation import Evaluation
-from vrcaps.policy.policy import read_policy
 from vrcaps.recording.pictures import require_preview
 from vrcaps.tools.reports import run_video
 from vrcaps.tools.reports.evaluation import Subject, ends, summary, time_text

@@ -14,7 +14,8 @@ from vrcaps.env.actuation.magnet import MagnetActuation
 from vrcaps.env.settings import EnvSettings, env_settings
 from vrcaps.env.tasks.navigate import NavigateTask
 from vrcaps.env.vector_env import CapsuleVectorEnv
-from vrcaps.policy.policy import Policy, read_policy
+from vrcaps.policy.catalog import read_policy
+from vrcaps.policy.policy import Policy
 from vrcaps.world.schedule import patient_at
 
 if TYPE_CHECKING:

@@ -33,7 +33,7 @@ from benchmarks.speed.cockpit_client import measure
 from vrcaps.cli.cockpit import Cockpit as CockpitCommand
 from vrcaps.cockpit.cockpit import Cockpit, open_cockpit
 from vrcaps.cockpit.panels.view_panels import CameraPanel
-from vrcaps.cockpit.session.camera_images import LiveImage, Look
+from vrcaps.cockpit.session.camera_images import ImageSettings, LiveImage
 from vrcaps.cockpit.session.clock import View
 
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
@@ -230,14 +230,14 @@ def mark_images(cockpit: Cockpit) -> None:
     images, operator = cockpit.page.images, cockpit.session.operator
     make = images.image
 
-    def marked(view: View, look: Look, *, has_shadows: bool = True) -> LiveImage:
-        picture = make(view, look, has_shadows=has_shadows).picture.copy()
+    def marked(view: View, settings: ImageSettings, *, has_shadows: bool = True) -> LiveImage:
+        picture = make(view, settings, has_shadows=has_shadows).picture.copy()
         # The page does not send an image again that has not changed.
         picture[-MARK_PX:, :MARK_PX] = 255 * (view.number % 2)
         past = [c for c in operator.commands()[1][-40:] if c.time < view.state.time]
         if past and any(past[-1].linear):
             picture[:MARK_PX, :MARK_PX] = (255, 255, 0)
-        return LiveImage(look, picture)
+        return LiveImage(settings, picture)
 
     images.image = marked  # type: ignore[method-assign]
 

@@ -24,7 +24,7 @@ from vrcaps.organ.centerline import compute_centerline
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tools.ct.from_ct import WallOptions, find_lumens, organ_from_gas
 from vrcaps.tools.ct.lumen import choose_gas
-from vrcaps.tools.ct.read_volume import read_volume
+from vrcaps.tools.ct.scan_files import read_volume
 
 POLYPS = (6 * MM, 6 * MM, 7 * MM, 8 * MM, 10 * MM, 14 * MM)
 PRESENT = 0.75  # of a polyp's height that the wall found must show

@@ -117,7 +117,7 @@ def scenario_of(seed: int, arm: str) -> Scenario:
 
 def driven(browser: Browser, scenario: Scenario, folder: Path, seconds: float) -> Drive:
     """One drive through the page."""
-    with open_cockpit(scenario, folder, port=PORT, say=print) as cockpit:
+    with open_cockpit(scenario, folder, port=PORT, on_message=print) as cockpit:
         tab = browser.new_page(viewport={"width": 900, "height": 300}, device_scale_factor=0.2)
         tab.add_init_script(PAD)
         tab.goto(cockpit.gate.address)

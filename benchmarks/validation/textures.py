@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.common.scripts import DATA, options, table, write_section
-from vrcaps.tools.mucosa_from_photos.make_texture import TextureOptions, make_texture
 from vrcaps.tools.mucosa_from_photos.patches import PhotoScale
+from vrcaps.tools.mucosa_from_photos.texture import TextureOptions, make_texture
 from vrcaps.tools.photos import read_photos
 
 FRAMES = DATA.parent / "real_frames"

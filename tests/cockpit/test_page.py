@@ -275,9 +275,9 @@ def choose(tab, label: str, option: str) -> None:
 
 
 def test_the_look_changes_and_goes_into_the_recording(tab, cockpit):
-    tab.get_by_text("Look", exact=True).click()
+    tab.get_by_text("Rendering", exact=True).click()
     choose(tab, "Imaging", "narrow-band")
-    wait_until(tab, lambda: cockpit.page.latest_image.look.render.imaging == "narrow-band")
+    wait_until(tab, lambda: cockpit.page.latest_image.settings.render.imaging == "narrow-band")
     assert cockpit.session.scenario_so_far().render.imaging == "narrow-band"
 
 
@@ -316,7 +316,7 @@ def test_another_drive_begins_in_the_same_page(tab, cockpit):
     begin.click()
     tab.get_by_text("No lesion named 'wart'").first.wait_for()
     with pytest.raises(InputError, match="magnet"):
-        cockpit.begin(replace(before.scenario, capsule="mirocam"))
+        cockpit.start_drive(replace(before.scenario, capsule="mirocam"))
     assert cockpit.session is before
     assert not (before.drive.folder / "drive-2").exists()
     field(tab, "Lesions").fill("polyp-Is:size=6mm")

@@ -125,7 +125,7 @@ def test_the_server_listens_here_only_and_outlives_nonsense(cockpit):
     assert status(gate.port, "/../../../../etc/passwd", Cookie=cookie) == 404
     assert status(gate.port, "/%2e%2e/%2e%2e/etc/passwd", Cookie=cookie) == 404
     flood(gate, cockpit.page.bridge.field._impl.uuid)
-    told = cockpit.page._told
+    told = cockpit.page._notified
     frame = len(session.poses)
     wait_until(lambda: len(session.poses) > frame)
     assert status(gate.port, Cookie=cookie) == 200

@@ -90,7 +90,7 @@ class Cockpit:
             host=self.host,
             port=self.port,
             policies=self.policy,
-            say=console.print,
+            on_message=console.print,
         ) as cockpit:
             console.print(f"Open {cockpit.gate.address} in a browser; Ctrl-C ends the drive.")
             console.print(f"The drive is saved in {out}.")

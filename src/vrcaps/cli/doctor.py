@@ -96,12 +96,12 @@ def _extras() -> list[tuple[str, str]]:
 
 
 def _installed(extra: str, names: list[str]) -> str:
-    found, missing = [], []
+    installed, missing = [], []
     for name in names:
         try:
-            found.append(f"{name} {version(name)}")
+            installed.append(f"{name} {version(name)}")
         except PackageNotFoundError:
             missing.append(name)
     if missing:
         return f"missing {', '.join(missing)}: pip install 'vrcaps[{extra}]'"
-    return ", ".join(found)
+    return ", ".join(installed)

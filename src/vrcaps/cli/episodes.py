@@ -173,7 +173,7 @@ class View:
             estimate=self.estimate,
             host=self.host,
             port=self.port,
-            say=console.print,
+            on_message=console.print,
         ) as (_, gate):
             console.print(f"Open {gate.address} in a browser; Ctrl-C stops the server.")
             try:

@@ -164,7 +164,7 @@ class FromCt:
     def _from_labels(self, scan: Volume) -> Iterator[tuple[Path, OrganSurface]]:
         from vrcaps.tools.ct.from_ct import organ_from_label
         from vrcaps.tools.ct.labels import check_label, misplaced
-        from vrcaps.tools.ct.read_volume import read_volume
+        from vrcaps.tools.ct.scan_files import read_volume
         from vrcaps.tools.ct.volume import common_part
 
         wall, labels = self._wall(), scan
@@ -188,7 +188,7 @@ class FromCt:
 
 
 def _read(path: Path, series: str | None, *, is_label_map: bool) -> Volume:
-    from vrcaps.tools.ct.read_volume import read_volume
+    from vrcaps.tools.ct.scan_files import read_volume
 
     with progress_bar("reading slices") as progress:
         return read_volume(path, series=series, is_label_map=is_label_map, progress=progress)
@@ -207,9 +207,9 @@ def _list_pieces(pieces: tuple[GasPiece, ...]) -> None:
 
     table = Table("gas", "volume", "inside it (LPS, mm)", "HU", box=None, padding=(0, 2, 0, 0))
     for piece in pieces:
-        place = " ".join(f"{x / MM:.1f}" for x in piece.center)
+        position = " ".join(f"{x / MM:.1f}" for x in piece.center)
         table.add_row(
-            piece.kind, f"{piece.volume / CM**3:.1f} ml", place, f"{piece.hounsfield:.0f}"
+            piece.kind, f"{piece.volume / CM**3:.1f} ml", position, f"{piece.hounsfield:.0f}"
         )
     console.print(table)
 

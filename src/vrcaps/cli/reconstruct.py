@@ -107,8 +107,8 @@ class Reconstruct:
         from vrcaps.formats.io import read_source
 
         require_new_folder(self.out)  # before the work
-        found = read_source(self.source)
-        chosen = [one for one in found if self.camera in ("", one.name.rpartition("/")[2])]
+        sequences = read_source(self.source)
+        chosen = [one for one in sequences if self.camera in ("", one.name.rpartition("/")[2])]
         if not chosen:
             raise InputError(f"{self.source} has no camera {self.camera!r}.")
         sequence = chosen[0]
@@ -117,7 +117,7 @@ class Reconstruct:
 
     def _write(self, sequence: FrameSequence, out: Path) -> None:
         """Reconstruct and compare into a folder, which is renamed to `self.out` afterwards."""
-        from vrcaps.tools.reconstruction.compare import compare, write_comparison, write_ply
+        from vrcaps.tools.reconstruction.comparison import compare, write_comparison, write_ply
 
         make = self._fused if self.method == "fusion" else self._stitched
         mesh, color = make(sequence, out)
@@ -191,15 +191,15 @@ class Reconstruct:
         from vrcaps.tools.reconstruction.fusion.odometry import OdometrySettings, estimated_poses
 
         with progress_bar("estimating poses") as progress:
-            found = estimated_poses(sequence, OdometrySettings(), progress=progress)
-        kept = sequence.subset(found.frames)
-        estimate = with_poses(kept, found.Ts_first_camera)
+            sequences = estimated_poses(sequence, OdometrySettings(), progress=progress)
+        kept = sequence.subset(sequences.frames)
+        estimate = with_poses(kept, sequences.Ts_first_camera)
         write_bytes(out / "poses.txt", trajectory_text(estimate).encode())
         console.print(f"Estimated the poses of {len(kept)} of {len(sequence)} frames.")
         if CAMERA_POSE not in sequence.values and self.align is None:
             return estimate
         align, truth = self.align or "se3", kept.Ts_world_camera
-        error = absolute_trajectory_error(found.Ts_first_camera, truth, align=align)
+        error = absolute_trajectory_error(sequences.Ts_first_camera, truth, align=align)
         rmse = float((error**2).mean()) ** 0.5
         console.print(f"Absolute trajectory error {rmse / MM:.2f} mm ({align}).")
         return aligned(estimate, truth, align)
@@ -214,10 +214,10 @@ class Reconstruct:
         if self.depth is not None:
             sequence = read_depth(self.depth, sequence)
         with progress_bar("matching features") as progress:
-            found = stitch(sequence, settings, progress=progress)
-        used = len(found.mosaic.images)
-        console.print(f"Stitched {used} of {len(found.frames)} frames.")
-        found, surface = wall_surface(found, DepthSource(self.weights, self.shading))
-        write_stitched(out, found)
+            sequences = stitch(sequence, settings, progress=progress)
+        used = len(sequences.mosaic.images)
+        console.print(f"Stitched {used} of {len(sequences.frames)} frames.")
+        sequences, surface = wall_surface(sequences, DepthSource(self.weights, self.shading))
+        write_stitched(out, sequences)
         write_registration(out, surface)
         return surface.mesh, surface.color

@@ -14,7 +14,7 @@ from vrcaps.core.units import CM
 from vrcaps.tools.mucosa_from_photos.vessels import VesselPlacement
 
 if TYPE_CHECKING:
-    from vrcaps.tools.mucosa_from_photos.make_texture import TextureResult
+    from vrcaps.tools.mucosa_from_photos.texture import TextureResult
 
 
 @dataclass(frozen=True)
@@ -76,9 +76,9 @@ class Texture:
         """Make, write and report."""
         require_existing(self.photos, "photographs or videos, or folders of them")
         from vrcaps.mucosa.texture import check_free, write_texture
-        from vrcaps.tools.mucosa_from_photos.make_texture import TextureOptions, make_texture
         from vrcaps.tools.mucosa_from_photos.patches import PhotoScale, check_scale
         from vrcaps.tools.mucosa_from_photos.report import write_report
+        from vrcaps.tools.mucosa_from_photos.texture import TextureOptions, make_texture
         from vrcaps.tools.photos import read_photos
 
         scale = PhotoScale(self.mm_per_pixel, self.field_width_mm)

@@ -1,4 +1,4 @@
-r"""Cockpit: drive the capsule by magnet from a browser, and save the drive.
+r"""Cockpit: steer the capsule by magnet from a browser, and save the drive.
 
 A thin layer over the scenario's `Rollout`, which `record` also uses. A drive is therefore recorded
 again from its commands alone, to the same bytes. Types on the arrows:
@@ -6,22 +6,23 @@ again from its commands alone, to the same bytes. Types on the arrows:
     page (browser) -> Operator -> JoystickCommand -> Rollout -> View -> panels -> page
                         \-> Drive: commands.csv, drive.json -> `vrcaps record`
 
-- `session.Session` is the simulation thread. It steps the rollout, paces it by a `clock.Clock` and
-  publishes a `view.View` after each step. It never blocks on rendering.
-- `operator.Operator` converts the driver's input to joystick commands and logs them;
-  `drive.Drive` writes them to disk every second.
-- `policy_driver.PolicyDriver` lets a policy control the joystick until it hands back.
-- `camera_images.CameraImages` renders the images of the capsule's camera in a separate thread, as
-  often as time allows.
-- `page.Page` is the page in all browsers. Its panels are one small file each in `panels`; they
-  know the simulation only through a `View`. `browser` is the only file that uses private parts of
-  the page's library. `gate` admits requests with a token.
-- The scene consists of nodes (`scene_nodes`, `magnet_node`, `patient_node`), which the page of
-  recorded episodes (`episode_page`) shares. `colorings` colors the organ. `pace` updates the
-  scene less often if a browser draws slowly.
-- `cockpit.open_cockpit` puts all together; its `Cockpit` runs one drive after another in the same
-  page, with the changes of `new_drive`.
+- `session` contains the simulation. `Session` is its thread: it steps the rollout, paces it by a
+  `Clock` and publishes a `View` after each step, without waiting for the page. `Operator` converts
+  the driver's input to joystick commands; `Drive` saves them every second; `PolicyDriver` lets a
+  policy control the joystick; `CameraImages` renders the camera in another thread.
+- `scene` contains the nodes of the 3D scene and the colorings of the organ.
+- `page.Page` is the page in all browsers; its parts are in `panels` and read the simulation only
+  through a `View`. `browser` uses private parts of the page's library, `server` admits requests
+  with a token.
+- `episodes` is the page of recorded episodes.
+- `open_cockpit` serves the page; its `Cockpit` runs consecutive drives in the same page.
 
-Errors in a page or a panel do not stop the simulation: they become a message in the page and a
+An error in a page or a panel does not stop the simulation: it becomes a message in the page and a
 line in the terminal.
+
+The names in `__init__.pyi` are loaded when they are first used.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

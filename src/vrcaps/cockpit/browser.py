@@ -107,15 +107,15 @@ def parse_input(text: str) -> DriverInput:
     """
     try:
         plain = json.loads(text.removeprefix(_MARK))
-        said = [float(axis) for axis in plain["axes"]]
+        axes_values = [float(axis) for axis in plain["axes"]]
         actions = tuple(map(str, plain["actions"]))
         pad, is_standard = str(plain["pad"])[:80], bool(plain["standard"])
         layout, listening = _layout(plain.get("layout")), str(plain.get("listening", ""))[:20]
     except (ValueError, TypeError, LookupError, RecursionError) as error:
         raise InputError("A browser sent invalid input. Reload its page.") from error
-    if len(said) != 6 or not all(map(math.isfinite, said)):
+    if len(axes_values) != 6 or not all(map(math.isfinite, axes_values)):
         raise InputError("A browser sent invalid axes. Allowed: six numbers from -1 to 1.")
-    axes = tuple(min(1.0, max(-1.0, axis)) for axis in said)
+    axes = tuple(min(1.0, max(-1.0, axis)) for axis in axes_values)
     return DriverInput(axes, actions, pad, is_standard, layout, listening)
 
 

@@ -36,7 +36,7 @@ class Cockpit:
         server: viser.ViserServer,
         gate: Gate,
         session: Session,
-        say: Callable[[str], None],
+        on_message: Callable[[str], None],
         policies: Sequence[str] = (),
     ) -> None:
         """Start a session and its page.
@@ -45,15 +45,15 @@ class Cockpit:
             server: Server of the page.
             gate: Access control of the server.
             session: First session, not started.
-            say: Called with each message for the terminal.
+            on_message: Called with each message for the terminal.
             policies: Files and import paths of policies that browsers may choose.
         """
         self.gate, self._policies = gate, policies
-        self._server, self._say, self._folder = server, say, session.drive.folder
+        self._server, self._on_message, self._folder = server, on_message, session.drive.folder
         self._is_busy = threading.Lock()
         self._show(session)
 
-    def begin(self, scenario: Scenario) -> None:
+    def start_drive(self, scenario: Scenario) -> None:
         """End the drive, which is saved, and start another one in the same page.
 
         Its folder is the first free one of `drive-2`, `drive-3`, … in that of the first drive.
@@ -70,22 +70,22 @@ class Cockpit:
                 "when it has finished."
             )
         try:
-            self.page.tell("Generating organ and world …")
+            self.page.notify("Generating organ and world …")
             folders = (self._folder / f"drive-{index}" for index in itertools.count(2))
             folder = next(folder for folder in folders if not folder.exists())
-            session = Session(scenario, folder, on_message=self._say)
+            session = Session(scenario, folder, on_message=self._on_message)
             driver = self.page.driver
             self.close()
             self._server.gui.reset()
             self._server.scene.reset()
             dock(self._server)
             self._show(session)
-            self._look_on(driver)
-            self.page.tell(f"A new drive has started. It is saved in {session.drive.folder}.")
+            self._show_scene(driver)
+            self.page.notify(f"A new drive has started. It is saved in {session.drive.folder}.")
         finally:
             self._is_busy.release()
 
-    def _look_on(self, driver: int | None) -> None:
+    def _show_scene(self, driver: int | None) -> None:
         """Show the new scene in the open browsers; the driver stays the same."""
         clients, first = self._server.get_clients(), self._server.initial_camera
         for client in clients.values():
@@ -104,8 +104,8 @@ class Cockpit:
             self._server,
             session,
             PANELS,
-            self._say,
-            begin=self.begin,
+            self._on_message,
+            start_drive=self.start_drive,
             is_busy=self._is_busy,
             policies=self._policies,
         )
@@ -121,7 +121,7 @@ def open_cockpit(
     host: str = "127.0.0.1",
     port: int = 8080,
     policies: Sequence[str] = (),
-    say: Callable[[str], None] = lambda text: None,
+    on_message: Callable[[str], None] = lambda text: None,
 ) -> Iterator[Cockpit]:
     """Drive a scenario from browsers within a `with` block.
 
@@ -136,7 +136,7 @@ def open_cockpit(
         host: Address to listen at.
         port: Port to listen at.
         policies: Files and import paths of policies that browsers may choose, see `read_policy`.
-        say: Called with each message for the terminal.
+        on_message: Called with each message for the terminal.
 
     Raises:
         InputError: If the scenario is invalid, the folder is not empty, the port is in use or
@@ -147,9 +147,9 @@ def open_cockpit(
     for name in policies:
         read_policy(name)
     gate = make_gate(host, port)
-    session = Session(scenario, folder, on_message=say)
-    with serving(gate, say) as server:
-        cockpit = Cockpit(server, gate, session, say, policies)
+    session = Session(scenario, folder, on_message=on_message)
+    with serving(gate, on_message) as server:
+        cockpit = Cockpit(server, gate, session, on_message, policies)
         try:
             yield cockpit
         finally:

@@ -74,9 +74,9 @@ class Page:
         server: viser.ViserServer,
         session: Session,
         panels: tuple[Callable[[Page], Panel], ...],
-        say: Callable[[str], None],
+        on_message: Callable[[str], None],
         *,
-        begin: Callable[[Scenario], None] | None = None,
+        start_drive: Callable[[Scenario], None] | None = None,
         is_busy: threading.Lock | None = None,
         policies: Sequence[str] = (),
     ) -> None:
@@ -86,24 +86,24 @@ class Page:
             server: Server of the page.
             session: Session to drive.
             panels: Parts of the page, in their order.
-            say: Called with each message, for the terminal.
-            begin: Starts another drive in the same page.
+            on_message: Called with each message, for the terminal.
+            start_drive: Starts another drive in the same page.
             is_busy: Held during a recording; shared by all drives.
             policies: Files and import paths of policies that browsers may choose.
         """
-        self.server, self.session, self._say = server, session, say
+        self.server, self.session, self._on_message = server, session, on_message
         self.latest_image: LiveImage | None = None
         self._driver: int | None = None
         self._axes_time = np.inf
-        self._told: dict[str, float] = {}
+        self._notified: dict[str, float] = {}
         self._pads: set[str] = set()
         self.pad: DriverInput | None = None
         self._is_closed = False
         self.is_busy = is_busy or threading.Lock()
         self.policies = tuple(policies)
-        self._begin = begin
+        self._start_drive = start_drive
         self.actions: dict[str, Callable[[], None]] = {}
-        session.on_message = self.tell
+        session.on_message = self.notify
         self.images, self.seen = CameraImages(session, self._keep_image), SeenWall(session)
         self.pace = Pace()
         self.side_panel = server.gui.add_panel()
@@ -133,14 +133,16 @@ class Page:
         """ID of the browser that drives; None if none does."""
         return self._driver
 
-    def tell(self, text: str) -> None:
+    def notify(self, text: str) -> None:
         """Show a message in all browsers and in the terminal."""
         now = wall_clock.monotonic()
-        if now - self._told.get(text, -np.inf) < _SAID_ONCE:
+        if now - self._notified.get(text, -np.inf) < _SAID_ONCE:
             return
-        self._told = {known: at for known, at in self._told.items() if now - at < _SAID_ONCE}
-        self._told[text] = now
-        self._say(text)
+        self._notified = {
+            known: at for known, at in self._notified.items() if now - at < _SAID_ONCE
+        }
+        self._notified[text] = now
+        self._on_message(text)
         for client in self.server.get_clients().values():
             client.add_notification("vrcaps", text, auto_close_seconds=8.0)
 
@@ -152,9 +154,9 @@ class Page:
             try:
                 function(*args)
             except VrcapsError as error:
-                self.tell(str(error))
+                self.notify(str(error))
             except Exception as error:  # the simulation survives any error of a page
-                self.tell(f"Error in the page: {type(error).__name__}: {error}.")
+                self.notify(f"Error in the page: {type(error).__name__}: {error}.")
 
         return run
 
@@ -191,21 +193,21 @@ class Page:
                 "cockpit without --host, and forward the port."
             )
 
-    def begin(self, scenario: Scenario) -> None:
+    def start_drive(self, scenario: Scenario) -> None:
         """End this drive and start another one in the same browsers.
 
         Raises:
             InputError: If the scenario is invalid, or a recording is in progress.
         """
-        if self._begin is None:
+        if self._start_drive is None:
             raise InputError("This page supports one drive only. Open the page by open_cockpit.")
-        self._begin(scenario)
+        self._start_drive(scenario)
 
     def take_over(self, client: int) -> None:
         """Make a browser the driver; input held by the previous one is released."""
         self.session.operator.stop()
         self._driver = client
-        self.tell(f"Browser {client} has control.")
+        self.notify(f"Browser {client} has control.")
 
     def _join(self, client: int) -> None:
         if self._driver is None and not self._is_closed:
@@ -215,26 +217,26 @@ class Page:
         if client == self._driver and not self._is_closed:
             self._driver = None
             self.session.operator.stop()
-            self.tell("The driver's browser is closed: the magnet stops.")
+            self.notify("The driver's browser is closed: the magnet stops.")
             others = sorted(self.server.get_clients())
             if others:
                 self.take_over(others[0])
 
     def _on_input(self, client: int, text: str) -> None:
         """Process keys and gamepad of a browser."""
-        given = parse_input(text)
+        driver_input = parse_input(text)
         if client != self._driver:
-            if any(given.axes):
+            if any(driver_input.axes):
                 self.require_driver(client)
             return
-        if given.pad and given.pad not in self._pads:
-            self._pads.add(given.pad)
-            self.tell(f"Gamepad: {given.pad}.{_unknown(given)}")
-        if given.layout is not None:
-            self.pad = given
-        self.session.operator.push(np.array(given.axes))
-        self._axes_time = wall_clock.monotonic() if any(given.axes) else np.inf
-        for action in given.actions:
+        if driver_input.pad and driver_input.pad not in self._pads:
+            self._pads.add(driver_input.pad)
+            self.notify(f"Gamepad: {driver_input.pad}.{_unknown(driver_input)}")
+        if driver_input.layout is not None:
+            self.pad = driver_input
+        self.session.operator.push(np.array(driver_input.axes))
+        self._axes_time = wall_clock.monotonic() if any(driver_input.axes) else np.inf
+        for action in driver_input.actions:
             if action in self.actions:
                 self.actions[action]()
 
@@ -247,23 +249,23 @@ class Page:
 
     def _run(self) -> None:
         """Show views; the thread's function."""
-        shown = -1
+        last_number = -1
         while not self._is_closed:
             wall_clock.sleep(_SECONDS_PER_UPDATE)
             if wall_clock.monotonic() - self._axes_time > _DEAD_MAN:
                 self._axes_time = np.inf
                 self.session.operator.stop()
-                self.tell("The driver's browser does not respond: the magnet stops.")
+                self.notify("The driver's browser does not respond: the magnet stops.")
             view = self.session.view
-            if view is None or view.number == shown:
+            if view is None or view.number == last_number:
                 continue
-            shown = view.number
+            last_number = view.number
             for panel in self.panels:
                 self.handler(panel.update)(view)
 
 
-def _unknown(given: DriverInput) -> str:
+def _unknown(driver_input: DriverInput) -> str:
     """Hint for a gamepad without an assigned layout."""
-    if given.is_standard or given.layout:
+    if driver_input.is_standard or driver_input.layout:
         return ""
     return " Its layout is unknown: assign its sticks under 'Gamepad' to use it."

@@ -153,16 +153,16 @@ def guarded(gate: Gate) -> Iterator[None]:
 class OneLine(logging.Filter):
     """Filter that reports a log record in one line and drops its traceback."""
 
-    def __init__(self, tell: Callable[[str], None]) -> None:
+    def __init__(self, notify: Callable[[str], None]) -> None:
         super().__init__()
-        self._tell = tell
+        self._notify = notify
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Report and drop a record."""
         if record.levelno >= logging.ERROR:
             error = record.exc_info[1] if record.exc_info else None
             what = f" ({type(error).__name__})" if error is not None else ""
-            self._tell(f"A browser's connection was closed: {record.getMessage()}{what}.")
+            self._notify(f"A browser's connection was closed: {record.getMessage()}{what}.")
         return False
 
 
@@ -186,7 +186,7 @@ def require_viser() -> None:
 
 
 @contextmanager
-def serving(gate: Gate, say: Callable[[str], None]) -> Iterator[viser.ViserServer]:
+def serving(gate: Gate, on_message: Callable[[str], None]) -> Iterator[viser.ViserServer]:
     """Serve the page behind a gate within a `with` block.
 
     Raises:
@@ -194,7 +194,7 @@ def serving(gate: Gate, say: Callable[[str], None]) -> Iterator[viser.ViserServe
     """
     switching = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCHING)  # the simulation resumes as soon as its step is computed
-    server = _make_server(gate, say)
+    server = _make_server(gate, on_message)
     try:
         yield server
     finally:
@@ -203,7 +203,7 @@ def serving(gate: Gate, say: Callable[[str], None]) -> Iterator[viser.ViserServe
             server.stop()
 
 
-def _make_server(gate: Gate, say: Callable[[str], None]) -> viser.ViserServer:
+def _make_server(gate: Gate, on_message: Callable[[str], None]) -> viser.ViserServer:
     """Create the page's server, without content.
 
     Raises:
@@ -213,7 +213,7 @@ def _make_server(gate: Gate, say: Callable[[str], None]) -> viser.ViserServer:
 
     logger = logging.getLogger("websockets.server")
     logger.filters[:] = [kept for kept in logger.filters if not isinstance(kept, OneLine)]
-    logger.addFilter(OneLine(say))
+    logger.addFilter(OneLine(on_message))
     with guarded(gate), redirect_stdout(io.StringIO()):  # it prints addresses without a token
         server = viser.ViserServer(gate.host, gate.port, label="vrcaps", verbose=False)
     if server.get_port() != gate.port:

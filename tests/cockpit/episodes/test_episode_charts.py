@@ -38,7 +38,7 @@ def test_a_path_that_is_turned_and_scaled_lies_on_the_true_one_after_alignment(e
     write_tum(path, TIMES[1:], places[1:])
     given = read_path_estimate(path, episode)
     np.testing.assert_array_equal(given.frames, [1, 2, 3, 4, 5])
-    assert (given.place_of(0), given.place_of(2)) == (None, 1)
+    assert (given.index_of(0), given.index_of(2)) == (None, 1)
     assert given.errors.min() > 0.1
     assert given.aligned("se3").errors.max() > 0.01
     np.testing.assert_allclose(given.aligned("sim3").errors, 0.0, atol=1e-9)

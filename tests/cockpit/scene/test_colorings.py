@@ -95,11 +95,11 @@ def test_a_path_has_a_point_only_where_the_capsule_has_gone_on():
     for time, along in enumerate([9.0, 0.0, 0.4, 0.9, 1.1, 1.2, 1.0, 2.2, 2.2], start=-1):
         path.add(float(time), np.array([along, 0.0, 0.0]) * MM)
         path.draw()
-    np.testing.assert_allclose(path.places[:, 0], np.array([0.0, 1.1, 2.2]) * MM)
+    np.testing.assert_allclose(path.positions[:, 0], np.array([0.0, 1.1, 2.2]) * MM)
     assert drawn == [1, 2]
     path.add(4.0, np.array([3.0, 0.0, 0.0]) * MM)
     path.draw()
-    np.testing.assert_allclose(path.places[:, 0], np.array([0.0, 1.1, 3.0]) * MM)
+    np.testing.assert_allclose(path.positions[:, 0], np.array([0.0, 1.1, 3.0]) * MM)
     assert drawn == [1, 2, 2]
 
 

@@ -74,13 +74,15 @@ def test_an_image_without_shadows_is_that_of_a_renderer_without(drive_scenario, 
     try:
         wait_until(lambda: session.view is not None)
         images, view = CameraImages(session, lambda image: None), session.view
-        look = images.look
+        settings = images.settings
         for has_shadows in (True, False, True):
-            found = images.image(view, look, has_shadows=has_shadows).picture
-            settings = replace(look.render, shadows=has_shadows)
-            renderer = Renderer(session.model, settings)
-            expected = renderer.render(view.state, look.camera, channels=("rgb",)).rgb
+            found = images.image(view, settings, has_shadows=has_shadows).picture
+            render_settings = replace(settings.render, shadows=has_shadows)
+            renderer = Renderer(session.model, render_settings)
+            expected = renderer.render(view.state, settings.camera, channels=("rgb",)).rgb
             np.testing.assert_array_equal(found, expected)
-            assert images._renderer[1].settings == settings  # a straight gut throws no shadows
+            assert (
+                images._renderer[1].settings == render_settings
+            )  # a straight gut throws no shadows
     finally:
         session.close()

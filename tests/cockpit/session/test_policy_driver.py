@@ -71,7 +71,7 @@ def test_a_policy_leads_the_capsule_along_the_gut(rollout):
     """The navigator wants 2 cm/s towards its goal, the oral end."""
     program = rollout.program
     program.operator = operator = Operator(program)
-    operator.hand_over(PolicyDriver("navigator", rollout, posture="supine", goal=0.0))
+    operator.start_policy(PolicyDriver("navigator", rollout, posture="supine", goal=0.0))
     walk = rollout.moments(None, lambda *_: None, lambda: False)
     places = [(next(walk), rollout.arc_length)[1] for _ in range(10)]
     assert operator.policy == "navigator"
@@ -103,7 +103,7 @@ def test_a_policy_that_fails_hands_back_and_says_why(rollout):
         full = f"{__name__}:{name}"
         driver = PolicyDriver(full, rollout, posture="supine", on_message=told.append)
         operator = Operator(rollout.program)
-        operator.hand_over(driver)
+        operator.start_policy(driver)
         assert operator(0.0, 0.01).linear == (0.0, 0.0, 0.0)
         assert operator.policy == ""
         assert told[0].startswith(f"Policy {full} releases control: {reason}")

@@ -69,7 +69,7 @@ def test_a_drive_is_recorded_again_to_the_same_bytes(drive_scenario, tmp_path):
     with driving(drive_scenario, tmp_path / "drive") as session:
         session.operator.push(np.array([0.8, 0, 0, 0, 0, -0.3]))
         run_to(session, 2)
-        session.operator.hand_over(navigator(session))
+        session.operator.start_policy(navigator(session))
         run_to(session, 4)
         assert session.operator.policy == "navigator"
         snapshot = session.keep_snapshot()

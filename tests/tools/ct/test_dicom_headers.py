@@ -12,7 +12,7 @@ import pytest
 from tests.support import small_dicom as tag
 from tests.support.small_dicom import Elements, slice_elements, write_elements
 from vrcaps.core.errors import InputError
-from vrcaps.tools.ct.read_volume import read_volume
+from vrcaps.tools.ct.scan_files import read_volume
 
 NUM = 12
 HOUNSFIELD = np.random.default_rng(0).integers(-1000, 1500, (NUM, 8, 6)).astype(np.int32)

@@ -56,10 +56,10 @@ class PathEstimate:
         """Distance of each estimated position from the true one [m]."""
         return np.linalg.norm(self.estimated[:, :3, 3] - self.true[:, :3, 3], axis=1)
 
-    def place_of(self, frame: int) -> int | None:
+    def index_of(self, frame: int) -> int | None:
         """Index of a frame in `frames`; None if the estimate does not cover it."""
-        place = int(np.searchsorted(self.frames, frame))
-        return place if place < len(self.frames) and self.frames[place] == frame else None
+        index = int(np.searchsorted(self.frames, frame))
+        return index if index < len(self.frames) and self.frames[index] == frame else None
 
 
 def read_path_estimate(path: Path, episode: Episode) -> PathEstimate:
@@ -140,8 +140,8 @@ class EpisodeCharts:
         for column in COLUMNS:
             lines = [(values_of(column, episode), episode.times) for episode in episodes]
             if not all(np.isnan(values).all() for values, _ in lines):
-                shown = [np.interp(self._times, at, v, np.nan, np.nan) for v, at in lines]
-                self._charts.append((self._add(column.title, shown, colors), shown))
+                resampled = [np.interp(self._times, at, v, np.nan, np.nan) for v, at in lines]
+                self._charts.append((self._add(column.title, resampled, colors), resampled))
         self._error: Any = None
 
     def show_error(self, estimate: PathEstimate, color: str) -> None:

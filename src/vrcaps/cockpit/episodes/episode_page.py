@@ -164,14 +164,14 @@ class EpisodePage:
         """Draw the estimate after an alignment; without it if the alignment fails."""
         assert self._given is not None
         try:
-            self._estimate, told = self._given.aligned(align), ""
+            self._estimate, note = self._given.aligned(align), ""
         except InputError as error:
-            self._estimate, told = self._given, f"{error} It is shown without alignment. "
+            self._estimate, note = self._given, f"{error} It is shown without alignment. "
         errors = self._estimate.errors / MM
         rmse, most = float(np.sqrt(np.mean(errors**2))), float(errors.max())
         spot = f'<span style="color:rgb{ESTIMATE_COLOR}">&#9632;</span>'
         self._error.content = (
-            f"{spot} {told}estimate: RMSE **{rmse:.2f} mm**, at most {most:.2f} mm, over "
+            f"{spot} {note}estimate: RMSE **{rmse:.2f} mm**, at most {most:.2f} mm, over "
             f"{len(errors)} of {len(self._times)} frames"
         )
         self._scene.show_estimate(self._estimate)
@@ -198,8 +198,8 @@ class EpisodePage:
         values = episode.image(camera, channel, index)
         limits = limits_of(channel, [values])
         shown.image.image = picture(channel, values, limits)
-        said = legend(channel, [values], limits, episode.label_names)
-        return f" · {channel}{said}" if said else ""
+        description = legend(channel, [values], limits, episode.label_names)
+        return f" · {channel}{description}" if description else ""
 
 
 def _all(names: Any) -> tuple[str, ...]:
@@ -219,7 +219,7 @@ def open_episodes(
     estimate: Path | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,
-    say: Callable[[str], None] = lambda text: None,
+    on_message: Callable[[str], None] = lambda text: None,
 ) -> Iterator[tuple[EpisodePage, Gate]]:
     """Show episodes in browsers within a `with` block.
 
@@ -228,7 +228,7 @@ def open_episodes(
         estimate: TUM file of an estimated path of the first's capsule [m], at its frames' times.
         host: Address to listen at, see `open_cockpit`.
         port: Port to listen at.
-        say: Called with each message for the terminal.
+        on_message: Called with each message for the terminal.
 
     Raises:
         InputError: If there are none or more than two, one cannot be read, the times of the
@@ -241,7 +241,7 @@ def open_episodes(
     episodes = [read_episode(folder) for folder in folders]
     path = None if estimate is None else read_path_estimate(estimate, episodes[0])
     gate = make_gate(host, port)
-    with serving(gate, say) as server:
+    with serving(gate, on_message) as server:
         page = EpisodePage(server, episodes, path)
         page.start()
         try:

@@ -45,7 +45,7 @@ class EpisodeScene:
         self._magnet, self._magnets = self._add_magnet(first), _poses(first, "magnet")
         self._capsules = [self._add_episode(k, episode) for k, episode in enumerate(episodes)]
         self._estimate: PathEstimate | None = None
-        self._guess: Any = None
+        self._estimate_node: Any = None
         self._drawn: tuple[object, ...] = ()
         above = self._vertices if self._magnets is None else self._magnets[:1, :3, 3]
         high = np.maximum(self._vertices.max(axis=0), above.max(axis=0))
@@ -58,10 +58,10 @@ class EpisodeScene:
             move(capsule, episode.Ts_world_capsule[index])
         frame = indices[0]
         if self._estimate is not None:
-            place = self._estimate.place_of(frame)
-            self._guess.visible = place is not None
-            if place is not None:
-                move(self._guess, self._estimate.estimated[place])
+            pose_index = self._estimate.index_of(frame)
+            self._estimate_node.visible = pose_index is not None
+            if pose_index is not None:
+                move(self._estimate_node, self._estimate.estimated[pose_index])
         lies = self._T_world_patient if self._patients is None else self._patients[frame]
         self._patient.show(lies, is_visible=self._has_patient.value)
         if self._walls is not None and frame != self._wall_frame:
@@ -72,9 +72,9 @@ class EpisodeScene:
 
     def show_estimate(self, estimate: PathEstimate) -> None:
         """Draw an estimated path and its capsule."""
-        if self._guess is None:
+        if self._estimate_node is None:
             device = self._episodes[0].head["capsule"]
-            self._guess = add_capsule(
+            self._estimate_node = add_capsule(
                 *(self._scene, "/estimate/capsule", device["length_m"], device["radius_m"]),
                 ESTIMATE_COLOR,
             )
@@ -110,13 +110,13 @@ class EpisodeScene:
             self._has_patient = gui.add_checkbox("Patient and table", True)
             self._legend = gui.add_markdown("")
 
-    def _add_episode(self, number: int, episode: Episode) -> Any:
+    def _add_episode(self, episode_index: int, episode: Episode) -> Any:
         """Add capsule and path of an episode."""
-        color, device = EPISODE_COLORS[number], episode.head["capsule"]
-        places = episode.Ts_world_capsule[:, :3, 3]
-        if len(places) >= 2:
-            add_path(self._scene, f"/path-{number}", places, color)
-        name = f"/capsule-{number}"
+        color, device = EPISODE_COLORS[episode_index], episode.head["capsule"]
+        positions = episode.Ts_world_capsule[:, :3, 3]
+        if len(positions) >= 2:
+            add_path(self._scene, f"/path-{episode_index}", positions, color)
+        name = f"/capsule-{episode_index}"
         return add_capsule(self._scene, name, device["length_m"], device["radius_m"], color)
 
     def _add_magnet(self, episode: Episode) -> MagnetNode | None:

@@ -13,10 +13,10 @@ from vrcaps.cockpit.panels.drive_panels import (
 )
 from vrcaps.cockpit.panels.patient_panels import NewDrivePanel, PatientPanel
 from vrcaps.cockpit.panels.scene_panel import ScenePanel
-from vrcaps.cockpit.panels.view_panels import CameraPanel, ChartPanel, LookPanel, MapPanel
+from vrcaps.cockpit.panels.view_panels import CameraPanel, ChartPanel, MapPanel, RenderPanel
 
 PANELS = (
     *(RunPanel, DrivingPanel, PadPanel, PolicyPanel, RecordPanel),
-    *(PatientPanel, NewDrivePanel, LookPanel, ScenePanel),
+    *(PatientPanel, NewDrivePanel, RenderPanel, ScenePanel),
     *(CameraPanel, MapPanel, ChartPanel),
 )

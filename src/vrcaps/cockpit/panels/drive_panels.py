@@ -103,7 +103,7 @@ class RunPanel:
         name = self._session.keep_snapshot()
         self._names.options = self._session.snapshots
         self._names.value = name
-        self._page.tell(f"Saved a snapshot at {name}.")
+        self._page.notify(f"Saved a snapshot at {name}.")
 
 
 GIZMO = "/drive/magnet"
@@ -186,7 +186,7 @@ class PadPanel:
     def _ask(self, control: str) -> None:
         pad = self._page.pad
         if pad is None or not pad.pad:
-            self._page.tell(_NONE)
+            self._page.notify(_NONE)
             return
         self._page.bridge.ask(control)
 
@@ -235,7 +235,7 @@ class PolicyPanel:
         drives = self._session.operator.policy
         if drives == self._shown:
             return
-        self._page.tell(
+        self._page.notify(
             f"Policy {drives} has control."
             if drives
             else f"Policy {self._shown} has released control."
@@ -257,9 +257,9 @@ class PolicyPanel:
             posture=session.scenario.posture,
             seed=session.scenario.seed,
             goal=float(self._goal.value),
-            on_message=self._page.tell,
+            on_message=self._page.notify,
         )
-        operator.hand_over(driver)
+        operator.start_policy(driver)
 
 
 class RecordPanel:
@@ -282,15 +282,15 @@ class RecordPanel:
     def _record(self) -> None:
         """Record; blocks a thread of the page's library until the episode is complete."""
         if not self._page.is_busy.acquire(blocking=False):
-            self._page.tell("A recording or the start of another drive is in progress.")
+            self._page.notify("A recording or the start of another drive is in progress.")
             return
         try:
             scenario = self._session.drive.save()
             self._number += 1
             out = self._session.drive.folder / f"episode-{self._number}"
-            self._page.tell(f"Recording {scenario.frames} frames into {out} …")
+            self._page.notify(f"Recording {scenario.frames} frames into {out} …")
             record(scenario, out, progress=self._show)
-            self._page.tell(f"Recorded {scenario.frames} frames into {out}.")
+            self._page.notify(f"Recorded {scenario.frames} frames into {out}.")
         finally:
             self._page.is_busy.release()
 

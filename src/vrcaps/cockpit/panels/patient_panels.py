@@ -80,7 +80,7 @@ class NewDrivePanel:
                 }
             button = gui.add_button("Start a new drive")
         self._before = {name: slider.value for name, slider in self._sliders.items()}
-        button.on_click(page.for_driver(self._begin))
+        button.on_click(page.for_driver(self._start_drive))
 
     def update(self, view: View) -> None:
         """Do nothing: the drive shows the choices."""
@@ -90,11 +90,11 @@ class NewDrivePanel:
         label, gui = name.replace("_", " "), self._page.server.gui
         return gui.add_slider(label, 0, MAX_SEVERITY, 1, first, hint=hint)
 
-    def _begin(self) -> None:
+    def _start_drive(self) -> None:
         file = self._file.value.strip()
         if file:
             self._page.require_here("A file")
-        self._page.begin(chosen_scenario(self._session.scenario, self._choice(file)))
+        self._page.start_drive(chosen_scenario(self._session.scenario, self._choice(file)))
 
     def _choice(self, file: str) -> Choice:
         """Changes made in the page; an exact value is kept until its slider is moved."""

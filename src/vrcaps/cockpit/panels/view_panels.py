@@ -43,8 +43,8 @@ class CameraPanel:
         @page.handler
         def _(event: object) -> None:
             del event
-            look = replace(page.images.look, camera=camera.value, channel=channel.value)
-            page.images.look = look
+            settings = replace(page.images.settings, camera=camera.value, channel=channel.value)
+            page.images.settings = settings
 
     def show_image(self, image: LiveImage) -> None:
         """Show an image of the camera; called from the rendering thread."""
@@ -64,14 +64,14 @@ LIVE_EFFECTS = tuple(name for name in SEVERITIES if issubclass(EFFECTS[name], Im
 of the organ are chosen with a new drive."""
 
 
-class LookPanel:
+class RenderPanel:
     """Render settings of the live image and of later recordings."""
 
     def __init__(self, page: Page) -> None:
         self._page, self._session = page, page.session
         scenario = page.session.scenario
         gui = page.server.gui
-        with gui.add_folder("Look", expand_by_default=False):
+        with gui.add_folder("Rendering", expand_by_default=False):
             self._light = gui.add_dropdown(
                 "Light", get_args(Light), initial_value=scenario.render.light
             )
@@ -116,10 +116,10 @@ class LookPanel:
             if severity or isinstance(getattr(scenario.effects, name), int)
         }
         effects = replace(scenario.effects, **exact)
-        self._session.change_look(render, effects)
+        self._session.change_render(render, effects)
         live = replace(render, spp=min(render.spp, _FEW_SAMPLES))
-        look = self._page.images.look
-        self._page.images.look = replace(look, render=live, effects=effects)
+        settings = self._page.images.settings
+        self._page.images.settings = replace(settings, render=live, effects=effects)
 
 
 _SIZE_PX = (120, 360)
@@ -168,8 +168,8 @@ class MapPanel:
     def _place(self, view: View) -> tuple[int, int]:
         """Row and column of the capsule, by the nearest point of the centerline."""
         line = self._model.organ.centerline
-        place = view.state.T_world_capsule[None, :3, 3]
-        point = transform_points(invert(view.T_world_patient), place)[0]
+        position = view.state.T_world_capsule[None, :3, 3]
+        point = transform_points(invert(view.T_world_patient), position)[0]
         nearest = int(np.argmin(((line.points - point) ** 2).sum(axis=1)))
         across = (point - line.points[nearest]) @ line.frames[nearest]
         theta = np.arctan2(across[1], across[0])

@@ -275,10 +275,10 @@ class ContactColoring(Coloring):
         self, points: Float[np.ndarray, "n 3"], T_world_capsule: Float[np.ndarray, "4 4"]
     ) -> tuple[Patch, ...]:
         """Touched part of the wall, one patch per band."""
-        found = indentation(points, self.organ.faces, self._live.body, T_world_capsule)
-        band = np.searchsorted(self.limits, self.values(found.depth), side="right") - 1
+        indents = indentation(points, self.organ.faces, self._live.body, T_world_capsule)
+        band = np.searchsorted(self.limits, self.values(indents.depth), side="right") - 1
         return tuple(
-            Patch(_COLORS[k], found.corners[band == k]) for k in np.unique(band[band >= 0])
+            Patch(_COLORS[k], indents.corners[band == k]) for k in np.unique(band[band >= 0])
         )
 
 

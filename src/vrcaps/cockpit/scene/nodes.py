@@ -59,9 +59,9 @@ class _Part:
 
     def move(self, points: np.ndarray) -> None:
         """Move it to the wall's vertices, if the difference is visible."""
-        places = points[self.vertices].astype(np.float32)
-        if np.abs(places - self.handle.vertices).max() > _VISIBLE:
-            self.handle.vertices = places
+        positions = points[self.vertices].astype(np.float32)
+        if np.abs(positions - self.handle.vertices).max() > _VISIBLE:
+            self.handle.vertices = positions
 
 
 class OrganNode:
@@ -189,11 +189,11 @@ def add_shape(scene: viser.SceneApi, name: str, shape: Any, color: Color) -> Non
 def add_path(
     scene: viser.SceneApi,
     name: str,
-    places: Float[np.ndarray, "n 3"],
+    positions: Float[np.ndarray, "n 3"],
     color: Color,
 ) -> None:
     """Add a line through two or more positions in the world [m]."""
-    segments = np.stack([places[:-1], places[1:]], axis=1).astype(np.float32)
+    segments = np.stack([positions[:-1], positions[1:]], axis=1).astype(np.float32)
     scene.add_line_segments(name, segments, colors=color, thickness=3.0, thickness_units="screen")
 
 
@@ -207,7 +207,7 @@ class PathNode:
         self._num_drawn = 0
 
     @property
-    def places(self) -> Float[np.ndarray, "n 3"]:
+    def positions(self) -> Float[np.ndarray, "n 3"]:
         """Points in the world [m]."""
         return np.array(self._places).reshape(-1, 3)
 
@@ -227,7 +227,7 @@ class PathNode:
         """Draw it, if it has changed."""
         if len(self._places) >= 2 and len(self._places) != self._num_drawn:
             self._num_drawn = len(self._places)
-            add_path(self._scene, self._name, self.places, self._color)
+            add_path(self._scene, self._name, self.positions, self._color)
 
 
 def aim(server: viser.ViserServer, low: np.ndarray, high: np.ndarray) -> None:

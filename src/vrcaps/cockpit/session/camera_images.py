@@ -104,7 +104,7 @@ _PATIENCE = 0.005
 
 
 @dataclass(frozen=True)
-class Look:
+class ImageSettings:
     """Render settings of the live images.
 
     Attributes:
@@ -125,11 +125,11 @@ class LiveImage:
     """One image of the camera.
 
     Attributes:
-        look: Its render settings.
+        settings: Its render settings.
         picture: Image to display.
     """
 
-    look: Look
+    settings: ImageSettings
     picture: UInt8[ndarray, "h w 3"]
 
 
@@ -140,8 +140,8 @@ class CameraImages:
     they have no shadows, except when the simulation is paused.
 
     Attributes:
-        look: Render settings; may be set at any time.
-        shadows: Selects the images with shadows, if the look has them.
+        settings: Render settings; may be set at any time.
+        shadows: Selects the images with shadows, if enabled.
         rate: Measured images per second.
         exposure: Exposure of the last image, relative to the camera's own.
     """
@@ -156,13 +156,13 @@ class CameraImages:
         self._session, self._on_image = session, on_image
         scenario = session.scenario
         name = session.model.device.cameras[0].name
-        self.look = Look(name, "rgb", scenario.render, scenario.effects)
+        self.settings = ImageSettings(name, "rgb", scenario.render, scenario.effects)
         self.rate, self.exposure, self.shadows = 0.0, 1.0, LiveShadows()
         self._states: deque[State] = deque(maxlen=64)
         self._times: deque[float] = deque(maxlen=20)
         self._wall = MovingWall(session.model)
         self._renderer: tuple[RenderSettings, Renderer] | None = None
-        self._cameras: tuple[Look, CapsuleCameras] | None = None
+        self._cameras: tuple[ImageSettings, CapsuleCameras] | None = None
         self._is_closed, self._rest = False, 0.0
         self._thread = threading.Thread(target=self._run, name="vrcaps-camera", daemon=True)
 
@@ -177,50 +177,50 @@ class CameraImages:
             self._thread.join()
 
     def _run(self) -> None:
-        shown: tuple[int, Look, bool] | None = None
-        working = self.look
+        last_key: tuple[int, ImageSettings, bool] | None = None
+        valid_settings = self.settings
         while not self._is_closed:
-            view, look = self._session.view, self.look
+            view, settings = self._session.view, self.settings
             has_shadows = view is None or view.is_paused or not self.shadows.are_left_out
-            if view is None or (view.number, look, has_shadows) == shown:
+            if view is None or (view.number, settings, has_shadows) == last_key:
                 wall_clock.sleep(_PATIENCE)
                 continue
-            begin = wall_clock.perf_counter()
+            started = wall_clock.perf_counter()
             try:
-                self._on_image(self.image(view, look, has_shadows=has_shadows))
-                working = look
+                self._on_image(self.image(view, settings, has_shadows=has_shadows))
+                valid_settings = settings
             except VrcapsError as error:
                 self._session.on_message(f"{error} The render settings stay unchanged.")
-                self.look = working
-            shown = (view.number, look, has_shadows)
+                self.settings = valid_settings
+            last_key = (view.number, settings, has_shadows)
             self._measure()
             self._rest_while_late()
             now = wall_clock.perf_counter()
-            if look.render.shadows and not view.is_paused:
-                self.shadows.note(now - begin, now)
-            wall_clock.sleep(max(0.0, begin + _SHORTEST - now))
+            if settings.render.shadows and not view.is_paused:
+                self.shadows.note(now - started, now)
+            wall_clock.sleep(max(0.0, started + _SHORTEST - now))
 
-    def image(self, view: View, look: Look, *, has_shadows: bool = True) -> LiveImage:
+    def image(self, view: View, settings: ImageSettings, *, has_shadows: bool = True) -> LiveImage:
         """Render the camera's image of a view.
 
         Args:
             view: Instant of the simulation.
-            look: Render settings.
-            has_shadows: Whether to render the shadows of the look.
+            settings: Render settings.
+            has_shadows: Whether to render the shadows that the settings enable.
 
         Raises:
-            InputError: If the look is not possible.
+            InputError: If the settings are invalid.
         """
-        camera = self._session.model.device.camera(look.camera)
+        camera = self._session.model.device.camera(settings.camera)
         step = Step(view.number, view.state, previous=self._earlier(view.state))
-        pipeline = self._cameras_for(look).pipelines[camera.name]
-        shadows = look.render.shadows and has_shadows
+        pipeline = self._cameras_for(settings).pipelines[camera.name]
+        shadows = settings.render.shadows and has_shadows
         # The renderer reads this for each image; a new one would trace its form factors again.
-        pipeline.renderer.settings = replace(look.render, shadows=shadows)
-        values = getattr(pipeline.capture(step), look.channel)
+        pipeline.renderer.settings = replace(settings.render, shadows=shadows)
+        values = getattr(pipeline.capture(step), settings.channel)
         self.exposure = pipeline.state.exposure
-        limits = limits_of(look.channel, [values])
-        return LiveImage(look, picture(look.channel, values, limits))
+        limits = limits_of(settings.channel, [values])
+        return LiveImage(settings, picture(settings.channel, values, limits))
 
     def _earlier(self, state: State) -> State:
         """State about one recorded frame earlier, as closely as available."""
@@ -231,21 +231,24 @@ class CameraImages:
         self._states.append(state)
         return nearest
 
-    def _cameras_for(self, look: Look) -> CapsuleCameras:
+    def _cameras_for(self, settings: ImageSettings) -> CapsuleCameras:
         """Pipelines of the cameras; recreated if light, effects or channel have changed."""
-        if self._renderer is None or self._renderer[0] != look.render:
-            self._renderer = look.render, Renderer(self._session.model, look.render, self._wall)
+        if self._renderer is None or self._renderer[0] != settings.render:
+            self._renderer = (
+                settings.render,
+                Renderer(self._session.model, settings.render, self._wall),
+            )
             self._cameras = None
-        if self._cameras is None or self._cameras[0] != look:
+        if self._cameras is None or self._cameras[0] != settings:
             scenario = self._session.scenario
             cameras = CapsuleCameras(
                 self._renderer[1],
-                look.effects,
+                settings.effects,
                 fps=self._session.rollout.fps,
                 seed=scenario.seed,
-                channels=(look.channel,),
+                channels=(settings.channel,),
             )
-            self._cameras = (look, cameras)
+            self._cameras = (settings, cameras)
         return self._cameras[1]
 
     def _rest_while_late(self) -> None:

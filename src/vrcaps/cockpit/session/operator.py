@@ -54,7 +54,7 @@ class Operator:
         driver = self._driver
         return "" if driver is None else driver.name
 
-    def hand_over(self, driver: PolicyDriver) -> None:
+    def start_policy(self, driver: PolicyDriver) -> None:
         """Let a policy drive until it hands back or there is human input."""
         self.stop()
         with self._lock:

@@ -66,7 +66,7 @@ class PolicyDriver:
             InputError: If it is not a policy, or not one that can move a magnet.
             UnknownNameError: If there is no policy of that name.
         """
-        self.name, self._rollout, self._tell = name, rollout, on_message
+        self.name, self._rollout, self._notify = name, rollout, on_message
         self._policy = read_policy(name)
         changes = rollout.settings.posture_changes
         self._posture = changes[-1].posture if changes else posture
@@ -83,10 +83,10 @@ class PolicyDriver:
         try:
             self._axes = self._act(time)
         except VrcapsError as error:
-            self._tell(f"Policy {self.name} releases control: {error}")
+            self._notify(f"Policy {self.name} releases control: {error}")
             return None
         except Exception as error:  # the simulation survives any error of a policy
-            self._tell(f"Policy {self.name} releases control: {type(error).__name__}: {error}.")
+            self._notify(f"Policy {self.name} releases control: {type(error).__name__}: {error}.")
             return None
         return self._axes
 

@@ -218,11 +218,11 @@ class Session:
             UnknownNameError: If there is no such posture.
         """
         posture_transform(posture)
-        begin, settings = self._begin_of_order(), self.rollout.settings
+        start_time, settings = self._command_time(), self.rollout.settings
         changes = settings.posture_changes
-        if changes and begin < changes[-1].time + changes[-1].duration:
+        if changes and start_time < changes[-1].time + changes[-1].duration:
             raise InputError(f"The patient is still turning to {changes[-1].posture}.")
-        changes = (*changes, PostureChange(posture, begin, TURN_SECONDS))
+        changes = (*changes, PostureChange(posture, start_time, TURN_SECONDS))
         self.rollout.change(replace(settings, posture_changes=changes))
 
     def insufflate(self, factor: float) -> None:
@@ -231,12 +231,12 @@ class Session:
         Raises:
             InputError: If the factor is invalid or a change is in progress.
         """
-        begin, settings = self._begin_of_order(), self.rollout.settings
+        start_time, settings = self._command_time(), self.rollout.settings
         entries = settings.insufflation
-        if entries and begin <= entries[-1].time:
+        if entries and start_time <= entries[-1].time:
             raise InputError("The previous change of insufflation is still in progress.")
-        now = insufflation_at(entries, begin)
-        ramp = (Insufflation(begin, now), Insufflation(begin + INFLATE_SECONDS, factor))
+        now = insufflation_at(entries, start_time)
+        ramp = (Insufflation(start_time, now), Insufflation(start_time + INFLATE_SECONDS, factor))
         self.rollout.change(replace(settings, insufflation=(*entries, *ramp)))
 
     def flush(self) -> None:
@@ -245,16 +245,16 @@ class Session:
         Raises:
             InputError: If there are none, or a flush is in progress.
         """
-        begin, settings = self._begin_of_order(), self.rollout.settings
+        start_time, settings = self._command_time(), self.rollout.settings
         contents = self.rollout.model.lumen_contents
         if contents is None or not len(contents.spheres):
             raise InputError(
                 "The lumen contains neither bubbles nor chyme. Start a new drive that has them."
             )
         flushes = settings.flushes
-        if flushes and begin <= flushes[-1].time + flushes[-1].duration:
+        if flushes and start_time <= flushes[-1].time + flushes[-1].duration:
             raise InputError("The previous flush is still in progress.")
-        self.rollout.change(replace(settings, flushes=(*flushes, Flush(begin))))
+        self.rollout.change(replace(settings, flushes=(*flushes, Flush(start_time))))
 
     def start_phase_three(self) -> None:
         """Start phase III of the migrating motor complex at the capsule.
@@ -264,18 +264,18 @@ class Session:
             UnknownNameError: If there is no muscle for a segment of the wall.
         """
         self.rollout.add_muscle()
-        begin, settings = self._begin_of_order(), self.rollout.settings
+        start_time, settings = self._command_time(), self.rollout.settings
         fronts = settings.phase_three
-        if fronts and begin < fronts[-1].time + FRONT_SECONDS:
+        if fronts and start_time < fronts[-1].time + FRONT_SECONDS:
             raise InputError("Phase III has already started.")
-        fronts = (*fronts, Front(begin, self.rollout.front_arc_length))
+        fronts = (*fronts, Front(start_time, self.rollout.front_arc_length))
         self.rollout.change(replace(settings, phase_three=fronts))
 
-    def change_look(self, render: RenderSettings, effects: Effects) -> None:
-        """Set the look of later recordings of the drive; the simulation does not change."""
+    def change_render(self, render: RenderSettings, effects: Effects) -> None:
+        """Set light, imaging and effects of later recordings; the simulation does not change."""
         self.scenario = replace(self.scenario, render=render, effects=effects)
 
-    def _begin_of_order(self) -> float:
+    def _command_time(self) -> float:
         """Next tenth of a second [s] that no step has reached yet."""
         return math.ceil(10.0 * (max(0.0, self.rollout.world.time) + _AHEAD)) / 10.0
 

@@ -1,1 +1,8 @@
-"""Camera calibration from photographs of a chessboard: corners, fit, report."""
+"""Camera calibration from photographs of a chessboard: corners, fit, report.
+
+The names in `__init__.pyi` are loaded when they are first used.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

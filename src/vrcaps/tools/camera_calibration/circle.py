@@ -97,8 +97,8 @@ def _fitted(edge: np.ndarray, middle: np.ndarray) -> ImageCircle | None:
     def distance(x: np.ndarray) -> np.ndarray:
         return np.linalg.norm(edge - x[:2], axis=1) - x[2]
 
-    found = scipy.optimize.least_squares(distance, [*middle, radius], loss="huber", f_scale=0.5)
-    cx, cy, radius = map(float, found.x)
-    if np.median(np.abs(distance(found.x))) > _MAX_SCATTER * radius:
+    solution = scipy.optimize.least_squares(distance, [*middle, radius], loss="huber", f_scale=0.5)
+    cx, cy, radius = map(float, solution.x)
+    if np.median(np.abs(distance(solution.x))) > _MAX_SCATTER * radius:
         return None
     return ImageCircle(cx, cy, radius, edge)

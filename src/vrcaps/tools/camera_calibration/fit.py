@@ -231,7 +231,7 @@ class _Problem:
     ) -> tuple[Lens, np.ndarray]:
         """Lens and poses by least squares, or by Huber's function with its knee at `robust`."""
         names = self.family.names(num_terms)
-        found = scipy.optimize.least_squares(
+        solution = scipy.optimize.least_squares(
             lambda x: self._all(x, lens, names),
             self._packed(lens, poses, names),
             jac=lambda x: self._jacobian(x, lens, names),  # type: ignore[arg-type]
@@ -240,7 +240,7 @@ class _Problem:
             x_scale="jac",
             max_nfev=200,
         )
-        return self._unpacked(found.x, lens, names)
+        return self._unpacked(solution.x, lens, names)
 
     def covariance(
         self, lens: Lens, poses: np.ndarray, num_terms: int

@@ -65,9 +65,9 @@ def _draw_arrows(axis, fit: Calibration, circle: ImageCircle | None) -> None:
 
     width, height = fit.size
     gain = 0.03 * width / max(float(np.median(fit.errors)), 1e-9)
-    places = np.concatenate([view.pixels for view in fit.views])
+    positions = np.concatenate([view.pixels for view in fit.views])
     moves = gain * fit.residuals.reshape(-1, 2)
-    axis.quiver(*places.T, *moves.T, angles="xy", scale_units="xy", scale=1.0, width=0.002)
+    axis.quiver(*positions.T, *moves.T, angles="xy", scale_units="xy", scale=1.0, width=0.002)
     axis.plot(fit.lens.cx, fit.lens.cy, "r+", label="optical axis")
     if circle is not None:
         outline = Circle((circle.cx, circle.cy), circle.radius, fill=False, color="tab:blue")
@@ -79,8 +79,8 @@ def _draw_arrows(axis, fit: Calibration, circle: ImageCircle | None) -> None:
 
 
 def _draw_radial(axis, fit: Calibration) -> None:
-    places = np.concatenate([view.pixels for view in fit.views])
-    away = places - (fit.lens.cx, fit.lens.cy)
+    positions = np.concatenate([view.pixels for view in fit.views])
+    away = positions - (fit.lens.cx, fit.lens.cy)
     radius = np.linalg.norm(away, axis=1)
     outward = np.sum(away * fit.residuals.reshape(-1, 2), axis=1) / np.maximum(radius, 1e-9)
     axis.plot(radius, fit.errors.ravel(), ".", ms=3, color="0.6", label="distance")

@@ -96,12 +96,12 @@ def find_gaps(parts: Volume, max_width: float) -> list[Gap]:
 
 def connected_by_gaps(gaps: list[Gap], start: int) -> set[int]:
     """IDs of the parts that gaps join to a part, including itself."""
-    found = {start}
+    reached = {start}
     while True:
-        more = {part for gap in gaps if found & set(gap.parts) for part in gap.parts} - found
+        more = {part for gap in gaps if reached & set(gap.parts) for part in gap.parts} - reached
         if not more:
-            return found
-        found |= more
+            return reached
+        reached |= more
 
 
 def bridge_gaps(lumen: LumenFraction, gaps: list[Gap], radius: float) -> LumenFraction:

@@ -130,10 +130,10 @@ def list_series(folder: Path) -> Listing:
         if is_hidden(Path(path.name)):
             continue
         try:
-            found = _read_header(path)
-            if found is None:
+            series_list = _read_header(path)
+            if series_list is None:
                 continue
-            about, one = found
+            about, one = series_list
             if one.sop_uid and seen.setdefault(one.sop_uid, path) != path:
                 raise _OddFileError(f"copy of {seen[one.sop_uid].name}")
         except _OddFileError as error:
@@ -143,8 +143,8 @@ def list_series(folder: Path) -> Listing:
         if group is None:
             groups.append((about, group := []))
         group.append(one)
-    found = [replace(about, slices=tuple(slices)) for about, slices in groups]
-    kept, odd = _without_odd(sorted(found, key=lambda one: -len(one.slices)))
+    series_list = [replace(about, slices=tuple(slices)) for about, slices in groups]
+    kept, odd = _without_odd(sorted(series_list, key=lambda one: -len(one.slices)))
     listing = Listing(tuple(kept), (*skipped, *odd))
     if not kept:
         notes = "".join(f" {note}." for note in listing.notes())

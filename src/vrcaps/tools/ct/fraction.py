@@ -73,9 +73,9 @@ def resolve_interface(
             np.arange(slab[0].start, slab[0].start + len(fraction[slab]))[:, None, None] - plane
         )
         beside = patch[box] == number
-        found = _fraction(values[slab], offset, own[box] & beside, hounsfield)
+        fractions = _fraction(values[slab], offset, own[box] & beside, hounsfield)
         layer = (np.abs(offset) <= half) & beside
-        fraction[slab][layer] = found[layer]
+        fraction[slab][layer] = fractions[layer]
 
 
 def _plane(

@@ -49,8 +49,10 @@ def check_label(labels: Volume, label: str) -> int:
             "Give the label map with --labels, or omit --label to segment gas."
         )
     if not (labels.values == number).any():
-        found = np.unique(labels.values[labels.values > 0])
-        text = ", ".join(map(str, found[:40])) + (", …" if len(found) > 40 else "")
+        labels_present = np.unique(labels.values[labels.values > 0])
+        text = ", ".join(map(str, labels_present[:40])) + (
+            ", …" if len(labels_present) > 40 else ""
+        )
         raise InputError(
             f"No voxel of {labels.source} has label {label} ({number}). Found: {text or 'none'}."
         )

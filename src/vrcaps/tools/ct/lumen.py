@@ -241,12 +241,12 @@ def choose_gas(
     """
     if seed is not None:
         return (_at_seed(gas, scan, seed),)
-    volume, place = gas.leak
+    volume, position = gas.leak
     largest = gas.gut[0].volume if gas.gut else 0.0
     if volume > max(_LEAK_VOLUME, largest):
         raise InputError(
-            f"The lumen leaks: {volume / CM**3:.0f} ml of gas around {mm_text(place)} are joined "
-            "to the air outside. Lower --threshold, or give a mask with --labels."
+            f"The lumen leaks: {volume / CM**3:.0f} ml of gas around {mm_text(position)} are "
+            "connected to the air outside. Lower --threshold, or give a mask with --labels."
         )
     if not gas.gut:
         low, high = int(scan.values.min()), int(scan.values.max())
@@ -278,15 +278,15 @@ def _at_seed(gas: Gas, scan: Volume, seed: Float[np.ndarray, " 3"]) -> GasPiece:
             f"The gas at the seed {mm_text(seed)} leaks to the air outside. Lower --threshold, "
             "give another seed, or a mask with --labels."
         )
-    found = [piece for piece in gas.pieces if piece.number == number]
-    if not found:
+    matches = [piece for piece in gas.pieces if piece.number == number]
+    if not matches:
         value = int(scan.values[tuple(index)])
         known = "; ".join(f"{mm_text(p.center)}, {p.volume / CM**3:.0f} ml" for p in gas.gut[:4])
         raise InputError(
             f"The seed {mm_text(seed)} is outside the lumen ({value} HU there). "
-            f"Gas lies at: {known or 'no place of 1 ml or more'}."
+            f"Gas lies at: {known or 'no position of 1 ml or more'}."
         )
-    return found[0]
+    return matches[0]
 
 
 def mm_text(point: Float[np.ndarray, " 3"]) -> str:

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
     from jaxtyping import Float, UInt8
 
-    from vrcaps.tools.mucosa_from_photos.make_texture import TextureResult
     from vrcaps.tools.mucosa_from_photos.patches import PhotoAnalysis
+    from vrcaps.tools.mucosa_from_photos.texture import TextureResult
 
 _BINS = np.linspace(0.0, 30.0, 61)  # bins of gradients in L* per texel
 

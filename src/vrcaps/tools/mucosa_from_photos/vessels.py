@@ -203,13 +203,13 @@ def place_vessels(
     density = np.zeros((size, size, 3), np.float32)
     if not pieces or coverage <= 0.0:
         return density
-    chance = np.array([piece.length for piece in pieces], float)
-    chance /= chance.sum()
+    weights = np.array([piece.length for piece in pieces], float)
+    weights /= weights.sum()
     grain = max(4, size // 64)
     occupancy = np.zeros((-(-size // grain),) * 2)
     covered = 0
     for _ in range(_MAX_PIECES):
-        piece = pieces[int(rng.choice(len(pieces), p=chance))]
+        piece = pieces[int(rng.choice(len(pieces), p=weights))]
         rotated = _transformed(piece.density, placement, rng)
         position = _draw_position(occupancy, grain, max(rotated.shape), placement.position_std, rng)
         rows = (int(position[0]) - rotated.shape[0] // 2 + np.arange(rotated.shape[0])) % size
@@ -239,8 +239,8 @@ def _transformed(
     back = matrix.T / scale
     rows, columns = np.indices((int(size[0]), int(size[1]))) - 0.5 * (size - 1)[:, None, None]
     middle = 0.5 * (shape - 1)
-    places = [back[k, 0] * rows + back[k, 1] * columns + middle[k] for k in (0, 1)]
-    rotated = scipy.ndimage.map_coordinates(density, places, order=1, mode="constant")
+    positions = [back[k, 0] * rows + back[k, 1] * columns + middle[k] for k in (0, 1)]
+    rotated = scipy.ndimage.map_coordinates(density, positions, order=1, mode="constant")
     return np.maximum(rotated, 0.0)
 
 

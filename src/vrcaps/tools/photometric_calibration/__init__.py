@@ -1,1 +1,8 @@
-"""Photometric camera calibration from frames: circle, vignetting, color, noise, compression."""
+"""Photometric camera calibration from frames: circle, vignetting, color, noise, compression.
+
+The names in `__init__.pyi` are loaded when they are first used.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -196,10 +196,10 @@ def write_report(path: Path, calibration: PhotometricCalibration, frames: Frames
     (circle, first, last), (vignette, color, noise) = figure.subplots(2, 3)
     _draw_circle(circle, calibration, frames)
     for axis, k in ((first, 0), (last, len(frames.rgb) // 2)):
-        shown = frames.rgb[k].copy()
-        shown[~frames.field[k]] //= 3
-        shown[frames.field[k] & ~frames.exposed[k]] = (0, 255, 255)
-        axis.imshow(shown)
+        displayed = frames.rgb[k].copy()
+        displayed[~frames.field[k]] //= 3
+        displayed[frames.field[k] & ~frames.exposed[k]] = (0, 255, 255)
+        axis.imshow(displayed)
         axis.set(xticks=[], yticks=[], title="dim: masked; cyan: over- or underexposed")
     _draw_vignetting(vignette, calibration)
     _draw_color(color, calibration, frames)
@@ -213,13 +213,15 @@ def _draw_circle(axis, calibration: PhotometricCalibration, frames: Frames) -> N
     axis.imshow(frames.rgb.mean(axis=0).astype(np.uint8))
     axis.set(xticks=[], yticks=[], title="mean frame: no circular dark rim detected")
     if calibration.circle is not None:
-        found = calibration.circle
-        axis.plot(*found.edge.T, ".", ms=2, color="lime")
+        circle_fit = calibration.circle
+        axis.plot(*circle_fit.edge.T, ".", ms=2, color="lime")
         axis.set(xlim=axis.get_xlim(), ylim=axis.get_ylim())
-        outline = Circle((found.cx, found.cy), found.radius, fill=False, color="cyan")
+        outline = Circle(
+            (circle_fit.cx, circle_fit.cy), circle_fit.radius, fill=False, color="cyan"
+        )
         axis.add_patch(outline)
-        axis.set_title(f"mean frame: circle of {found.radius:.1f} px at {found.cx:.1f}, "
-                       f"{found.cy:.1f}")  # fmt: skip
+        axis.set_title(f"mean frame: circle of {circle_fit.radius:.1f} px at {circle_fit.cx:.1f}, "
+                       f"{circle_fit.cy:.1f}")  # fmt: skip
 
 
 def _draw_vignetting(axis, calibration: PhotometricCalibration) -> None:

@@ -47,15 +47,15 @@ def jpeg_quality(paths: Sequence[Path]) -> int | None:
 
     tables = quality_tables()
     files = [file for path in paths for file in (listed(path, "*") if path.is_dir() else (path,))]
-    found = []
+    qualities = []
     for file in files:
         if file.suffix.lower() not in (".jpg", ".jpeg"):
             continue
         with reading(file), Image.open(file, formats=["JPEG"]) as image:
             own = getattr(image, "quantization", {}).get(0)
         if own is not None:
-            found.append(1 + int(np.abs(tables - np.sort(own)).sum(axis=1).argmin()))
-    return round(float(np.median(found))) if found else None
+            qualities.append(1 + int(np.abs(tables - np.sort(own)).sum(axis=1).argmin()))
+    return round(float(np.median(qualities))) if qualities else None
 
 
 def blockiness(luminance: Float[np.ndarray, "n h w"], field: Bool[np.ndarray, "n h w"]) -> float:

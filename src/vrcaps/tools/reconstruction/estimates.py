@@ -91,9 +91,9 @@ def aligned(
 
 def _before(poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "m 3"]:
     """Positions of cameras, and points along their axes [m]."""
-    places = poses[:, None, :3, 3]
-    along = places + _REACH * np.swapaxes(poses[:, :3, :3], 1, 2)
-    return np.concatenate([places, along], axis=1).reshape(-1, 3)
+    positions = poses[:, None, :3, 3]
+    along = positions + _REACH * np.swapaxes(poses[:, :3, :3], 1, 2)
+    return np.concatenate([positions, along], axis=1).reshape(-1, 3)
 
 
 def read_depth(folder: Path, sequence: FrameSequence) -> FrameSequence:
@@ -107,12 +107,12 @@ def read_depth(folder: Path, sequence: FrameSequence) -> FrameSequence:
         InputError: If the folder contains none of this sequence; on reading an image, if a file is
             damaged.
     """
-    place = folder / sequence.name
-    if not place.is_dir():
-        raise InputError(f"{folder} contains no depth of {sequence.name}: {place} is missing.")
+    subfolder = folder / sequence.name
+    if not subfolder.is_dir():
+        raise InputError(f"{folder} contains no depth of {sequence.name}: {subfolder} is missing.")
 
     def depth_of(index: int) -> np.ndarray:
-        path = place / f"{file_name(sequence, index)}.png"
+        path = subfolder / f"{file_name(sequence, index)}.png"
         try:
             return CHANNELS["depth"].encoding.decode(read_image(path))
         except (OSError, ValueError) as error:

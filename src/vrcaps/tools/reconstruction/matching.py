@@ -148,8 +148,8 @@ def sift_features(
         return Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32))
     order = np.argsort([-point.response for point in points], kind="stable")[:count]
     length = np.linalg.norm(descriptors, axis=1, keepdims=True)
-    places = np.array([point.pt for point in points], float)
-    return Features(places[order], (descriptors / np.maximum(length, 1e-6))[order])
+    positions = np.array([point.pt for point in points], float)
+    return Features(positions[order], (descriptors / np.maximum(length, 1e-6))[order])
 
 
 def matches(

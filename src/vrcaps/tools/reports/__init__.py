@@ -1,1 +1,8 @@
-"""Reports: overview of an organ, coverage of an episode, policy evaluations and data sets."""
+"""Reports: overview of an organ, coverage of an episode, policy evaluations and data sets.
+
+The names in `__init__.pyi` are loaded when they are first used.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -165,22 +165,22 @@ SEEN_COLOR, UNSEEN_COLOR = (64, 176, 80), (200, 48, 48)
 """sRGB colors of seen and unseen wall, as in VR-Caps."""
 
 
-def write_coverage_table(path: Path, found: EpisodeCoverage) -> None:
+def write_coverage_table(path: Path, coverage: EpisodeCoverage) -> None:
     """Write the fraction seen up to each frame, one column per level (Parquet).
 
     Args:
         path: File to write or replace.
-        found: Coverage of an episode.
+        coverage: Coverage of an episode.
     """
     columns: dict[str, np.ndarray] = {
-        "frame": np.arange(len(found.times)),
-        "time_s": np.asarray(found.times),
+        "frame": np.arange(len(coverage.times)),
+        "time_s": np.asarray(coverage.times),
     }
-    columns |= {level: found.over_time(level) for level in COVERAGE_LEVELS}
+    columns |= {level: coverage.over_time(level) for level in COVERAGE_LEVELS}
     write_table(path, FrameTable(columns))
 
 
-def write_coverage_mesh(path: Path, found: EpisodeCoverage) -> None:
+def write_coverage_mesh(path: Path, coverage: EpisodeCoverage) -> None:
     """Write the organ with vertex colors and the vertex attributes `_COVERAGE` and `_FIRST_SEEN_S`.
 
     `_COVERAGE` is 0 for an unseen vertex, 1 visible, 2 resolved, 3 readable: the best level of its
@@ -188,15 +188,15 @@ def write_coverage_mesh(path: Path, found: EpisodeCoverage) -> None:
 
     Args:
         path: GLB file to write or replace.
-        found: Coverage of an episode.
+        coverage: Coverage of an episode.
     """
     import trimesh
 
-    organ, first = found.organ, found.coverage.first_seen["visible"]
-    level = vertex_level(found)
+    organ, first = coverage.organ, coverage.coverage.first_seen["visible"]
+    level = vertex_level(coverage)
     seen = first >= 0
     time = np.full(len(organ.vertices), np.inf)
-    times = np.repeat(np.asarray(found.times)[first[seen]], 3)
+    times = np.repeat(np.asarray(coverage.times)[first[seen]], 3)
     np.minimum.at(time, organ.faces[seen].ravel(), times)
     colors = np.where(level[:, None] > 0, SEEN_COLOR, UNSEEN_COLOR).astype(np.uint8)
     mesh = trimesh.Trimesh(organ.vertices, organ.faces, vertex_colors=colors, process=False)
@@ -209,11 +209,11 @@ def write_coverage_mesh(path: Path, found: EpisodeCoverage) -> None:
     write_bytes(path, data)
 
 
-def vertex_level(found: EpisodeCoverage) -> Int[np.ndarray, " n"]:
+def vertex_level(coverage: EpisodeCoverage) -> Int[np.ndarray, " n"]:
     """Best level of each vertex's triangles: 0 unseen, 1 visible, 2 resolved, 3 readable."""
-    level = np.zeros(len(found.organ.vertices), np.int32)
+    level = np.zeros(len(coverage.organ.vertices), np.int32)
     for number, name in enumerate(COVERAGE_LEVELS[1:], start=1):
-        level[found.organ.faces[found.coverage.seen(name)].ravel()] = number
+        level[coverage.organ.faces[coverage.coverage.seen(name)].ravel()] = number
     return level
 
 
@@ -228,18 +228,18 @@ _SIZE_INCH, _DPI = (13.0, 11.0), 110
 _UNROLLED_PX = (180, 1200)
 
 
-def write_coverage_figure(path: Path, found: EpisodeCoverage, *, title: str = "") -> None:
+def write_coverage_figure(path: Path, coverage: EpisodeCoverage, *, title: str = "") -> None:
     """Draw the organ from two sides, its unrolled wall, coverage over time and by segment.
 
     Args:
         path: Image to write; its suffix determines the format.
-        found: Coverage of an episode.
+        coverage: Coverage of an episode.
         title: Title above the figure.
     """
     figure = make_figure(*_SIZE_INCH)
     figure.suptitle(title)
     grid = figure.add_gridspec(3, 2, height_ratios=[1.5, 0.5, 0.8])
-    organ = replace(found.organ, label=vertex_level(found).astype(np.uint8))
+    organ = replace(coverage.organ, label=vertex_level(coverage).astype(np.uint8))
     wall = wall_of(organ.vertices, organ.faces)
     low, high = organ.vertices.min(axis=0), organ.vertices.max(axis=0)
     center, half = 0.5 * (low + high), 0.52 * float((high - low).max())
@@ -249,8 +249,8 @@ def write_coverage_figure(path: Path, found: EpisodeCoverage, *, title: str = ""
         view.set_axis_off()
         view.set_title(name, fontsize=10)
     _draw_unrolled(figure.add_subplot(grid[1, :]), organ, wall)
-    _draw_over_time(figure.add_subplot(grid[2, 0]), found)
-    _draw_segments(figure.add_subplot(grid[2, 1]), found)
+    _draw_over_time(figure.add_subplot(grid[2, 0]), coverage)
+    _draw_segments(figure.add_subplot(grid[2, 1]), coverage)
     figure.legend(handles=_legend(), loc="outside lower center", ncols=4, frameon=False)
     figure.savefig(path, dpi=_DPI)
 
@@ -278,18 +278,18 @@ def _draw_unrolled(view: Axes, organ: Any, wall: Any) -> None:
     view.set_ylabel("angle [°]")
 
 
-def _draw_over_time(view: Axes, found: EpisodeCoverage) -> None:
+def _draw_over_time(view: Axes, coverage: EpisodeCoverage) -> None:
     for level in COVERAGE_LEVELS:
-        curve = 100.0 * found.over_time(level)
-        view.plot(found.times, curve, color=_CURVES[level], label=f"{level}, {curve[-1]:.1f} %")
+        curve = 100.0 * coverage.over_time(level)
+        view.plot(coverage.times, curve, color=_CURVES[level], label=f"{level}, {curve[-1]:.1f} %")
     view.set(xlabel="time [s]", ylabel="coverage [%]", ylim=(0, 100))
     view.grid(alpha=0.3)
     view.legend(frameon=False)
 
 
-def _draw_segments(view: Axes, found: EpisodeCoverage) -> None:
+def _draw_segments(view: Axes, coverage: EpisodeCoverage) -> None:
     """Draw bars of each segment's coverage at the nested levels."""
-    fractions = {level: found.by_segment(level) for level in COVERAGE_LEVELS[1:]}
+    fractions = {level: coverage.by_segment(level) for level in COVERAGE_LEVELS[1:]}
     names = list(fractions["visible"])
     for number, by_name in enumerate(fractions.values(), start=1):
         values = [100.0 * by_name[name] for name in names]

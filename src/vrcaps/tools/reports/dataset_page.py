@@ -28,7 +28,12 @@ from vrcaps.recording.frame_sequence import SPLITS
 from vrcaps.recording.pictures import legend, limits_of, picture
 from vrcaps.render.channels import CHANNELS
 from vrcaps.tools.report import data_url, html_image, html_note, html_page, html_table
-from vrcaps.tools.reports.dataset_sample import SPLIT_COLORS, Sample, Shot, histogram_picture
+from vrcaps.tools.reports.dataset_sample import (
+    SPLIT_COLORS,
+    Sample,
+    SampledFrame,
+    histogram_picture,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -98,18 +103,18 @@ def _facts(total: Count) -> str:
 
 
 def _warnings(rows: Sequence[Row], planned: int) -> list[str]:
-    found = []
+    warnings = []
     if len(rows) < planned:
-        found.append(
+        warnings.append(
             f"{len(rows):,} of {planned:,} recordings are complete; the others are missing."
         )
     shared = shared_organs(rows)
     if shared:
-        found.append(
+        warnings.append(
             f"Patients in different splits have the same organ ({len(shared)} organs): the splits "
             "do not measure generalization to unseen anatomy."
         )
-    return [f"<p class='warning'>{text}</p>" for text in found]
+    return [f"<p class='warning'>{text}</p>" for text in warnings]
 
 
 def _split_legend() -> str:
@@ -122,7 +127,7 @@ def _dot(split: str) -> str:
 
 
 def _splits(rows: Sequence[Row]) -> str:
-    found = by_split(rows)
+    totals = by_split(rows)
     table = [
         {
             "split": name,
@@ -132,7 +137,7 @@ def _splits(rows: Sequence[Row]) -> str:
             "recorded": duration_text(c.seconds),
             "size": size_text(c.num_bytes),
         }
-        for name, c in found.items()
+        for name, c in totals.items()
     ]
     return f"<div><h2>Splits</h2>{html_table(table)}</div>"
 
@@ -180,29 +185,29 @@ def _segments(rows: Sequence[Row]) -> str:
 
 
 def _lesions(rows: Sequence[Row], sample: Sample) -> str:
-    found = lesion_counts(rows)
-    if not found:
+    totals = lesion_counts(rows)
+    if not totals:
         return "<div><h2>Lesions</h2><p>No recording contains a lesion.</p></div>"
-    has_masks = any(shot.has_masks for shot in sample.shots)
+    has_masks = any(shot.has_masks for shot in sample.frames)
     table = []
-    for kind, (lesions, patients, recordings) in found.items():
-        seen = sum(kind in shot.lesions for shot in sample.shots)
+    for kind, (lesions, patients, recordings) in totals.items():
+        seen = sum(kind in shot.lesions for shot in sample.frames)
         row = {
             "kind": kind,
             "lesions": f"{lesions:,}",
             "patients": f"{patients:,}",
             "recordings": f"{recordings:,}",
         }
-        share = f"{100.0 * seen / len(sample.shots):.1f} %"
+        share = f"{100.0 * seen / len(sample.frames):.1f} %"
         table.append(row | ({"images with the lesion": share} if has_masks else {}))
-    note = f"Images: of {len(sample.shots)} sampled ones. " if has_masks else ""
+    note = f"Images: of {len(sample.frames)} sampled ones. " if has_masks else ""
     note += "A lesion of a patient counts once."
     return f"<div><h2>Lesions</h2>{html_table(table)}{html_note(note)}</div>"
 
 
 def _histogram_note(sample: Sample) -> str:
-    text = f"{len(sample.shots)} images and {len(sample.speeds)} recordings, sampled evenly."
-    bright = [shot.brightness for shot in sample.shots if shot.brightness.size]
+    text = f"{len(sample.frames)} images and {len(sample.speeds)} recordings, sampled evenly."
+    bright = [shot.brightness for shot in sample.frames if shot.brightness.size]
     if bright:
         pixels = np.concatenate(bright)
         text += (
@@ -214,13 +219,13 @@ def _histogram_note(sample: Sample) -> str:
 
 def _examples(sample: Sample) -> list[str]:
     """One frame of each organ with all its channels."""
-    by_organ: dict[str, list[Shot]] = {}
-    for shot in sample.shots:
+    by_organ: dict[str, list[SampledFrame]] = {}
+    for shot in sample.frames:
         by_organ.setdefault(shot.organ, []).append(shot)
     parts = ["<h2>Channels</h2>"]
-    for shots in list(by_organ.values())[:_EXAMPLES]:
+    for frames in list(by_organ.values())[:_EXAMPLES]:
         # A frame with lesions, if there is one, shows the most.
-        shot = max(shots, key=lambda shot: len(shot.lesions))
+        shot = max(frames, key=lambda shot: len(shot.lesions))
         episode = shot.member.read()
         parts.append(f"{html_note(_caption(shot))}<div class='tiles'>")
         for channel in episode.channels:
@@ -234,20 +239,22 @@ def _examples(sample: Sample) -> list[str]:
 
 
 def _mosaic(sample: Sample) -> list[str]:
-    shots = [shot for shot in sample.shots if shot.brightness.size]
-    if not shots:
+    frames = [shot for shot in sample.frames if shot.brightness.size]
+    if not frames:
         return []
-    numbers = np.unique(np.linspace(0, len(shots) - 1, min(_TILES, len(shots))).round().astype(int))
-    tiles = read_at_once(_frame_tile, [shots[number] for number in numbers])
+    numbers = np.unique(
+        np.linspace(0, len(frames) - 1, min(_TILES, len(frames))).round().astype(int)
+    )
+    tiles = read_at_once(_frame_tile, [frames[number] for number in numbers])
     return ["<h2>Frames</h2><div class='tiles'>", *tiles, "</div>"]
 
 
-def _frame_tile(shot: Shot) -> str:
+def _frame_tile(shot: SampledFrame) -> str:
     rgb = shot.member.read().image(shot.camera, "rgb", shot.frame)
     return _tile(rgb, _caption(shot), is_categorical=False)
 
 
-def _caption(shot: Shot) -> str:
+def _caption(shot: SampledFrame) -> str:
     lesions = f", {', '.join(shot.lesions)}" if shot.lesions else ""
     where = shot.segment if shot.segment == shot.organ else f"{shot.organ}: {shot.segment}"
     text = f"{where}{lesions}; {shot.member.name}, {shot.capsule} {shot.camera}, frame {shot.frame}"

@@ -33,7 +33,7 @@ _LESION = "instance"
 
 
 @dataclass(frozen=True)
-class Shot:
+class SampledFrame:
     """One sampled frame of one camera.
 
     Attributes:
@@ -70,7 +70,7 @@ class Sample:
         speeds: Split, and speed of the capsule at all frames [m/s], of each sampled recording.
     """
 
-    shots: tuple[Shot, ...]
+    frames: tuple[SampledFrame, ...]
     speeds: tuple[tuple[str, Float[np.ndarray, " n"]], ...]
 
 
@@ -85,28 +85,30 @@ def sample(dataset: Dataset, num_shots: int = NUM_SHOTS) -> Sample:
         InputError: If a file cannot be read.
     """
     members = dataset.members()
-    places: dict[int, list[int]] = {}
+    indices: dict[int, list[int]] = {}
     for number in range(num_shots):
-        places.setdefault(number * len(members) // num_shots, []).append(number)
-    chosen = [(members[index], numbers) for index, numbers in places.items()]
-    found = read_at_once(_shots_of, chosen)
-    shots = tuple(shot for shots, _ in found for shot in shots)
-    speeds = [(member.split, speed) for (member, _), (_, speed) in zip(chosen, found, strict=True)]
-    return Sample(shots, tuple(speeds))
+        indices.setdefault(number * len(members) // num_shots, []).append(number)
+    chosen = [(members[index], numbers) for index, numbers in indices.items()]
+    sampled = read_at_once(_sampled_frames, chosen)
+    frames = tuple(shot for frames, _ in sampled for shot in frames)
+    speeds = [
+        (member.split, speed) for (member, _), (_, speed) in zip(chosen, sampled, strict=True)
+    ]
+    return Sample(frames, tuple(speeds))
 
 
-def _shots_of(chosen: tuple[Member, list[int]]) -> tuple[list[Shot], NDArray]:
+def _sampled_frames(chosen: tuple[Member, list[int]]) -> tuple[list[SampledFrame], NDArray]:
     """Frames of a recording, at positions fixed by their indices, and the capsule's speeds."""
     member, numbers = chosen
     episode = member.read()
     count = len(episode) * len(episode.cameras)
-    places = sorted({int(number * _GOLDEN % 1.0 * count) for number in numbers})
-    shots = [_shot(member, episode, *divmod(place, len(episode.cameras))) for place in places]
+    indices = sorted({int(number * _GOLDEN % 1.0 * count) for number in numbers})
+    frames = [_shot(member, episode, *divmod(place, len(episode.cameras))) for place in indices]
     velocity = np.stack([episode.table.columns[name] for name in _VELOCITY], axis=-1)
-    return shots, np.linalg.norm(velocity, axis=-1)
+    return frames, np.linalg.norm(velocity, axis=-1)
 
 
-def _shot(member: Member, episode: Episode, frame: int, camera_number: int) -> Shot:
+def _shot(member: Member, episode: Episode, frame: int, camera_number: int) -> SampledFrame:
     camera = episode.cameras[camera_number]
     images = {
         name: episode.image(camera.name, name, frame)
@@ -114,7 +116,7 @@ def _shot(member: Member, episode: Episode, frame: int, camera_number: int) -> S
         if name in episode.channels
     }
     none = np.zeros(0)
-    return Shot(
+    return SampledFrame(
         member,
         episode.head["organ"]["name"],
         str(episode.table.columns["segment"][frame]),
@@ -168,10 +170,10 @@ def histogram_picture(sample: Sample) -> bytes:
 
 def _pixels(sample: Sample, name: str, unit: float) -> dict[str, NDArray]:
     """Values of sampled pixels of each split, in the given unit."""
-    found = {split: [np.zeros(0)] for split in SPLITS}
-    for shot in sample.shots:
-        found[shot.member.split].append(getattr(shot, name) / unit)
-    return {split: np.concatenate(values) for split, values in found.items()}
+    sampled = {split: [np.zeros(0)] for split in SPLITS}
+    for shot in sample.frames:
+        sampled[shot.member.split].append(getattr(shot, name) / unit)
+    return {split: np.concatenate(values) for split, values in sampled.items()}
 
 
 def _speeds(sample: Sample) -> dict[str, NDArray]:

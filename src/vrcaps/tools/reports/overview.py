@@ -127,9 +127,9 @@ def write_overview(organ: OrganSurface, path: Path, *, facts: OrganMeasures | No
     """
     wall = wall_of(organ.vertices, organ.faces)
     picture = _Picture(organ, facts or measure_organ(organ), wall, marked_lesions(organ))
-    places = _view_places(picture)
-    rows_inside = -(-len(places) // _VIEWS_PER_ROW)
-    per_row = -(-len(places) // rows_inside)
+    positions = _view_places(picture)
+    rows_inside = -(-len(positions) // _VIEWS_PER_ROW)
+    per_row = -(-len(positions) // rows_inside)
     inside = rows_inside * (min(_STRIP / per_row, 2.2) + 0.3)
     unrolled = picture.rows * (picture.row_height + 0.5) + 0.35
     heights = [0.75, 5.0, inside, unrolled] + ([] if picture.is_short else [2.1])
@@ -137,7 +137,7 @@ def write_overview(organ: OrganSurface, path: Path, *, facts: OrganMeasures | No
     parts = list(np.ravel(figure.subfigures(len(heights), 1, height_ratios=heights)))  # type: ignore[arg-type]
     _draw_title(parts[0], picture)
     _draw_outside(parts[1], picture)
-    _draw_inside(parts[2], picture, places, per_row)
+    _draw_inside(parts[2], picture, positions, per_row)
     if picture.is_short:
         left, right = np.ravel(parts[3].subfigures(1, 2))
         _draw_unrolled(left, picture)
@@ -151,7 +151,7 @@ def write_overview(organ: OrganSurface, path: Path, *, facts: OrganMeasures | No
 def marked_lesions(organ: OrganSurface) -> list[Marked]:
     """Lesions of an organ: those listed in its metadata, and other instances of its vertices."""
     records = {r.get("instance"): r for r in organ.metadata.get("lesions", [])}
-    found = []
+    marked = []
     for number in np.unique(organ.instance[organ.instance > 0]).tolist():
         own = np.flatnonzero(organ.instance == number)
         middle = organ.vertices[own].mean(axis=0)
@@ -160,7 +160,7 @@ def marked_lesions(organ: OrganSurface) -> list[Marked]:
         size = record.get("specification", {}).get("size")
         words = [record.get("kind", "lesion"), record.get("grade", "")]
         words += [f"{size / MM:.0f} mm"] if size else []
-        found.append(
+        marked.append(
             Marked(
                 number=number,
                 text=" ".join(word for word in words if word),
@@ -169,7 +169,7 @@ def marked_lesions(organ: OrganSurface) -> list[Marked]:
                 theta=float(record.get("theta_rad", organ.theta[vertex])),
             )
         )
-    return found
+    return marked
 
 
 def _palette(count: int) -> Float[np.ndarray, "k 3"]:
@@ -236,14 +236,14 @@ def _draw_table(table: Axes, picture: _Picture) -> None:
     table.set_axis_off()
     table.set(xlim=(0, 1), ylim=(0, 1))
     lines = [(label, None) for label in picture.labels] + [(None, le) for le in picture.lesions]
-    shown = lines[:26]
-    step = min(1.0 / (len(shown) + 3), 0.055)
+    listed = lines[:26]
+    step = min(1.0 / (len(listed) + 3), 0.055)
     size = 10 if step > 0.04 else 8.5
     y = 1.0 - step
     table.text(0.06, y, "segment", size=size, color=_PALE)
     table.text(0.74, y, "length", size=size, color=_PALE, ha="right")
     table.text(0.98, y, "diameter", size=size, color=_PALE, ha="right")
-    for label, lesion in shown:
+    for label, lesion in listed:
         y -= step
         if label is not None:
             table.plot([0.02], [y + 0.3 * step], "s", ms=9, color=picture.colors[label])
@@ -260,8 +260,8 @@ def _draw_table(table: Axes, picture: _Picture) -> None:
             table.text(0.06, y, lesion.text, size=size, color=_INK)
             text = f"{lesion.arc_length / CM:.1f} cm"
             table.text(0.98, y, text, size=size, color=_INK, ha="right")
-    if len(lines) > len(shown):
-        table.text(0.06, y - step, f"and {len(lines) - len(shown)} more", size=size, color=_PALE)
+    if len(lines) > len(listed):
+        table.text(0.06, y - step, f"and {len(lines) - len(listed)} more", size=size, color=_PALE)
 
 
 def _view_places(picture: _Picture) -> list[tuple[str, float, Any]]:
@@ -271,25 +271,25 @@ def _view_places(picture: _Picture) -> list[tuple[str, float, Any]]:
     count = dict.fromkeys(labels, 1)
     while sum(count.values()) < _NUM_VIEWS:
         count[max(labels, key=lambda label: share[label] / count[label])] += 1
-    places = []
+    positions = []
     for label in labels:
         own = organ.arc_length[organ.label == label]
         for part in range(count[label]):
             at = float(np.quantile(own, (part + 0.5) / count[label]))
             where = f", {at / CM:.0f} cm" if count[label] > 1 else ""
-            places.append((picture.name(label) + where, at, picture.colors[label]))
-    return places
+            positions.append((picture.name(label) + where, at, picture.colors[label]))
+    return positions
 
 
 def _draw_inside(
-    part: SubFigure, picture: _Picture, places: list[tuple[str, float, Any]], per_row: int
+    part: SubFigure, picture: _Picture, positions: list[tuple[str, float, Any]], per_row: int
 ) -> None:
-    rows = -(-len(places) // per_row)
+    rows = -(-len(positions) // per_row)
     grid = part.add_gridspec(
         rows, per_row, left=0.03, right=0.98, top=0.90, bottom=0.02, wspace=0.05, hspace=0.3
     )
-    images = inside_views(picture.organ, [at for _, at, _ in places])
-    for number, ((title, _, color), image) in enumerate(zip(places, images, strict=True)):
+    images = inside_views(picture.organ, [at for _, at, _ in positions])
+    for number, ((title, _, color), image) in enumerate(zip(positions, images, strict=True)):
         view = part.add_subplot(grid[divmod(number, per_row)])
         view.imshow(image)
         view.set(xticks=[], yticks=[])

@@ -135,8 +135,8 @@ def _strip(curves: dict[str, np.ndarray], number: int, width: int) -> np.ndarray
     strip = Image.new("RGB", (width, _STRIP_PX), _BACKGROUND)
     draw = ImageDraw.Draw(strip)
     time, percent = curves["time_s"], 100.0 * curves["visible"]
-    said = f"{time[number]:5.1f} s   visible {percent[number]:5.1f} %"
-    draw.text((10, _STRIP_PX // 2 - 8), said, fill=_TEXT, font_size=15)
+    caption = f"{time[number]:5.1f} s   visible {percent[number]:5.1f} %"
+    draw.text((10, _STRIP_PX // 2 - 8), caption, fill=_TEXT, font_size=15)
     left, right, top, low = _SIZE_PX - 130, width - 12, 8, _STRIP_PX - 10
     draw.line([(left, low), (right, low)], fill=(90, 90, 90))
     draw.line([(left, top), (right, top)], fill=(60, 60, 60))

@@ -124,8 +124,8 @@ def inside_views(
         RenderSettings(light="direct", supersampling=2, shadows=True),
     )
     wall = renderer.model.wall
-    places = np.array([clear_place(organ, wall, float(at)) for at in arc_length])
-    points, frames, _ = interpolate(organ.centerline, places)
+    positions = np.array([clear_place(organ, wall, float(at)) for at in arc_length])
+    points, frames, _ = interpolate(organ.centerline, positions)
     T_camera_capsule = invert(camera.T_capsule_camera)
     images = []
     for point, frame in zip(points, frames, strict=True):
@@ -152,11 +152,11 @@ def clear_place(organ: OrganSurface, wall: Wall, arc_length: float) -> float:
     across = _CONE * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     cone = np.column_stack([np.vstack([across, 0.5 * across]), np.ones(2 * len(angle))])
     for offset in sorted(np.linspace(-_ASIDE, _ASIDE, 13), key=abs):
-        place = float(np.clip(arc_length + offset, 0.0, organ.centerline.length))
-        point, frame, radius = interpolate(organ.centerline, np.array([place]))
+        position = float(np.clip(arc_length + offset, 0.0, organ.centerline.length))
+        point, frame, radius = interpolate(organ.centerline, np.array([position]))
         if wall.signed_distance(point)[0] < 0.25 * radius[0]:
             continue
         ahead, face = wall.cast(np.tile(point, (len(cone), 1)), cone @ frame[0].T)
         if np.mean((face < 0) | (ahead > 2.0 * radius[0])) > 0.5:
-            return place
+            return position
     return arc_length

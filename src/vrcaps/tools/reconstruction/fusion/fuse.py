@@ -111,8 +111,10 @@ class Volume:
             return np.zeros((0, 3), np.int64)
         limit = _TRUNCATION * self.voxel
         steps = np.arange(-limit, limit + 1e-12, 0.5 * _SIDE * self.voxel)
-        found = [transform_points(T_world_camera, rays * (reach + step)[:, None]) for step in steps]
-        keys = np.floor(np.concatenate(found) / (_SIDE * self.voxel)).astype(np.int64)
+        samples = [
+            transform_points(T_world_camera, rays * (reach + step)[:, None]) for step in steps
+        ]
+        keys = np.floor(np.concatenate(samples) / (_SIDE * self.voxel)).astype(np.int64)
         # One integer key per block: sorting rows takes ten times as long.
         low, span = keys.min(axis=0), np.ptp(keys, axis=0) + 1
         packed = np.unique(np.ravel_multi_index(tuple((keys - low).T), tuple(span)))

@@ -87,18 +87,18 @@ def pose_pair(
     Raises:
         MissingExtraError: If OpenCV is not installed.
     """
-    found = matches(one.descriptors, other.descriptors)
-    best, fits = None, np.zeros(len(found), bool)
-    for trial, poses in enumerate(_hypotheses(numbers, one, other, found)):
+    matched = matches(one.descriptors, other.descriptors)
+    best, fits = None, np.zeros(len(matched), bool)
+    for trial, poses in enumerate(_hypotheses(numbers, one, other, matched)):
         if trial >= _enough_trials(fits):
             break
         for pose in poses:
-            inliers = fitting(pose, one, other, found, tolerance)
+            inliers = fitting(pose, one, other, matched, tolerance)
             if inliers.sum() > fits.sum():
                 best, fits = pose, inliers
-    if best is None or not is_trusted(int(fits.sum()), len(found)):
+    if best is None or not is_trusted(int(fits.sum()), len(matched)):
         return None
-    return PosePair(*numbers, best, found[fits])
+    return PosePair(*numbers, best, matched[fits])
 
 
 def _enough_trials(fits: Bool[np.ndarray, " m"]) -> float:
@@ -136,19 +136,19 @@ def _cosines(pose: np.ndarray, points: np.ndarray, rays: np.ndarray) -> np.ndarr
 
 
 def _hypotheses(
-    numbers: tuple[int, int], one: View, other: View, found: Int[np.ndarray, "m 2"]
+    numbers: tuple[int, int], one: View, other: View, matched: Int[np.ndarray, "m 2"]
 ) -> Iterator[list[Float[np.ndarray, "4 4"]]]:
     """Generate the poses of one random set of three matches after the other."""
     cv2 = opencv()
-    usable = found[other.rays[found[:, 1], 2] > _MIN_COSINE]
+    usable = matched[other.rays[matched[:, 1], 2] > _MIN_COSINE]
     if len(usable) < 3:
         return
-    chance = rng.stream(0, "reconstruction/pose-pair", *numbers)
+    generator = rng.stream(0, "reconstruction/pose-pair", *numbers)
     points = one.points[usable[:, 0]]
     rays = other.rays[usable[:, 1]]
     pixels = rays[:, :2] / rays[:, 2:]
     for _ in range(_TRIALS):
-        chosen = chance.choice(len(usable), 3, replace=False)
+        chosen = generator.choice(len(usable), 3, replace=False)
         _, turns, moves = cv2.solveP3P(
             points[chosen], pixels[chosen], np.eye(3), None, cv2.SOLVEPNP_AP3P
         )

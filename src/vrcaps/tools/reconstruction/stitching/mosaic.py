@@ -97,13 +97,13 @@ class _Matches:
     """Matches of all pairs, as one least squares problem in units of half a width."""
 
     def __init__(self, pairs: Sequence[Pair], free: Sequence[int], reference: int, to_unit) -> None:
-        places = {image: k for k, image in enumerate([*free, reference])}
+        indices = {image: k for k, image in enumerate([*free, reference])}
         chosen = [
             np.unique(np.linspace(0, len(p.points_first) - 1, _POINTS).astype(int)) for p in pairs
         ]
         self.pair = np.repeat(np.arange(len(pairs)), [len(c) for c in chosen])
-        self.first = np.array([places[p.first] for p in pairs])
-        self.second = np.array([places[p.second] for p in pairs])
+        self.first = np.array([indices[p.first] for p in pairs])
+        self.second = np.array([indices[p.second] for p in pairs])
         one, other = (
             np.concatenate([points[c] for points, c in zip(sides, chosen, strict=True)])
             for sides in ([p.points_first for p in pairs], [p.points_second for p in pairs])

@@ -79,20 +79,20 @@ def register(points: Float[np.ndarray, "n 3"], surface: Mesh, *, scale: bool) ->
     require(len(points) >= 10, "number of points to register", len(points), "10 or more")
     wall = wall_of(surface.vertices, surface.faces)
     normals = unit(triangle_normals(surface.vertices[surface.faces]))
-    found, errors = Similarity(np.eye(3), np.zeros(3), 1.0), []
-    best, least = found, np.inf
+    result, errors = Similarity(np.eye(3), np.zeros(3), 1.0), []
+    best, least = result, np.inf
     for _ in range(_MAX_STEPS):
-        moved = apply(found, points)
+        moved = apply(result, points)
         nearest, face = wall.closest_point(np.ascontiguousarray(moved))
         distance = np.linalg.norm(nearest - moved, axis=1)
         errors.append(float(np.sqrt(np.mean(distance**2))))
         if errors[-1] < least:
-            best, least = found, errors[-1]
+            best, least = result, errors[-1]
         if _has_converged(errors):
             break
         near = distance <= np.quantile(distance, _USED)
         step = _step(moved[near], nearest[near], normals[face[near]], scale=scale)
-        found = after(step, found)
+        result = after(step, result)
     return Registration(best, tuple(errors))
 
 
@@ -114,8 +114,8 @@ def registered(mesh: Mesh, surface: Mesh, *, scale: bool) -> tuple[Mesh, Registr
         InputError: If it has fewer than 10 vertices.
     """
     step = 1 + len(mesh.vertices) // _MAX_POINTS
-    found = register(mesh.vertices[::step], surface, scale=scale)
-    return replace(mesh, vertices=apply(found.similarity, mesh.vertices)), found
+    result = register(mesh.vertices[::step], surface, scale=scale)
+    return replace(mesh, vertices=apply(result.similarity, mesh.vertices)), result
 
 
 def apply(similarity: Similarity, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
@@ -198,17 +198,19 @@ def _solved(
     viscosity = 0.25 * square
     dt = min(steps) / (4.0 * float(viscosity.max()))
     base = -0.5 * np.log(light)
-    found = base.copy()
+    result = base.copy()
     for _ in range(int(np.ceil(_DURATION / dt))):
-        padded = np.pad(found, 1, mode="edge")
+        padded = np.pad(result, 1, mode="edge")
         left, right = padded[1:-1, :-2], padded[1:-1, 2:]
         above, below = padded[:-2, 1:-1], padded[2:, 1:-1]
         across, down = (right - left) / (2.0 * steps[0]), (below - above) / (2.0 * steps[1])
         slope = square * (across**2 + down**2 + (column * across + row * down) ** 2)
-        smooth = (left + right - 2.0 * found) / steps[0] + (above + below - 2.0 * found) / steps[1]
-        rest = base - 0.25 * np.log1p(slope) - found
-        found = found + dt * (rest + 0.5 * viscosity * smooth)
-    return found
+        smooth = (left + right - 2.0 * result) / steps[0] + (above + below - 2.0 * result) / steps[
+            1
+        ]
+        rest = base - 0.25 * np.log1p(slope) - result
+        result = result + dt * (rest + 0.5 * viscosity * smooth)
+    return result
 
 
 _JUMP = 1.15
@@ -243,21 +245,21 @@ class WallSurface:
     registration: Registration | None
 
 
-def wall_surface(found: Stitched, source: DepthSource) -> tuple[Stitched, WallSurface]:
+def wall_surface(stitched: Stitched, source: DepthSource) -> tuple[Stitched, WallSurface]:
     """Build the surface of a stitched image; return it with the image and the depth used.
 
     Registration starts from the reference's true pose, not the paper's hand-labeled polygon.
     A free scale is set by the median of the frames' own depth, or fitted without it.
 
     Args:
-        found: Result of stitching.
+        stitched: Result of stitching.
         source: Source of the depth.
 
     Raises:
         InputError: If there is no depth, or the weights are unsuitable.
         MissingExtraError: If a package is not installed.
     """
-    mosaic, sequence = found.mosaic, found.sequence
+    mosaic, sequence = stitched.mosaic, stitched.sequence
     depth, has_scale = _depth(mosaic, source)
     if not has_scale and np.isfinite(mosaic.depth).any():
         # A scale fitted to nearest points would shrink a wrong surface onto a part of the wall.
@@ -269,7 +271,7 @@ def wall_surface(found: Stitched, source: DepthSource) -> tuple[Stitched, WallSu
     registration = None
     if sequence.episode is not None:
         mesh, registration = registered(mesh, sequence.episode.organ, scale=not has_scale)
-    moved = replace(found, mosaic=replace(mosaic, depth=depth.astype(np.float32)))
+    moved = replace(stitched, mosaic=replace(mosaic, depth=depth.astype(np.float32)))
     return moved, WallSurface(mesh, color, registration)
 
 

@@ -13,7 +13,7 @@ from tests.support.phantom import write_dicom
 from vrcaps.core.errors import InputError, MissingExtraError
 from vrcaps.tools.ct import read_dicom, volume
 from vrcaps.tools.ct.lumen import choose_gas, find_gas
-from vrcaps.tools.ct.read_volume import read_volume
+from vrcaps.tools.ct.scan_files import read_volume
 from vrcaps.tools.ct.volume import Volume
 
 

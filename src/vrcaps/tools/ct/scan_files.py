@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-
 _FLOATS = {16: "f4", 64: "f8"}
 _CHUNK = 1 << 24  # bytes read at a time
 # By the header size at the start of the file: NIfTI-1, NIfTI-2.

@@ -12,9 +12,9 @@ from scipy import ndimage
 from vrcaps.core.color import LUMINANCE, log_linear_from_srgb, srgb_from_log_linear
 from vrcaps.core.errors import InputError
 from vrcaps.mucosa.texture import HEAD, read_texture, texture_sha256, write_texture
-from vrcaps.tools.mucosa_from_photos.make_texture import TextureOptions, make_texture
 from vrcaps.tools.mucosa_from_photos.patches import PhotoScale
 from vrcaps.tools.mucosa_from_photos.report import write_report
+from vrcaps.tools.mucosa_from_photos.texture import TextureOptions, make_texture
 from vrcaps.tools.photos import Photo, read_photos
 
 SCALE = PhotoScale(mm_per_pixel=0.1)
@@ -65,7 +65,7 @@ def test_the_measures_hold(work) -> None:
 
 
 def test_the_relief_has_the_slope_stated(work) -> None:
-    from vrcaps.tools.mucosa_from_photos.make_texture import RELIEF_SLOPE
+    from vrcaps.tools.mucosa_from_photos.texture import RELIEF_SLOPE
 
     height = work.texture.relief
     slope = np.hypot(*(np.roll(height, -1, axis) - height for axis in (0, 1))) / 1e-4

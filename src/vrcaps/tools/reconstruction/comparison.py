@@ -53,12 +53,12 @@ def compare(mesh: Mesh, truth: Mesh) -> Comparison:
     return Comparison(surface_errors(distances), completeness, distances)
 
 
-def write_comparison(folder: Path, mesh: Mesh, found: Comparison) -> None:
+def write_comparison(folder: Path, mesh: Mesh, comparison: Comparison) -> None:
     """Write `errors.csv`, `errors.ply` colored by error, and `errors.png`."""
-    row = {**asdict(found.errors), "completeness": found.completeness}
+    row = {**asdict(comparison.errors), "completeness": comparison.completeness}
     write_csv(folder / "errors.csv", [row])
-    write_ply(folder / "errors.ply", mesh, error_colors(found.distances))
-    _write_picture(folder / "errors.png", mesh, found)
+    write_ply(folder / "errors.ply", mesh, error_colors(comparison.distances))
+    _write_picture(folder / "errors.png", mesh, comparison)
 
 
 def error_colors(distances: Float[np.ndarray, " n"]) -> UInt8[np.ndarray, "n 3"]:
@@ -77,20 +77,20 @@ def write_ply(path: Path, mesh: Mesh, color: UInt8[np.ndarray, "n 3"]) -> None:
     write_bytes(path, data)
 
 
-def _write_picture(path: Path, mesh: Mesh, found: Comparison) -> None:
+def _write_picture(path: Path, mesh: Mesh, comparison: Comparison) -> None:
     """Draw two views of the vertices, colored by error, the nearest in front; and a histogram."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
     figure = make_figure(13.0, 5.0)
     views = figure.subplots(1, 3, width_ratios=[1, 1, 0.7])
-    shown = mesh.vertices / MM
+    points_mm = mesh.vertices / MM
     for view, (across, up, towards) in zip(views, ((0, 2, 1), (0, 1, 2)), strict=False):
-        order = np.argsort(shown[:, towards])
+        order = np.argsort(points_mm[:, towards])
         view.scatter(
-            shown[order, across],
-            shown[order, up],
-            c=found.distances[order] / MM,
+            points_mm[order, across],
+            points_mm[order, up],
+            c=comparison.distances[order] / MM,
             cmap="turbo",
             vmin=0.0,
             vmax=_SCALE / MM,
@@ -103,13 +103,14 @@ def _write_picture(path: Path, mesh: Mesh, found: Comparison) -> None:
         view.set_ylabel("xyz"[up] + " [mm]")
     scale = ScalarMappable(Normalize(0.0, _SCALE / MM), "turbo")
     figure.colorbar(scale, ax=views[1], label="error [mm]")
-    views[2].hist(found.distances / MM, bins=60, range=(0.0, _SCALE / MM), color="#446688")
+    views[2].hist(comparison.distances / MM, bins=60, range=(0.0, _SCALE / MM), color="#446688")
     views[2].set_xlabel("error [mm]")
     views[2].set_ylabel("vertices")
     figure.suptitle(
-        f"RMSE {found.errors.rmse / MM:.2f} mm, median {found.errors.median / MM:.2f} mm, "
-        f"95 % below {found.errors.percentile_95 / MM:.2f} mm; "
-        f"{100.0 * found.completeness:.0f} % of the wall within 2 mm"
+        f"RMSE {comparison.errors.rmse / MM:.2f} mm, "
+        f"median {comparison.errors.median / MM:.2f} mm, "
+        f"95 % below {comparison.errors.percentile_95 / MM:.2f} mm; "
+        f"{100.0 * comparison.completeness:.0f} % of the wall within 2 mm"
     )
     with atomic_write(path) as temporary:
         figure.savefig(temporary, format="png", dpi=110)

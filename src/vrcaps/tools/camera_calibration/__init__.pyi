@@ -1,0 +1,11 @@
+from .board import Board as Board
+from .board import board_image as board_image
+from .board import find_views as find_views
+from .board import parse_board as parse_board
+from .circle import ImageCircle as ImageCircle
+from .circle import image_circle as image_circle
+from .fit import Calibration as Calibration
+from .fit import calibrate as calibrate
+from .fit import calibrated_device as calibrated_device
+from .fit import check_fit as check_fit
+from .report import write_report as write_report

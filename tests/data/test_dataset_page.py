@@ -17,13 +17,13 @@ from vrcaps.tools.reports.dataset_sample import sample
 def test_frames_are_spread_over_recordings_cameras_and_time(made: Path) -> None:
     dataset = vrcaps.data.open(made)
     few, many = sample(dataset, 4), sample(dataset, 40)
-    assert len(few.shots) == 4
-    assert len({shot.member.patient for shot in few.shots}) == 4
-    assert {shot.member.name for shot in many.shots} == {m.name for m in dataset}
-    assert {shot.camera for shot in many.shots} == {"front", "rear"}
-    assert {shot.frame for shot in many.shots} == {0, 1, 2}
-    assert len({(s.member.name, s.camera, s.frame) for s in many.shots}) == len(many.shots)
-    shot = many.shots[-1]
+    assert len(few.frames) == 4
+    assert len({shot.member.patient for shot in few.frames}) == 4
+    assert {shot.member.name for shot in many.frames} == {m.name for m in dataset}
+    assert {shot.camera for shot in many.frames} == {"front", "rear"}
+    assert {shot.frame for shot in many.frames} == {0, 1, 2}
+    assert len({(s.member.name, s.camera, s.frame) for s in many.frames}) == len(many.frames)
+    shot = many.frames[-1]
     depth = shot.member.read().image(shot.camera, "depth", shot.frame)
     np.testing.assert_array_equal(shot.depth, depth[np.isfinite(depth)])
     assert (shot.has_masks, shot.lesions) == (False, ())
@@ -46,7 +46,7 @@ def test_it_shows_the_counts_and_has_the_same_bytes_at_a_url(
     assert "Patients in different splits have the same organ" in text
     assert "No recording shows a lesion" in text
     # Two channels of one organ, and each of the 8 times 3 times 2 images.
-    assert text.count("data:image/jpeg") == 2 + len(sample(vrcaps.data.open(made)).shots)
+    assert text.count("data:image/jpeg") == 2 + len(sample(vrcaps.data.open(made)).frames)
     assert "src='http" not in text
     pytest.importorskip("fsspec")
     store = open_store("memory://shown")

@@ -12,7 +12,7 @@ import vrcaps
 from docs.images.lesions import best_view, even_exposure
 from vrcaps import _core
 from vrcaps.camera.camera import Camera, Led
-from vrcaps.camera.lens.equidistant import LensEquidistant
+from vrcaps.camera.lens.wide_angle import LensEquidistant
 from vrcaps.capsule.device import Device
 from vrcaps.core.transforms import invert, look_along, transform_from
 from vrcaps.core.units import DEG, MM

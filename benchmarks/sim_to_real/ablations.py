@@ -17,8 +17,7 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.units import MM
 from vrcaps.data.make import make_dataset
 from vrcaps.data.plan import read_plan
-from vrcaps.data.runners.in_process import InProcess
-from vrcaps.data.runners.pool import Pool
+from vrcaps.data.runners.local import InProcess, Pool
 from vrcaps.data.units import Units
 from vrcaps.mucosa.mucosa import MUCOSAE
 from vrcaps.mucosa.texture import HEAD, MucosaTexture, write_texture

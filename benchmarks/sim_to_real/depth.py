@@ -17,7 +17,7 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import invert, matrix_from_quaternion, transform_from, transform_points
 from vrcaps.formats.io import read_format
 from vrcaps.formats.shared.stored_images import image_size, read_plane, read_rgb
-from vrcaps.formats.shared.yaml_files import read_yaml
+from vrcaps.formats.shared.text_files import read_yaml
 from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.networks import Backbone
 from vrcaps.learn.picture_border import bright_part

@@ -20,10 +20,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.common.scripts import options, table, write_section
-from vrcaps.data.ledger import enter, is_whole, whole_units
+from vrcaps.data.ledger import complete_units, enter, is_complete
 from vrcaps.data.make_unit import Job, Maker
 from vrcaps.data.plan import DatasetSettings, Plan, read_plan
-from vrcaps.data.runners.pool import Pool
+from vrcaps.data.runners.local import Pool
 from vrcaps.data.store import LocalStore
 from vrcaps.data.units import Units
 
@@ -162,8 +162,8 @@ def ledger_row(folder: Path, count: int) -> list[str]:
     entry = {"number": 0, "files": files}
     costs = (
         _median(lambda k: enter(store, units[k], entry), range(10)),
-        _median(lambda k: is_whole(store, f"p00000-{k:06d}"), range(100)),
-        _median(lambda _: whole_units(store), range(5)),
+        _median(lambda k: is_complete(store, f"p00000-{k:06d}"), range(100)),
+        _median(lambda _: complete_units(store), range(5)),
     )
     return [f"{count:,}", *(f"{1e3 * cost:.3g} ms" for cost in costs)]
 

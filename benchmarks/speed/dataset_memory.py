@@ -22,7 +22,7 @@ from benchmarks.common.scripts import options, table, write_section
 from tests.support.write_ply import write_ply
 from vrcaps.data.make import make_dataset
 from vrcaps.data.plan import plan_from_plain
-from vrcaps.data.runners.in_process import InProcess
+from vrcaps.data.runners.local import InProcess
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.organ_file import write_organ
 from vrcaps.organ.read_organ import read_organ

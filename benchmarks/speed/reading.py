@@ -148,10 +148,10 @@ def first_batch(url: str) -> tuple[float, float]:
     """Seconds until the first batch of a data set, and frames a second of 40 batches after it."""
     from torch.utils.data import DataLoader
 
-    from vrcaps.data import FrameWindows, stored_files
+    from vrcaps.data import FrameWindows, store
     from vrcaps.data import open as open_dataset
 
-    stored_files._connection.cache_clear()  # as a process that begins
+    store._connection.cache_clear()  # as a process that begins
     begin = time.perf_counter()
     sequences = open_dataset(url).sequences("train")
     windows = FrameWindows(sequences, CHANNELS, threads=8)

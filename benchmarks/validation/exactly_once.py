@@ -190,7 +190,7 @@ def num_whole(out: Path) -> int:
 
 def judged(out: Path, before: dict[str, str], kills: Kills, units: int) -> list[str]:
     """The cells of a row beside its runner."""
-    from vrcaps.data.check_dataset import check_dataset
+    from vrcaps.data.check import check_dataset
     from vrcaps.data.ledger import entries
     from vrcaps.data.store import LocalStore
 

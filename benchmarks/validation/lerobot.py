@@ -22,7 +22,7 @@ from benchmarks.common.scripts import parser, table, write_section
 from vrcaps.core.units import CM
 from vrcaps.formats.io import export
 from vrcaps.formats.robotics.lerobot import LeRobot
-from vrcaps.formats.robotics.lerobot_rows import action_rows, state_rows, task_of
+from vrcaps.formats.robotics.lerobot_tables import action_rows, state_rows, task_of
 from vrcaps.recording.frame_sequence import FrameSequence
 
 _FRAMES, _FPS = 8, 4.0

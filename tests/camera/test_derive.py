@@ -33,5 +33,5 @@ def test_scaled_lens_and_focal_length() -> None:
 
 
 def test_a_whole_sphere_has_no_barrel() -> None:
-    with pytest.raises(InputError, match="equirectangular has none"):
+    with pytest.raises(InputError, match="equirectangular has no image radius"):
         barrel_lens(LensEquirectangular(50.0, 50.0, 159.5, 79.5), 0.1, 80.0)

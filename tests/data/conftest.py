@@ -8,7 +8,7 @@ import pytest
 from tests.support.small_episode import *  # noqa: F403
 from vrcaps.data.make import make_dataset
 from vrcaps.data.plan import read_plan
-from vrcaps.data.runners.in_process import InProcess
+from vrcaps.data.runners.local import InProcess
 from vrcaps.organ.organ_file import write_organ
 from vrcaps.organ.surface import OrganSurface
 

@@ -8,9 +8,7 @@ import yaml
 
 from vrcaps.cli import main
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.data.about import ABOUT
-from vrcaps.data.card import CARD, card_text, write_card
-from vrcaps.data.card_header import size_category
+from vrcaps.data.card import CARD, card_text, size_category, write_card
 from vrcaps.data.counts import (
     by_split,
     count,
@@ -20,7 +18,7 @@ from vrcaps.data.counts import (
     segment_counts,
     shared_organs,
 )
-from vrcaps.data.ledger import entries
+from vrcaps.data.ledger import ABOUT, entries
 from vrcaps.data.plan import DatasetSettings
 from vrcaps.data.store import LocalStore
 
@@ -59,7 +57,7 @@ def test_its_header_lists_the_tables_of_each_split(made: Path) -> None:
     }
     assert "4 patients, 8 recordings, 24 frames, 48 images" in body
     assert "| `depth` | 16-bit PNG | z of the surface in the camera frame: stored · 10 µm" in body
-    assert "Patients in different splits have the same organ" in body
+    assert "Patients in different splits share an organ" in body
     assert "No license is stated" in body
 
 
@@ -99,7 +97,7 @@ def test_it_says_what_is_missing_and_what_effects_there_are(made: Path) -> None:
         change(made, name, effects=["sensor_noise"], light="direct", contents=["bubbles"])
     write_card(LocalStore(made))
     text = (made / CARD).read_text()
-    assert "7 of 8 recordings are whole" in text
+    assert "7 of 8 recordings are complete" in text
     assert "Light is reflected once" in text
     assert "no effects of lens" not in text
     assert "clean lumen" not in text

@@ -14,8 +14,7 @@ from tests.support.waiting import WATCHDOG
 from vrcaps.cli import main
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.files import files_in
-from vrcaps.data.store import open_store
-from vrcaps.data.stored_files import read_at_once
+from vrcaps.data.store import open_store, read_at_once
 from vrcaps.recording.episode import read_episode
 
 

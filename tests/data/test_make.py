@@ -13,13 +13,13 @@ from vrcaps.cli import main
 from vrcaps.core import build_info as made_with
 from vrcaps.core.errors import InputError, StorageError
 from vrcaps.core.locks import FolderInUseError, file_lock
-from vrcaps.data.check_dataset import check_dataset
+from vrcaps.data.check import check_dataset
 from vrcaps.data.estimate import Estimate
 from vrcaps.data.ledger import enter_failure, entries, failures
 from vrcaps.data.make import make_dataset
 from vrcaps.data.make_unit import Job, Maker, make_unit
 from vrcaps.data.plan import read_plan
-from vrcaps.data.runners.in_process import InProcess
+from vrcaps.data.runners.local import InProcess
 from vrcaps.data.store import LocalStore
 from vrcaps.data.units import Units
 
@@ -58,7 +58,7 @@ def test_what_has_changed_or_gone_is_found(made: Path) -> None:
     (folder / "notes.txt").write_text("mine")
     faults = "\n".join(check_dataset(made))
     assert "000001.png is missing" in faults
-    assert "frames.parquet has changed" in faults
+    assert "frames.parquet differs" in faults
     assert "notes.txt belongs to no unit" in faults
 
 
@@ -107,9 +107,9 @@ def test_a_target_that_holds_something_else_is_left_alone(
 ) -> None:
     (tmp_path / "thesis.tex").write_text("mine")
     (tmp_path / ".hidden").write_text("does not count")
-    with pytest.raises(InputError, match=r"holds something else, and no data set"):
+    with pytest.raises(InputError, match=r"is not empty and holds no data set"):
         make_dataset(read_plan(plan_file), tmp_path, runner=InProcess())
-    with pytest.raises(InputError, match=r"holds something else"):
+    with pytest.raises(InputError, match=r"is not empty"):
         make_dataset(read_plan(plan_file), tmp_path / "thesis.tex", runner=InProcess())
     assert sorted(p.name for p in tmp_path.iterdir()) == [".hidden", "thesis.tex"]
     (tmp_path / "plan.json").write_text("{")
@@ -122,10 +122,12 @@ def test_a_data_set_is_gone_on_with_by_the_same_versions_only(
 ) -> None:
     versions = made_with.versions
     monkeypatch.setattr(made_with, "versions", lambda names: versions(names) | {"numpy": "1.0"})
-    with pytest.raises(InputError, match=r"was begun with numpy \S+, and here is 1\.0: its bytes"):
+    with pytest.raises(
+        InputError, match=r"was started with numpy \S+; this installation has 1\.0, so bytes"
+    ):
         make_dataset(read_plan(plan_file), made, runner=InProcess())
     job = Job(read_plan(plan_file), str(made), made, made_with={"numpy": "2.0"})
-    with pytest.raises(InputError, match=r"a worker has numpy 1\.0, and the head has 2\.0"):
+    with pytest.raises(InputError, match=r"A worker has numpy 1\.0, the head node has 2\.0"):
         Maker(job)
 
 
@@ -146,7 +148,7 @@ def test_a_full_disk_stops_the_run_and_loses_nothing(
         replace(source, path)
 
     monkeypatch.setattr(os, "replace", full)
-    with pytest.raises(StorageError, match=rf"{os.strerror(code)}\. .* again to go on"):
+    with pytest.raises(StorageError, match=rf"{os.strerror(code)}\. .* the command to resume"):
         make_dataset(read_plan(plan_file), made, runner=InProcess())
     monkeypatch.undo()
     assert failures(LocalStore(made)) == {}
@@ -238,13 +240,13 @@ def test_a_dry_run_says_what_will_be_made(
     main([*command, str(tmp_path / "none")])
     said = capsys.readouterr().out
     assert "tubes: 4 patients (2 train, 1 val, 1 test), 8 recordings." in said
-    assert "To be made: 8 recordings, 24 frames. About " in said
-    assert f"free at {tmp_path / 'none'}" in said
+    assert "To record: 8 recordings, 24 frames. About " in said
+    assert f"{tmp_path / 'none'} has " in said
     assert "Measured with tube with tiny." in said
     assert not (tmp_path / "none").exists()
     main([*command, str(made), "--units", "2:4"])
     said = capsys.readouterr().out
-    assert "Asked for: recordings 2 to 3.\n2 of them are there already.\nNothing is left" in said
+    assert "Selected: recordings 2 to 3.\n2 of them exist.\nNothing to do" in said
 
 
 def test_a_dry_run_refuses_what_the_disk_cannot_hold(
@@ -255,7 +257,7 @@ def test_a_dry_run_refuses_what_the_disk_cannot_hold(
     monkeypatch.setattr(LocalStore, "free_bytes", lambda _: 10**6)
     command = ["dataset", "make", str(plan_file), "--dry-run", "--out"]
     said = fail([*command, str(tmp_path / "none")], capsys)
-    assert "has room for 1.0 MB, and 3.0 GB are needed. Give a place with more" in said
+    assert "has 1.0 MB free; 3.0 GB are required. Give an --out with more space" in said
     other = tmp_path / "other.toml"
     other.write_text(plan_file.read_text().replace("seed = 3", "seed = 4"))
     assert "another plan (its dataset.seed differs)" in fail(

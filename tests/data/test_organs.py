@@ -11,7 +11,7 @@ import pytest
 import vrcaps
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import transform_points
-from vrcaps.data.check_dataset import check_dataset
+from vrcaps.data.check import check_dataset
 from vrcaps.data.ledger import entries
 from vrcaps.data.organs import store_organ
 from vrcaps.data.store import LocalStore
@@ -79,6 +79,6 @@ def test_no_other_file_is_read_as_organ(made: Path, path: object) -> None:
 def test_a_changed_or_lost_organ_is_found(made: Path) -> None:
     (file,) = (made / "organs").glob("*.glb")
     file.write_bytes(file.read_bytes()[:-1])
-    assert check_dataset(made) == [f"{file} has changed since it was made"]
+    assert check_dataset(made) == [f"{file} differs from its checksum"]
     file.unlink()
     assert check_dataset(made) == [f"{file} is missing"]

@@ -18,12 +18,12 @@ from tests.support.s3_server import BUCKET, Line, s3_server
 from tests.support.waiting import WATCHDOG
 from vrcaps.cli import main
 from vrcaps.core.errors import InputError, MissingExtraError, StorageError
-from vrcaps.data.check_dataset import check_dataset
-from vrcaps.data.frame_windows import FrameWindows
-from vrcaps.data.ledger import entries, whole_units
+from vrcaps.data.check import check_dataset
+from vrcaps.data.ledger import complete_units, entries
+from vrcaps.data.loading import FrameWindows
 from vrcaps.data.make import make_dataset
 from vrcaps.data.plan import read_plan
-from vrcaps.data.runners.in_process import InProcess
+from vrcaps.data.runners.local import InProcess
 from vrcaps.data.store import LocalStore, open_store
 
 KILLED = """
@@ -74,16 +74,18 @@ def test_an_s3_store_outlives_kills_and_a_lost_network(
     )
     assert killed.returncode == -signal.SIGKILL
     store = open_store(url)
-    assert len(whole_units(store)) == 1
+    assert len(complete_units(store)) == 1
 
     def cut(done: int, _: int) -> None:
         if done == 5:
             line.cut()
 
-    with pytest.raises(StorageError, match=r"Cannot \w+ the data set s3://cohorts/tubes: .*go on"):
+    with pytest.raises(
+        StorageError, match=r"Cannot \w+ the data set s3://cohorts/tubes: .*to resume"
+    ):
         make_dataset(read_plan(plan_file), url, runner=InProcess(), progress=cut)
     line.mend()
-    assert len(whole_units(store)) == 5
+    assert len(complete_units(store)) == 5
     made = make_dataset(read_plan(plan_file), url, runner=InProcess())
     assert (made.made, made.present, made.failed) == (3, 5, {})
     assert remote_contents(url) == contents(whole)

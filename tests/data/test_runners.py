@@ -15,15 +15,13 @@ from tests.support.failing import fail
 from tests.support.processes import command_of, descendants
 from tests.support.waiting import wait_until
 from vrcaps.core.errors import InputError, MissingExtraError
-from vrcaps.data.ledger import whole_units
+from vrcaps.data.ledger import complete_units
 from vrcaps.data.make import make_dataset
 from vrcaps.data.make_unit import Job, Maker, Outcome
 from vrcaps.data.plan import read_plan
 from vrcaps.data.runners import ray_guard
-from vrcaps.data.runners.in_process import InProcess
-from vrcaps.data.runners.pool import Pool
+from vrcaps.data.runners.local import InProcess, Pool, UnitQueue, WorkerDeaths
 from vrcaps.data.runners.ray_cluster import RayCluster
-from vrcaps.data.runners.runner import Deaths, UnitQueue
 from vrcaps.data.store import LocalStore
 
 
@@ -61,12 +59,12 @@ def test_a_pool_goes_on_after_kills(whole: Path, plan_file: Path, tmp_path: Path
         f"from vrcaps.cli import main\nif __name__ == '__main__':\n    main({words!r})\n"
     )
     head = subprocess.Popen([sys.executable, script])
-    wait_until(lambda: whole_units(LocalStore(out)))
+    wait_until(lambda: complete_units(LocalStore(out)))
     below = descendants(head.pid)
     head.kill()
     head.wait()
     wait_until(lambda: not any(map(command_of, below)))
-    num_made, killed = len(whole_units(LocalStore(out))), []
+    num_made, killed = len(complete_units(LocalStore(out))), []
     assert 0 < num_made < 8
     kill_worker = once(lambda: killed.append(kill_one(os.getpid(), "spawn_main")))
     made = make_dataset(read_plan(plan_file), out, runner=Pool(1), progress=kill_worker)
@@ -122,7 +120,7 @@ def test_ray_makes_the_same_bytes_and_tells_of_a_dead_head(
     assert (first.made, first.failed) == (4, {})
     killer.join()
     kill_head = once(lambda: kill_one(process.pid, "gcs_server"))
-    with pytest.raises(InputError, match=r"The Ray head at \S+ does not answer\. .* to go on\."):
+    with pytest.raises(InputError, match=r"The Ray head at \S+ does not answer\. .* to resume\."):
         make_dataset(plan, out, runner=cluster, progress=kill_head)
     with pytest.raises(InputError, match=r"No Ray head answers at .* --ray local"):
         make_dataset(plan, out, runner=cluster)
@@ -157,11 +155,11 @@ def test_processes_of_a_cluster_end_when_its_head_is_killed(is_shut_down: bool) 
 
 
 def test_a_unit_that_kills_its_workers_counts_as_failed() -> None:
-    deaths = Deaths()
-    assert deaths.bury(3, "exit code -9") is None
-    assert deaths.bury(4, "exit code -9") is None
-    assert deaths.bury(3, "exit code -9") is None
-    outcome = deaths.bury(3, "exit code -11")
+    deaths = WorkerDeaths()
+    assert deaths.count(3, "exit code -9") is None
+    assert deaths.count(4, "exit code -9") is None
+    assert deaths.count(3, "exit code -9") is None
+    outcome = deaths.count(3, "exit code -11")
     assert outcome == Outcome(3, "Its worker died 3 times, last with exit code -11.")
 
 

@@ -6,9 +6,8 @@ from pathlib import Path
 import pytest
 
 from vrcaps.core.errors import InputError
-from vrcaps.data.check_plan import check_plan
 from vrcaps.data.plan import DatasetSettings, Plan, Split, read_plan
-from vrcaps.data.units import Units
+from vrcaps.data.units import Units, check_plan
 
 
 def plan(scenario: dict, **settings) -> Plan:

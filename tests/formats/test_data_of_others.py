@@ -134,7 +134,7 @@ def test_two_sequences_with_one_folder_are_one_line(kind, sequence, tmp_path):
     numbered = ("kitti", "simcol3d", "images")
     if kind in numbered:
         return
-    with pytest.raises(InputError, match=r"would have the (folder|same name)"):
+    with pytest.raises(InputError, match=r"require the folder|have the same names"):
         export(FORMATS[kind](), [sequence, other], tmp_path / "out")
     assert not list(tmp_path.iterdir())
 

@@ -1,5 +1,11 @@
 """Cameras: lens, image, pose in the capsule and LEDs, and the rays of their pixels.
 
-`camera.Camera` is the data type, `camera.camera_rays` the table of its pixels' rays, `lens/`
-contains the lens models, `derive` changes a camera's size or distortion.
+`camera` has the data type and the rays of its pixels, `lens` the lens models and their conversion,
+`derive` changes a camera's size or distortion.
+
+The names in `__init__.pyi` are loaded when they are first used.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

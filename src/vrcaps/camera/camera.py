@@ -23,7 +23,7 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 _RESERVED = ("capsule", "contact", "hall", "localized", "magnet", "patient", "wall")
 """First words of an episode's own folders and columns; a camera's columns start with its name."""
 
-_WIDEST_PX = 16384
+_MAX_SIDE_PX = 16384
 MAX_PIXELS = 2**26
 """Maximum number of pixels of an image, 8192 × 8192: a tiny file may declare any size."""
 _ORTHONORMAL = 1e-6
@@ -142,8 +142,8 @@ class Camera:
         require(is_free, "Camera's name", repr(self.name), others)
         for name in ("width", "height"):
             size = getattr(self, name)
-            is_valid = isinstance(size, int) and 1 <= size <= _WIDEST_PX
-            require(is_valid, f"{what} {name}", size, f"a whole number from 1 to {_WIDEST_PX}")
+            is_valid = isinstance(size, int) and 1 <= size <= _MAX_SIDE_PX
+            require(is_valid, f"{what} {name}", size, f"a whole number from 1 to {_MAX_SIDE_PX}")
         size = self.width * self.height
         require(size <= MAX_PIXELS, f"{what} number of pixels", size, f"1 to {MAX_PIXELS}")
         pose = np.array(self.rotation, float)

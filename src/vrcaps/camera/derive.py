@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.camera.lens.base import Lens
-from vrcaps.camera.lens.equirectangular import LensEquirectangular
-from vrcaps.camera.lens.kannala_brandt import LensKannalaBrandt
+from vrcaps.camera.lens.wide_angle import LensKannalaBrandt
 from vrcaps.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
 _NEAR = 1e-4
 _FIT_POINTS = 400
 _MIN_SLOPE = 0.05
-_FEWEST_PX = 8
+_MIN_SIDE_PX = 8
 
 
 def scaled_lens(lens: Lens, scale: float, center: tuple[float, float]) -> Any:
@@ -66,10 +65,10 @@ def barrel_lens(lens: Lens, strength: float, radius_px: float) -> LensKannalaBra
     Raises:
         InputError: If the lens has no image radius to shrink.
     """
-    if isinstance(lens, LensEquirectangular):
+    if lens.kind == "equirectangular":
         raise InputError(
-            "Barrel distortion is of lenses with one image: equirectangular has none. "
-            "Give another capsule, or no distortion."
+            "Lens equirectangular has no image radius, which barrel distortion requires. "
+            "Choose another capsule, or no distortion."
         )
     angle, radius = _profile(lens, 2.0 * radius_px)
     focal = focal_length_px(lens) / (1.0 - strength)
@@ -107,13 +106,15 @@ def _rising_fit(
             for i in range(5)
         ]
     )  # fmt: skip
-    widest = angle[-1]
-    terms = np.stack([(angle / widest) ** (2 * j) * angle / (2 * j + 1) for j in range(5)], axis=-1)
+    max_angle = angle[-1]
+    terms = np.stack(
+        [(angle / max_angle) ** (2 * j) * angle / (2 * j + 1) for j in range(5)], axis=-1
+    )
     columns = terms @ powers.T
     rest = radius - columns[:, 0] - _MIN_SLOPE * columns[:, 1:].sum(axis=1)
     slopes = np.array([1.0, *(nnls(columns[:, 1:], rest)[0] + _MIN_SLOPE)])
     power = slopes @ powers
-    return tuple(float(power[j] / ((2 * j + 1) * widest ** (2 * j))) for j in range(1, 5))
+    return tuple(float(power[j] / ((2 * j + 1) * max_angle ** (2 * j))) for j in range(1, 5))
 
 
 def _profile(
@@ -143,10 +144,10 @@ def scaled_camera(camera: Camera, scale: float) -> Camera:
         InputError: If fewer than 8 pixels per side remain.
     """
     width, height = (round(size * scale) for size in (camera.width, camera.height))
-    if min(width, height) < _FEWEST_PX:
+    if min(width, height) < _MIN_SIDE_PX:
         raise InputError(
             f"{camera.width} x {camera.height} pixels times {scale:g} are {width} x {height}. "
-            f"Allowed: {_FEWEST_PX} or more to a side."
+            f"Allowed: {_MIN_SIDE_PX} or more to a side."
         )
     lens, circle = camera.lens, camera.image_circle_px
     center = ((lens.cx + 0.5) * scale - 0.5, (lens.cy + 0.5) * scale - 0.5)

@@ -1,7 +1,8 @@
-"""`vrcaps dataset`: make a data set from a plan, verify it."""
+"""`vrcaps dataset`: make a data set from a plan, verify it, describe its contents."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,13 +14,12 @@ from vrcaps.cli.console import console, progress_bar
 from vrcaps.core.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
+    from vrcaps.data.counts import Row
     from vrcaps.data.plan import Plan
-    from vrcaps.data.runners.runner import Runner
+    from vrcaps.data.runners.local import Runner
     from vrcaps.data.units import Units
 
-_MB, _GB, _MINUTE, _HOUR = 1e6, 1e9, 60.0, 3600.0
+_DATASET = "a data set: the --out of `vrcaps dataset make`"
 
 
 @dataclass(frozen=True)
@@ -87,13 +87,13 @@ class Make:
                 progress=progress,
                 source=str(self.plan),
             )
-        console.print(f"Made {made.made} recordings into {self.out}; {made.present} were there.")
+        console.print(f"Made {made.made} recordings in {self.out}; {made.present} existed.")
         for name, message in made.failed.items():
             console.print(f"{name} failed: {message}")
         if made.failed:
             raise InputError(
-                f"{len(made.failed)} recordings failed; {self.out}/failed says why and how to "
-                "repeat each. The others are whole."
+                f"{len(made.failed)} recordings failed; {self.out}/failed states the cause and the "
+                "command to repeat each. The others are complete."
             )
 
 
@@ -124,8 +124,8 @@ class Check:
         Raises:
             InputError: If there are faults.
         """
-        require_folder(self.dataset, "a data set: the --out of `vrcaps dataset make`")
-        from vrcaps.data.check_dataset import check_dataset
+        require_folder(self.dataset, _DATASET)
+        from vrcaps.data.check import check_dataset
         from vrcaps.data.counts import by_split, count, rows_of, shared_organs
         from vrcaps.data.store import open_store
 
@@ -140,10 +140,10 @@ class Check:
             noun = "fault" if len(faults) == 1 else "faults"
             raise InputError(f"{self.dataset} has {len(faults)} {noun}.")
         rows = rows_of(open_store(self.dataset))
-        splits = ", ".join(f"{found.patients} {name}" for name, found in by_split(rows).items())
+        splits = ", ".join(f"{part.patients} {name}" for name, part in by_split(rows).items())
         total = count(rows)
         console.print(
-            f"{total.recordings} recordings of {total.patients} patients ({splits}) are whole."
+            f"{total.recordings} recordings of {total.patients} patients ({splits}) are complete."
         )
         shared = len(shared_organs(rows))
         if shared:
@@ -152,7 +152,7 @@ class Check:
 
 def _workers(given: int | None) -> int:
     """Number of processes."""
-    from vrcaps.data.runners.runner import num_processors
+    from vrcaps.data.runners.local import num_processors
 
     if given is not None and given < 0:
         raise InputError(f"--workers is {given}. Allowed: 0 or more.")
@@ -165,8 +165,7 @@ def _runner(workers: int | None, ray: str | None) -> Runner:
     Raises:
         InputError: If there is no such runner.
     """
-    from vrcaps.data.runners.in_process import InProcess
-    from vrcaps.data.runners.pool import Pool
+    from vrcaps.data.runners.local import InProcess, Pool
     from vrcaps.data.runners.ray_cluster import RayCluster
 
     if ray is None:
@@ -202,54 +201,149 @@ def _estimate(plan: Plan, units: Units, numbers: Sequence[int], out: str) -> Non
     Raises:
         InputError: If the target holds another data set, or lacks space.
     """
-    from vrcaps.data.check_plan import check_plan
+    from vrcaps.data.card import duration_text, size_text
     from vrcaps.data.estimate import estimate
-    from vrcaps.data.ledger import require_target, whole_units
+    from vrcaps.data.ledger import complete_units, require_target
     from vrcaps.data.store import open_store
+    from vrcaps.data.units import check_plan
     from vrcaps.recording.frame_sequence import SPLITS
 
     check_plan(units)
     store = open_store(out)
     require_target(store, plan)
-    whole = set(whole_units(store, [units.name(number) for number in numbers]))
-    missing = [number for number in numbers if units.name(number) not in whole]
+    complete = set(complete_units(store, [units.name(number) for number in numbers]))
+    missing = [number for number in numbers if units.name(number) not in complete]
     splits = ", ".join(f"{units.splits.count(s)} {s}" for s in SPLITS)
     console.print(
         f"{plan.settings.name}: {len(units.splits)} patients ({splits}), {len(units)} recordings."
     )
     if len(numbers) < len(units):
-        console.print(f"Asked for: recordings {numbers[0]} to {numbers[-1]}.")
-    if whole:
-        console.print(f"{len(whole)} of them are there already.")
+        console.print(f"Selected: recordings {numbers[0]} to {numbers[-1]}.")
+    if complete:
+        console.print(f"{len(complete)} of them exist.")
     if not missing:
-        console.print("Nothing is left to be made.")
+        console.print("Nothing to do: all are complete.")
         return
     with console.status("recording a few frames to measure"):
-        found = estimate(units, missing)
+        cost = estimate(units, missing)
     free = store.free_bytes()
-    room = "" if free is None else f"; {size_text(free)} are free at {out}"
+    space = "" if free is None else f"; {out} has {size_text(free)} free"
     console.print(
-        f"To be made: {len(missing)} recordings, {found.frames:,} frames. About "
-        f"{time_text(found.seconds)} on this machine (one after the other) and "
-        f"{size_text(found.num_bytes)}{room}."
+        f"To record: {len(missing)} recordings, {cost.frames:,} frames. About "
+        f"{duration_text(cost.seconds)} on this machine (one after the other) and "
+        f"{size_text(cost.num_bytes)}{space}."
     )
-    console.print(f"Measured with {', '.join(found.measured)}.")
-    if free is not None and free < found.num_bytes:
+    console.print(f"Measured with {', '.join(cost.measured)}.")
+    if free is not None and free < cost.num_bytes:
         raise InputError(
-            f"{out} has room for {size_text(free)}, and {size_text(found.num_bytes)} are needed. "
-            "Give a place with more, or fewer frames, channels or patients."
+            f"{out} has {size_text(free)} free; {size_text(cost.num_bytes)} are required. Give an "
+            "--out with more space, or fewer frames, channels or patients."
         )
 
 
-def time_text(seconds: float) -> str:
-    """Format a duration in a suitable unit."""
-    if seconds < 2.0 * _MINUTE:
-        return f"{seconds:.0f} seconds"
-    if seconds < 2.0 * _HOUR:
-        return f"{seconds / _MINUTE:.0f} minutes"
-    return f"{seconds / _HOUR:.1f} hours"
+@dataclass(frozen=True)
+class Card:
+    """Rewrite the data card of a data set: its README.md, as at the end of `dataset make`.
+
+    The card describes contents and limits of the data set, how it was made, and how to read it; its
+    header is in the format of the Hugging Face Hub. An existing file is replaced. License and
+    description are taken from the plan.
+
+    For example:
+      vrcaps dataset card runs/cohort
+    """
+
+    dataset: Positional[str]
+    """Folder or URL of the data set."""
+
+    def run(self) -> None:
+        """Write and report.
+
+        Raises:
+            InputError: If there is no data set.
+        """
+        require_folder(self.dataset, _DATASET)
+        from vrcaps.data.card import CARD, write_card
+        from vrcaps.data.store import open_store
+
+        write_card(open_store(self.dataset))
+        console.print(f"Wrote {self.dataset.rstrip('/')}/{CARD}.")
 
 
-def size_text(num_bytes: float) -> str:
-    """Format a size in a suitable unit."""
-    return f"{num_bytes / _MB:,.1f} MB" if num_bytes < _GB else f"{num_bytes / _GB:,.1f} GB"
+@dataclass(frozen=True)
+class Show:
+    """Show the contents of a data set: as an HTML page, and as a short table in the terminal.
+
+    The page is one self-contained file: counts by split, organ, capsule, segment and lesion;
+    histograms of depth, brightness and speed; frames with their channels; a mosaic. It samples 240
+    images that are spread evenly over all recordings.
+
+    For example:
+      vrcaps dataset show runs/cohort
+      vrcaps dataset show s3://bucket/cohort --out cohort.html
+    """
+
+    dataset: Positional[str]
+    """Folder or URL of the data set."""
+
+    out: Path | None = None
+    """Page to write; by default NAME.html next to a local data set, here for a remote one."""
+
+    def run(self) -> None:
+        """Write the page and print the table.
+
+        Raises:
+            InputError: If there is no data set, or it is empty.
+        """
+        require_folder(self.dataset, _DATASET)
+        from vrcaps.data import open as open_dataset
+        from vrcaps.data.card import read_plan_of
+        from vrcaps.data.counts import rows_of
+        from vrcaps.data.store import open_store
+        from vrcaps.data.units import Units
+        from vrcaps.tools.reports.dataset_page import write_page
+        from vrcaps.tools.reports.dataset_sample import sample
+
+        store = open_store(self.dataset)
+        plan, rows = read_plan_of(store), rows_of(store)
+        if not rows:
+            raise InputError(
+                f"{self.dataset} holds no complete recording. Make one with `vrcaps dataset make`."
+            )
+        _print_counts(rows)
+        out = self.out or _page_beside(self.dataset)
+        with console.status("sampling frames"):
+            sampled = sample(open_dataset(self.dataset))
+            out.parent.mkdir(parents=True, exist_ok=True)
+            write_page(out, plan.settings, rows, sampled, len(Units(plan)))
+        console.print(f"Wrote {out}.")
+
+
+def _page_beside(dataset: str) -> Path:
+    """Default path of the page: next to a local data set, here for a remote one."""
+    if "://" in dataset and not dataset.startswith("file://"):
+        return Path(dataset.rstrip("/").rpartition("/")[2] + ".html")
+    folder = Path(dataset.removeprefix("file://")).resolve()
+    return folder.with_name(f"{folder.name}.html")
+
+
+def _print_counts(rows: Sequence[Row]) -> None:
+    from rich.table import Table
+
+    from vrcaps.data.card import duration_text, size_text
+    from vrcaps.data.counts import by_split, count, count_by, lesion_counts
+
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for name in ("", "patients", "recordings", "frames", "recorded", "size"):
+        table.add_column(name, justify="right" if name else "left")
+    groups = [by_split(rows)]
+    groups += [count_by(rows, lambda row, key=key: row.about[key]) for key in ("organ", "capsule")]
+    groups.append({"all": count(rows)})
+    for group in groups:
+        for name, c in group.items():
+            numbers = (f"{n:,}" for n in (c.patients, c.recordings, c.frames))
+            table.add_row(name, *numbers, duration_text(c.seconds), size_text(c.num_bytes))
+        table.add_row()
+    console.print(table)
+    lesions = (f"{number:,} {kind}" for kind, (number, _, _) in lesion_counts(rows).items())
+    console.print(f"Lesions: {', '.join(lesions) or 'none'}.")

@@ -46,7 +46,7 @@ class Export:
             InputError: If the format does not support the recording.
         """
         require_folder(self.source, "an episode or a data set")
-        from vrcaps.data.sequences import sequences_of
+        from vrcaps.data.dataset import sequences_of
         from vrcaps.formats.io import export
         from vrcaps.formats.rectify import rectified
 

@@ -1,7 +1,7 @@
 """Data sets: plan many recordings, make each exactly once, and read them back.
 
 `plan` reads a plan, `units` resolves it to recordings, `make` records them in parallel into a
-`store`, whose `ledger` lists the complete ones. `dataset` and `sequences` read them back.
+`store`, whose `ledger` lists the complete ones. `dataset` and `loading` read them back.
 
 The names in `__init__.pyi` are loaded when they are first used.
 """

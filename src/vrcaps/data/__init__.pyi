@@ -1,6 +1,14 @@
+from .check import check_dataset as check_dataset
 from .dataset import Dataset as Dataset
 from .dataset import Member as Member
 from .dataset import open as open
-from .frame_stream import FrameStream as FrameStream
-from .frame_windows import FrameWindows as FrameWindows
-from .sequences import sequences_of as sequences_of
+from .dataset import sequences_of as sequences_of
+from .loading import FrameStream as FrameStream
+from .loading import FrameWindows as FrameWindows
+from .make import Made as Made
+from .make import make_dataset as make_dataset
+from .plan import Plan as Plan
+from .plan import read_plan as read_plan
+from .runners.local import InProcess as InProcess
+from .runners.local import Pool as Pool
+from .runners.ray_cluster import RayCluster as RayCluster

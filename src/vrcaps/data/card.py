@@ -1,17 +1,19 @@
 """Data card: the README of a data set, written from its plan and its ledger.
 
+Its header is the YAML block that the Hugging Face Hub and `datasets` read
+(https://huggingface.co/docs/hub/datasets-cards). Each configuration lists the tables of frames that
+have the same columns, by split, so that `datasets.load_dataset(FOLDER, NAME)` reads them.
+
 The same plan and ledger give the same bytes: it holds no date, host or path.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from vrcaps.config.convert import to_plain
-from vrcaps.data import card_limits
-from vrcaps.data.card_header import configurations, header
 from vrcaps.data.counts import (
     Count,
     Row,
@@ -23,16 +25,18 @@ from vrcaps.data.counts import (
     segment_counts,
     shared_organs,
 )
-from vrcaps.data.ledger import PLAN, failures, read_plain_plan, whole_units
+from vrcaps.data.ledger import EPISODES, PLAN, complete_units, failures, read_plain_plan
 from vrcaps.data.plan import DatasetSettings, Plan, plan_from_plain
 from vrcaps.data.store import Store
 from vrcaps.data.units import Units
+from vrcaps.recording.frame_sequence import SPLITS
+from vrcaps.recording.layout import FRAMES_PARQUET
 from vrcaps.render.channels import CHANNELS, file_text, invalid_text, value_text
 
 CARD = "README.md"
 
 _PLAIN_LICENSES = {
-    "unknown": "No license is stated. Ask whoever made this data set before you use it.",
+    "unknown": "No license is stated. Ask the authors before use.",
     "other": "See the description above.",
 }
 
@@ -45,9 +49,9 @@ def write_card(store: Store) -> None:
     """
     # Of two concurrent writers, the last to finish has seen all units that were complete by then.
     while True:
-        names = whole_units(store)
+        names = complete_units(store)
         store.write(CARD, card_text(store).encode())
-        if whole_units(store) == names:
+        if complete_units(store) == names:
             return
 
 
@@ -68,15 +72,14 @@ def card_text(store: Store) -> str:
     """
     plan, rows = read_plan_of(store), rows_of(store)
     planned, failed = len(Units(plan)), len(failures(store))
-    parts = [header(plan.settings, rows), f"# {plan.settings.name}\n", _opening(plan, rows)]
+    parts = [_header(plan.settings, rows), f"# {plan.settings.name}\n", _opening(plan, rows)]
     if len(rows) < planned:
         parts.append(
-            f"**Not all is made yet**: {len(rows)} of {planned} recordings are whole, "
-            f"{failed} failed.\n"
+            f"**Incomplete**: {len(rows)} of {planned} recordings are complete, {failed} failed.\n"
         )
     if rows:
         parts += [_contents(rows), _channels(rows), _cameras(rows), _reading(rows)]
-    parts += [_making(plan, rows), card_limits.limits_text(rows), _license(plan)]
+    parts += [_making(plan, rows), _limits_text(rows), _license(plan)]
     return "\n".join(parts)
 
 
@@ -95,9 +98,10 @@ def duration_text(seconds: float) -> str:
 
 def _opening(plan: Plan, rows: Sequence[Row]) -> str:
     total = count(rows)
-    said = f"{plan.settings.description.strip()}\n\n" if plan.settings.description.strip() else ""
+    description = plan.settings.description.strip()
+    description += "\n\n" if description else ""
     return (
-        f"{said}Simulated capsule endoscopy with exact labels: {total.patients} patients, "
+        f"{description}Simulated capsule endoscopy with exact labels: {total.patients} patients, "
         f"{total.recordings} recordings, {total.frames:,} frames, {total.images:,} images, "
         f"{duration_text(total.seconds)}, {size_text(total.num_bytes)}. "
         "No image shows a real patient. Patients are split, never their frames.\n"
@@ -122,18 +126,18 @@ def _contents(rows: Sequence[Row]) -> str:
     shared = shared_organs(rows)
     if shared:
         parts.append(
-            f"**Patients in different splits have the same organ** ({len(shared)} organs): the "
-            "splits do not tell how a method does in an anatomy that it has not seen.\n"
+            f"**Patients in different splits share an organ** ({len(shared)} organs): the test "
+            "split does not measure generalization to unseen anatomy.\n"
         )
     return "\n".join(parts)
 
 
 def _channels(rows: Sequence[Row]) -> str:
-    found = {channel for row in rows for channel in row.about["channels"]}
+    channels = {channel for row in rows for channel in row.about["channels"]}
     lines = [
         (f"`{c.name}`", file_text(c), value_text(c), invalid_text(c))
         for c in CHANNELS.values()
-        if c.name in found
+        if c.name in channels
     ]
     return (
         "## Image channels\n\n"
@@ -146,16 +150,16 @@ def _channels(rows: Sequence[Row]) -> str:
 
 
 def _cameras(rows: Sequence[Row]) -> str:
-    found = {
+    cameras = {
         (row.about["capsule"], name, lens, f"{width} x {height}"): None
         for row in rows
         for name, (lens, width, height) in row.about["cameras"].items()
     }
-    return "## Cameras\n\n" + _table(("capsule", "camera", "lens", "pixels"), sorted(found))
+    return "## Cameras\n\n" + _table(("capsule", "camera", "lens", "pixels"), sorted(cameras))
 
 
 def _reading(rows: Sequence[Row]) -> str:
-    names = list(configurations(rows))
+    names = list(_configurations(rows))
     first = json.dumps(names[0])
     return f"""## Reading
 
@@ -168,7 +172,7 @@ for sequence in dataset.sequences("train"):  # one for each camera of each recor
     frame["rgb"], frame["T_world_camera"], sequence.camera.lens
 ```
 
-Without vrcaps: `episode.json` says what a recording is, `frames.parquet` has a row for each frame
+Without vrcaps: `episode.json` describes a recording, `frames.parquet` has a row for each frame
 with time, poses and velocities, units in the names of the columns; images are ordinary files. The
 tables alone, whose configurations have equal columns ({", ".join(names)}):
 `datasets.load_dataset("FOLDER", {first})`.
@@ -184,20 +188,20 @@ def _making(plan: Plan, rows: Sequence[Row]) -> str:
     for row in rows:
         for name, version in row.about["versions"].items():
             versions.setdefault(name, {})[version] = None
-    lines = [(name, ", ".join(sorted(found))) for name, found in sorted(versions.items())]
-    whole = {"dataset": to_plain(plan.settings, DatasetSettings), "scenario": plan.scenario}
-    said = json.dumps(whole, indent=1, ensure_ascii=False, default=str)
-    return f"""## How it was made
+    lines = [(name, ", ".join(sorted(known))) for name, known in sorted(versions.items())]
+    content = {"dataset": to_plain(plan.settings, DatasetSettings), "scenario": plan.scenario}
+    plan_text = json.dumps(content, indent=1, ensure_ascii=False, default=str)
+    return f"""## Generation
 
 By vrcaps, from the plan in `{PLAN}`: {plan.settings.patients:,} patients, {len(Units(plan)):,}
 recordings. The same plan, versions and kind of machine give the same bytes. Tables such as `choice`
 and `uniform` are distributions; `each` makes a recording with every value.
 
 ```json
-{said}
+{plan_text}
 ```
 
-{_table(("made with", "version"), lines) if lines else ""}"""
+{_table(("software", "version"), lines) if lines else ""}"""
 
 
 def _license(plan: Plan) -> str:
@@ -218,3 +222,140 @@ def _table(head: tuple[str, ...], lines: Iterable[tuple[Any, ...]]) -> str:
     rows = [head, tuple("---" for _ in head)]
     rows += [tuple(f"{x:,}" if isinstance(x, int) else str(x) for x in line) for line in lines]
     return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+
+
+_SIZES = (
+    *((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M")),
+    *((10**7, "1M<n<10M"), (10**8, "10M<n<100M"), (10**9, "100M<n<1B"), (10**10, "1B<n<10B")),
+)
+_MAX_SIZE = "10B<n<100B"
+_TASKS = (
+    ("depth-estimation", {"depth", "ray_distance"}),
+    ("image-segmentation", {"label", "instance"}),
+    ("object-detection", {"instance"}),
+)
+"""Tasks, each with the channels of which one suffices."""
+
+
+def _header(settings: DatasetSettings, rows: Sequence[Row]) -> str:
+    """YAML block with its delimiters.
+
+    Args:
+        settings: Settings of the data set.
+        rows: Recordings of the data set.
+    """
+    channels = {channel for row in rows for channel in row.about["channels"]}
+    tasks = [name for name, needs in _TASKS if needs & channels]
+    if any(row.about["steered"] for row in rows):
+        tasks.append("robotics")
+    lines = ["---", f"pretty_name: {json.dumps(settings.name)}", f"license: {settings.license}"]
+    lines += ["task_categories:", *(f"- {name}" for name in tasks)] if tasks else []
+    lines += ["size_categories:", f"- {size_category(sum(row.frames for row in rows))}"]
+    lines += ["tags:", "- synthetic", "- medical", "- endoscopy", "- capsule-endoscopy", "- vrcaps"]
+    if rows:
+        lines += ["configs:", *_config_lines(rows)]
+    return "\n".join([*lines, "---", ""])
+
+
+def size_category(frames: int) -> str:
+    """Size category of the Hub for a number of rows."""
+    return next((name for limit, name in _SIZES if frames < limit), _MAX_SIZE)
+
+
+def _configurations(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """Recordings grouped by equal table columns, under the name of their capsule."""
+    groups: dict[tuple[str, ...], list[Row]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row.about["columns"]), []).append(row)
+    named: dict[str, list[Row]] = {}
+    for group in groups.values():
+        capsules = dict.fromkeys(row.about["capsule"] for row in group)
+        name = stem = "-".join(capsules) if len(capsules) < 4 else "frames"
+        number = 2
+        while name in named:
+            name, number = f"{stem}-{number}", number + 1
+        named[name] = group
+    return named
+
+
+def _config_lines(rows: Sequence[Row]) -> Iterator[str]:
+    sizes: dict[int, int] = {}
+    for row in rows:
+        sizes[row.patient] = sizes.get(row.patient, 0) + 1
+    for number, (name, group) in enumerate(_configurations(rows).items()):
+        yield f"- config_name: {json.dumps(name)}"
+        if number == 0:
+            yield "  default: true"
+        yield "  data_files:"
+        for split in SPLITS:
+            paths = _paths([row for row in group if row.split == split], sizes)
+            if paths:
+                yield f"  - split: {split}"
+                yield "    path:"
+                yield from (f"    - {json.dumps(path)}" for path in paths)
+
+
+def _paths(rows: Sequence[Row], sizes: dict[int, int]) -> list[str]:
+    """Paths of tables; one pattern if all recordings of a patient are included."""
+    by_patient: dict[int, list[str]] = {}
+    for row in rows:
+        by_patient.setdefault(row.patient, []).append(row.name)
+    paths = []
+    for patient, names in by_patient.items():
+        is_all = len(names) == sizes[patient] and len(names) > 1
+        patterns = [f"{names[0].rpartition('-')[0]}-*"] if is_all else names
+        paths += [f"{EPISODES}/{pattern}/{FRAMES_PARQUET}" for pattern in patterns]
+    return paths
+
+
+_ALWAYS = (
+    "Appearance is a model: colors, vessels, mucus and relief of the mucosa are fitted to frames "
+    "of a few real colons and drawn from noise. Images resemble those of real capsules, no more. "
+    "Evaluate a method on real images before you trust its results.",
+    "Generated anatomy follows published lengths and diameters of adults. Diseased, operated, "
+    "pediatric or unusual anatomy is absent, unless custom organs were given.",
+    "Colors of lesions are fitted by eye, lesions stand apart from each other, and a kind has the "
+    "variation that its parameters have. Prevalence is that of the plan, not of any hospital.",
+    "Labels are exact for the geometry that was rendered: at centers of pixels, without blur or "
+    "mixed pixels at edges. Manual annotations of real images are less exact.",
+    "This is no medical device. Nothing in it was evaluated for diagnosis.",
+)
+_MOTIONS = {
+    "fly-through": "The capsule flies along a smooth path in the middle of the lumen: there is no "
+    "contact, sliding or tumbling, and the wall yields where it is narrow.",
+    "random-views": "Frames are independent random views, most of them of lesions: they form no "
+    "video, and their frequencies are not those along a passage.",
+    "replay": "The capsule follows given poses; they are as realistic as their source.",
+    "dynamics": "Contact, drag and motility follow published laws with parameters from the "
+    "literature. They differ between people and were fitted to no patient.",
+}
+_LIGHTS = {
+    "direct": "Light is reflected once: images have no indirect illumination, so deep lumen and "
+    "folds are darker than in real ones.",
+    "radiosity": "Indirect light is diffuse and interpolated between points of the wall.",
+    "path": "Light is path traced: images carry the noise of their samples.",
+}
+
+_TIMES = {"auto_exposure", "adaptive_frame_rate"}
+"""Effects that set when and how long a camera exposes, and do not degrade the image."""
+
+
+def _limits_text(rows: Sequence[Row]) -> str:
+    """Section of a card on known limits.
+
+    Args:
+        rows: Recordings of the data set.
+    """
+    limits = [*_ALWAYS]
+    limits += [_MOTIONS[m] for m in _MOTIONS if any(row.about["motion"] == m for row in rows)]
+    limits += [_LIGHTS[k] for k in _LIGHTS if any(row.about["light"] == k for row in rows)]
+    clean = sum(not set(row.about["effects"]) - _TIMES for row in rows)
+    if clean:
+        limits.append(
+            f"{clean:,} of {len(rows):,} recordings have no effects of lens and sensor: no noise, "
+            "blur, bubbles or compression, which real images have."
+        )
+    without = sum(not row.about["contents"] for row in rows)
+    if without:
+        limits.append(f"{without:,} of {len(rows):,} recordings show an empty, clean lumen.")
+    return "## Known limits\n\n" + "".join(f"- {line}\n" for line in limits)

@@ -8,10 +8,8 @@ from functools import partial
 from typing import Any
 
 from vrcaps.core.errors import InputError
-from vrcaps.data.about import ABOUT
-from vrcaps.data.ledger import read_entry, whole_units
-from vrcaps.data.store import Store
-from vrcaps.data.stored_files import read_at_once
+from vrcaps.data.ledger import ABOUT, complete_units, read_entry
+from vrcaps.data.store import Store, read_at_once
 from vrcaps.recording.frame_sequence import SPLITS
 
 
@@ -68,16 +66,16 @@ def rows_of(store: Store) -> list[Row]:
     Raises:
         InputError: If an entry of the ledger is damaged or lacks a summary of its recording.
     """
-    names = whole_units(store)
-    found = list(zip(names, read_at_once(partial(read_entry, store), names), strict=True))
-    found.sort(key=lambda item: item[1]["number"])
-    for name, entry in found:
+    names = complete_units(store)
+    units = list(zip(names, read_at_once(partial(read_entry, store), names), strict=True))
+    units.sort(key=lambda item: item[1]["number"])
+    for name, entry in units:
         if ABOUT not in entry:
             raise InputError(
                 f"{store.url}: the ledger's entry {name} is of an earlier version and does not say "
                 "what the recording holds. Make the data set again."
             )
-    return [_row(name, entry) for name, entry in found]
+    return [_row(name, entry) for name, entry in units]
 
 
 def _row(name: str, entry: Mapping[str, Any]) -> Row:
@@ -127,21 +125,21 @@ def lesion_counts(rows: Sequence[Row]) -> dict[str, tuple[int, int, int]]:
             numbers = patients.setdefault(kind, {})
             numbers[row.patient] = max(numbers.get(row.patient, 0), kinds.count(kind))
             recordings[kind] = recordings.get(kind, 0) + 1
-    found = {
+    counts = {
         kind: (sum(numbers.values()), len(numbers), recordings[kind])
         for kind, numbers in patients.items()
     }
-    return dict(sorted(found.items(), key=lambda item: (-item[1][0], item[0])))
+    return dict(sorted(counts.items(), key=lambda item: (-item[1][0], item[0])))
 
 
 def segment_counts(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
     """Frames with the capsule in each segment, by split; most frames first."""
-    found: dict[str, dict[str, int]] = {}
+    counts: dict[str, dict[str, int]] = {}
     for row in rows:
         for segment, frames in row.about["segments"].items():
-            splits = found.setdefault(segment, dict.fromkeys(SPLITS, 0))
+            splits = counts.setdefault(segment, dict.fromkeys(SPLITS, 0))
             splits[row.split] += frames
-    return dict(sorted(found.items(), key=lambda item: (-sum(item[1].values()), item[0])))
+    return dict(sorted(counts.items(), key=lambda item: (-sum(item[1].values()), item[0])))
 
 
 def shared_organs(rows: Sequence[Row]) -> list[tuple[int, ...]]:

@@ -1,4 +1,4 @@
-"""Data set reader: splits, patients and recordings."""
+"""Reading of data sets: splits, patients, recordings and frame sequences."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from vrcaps.core.errors import UnknownNameError
-from vrcaps.data.ledger import EPISODES, read_entry, read_plain_plan, whole_units
-from vrcaps.data.store import open_store
-from vrcaps.data.stored_files import episode_files, read_at_once
+from vrcaps.data.ledger import EPISODES, PLAN, complete_units, read_entry, read_plain_plan
+from vrcaps.data.store import episode_files, open_store, read_at_once
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.frame_sequence import SPLITS, FrameSequence
 from vrcaps.recording.layout import EpisodeFiles
@@ -98,8 +97,8 @@ class Dataset:
         Raises:
             UnknownNameError: If there is no such split or camera.
         """
-        found = read_at_once(partial(Member.sequences, camera=camera), self.members(split))
-        return tuple(sequence for sequences in found for sequence in sequences)
+        groups = read_at_once(partial(Member.sequences, camera=camera), self.members(split))
+        return tuple(sequence for sequences in groups for sequence in sequences)
 
 
 def open(url: str | Path) -> Dataset:
@@ -116,11 +115,33 @@ def open(url: str | Path) -> Dataset:
     """
     store = open_store(url)
     plan = read_plain_plan(store)
-    names = whole_units(store)
+    names = complete_units(store)
     entries = read_at_once(partial(read_entry, store), names)
-    found = sorted(zip(names, entries, strict=True), key=lambda item: item[1]["number"])
+    units = sorted(zip(names, entries, strict=True), key=lambda item: item[1]["number"])
     members = (
         Member(name, entry["patient"], entry["split"], episode_files(store, f"{EPISODES}/{name}"))
-        for name, entry in found
+        for name, entry in units
     )
     return Dataset(store.url, plan, tuple(members))
+
+
+def sequences_of(
+    source: str | Path, *, camera: str | None = None, split: str | None = None
+) -> tuple[FrameSequence, ...]:
+    """Frame sequences of an episode or of the complete recordings of a data set.
+
+    Args:
+        source: Folder or URL of an episode or a data set.
+        camera: Only the camera of this name; None takes all.
+        split: Only this split of a data set; None takes all.
+
+    Raises:
+        InputError: If it holds neither.
+        UnknownNameError: If there is no such camera or split.
+    """
+    store = open_store(source)
+    try:
+        store.read(PLAN)
+    except OSError:
+        return read_episode(episode_files(store)).sequences(camera)
+    return open(source).sequences(split, camera)

@@ -234,9 +234,9 @@ def distribution_of(plain: Plain, path: str) -> Any:
             raise InputError(f"{path}: unknown key {name}. Allowed: {', '.join(known)}.")
         if name != "prevalence" and not isinstance(value, list):
             raise InputError(f"{path}: {name} is {value}. Allowed: a list.")
-    found = cls(**{name.replace("-", "_"): value for name, value in plain.items()})
-    found.check(path)
-    return found
+    distribution = cls(**{name.replace("-", "_"): value for name, value in plain.items()})
+    distribution.check(path)
+    return distribution
 
 
 def _refuse_misspelled(plain: Mapping[str, Plain], path: str) -> None:
@@ -257,18 +257,18 @@ def _refuse_misspelled(plain: Mapping[str, Plain], path: str) -> None:
 
 def slots(plain: Plain, path: str = "") -> Iterator[tuple[str, Any]]:
     """Paths and distributions in a plan's scenario, in order; list items by index."""
-    found = distribution_of(plain, path) if path else None
-    if found is not None:
-        yield path, found
+    distribution = distribution_of(plain, path) if path else None
+    if distribution is not None:
+        yield path, distribution
     elif isinstance(plain, Mapping):
         for key, value in plain.items():
             yield from slots(value, f"{path}.{key}" if path else str(key))
     elif isinstance(plain, list):
         for index, value in enumerate(plain):
             if isinstance(value, Mapping) and PROBABILITY in value:
-                found = Probability(value[PROBABILITY])
-                found.check(f"{path}.{index}")
-                yield f"{path}.{index}.{PROBABILITY}", found
+                distribution = Probability(value[PROBABILITY])
+                distribution.check(f"{path}.{index}")
+                yield f"{path}.{index}.{PROBABILITY}", distribution
             yield from slots(value, f"{path}.{index}")
 
 

@@ -14,8 +14,8 @@ from vrcaps.organ.cache import cache_in, passing_organs
 from vrcaps.scenario.scenario import OrganGenerated, Scenario
 
 _FRAMES = 6
-_PATIENTS = 25
-_KINDS = 4
+_MAX_PATIENTS = 25
+_MAX_KINDS = 4
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class _Cost:
 class _Costs:
     """Costs of one kind of recording: start, each frame, and organ."""
 
-    begin: _Cost
+    start: _Cost
     frame: _Cost
     organ: _Cost
 
@@ -70,17 +70,17 @@ def estimate(units: Units, numbers: Sequence[int]) -> Estimate:
     kinds: dict[str, list[Unit]] = {}
     for unit in sample:
         kinds.setdefault(_kind(unit.scenario), []).append(unit)
-    chosen = sorted(kinds, key=lambda kind: (-len(kinds[kind]), kind))[:_KINDS]
+    chosen = sorted(kinds, key=lambda kind: (-len(kinds[kind]), kind))[:_MAX_KINDS]
     with scratch_folder() as scratch, passing_organs():
         costs = _measured({kind: kinds[kind][0] for kind in chosen}, scratch)
-    share = len(numbers) / sum(len(kinds[kind]) for kind in chosen)
+    scale = len(numbers) / sum(len(kinds[kind]) for kind in chosen)
     seconds = num_bytes = 0.0
     for kind in chosen:
         cost, frames = costs[kind], fmean(u.scenario.frames for u in kinds[kind])
-        count = share * len(kinds[kind])
+        count = scale * len(kinds[kind])
         # Recordings of a patient share an organ.
         organs = count * len({_organ_of(u) for u in kinds[kind]}) / len(kinds[kind])
-        for part, times in ((cost.begin, 1.0), (cost.frame, frames)):
+        for part, times in ((cost.start, 1.0), (cost.frame, frames)):
             seconds += count * times * part.seconds
             num_bytes += count * times * part.num_bytes
         seconds += organs * cost.organ.seconds
@@ -92,7 +92,7 @@ def estimate(units: Units, numbers: Sequence[int]) -> Estimate:
 def _sample(units: Units, numbers: Sequence[int]) -> list[Unit]:
     """Requested recordings of at most 25 evenly spaced patients."""
     patients = sorted({number // units.per_patient for number in numbers})
-    taken = set(patients[:: max(1, len(patients) // _PATIENTS)])
+    taken = set(patients[:: max(1, len(patients) // _MAX_PATIENTS)])
     return [units[number] for number in numbers if number // units.per_patient in taken]
 
 
@@ -124,17 +124,17 @@ def _measured(units: Mapping[str, Unit], scratch: Path) -> dict[str, _Costs]:
             if key not in organs:
                 seconds = [_build_seconds(unit.scenario) for _ in range(2)]
                 organs[key] = _Cost(max(seconds[0] - seconds[1], 0.0), 0.0)
-            begin, frame, num_bytes = _recording_costs(unit.scenario, scratch / kind)
-            costs[kind] = _Costs(begin, frame, replace(organs[key], num_bytes=num_bytes))
+            start, frame, num_bytes = _recording_costs(unit.scenario, scratch / kind)
+            costs[kind] = _Costs(start, frame, replace(organs[key], num_bytes=num_bytes))
     return costs
 
 
 def _build_seconds(scenario: Scenario) -> float:
     from vrcaps.scenario.build import build
 
-    began = time.perf_counter()
+    started = time.perf_counter()
     build(scenario)
-    return time.perf_counter() - began
+    return time.perf_counter() - started
 
 
 def _recording_costs(scenario: Scenario, folder: Path) -> tuple[_Cost, _Cost, int]:
@@ -142,21 +142,21 @@ def _recording_costs(scenario: Scenario, folder: Path) -> tuple[_Cost, _Cost, in
     from vrcaps.recording.layout import ORGAN_GLB
     from vrcaps.recording.recorder import record
 
-    found, organ_bytes = [], 0
+    costs, organ_bytes = [], 0
     for frames in (_FRAMES, 2 * _FRAMES):
         out = folder / str(frames)
-        began = time.perf_counter()
+        started = time.perf_counter()
         record(replace(scenario, frames=frames), out)
         organ_bytes = (out / ORGAN_GLB).stat().st_size
         size = sum(path.stat().st_size for path in files_in(out)) - organ_bytes
-        found.append(_Cost(time.perf_counter() - began, size))
-    short, long = found
+        costs.append(_Cost(time.perf_counter() - started, size))
+    short, long = costs
     frame = _Cost(
         max(long.seconds - short.seconds, 0.0) / _FRAMES,
         max(long.num_bytes - short.num_bytes, 0.0) / _FRAMES,
     )
-    begin = _Cost(
+    start = _Cost(
         max(short.seconds - _FRAMES * frame.seconds, 0.0),
         max(short.num_bytes - _FRAMES * frame.num_bytes, 0.0),
     )
-    return begin, frame, organ_bytes
+    return start, frame, organ_bytes

@@ -5,7 +5,10 @@ A unit is complete once its entry is written, as the last step; readers never se
 
 from __future__ import annotations
 
+import hashlib
 import json
+import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,11 +21,12 @@ from vrcaps.core.build_info import made_here
 from vrcaps.core.errors import InputError, require
 from vrcaps.core.files import file_sha256, files_in
 from vrcaps.core.names import require_name
-from vrcaps.data.about import ABOUT, about_recording, require_about
 from vrcaps.data.organs import StoredOrgan
 from vrcaps.data.plan import Plan, plan_to_plain
 from vrcaps.data.store import Store
 from vrcaps.data.units import Unit
+from vrcaps.recording.episode import Episode, read_episode
+from vrcaps.scenario.scenario import MAX_FRAMES
 
 PLAN = "plan.json"
 MADE_WITH = "made_with"
@@ -30,7 +34,7 @@ EPISODES = "episodes"
 LEDGER = "ledger"
 FAILED = "failed"
 
-_FEW = 128
+_MAX_LOOKUPS = 128
 """Maximum number of units looked up one by one; a listing returns a thousand at once."""
 
 
@@ -118,10 +122,10 @@ def entries(store: Store) -> dict[str, dict[str, Any]]:
     Raises:
         InputError: If an entry is damaged.
     """
-    return {name: read_entry(store, name) for name in whole_units(store)}
+    return {name: read_entry(store, name) for name in complete_units(store)}
 
 
-def whole_units(store: Store, asked: Sequence[str] | None = None) -> list[str]:
+def complete_units(store: Store, asked: Sequence[str] | None = None) -> list[str]:
     """Names of the complete units.
 
     Args:
@@ -129,12 +133,12 @@ def whole_units(store: Store, asked: Sequence[str] | None = None) -> list[str]:
         asked: Only these; None returns all. A few are looked up one by one, so that the slices
             of a large data set do not each list all of it.
     """
-    if asked is not None and len(asked) <= _FEW:
-        return [name for name in asked if is_whole(store, name)]
+    if asked is not None and len(asked) <= _MAX_LOOKUPS:
+        return [name for name in asked if is_complete(store, name)]
     return [name.removesuffix(".json") for name in store.names(LEDGER)]
 
 
-def is_whole(store: Store, name: str) -> bool:
+def is_complete(store: Store, name: str) -> bool:
     """Whether a unit is complete."""
     return store.has(f"{LEDGER}/{name}.json")
 
@@ -147,11 +151,11 @@ def forget_failure(store: Store, name: str) -> None:
 def failures(store: Store) -> dict[str, dict[str, Any]]:
     """Return the failure records of units that have not been made since."""
     names = [name.removesuffix(".json") for name in store.names(FAILED)]
-    whole = set(whole_units(store, names))
+    complete = set(complete_units(store, names))
     return {
         name: _checked(store, f"{FAILED}/{name}.json", Failure)
         for name in names
-        if name not in whole
+        if name not in complete
     }
 
 
@@ -170,14 +174,14 @@ def _checked(store: Store, where: str, kind: type) -> dict[str, Any]:
     Raises:
         InputError: If it does not match.
     """
-    place = f"{store.url}/{where}"
+    location = f"{store.url}/{where}"
     try:
-        plain = decode_json(store.read(where), place)
-        from_plain(kind, plain, at=f"{place}:")
+        plain = decode_json(store.read(where), location)
+        from_plain(kind, plain, at=f"{location}:")
     except InputError as error:
         raise InputError(
-            f"{place} is damaged ({error}) Delete it and make the data set again: only its unit is "
-            "made."
+            f"{location} is damaged ({error}) Delete it and repeat `vrcaps dataset make`: only its "
+            "unit is recorded again."
         ) from error
     return plain
 
@@ -219,8 +223,8 @@ def require_target(store: Store, plan: Plan) -> bool:
         before = _stored_plan(store)  # another process may have been first
         if before is None:
             raise InputError(
-                f"{store.url} holds something else, and no data set. Give a new or empty --out, "
-                "or that of an unfinished data set."
+                f"{store.url} is not empty and holds no data set. Give a new or empty --out, or "
+                "that of an unfinished data set."
             )
     wanted = json.loads(_plan_file(plan))
     differs = _difference(before, wanted)
@@ -228,8 +232,8 @@ def require_target(store: Store, plan: Plan) -> bool:
         name = differs.removeprefix(f"{MADE_WITH}.")
         then = before.get(MADE_WITH, {}).get(name) or "unknown"
         raise InputError(
-            f"{store.url} was begun with {name} {then}, and here is "
-            f"{wanted[MADE_WITH].get(name) or 'none'}: its bytes may differ. Install that version, "
+            f"{store.url} was started with {name} {then}; this installation has "
+            f"{wanted[MADE_WITH].get(name) or 'none'}, so bytes may differ. Install that version, "
             "or give another --out."
         )
     if differs is not None:
@@ -255,14 +259,14 @@ def _stored_plan(store: Store) -> Any:
         text = store.read(PLAN)
     except (FileNotFoundError, NotADirectoryError):
         return None
-    place = f"{store.url}/{PLAN}"
+    location = f"{store.url}/{PLAN}"
     try:
-        plain = decode_json(text, place)
-        require(isinstance(plain, dict), place, type(plain).__name__, "a table")
+        plain = decode_json(text, location)
+        require(isinstance(plain, dict), location, type(plain).__name__, "a table")
     except InputError as error:
         raise InputError(
-            f"{place} is damaged ({error}) Give another --out, or delete that file to resume with "
-            "the plan that made the data set."
+            f"{location} is damaged ({error}) Give another --out, or delete that file to resume "
+            "with the original plan."
         ) from error
     return plain
 
@@ -274,11 +278,72 @@ def _difference(a: Any, b: Any, path: str = "") -> str | None:
             where = f"{path}.{key}" if path else key
             if key not in a or key not in b:
                 return where
-            if (found := _difference(a[key], b[key], where)) is not None:
-                return found
+            if (difference := _difference(a[key], b[key], where)) is not None:
+                return difference
         return None
     return None if a == b else path or "content"
 
 
 def _json(value: Any) -> bytes:
     return (json.dumps(value, indent=1, ensure_ascii=False, default=str) + "\n").encode()
+
+
+ABOUT = "about"
+"""Key in an entry of the ledger."""
+
+
+_CONTENTS = ("bubbles", "chyme", "liquid")
+
+
+def about_recording(folder: Path) -> dict[str, Any]:
+    """Summarize the episode in a folder, in JSON form.
+
+    Raises:
+        InputError: If the folder does not hold a complete episode.
+    """
+    episode = read_episode(folder)
+    head, scenario = episode.head, episode.head["scenario"]
+    segments = Counter(str(name) for name in episode.table.columns["segment"])
+    return {
+        "frames": len(episode),
+        "seconds": len(episode) / head["fps"],
+        "organ": head["organ"]["name"],
+        "organ_sha256": _organ_sha256(episode),
+        "capsule": head["capsule"]["name"],
+        "cameras": {c.name: [c.lens.kind, c.width, c.height] for c in episode.cameras},
+        "posture": scenario["posture"],
+        "motion": scenario["motion"]["kind"],
+        "steered": scenario["motion"].get("magnet") is not None,
+        "light": scenario["render"]["light"],
+        "contents": [k for k in _CONTENTS if scenario["contents"][k] != 0],
+        "effects": sorted(k for k, v in scenario["effects"].items() if v not in (None, 0)),
+        "lesions": [lesion["kind"] for lesion in head["organ"]["lesions"]],
+        "clean_twin": scenario["clean_twin"],
+        "segments": dict(sorted(segments.items())),
+        "channels": list(episode.channels),
+        "columns": list(episode.table.columns),
+        "versions": {"vrcaps": head["vrcaps_version"], **head["made_with"]},
+    }
+
+
+def _organ_sha256(episode: Episode) -> str:
+    """Checksum of how the organ was made: equal for the same anatomy in any posture."""
+    plain = json.dumps(episode.head["scenario"]["organ"], sort_keys=True)
+    return hashlib.sha256(plain.encode()).hexdigest()
+
+
+def require_about(about: dict[str, Any]) -> None:
+    """Check the values in an entry's summary that are counted.
+
+    Raises:
+        InputError: If a number is out of range, or a table is missing.
+    """
+    frames, seconds = about.get("frames"), about.get("seconds")
+    is_count = type(frames) is int and 0 < frames <= MAX_FRAMES
+    require(is_count, "about.frames", repr(frames), f"1 to {MAX_FRAMES}")
+    is_number = isinstance(seconds, int | float) and not isinstance(seconds, bool)
+    is_time = is_number and 0.0 < float(seconds or 0.0) < math.inf
+    require(is_time, "about.seconds", repr(seconds), "a finite number above 0")
+    for key in ("cameras", "segments", "versions"):
+        if not isinstance(about.get(key, {}), dict):
+            raise InputError(f"about.{key} is {about[key]!r}. Allowed: a table.")

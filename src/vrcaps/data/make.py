@@ -10,20 +10,18 @@ from pathlib import Path
 from vrcaps.core.build_info import made_here
 from vrcaps.core.errors import StorageError, require
 from vrcaps.data.card import write_card
-from vrcaps.data.check_plan import check_plan
 from vrcaps.data.ledger import (
+    complete_units,
     enter_failure,
     failures,
     forget_failure,
     require_same_plan,
-    whole_units,
 )
 from vrcaps.data.make_unit import Job, Outcome
 from vrcaps.data.plan import Plan
-from vrcaps.data.runners.pool import Pool
-from vrcaps.data.runners.runner import Runner
-from vrcaps.data.store import open_store, tidy_staging
-from vrcaps.data.units import Units
+from vrcaps.data.runners.local import Pool, Runner
+from vrcaps.data.store import Store, open_store, tidy_staging
+from vrcaps.data.units import Units, check_plan
 
 
 @dataclass(frozen=True)
@@ -73,37 +71,34 @@ def make_dataset(
         require(0 <= number < len(units), "A unit", number, f"0 to {len(units) - 1}")
     check_plan(units)
     require_same_plan(store, plan)
-    whole = set(whole_units(store, [units.name(number) for number in chosen]))
-    missing = [number for number in chosen if units.name(number) not in whole]
+    complete = set(complete_units(store, [units.name(number) for number in chosen]))
+    missing = [number for number in chosen if units.name(number) not in complete]
     job = Job(plan, store.url, Path.cwd(), source, made_here())
-    before, failed = set(failures(store)), {}
-    done = len(chosen) - len(missing)
+    present, failed, earlier = len(chosen) - len(missing), {}, set(failures(store))
     with closing((runner or Pool()).run(job, missing)) as outcomes:
-        for outcome in outcomes:
-            done += 1
+        for done, outcome in enumerate(outcomes, present + 1):
             name = units.name(outcome.number)
             if outcome.fault is not None:
-                failed[name] = _noted(outcome)
-                enter_failure(
-                    store, name, outcome.number, outcome.fault, job.command(outcome.number)
-                )
-            elif name in before:
-                forget_failure(store, name)
+                failed[name] = outcome.fault
+            if outcome.fault is not None or name in earlier:
+                _note(store, name, outcome, job)
             if progress is not None:
                 progress(done, len(chosen))
-    if len(whole_units(store)) + len(failures(store)) == len(units):
+    if len(complete_units(store)) + len(failures(store)) == len(units):
         write_card(store)
     tidy_staging(store)
-    return Made(len(missing) - len(failed), len(chosen) - len(missing), failed)
+    return Made(len(missing) - len(failed), present, failed)
 
 
-def _noted(outcome: Outcome) -> str:
-    """Reason of a unit's failure.
+def _note(store: Store, name: str, outcome: Outcome, job: Job) -> None:
+    """Enter the failure of a unit in the ledger, or remove the entry of an earlier one.
 
     Raises:
         StorageError: If no other unit can be made either.
     """
-    assert outcome.fault is not None
+    if outcome.fault is None:
+        forget_failure(store, name)
+        return
     if outcome.stops_all:
         raise StorageError(outcome.fault)
-    return outcome.fault
+    enter_failure(store, name, outcome.number, outcome.fault, job.command(outcome.number))

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from vrcaps.core.build_info import made_here
 from vrcaps.core.errors import InputError, StorageError, VrcapsError, reason_of
-from vrcaps.data.ledger import EPISODES, enter, entry_of, is_whole
+from vrcaps.data.ledger import EPISODES, enter, entry_of, is_complete
 from vrcaps.data.organs import organ_entry, store_organ
 from vrcaps.data.plan import Plan
 from vrcaps.data.store import Store, open_store
@@ -79,8 +79,8 @@ class Maker:
         for name, version in (job.made_with or here).items():
             if here.get(name) != version:
                 raise InputError(
-                    f"a worker has {name} {here.get(name) or 'none'}, and the head has {version}. "
-                    "All need the same, for the same bytes."
+                    f"A worker has {name} {here.get(name) or 'none'}, the head node has {version}. "
+                    "Install the same version everywhere; otherwise bytes differ."
                 )
         self._units, self._store = Units(job.plan), open_store(job.url)
 
@@ -115,11 +115,11 @@ def make_unit(units: Units, store: Store, number: int) -> None:
 
     unit = units[number]
     lock = store.staging(f"{unit.name}.lock")
-    while not is_whole(store, unit.name):
+    while not is_complete(store, unit.name):
         try:
             # Keep the lock: a process between recording and entry would write moved files.
             with file_lock(lock, f"the recording {unit.name}"):
-                if not is_whole(store, unit.name):
+                if not is_complete(store, unit.name):
                     _make_alone(unit, store)
         except FolderInUseError:
             time.sleep(_WAIT)

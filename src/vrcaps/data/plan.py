@@ -116,8 +116,8 @@ def read_plan(path: str | Path) -> Plan:
     plain = read_plain(path, "plan")
     if not isinstance(plain, dict) or not isinstance(plain.get("dataset"), dict):
         raise InputError(
-            f"{path} has no table [dataset]. A plan has one, with name and patients; to record a "
-            "scenario without it: vrcaps record."
+            f"{path} has no table [dataset], which a plan requires, with name and patients. To "
+            "record a single scenario, use vrcaps record."
         )
     settings = from_plain(DatasetSettings, plain["dataset"], at=f"{path}: dataset")
     scenario = _scenario_of(plain, path)
@@ -140,7 +140,7 @@ def _scenario_of(plain: Mapping[str, Any], path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: scenario is {inner!r}. Allowed: a table [scenario], or none.")
     twice = sorted(outer.keys() & inner.keys())
     if twice:
-        raise InputError(f"{path} has {twice[0]} beside [scenario] and in it. Allowed: once.")
+        raise InputError(f"{path} has {twice[0]} both in [scenario] and outside it. Allowed: once.")
     return {**outer, **inner}
 
 

@@ -52,19 +52,19 @@ class RemoteStore:
 
     def read(self, name: str) -> bytes:
         """Return the bytes of a file."""
-        with self._told("read"):
+        with self._storage_errors("read"):
             return self._system.cat_file(self._path(name))
 
     def has(self, name: str) -> bool:
         """Whether a file exists."""
-        with self._told("read"):
+        with self._storage_errors("read"):
             self._system.invalidate_cache()
             return self._system.isfile(self._path(name))
 
     def write(self, name: str, data: bytes) -> None:
         """Write a file atomically."""
         path = self._path(name)
-        with self._told("write"):
+        with self._storage_errors("write"):
             if self._is_object_store:
                 self._system.pipe_file(path, data)
                 return
@@ -76,7 +76,7 @@ class RemoteStore:
     def create(self, name: str, data: bytes) -> bool:
         """Write a file that does not exist yet."""
         path = self._path(name)
-        with self._told("write"):
+        with self._storage_errors("write"):
             if not self._is_object_store:
                 self._make_parent(path)
             try:
@@ -88,7 +88,7 @@ class RemoteStore:
     def remove(self, name: str) -> None:
         """Remove a file, if it exists."""
         if self.has(name):
-            with self._told("write"):
+            with self._storage_errors("write"):
                 self._system.rm_file(self._path(name))
 
     def is_empty(self) -> bool:
@@ -97,14 +97,14 @@ class RemoteStore:
 
     def names(self, folder: str) -> list[str]:
         """Names of the files in a folder, except those being written."""
-        found = self._list(self._path(folder))
-        names = (e["name"].rpartition("/")[2] for e in found if e["type"] == "file")
+        entries = self._list(self._path(folder))
+        names = (e["name"].rpartition("/")[2] for e in entries if e["type"] == "file")
         return sorted(name for name in names if not name.endswith(".tmp"))
 
     def staging(self, name: str) -> Path:
         """Folder in this machine's cache, where a killed recording can be resumed."""
-        place = hashlib.sha256(self.url.encode()).hexdigest()[:16]
-        return cache_folder() / "unfinished" / place / name.replace("/", "_")
+        key = hashlib.sha256(self.url.encode()).hexdigest()[:16]
+        return cache_folder() / "unfinished" / key / name.replace("/", "_")
 
     def put(self, staged: Path, name: str) -> None:
         """Copy all files, several at once; the ledger marks the unit complete afterwards."""
@@ -119,13 +119,13 @@ class RemoteStore:
 
     def _upload(self, staged: Path, name: str, file: Path) -> None:
         path = self._path(f"{name}/{file.relative_to(staged).as_posix()}")
-        with self._told("write"):
+        with self._storage_errors("write"):
             if not self._is_object_store:
                 self._make_parent(path)
             self._system.put_file(str(file), path)
 
     def _list(self, path: str) -> list[dict[str, Any]]:
-        with self._told("read"):
+        with self._storage_errors("read"):
             self._system.invalidate_cache()
             try:
                 return self._system.ls(path, detail=True)
@@ -139,7 +139,7 @@ class RemoteStore:
         return f"{self._root}/{name}"
 
     @contextmanager
-    def _told(self, action: str) -> Iterator[None]:
+    def _storage_errors(self, action: str) -> Iterator[None]:
         """Convert errors of the service to one line; a missing file on reading is passed on.
 
         Raises:
@@ -157,6 +157,6 @@ class RemoteStore:
     def _error(self, action: str, error: Exception) -> StorageError:
         lines = str(error).strip().splitlines() or [type(error).__name__]
         return StorageError(
-            f"Cannot {action} the data set {self.url}: {lines[0].rstrip('.')}. What is whole there "
-            "stays whole; mend this and run the same command again to go on."
+            f"Cannot {action} the data set {self.url}: {lines[0].rstrip('.')}. Completed files are "
+            "kept. Fix the cause and repeat the command to resume."
         )

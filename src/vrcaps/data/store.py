@@ -7,15 +7,20 @@ failure; a remote one has the durability of its service.
 from __future__ import annotations
 
 import os
+import posixpath
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from vrcaps.core.errors import StorageError
 from vrcaps.core.files import remove_stale, sync_folder, temporary_beside
 from vrcaps.core.locks import FolderInUseError, file_lock
+from vrcaps.recording.layout import EpisodeFiles, LocalFiles
 
 
 class Store(Protocol):
@@ -83,7 +88,7 @@ class LocalStore:
     def write(self, name: str, data: bytes) -> None:
         """Write a file atomically."""
         path = self.folder / name
-        with _told(self.url), self._staged(data) as staged:
+        with _storage_errors(self.url), self._staged(data) as staged:
             path.parent.mkdir(parents=True, exist_ok=True)
             os.replace(staged, path)
             sync_folder(path.parent)
@@ -91,7 +96,7 @@ class LocalStore:
     def create(self, name: str, data: bytes) -> bool:
         """Write a temporary file and give it its name atomically if that is free."""
         path = self.folder / name
-        with _told(self.url), self._staged(data) as staged:
+        with _storage_errors(self.url), self._staged(data) as staged:
             path.parent.mkdir(parents=True, exist_ok=True)
             try:
                 os.link(staged, path)
@@ -103,9 +108,9 @@ class LocalStore:
     @contextmanager
     def _staged(self, data: bytes) -> Iterator[Path]:
         """Write a complete file in the hidden folder; one left by a killed process is ignored."""
-        place = self.staging("file")
-        place.parent.mkdir(parents=True, exist_ok=True)
-        with temporary_beside(place) as path:
+        target = self.staging("file")
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with temporary_beside(target) as path:
             with path.open("wb") as file:
                 file.write(data)
                 file.flush()
@@ -114,7 +119,7 @@ class LocalStore:
 
     def remove(self, name: str) -> None:
         """Remove a file, if it exists."""
-        with _told(self.url):
+        with _storage_errors(self.url):
             (self.folder / name).unlink(missing_ok=True)
 
     def is_empty(self) -> bool:
@@ -128,8 +133,10 @@ class LocalStore:
         path = self.folder / folder
         if not path.is_dir():
             return []
-        with os.scandir(path) as found:
-            return sorted(entry.name for entry in found if entry.name[0] != "." and entry.is_file())
+        with os.scandir(path) as entries:
+            return sorted(
+                entry.name for entry in entries if entry.name[0] != "." and entry.is_file()
+            )
 
     def staging(self, name: str) -> Path:
         """Hidden folder next to the data, so that a move is atomic."""
@@ -138,7 +145,7 @@ class LocalStore:
     def put(self, staged: Path, name: str) -> None:
         """Move a folder to its name atomically."""
         path = self.folder / name
-        with _told(self.url):
+        with _storage_errors(self.url):
             path.parent.mkdir(parents=True, exist_ok=True)
             try:
                 os.rename(staged, path)
@@ -157,7 +164,7 @@ class LocalStore:
 
 
 @contextmanager
-def _told(url: str) -> Iterator[None]:
+def _storage_errors(url: str) -> Iterator[None]:
     """Convert errors of the file system to one line.
 
     Raises:
@@ -168,8 +175,8 @@ def _told(url: str) -> Iterator[None]:
     except OSError as error:
         reason = error.strerror or str(error)
         raise StorageError(
-            f"Cannot write the data set {url}: {reason}. What is whole there stays whole; mend "
-            "this and run the same command again to go on."
+            f"Cannot write the data set {url}: {reason}. Completed files are kept. Fix the cause "
+            "and repeat the command to resume."
         ) from error
 
 
@@ -190,3 +197,54 @@ def open_store(url: str | Path) -> Store:
 
         return RemoteStore(text)
     return LocalStore(Path(text.removeprefix("file://")))
+
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+_READS = 32
+"""Concurrent reads; reads of a remote store mostly wait."""
+
+
+@dataclass(frozen=True)
+class StoredFiles:
+    """Files of an episode in a remote store, in this process and its child processes.
+
+    Attributes:
+        store_url: URL of the store.
+        folder: Folder of the episode in the store; names may lead out of it, to shared files.
+    """
+
+    store_url: str
+    folder: str = "."
+
+    @property
+    def url(self) -> str:
+        """URL of the episode."""
+        return self.store_url if self.folder == "." else f"{self.store_url}/{self.folder}"
+
+    def read(self, name: str) -> bytes:
+        """Return the bytes of a file."""
+        path, root = posixpath.normpath(posixpath.join(self.folder, name)), self.store_url
+        while path.startswith("../"):
+            path, root = path.removeprefix("../"), root.rpartition("/")[0]
+        return _connection(root, os.getpid()).read(path)
+
+
+def episode_files(store: Store, folder: str = ".") -> EpisodeFiles:
+    """Files of an episode in a folder of a store, or at the root of the store."""
+    if isinstance(store, LocalStore):
+        return LocalFiles(store.folder / folder)
+    return StoredFiles(store.url, folder)
+
+
+def read_at_once(read: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+    """Read several items at once; results are in the order of the items."""
+    with ThreadPoolExecutor(_READS) as pool:
+        return list(pool.map(read, items))
+
+
+@lru_cache(maxsize=16)
+def _connection(url: str, process: int) -> Store:
+    """Store of a URL for a process: a forked process cannot use its parent's."""
+    return open_store(url)

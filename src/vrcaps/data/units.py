@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Any
 
 from vrcaps.anatomy.catalog import ORGANS, organ_segments
+from vrcaps.capsule.device_file import device_of
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError, UnknownNameError, VrcapsError
 from vrcaps.data.distribution import PROBABILITY, Each, Prevalence, slots
@@ -138,12 +139,12 @@ class Units:
     @cached_property
     def _kinds(self) -> list[list[Any]]:
         """Unique values of all combinations, without the keys of twins."""
-        found: list[list[Any]] = []
+        kinds: list[list[Any]] = []
         for values in self._combinations:
             others = _without_twin(values)
-            if others not in found:
-                found.append(others)
-        return found
+            if others not in kinds:
+                kinds.append(others)
+        return kinds
 
     def _draw(
         self, patient: int, of_recording: bool, *key: int, only: Sequence[str] | None = None
@@ -193,8 +194,8 @@ def _spread(order: Sequence[int], fractions: Sequence[float]) -> tuple[str, ...]
     Each patient goes to the split with the largest deficit.
     """
     counts, split = [0.0] * len(fractions), [""] * len(order)
-    for place, patient in enumerate(order):
-        lacks = [f * (place + 1) - n for f, n in zip(fractions, counts, strict=True)]
+    for position, patient in enumerate(order):
+        lacks = [f * (position + 1) - n for f, n in zip(fractions, counts, strict=True)]
         chosen = max(range(len(lacks)), key=lambda k: (lacks[k], fractions[k]))
         counts[chosen] += 1.0
         split[patient] = SPLITS[chosen]
@@ -234,3 +235,49 @@ def _without_probability(plain: Any) -> Any:
     if not isinstance(plain, Mapping):
         return plain
     return {key: value for key, value in plain.items() if key != PROBABILITY}
+
+
+def check_plan(units: Units) -> None:
+    """Build the scenario of each extreme of each distribution, all else as in the first unit.
+
+    The extremes of numeric distributions are their limits, those of names all names.
+
+    Raises:
+        InputError: If a scenario is invalid, or names a capsule or a patient's value that does not
+            exist.
+    """
+    _check_stratify(units)
+    _check_capsule(units[0].scenario, "The plan")
+    for path, slot in units.slots.items():
+        for value in slot.extremes():
+            where = f"{path} = {value!r} of the plan"
+            try:
+                scenario = units.scenario(0, {path: value})
+            except VrcapsError as error:
+                raise InputError(f"{where}: {error}") from error
+            if path.startswith("capsule"):
+                _check_capsule(scenario, where)
+
+
+def _check_capsule(scenario: Scenario, where: str) -> None:
+    try:
+        device_of(scenario.capsule)
+    except VrcapsError as error:
+        raise InputError(f"{where}: {error}") from error
+
+
+def _check_stratify(units: Units) -> None:
+    """Check that each path exists; an invalid one would silently group all patients together."""
+    plan = units.plan
+    for path in plan.settings.stratify:
+        value = plan.scenario
+        for name in path.split("."):
+            if path in units.slots or not isinstance(value, Mapping):
+                break
+            if name not in value:
+                own = sorted(slot for slot in units.slots if slot.startswith(("organ", "lesions")))
+                raise InputError(
+                    f"dataset.stratify names {path}, which the plan does not have. Allowed: values "
+                    f"of the patient that it draws: {', '.join(own) or 'none'}."
+                )
+            value = value[name]

@@ -19,10 +19,11 @@ from .rectify import resampled as resampled
 from .robotics.lerobot import LeRobot as LeRobot
 from .robotics.mcap import Mcap as Mcap
 from .slam.euroc import Euroc as Euroc
+from .slam.euroc import VslamLab as VslamLab
 from .slam.kitti import Kitti as Kitti
 from .slam.tum import Tum as Tum
-from .slam.vslam_lab import VslamLab as VslamLab
 from .splatting.colmap import Colmap as Colmap
 from .splatting.nerfstudio import Nerfstudio as Nerfstudio
 from .storage.hugging_face import HuggingFace as HuggingFace
+from .storage.samples import sample_image as sample_image
 from .storage.webdataset import WebDataset as WebDataset

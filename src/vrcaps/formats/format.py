@@ -90,7 +90,7 @@ _BUILT_IN = {
     "tum": ("slam.tum:Tum", "TUM RGB-D, for visual SLAM and evo."),
     "kitti": ("slam.kitti:Kitti", "KITTI odometry, for visual odometry and evo."),
     "euroc": ("slam.euroc:Euroc", "EuRoC MAV, for visual SLAM."),
-    "vslam-lab": ("slam.vslam_lab:VslamLab", "VSLAM-LAB, for dozens of visual SLAM systems."),
+    "vslam-lab": ("slam.euroc:VslamLab", "VSLAM-LAB, for dozens of visual SLAM systems."),
     "simcol3d": ("endoscopy.simcol3d:SimCol3D", "SimCol3D, for depth and poses of a colonoscope."),
     "c3vd": ("endoscopy.c3vd:C3vd", "C3VD, for depth, normals and poses of a colonoscope."),
     "endoslam": ("endoscopy.endoslam:EndoSlam", "EndoSLAM, for depth and poses of a capsule."),

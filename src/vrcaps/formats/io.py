@@ -13,8 +13,8 @@ import numpy as np
 from vrcaps.core.errors import InputError, UnknownNameError, reading
 from vrcaps.core.files import atomic_folder
 from vrcaps.core.names import listed, require_links_inside
+from vrcaps.data.dataset import sequences_of
 from vrcaps.data.ledger import PLAN
-from vrcaps.data.sequences import sequences_of
 from vrcaps.formats.format import FORMATS, Format, require_channels
 from vrcaps.formats.shared.stored_images import IMAGES
 from vrcaps.recording.frame_sequence import CAMERA_POSE, FrameSequence

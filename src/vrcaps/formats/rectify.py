@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
     from numpy.typing import NDArray
 
-_STEEPEST = tan(radians(85.0))
+_MAX_SLOPE = tan(radians(85.0))
 """Tangent of the maximum angle to the wall's normal for pixels to count as one surface."""
 _SNAP_PX = 1e-6
 """Positions this close to a pixel are snapped, so that a pinhole remains unchanged."""
@@ -157,7 +157,7 @@ class _Map:
         weights: Weights of the corners; 0 outside the old lens's field; they add up to 1.
         old_rays: Unit rays of the old pixels.
         new_rays: Unit rays of the new pixels.
-        largest_ratio: Maximum ratio of distances of neighboring pixels on one surface.
+        max_ratio: Maximum ratio of distances of neighboring pixels on one surface.
     """
 
     seen: Bool[np.ndarray, "h w"]
@@ -166,7 +166,7 @@ class _Map:
     weights: Float[np.ndarray, "4 h w"]
     old_rays: Float[np.ndarray, "n 3"]
     new_rays: Float[np.ndarray, "h w 3"]
-    largest_ratio: float
+    max_ratio: float
 
 
 @lru_cache(maxsize=4)
@@ -174,20 +174,20 @@ def _map(old: Camera, new: Camera) -> _Map:
     new_rays = new.lens.unproject(pixel_grid(new.width, new.height))
     old_rays = old.lens.unproject(pixel_grid(old.width, old.height)).reshape(-1, 3)
     lit = np.isfinite(camera_rays(old)[..., 0]).ravel()
-    places = _snapped(project_points(old, new_rays))
-    inside = in_image(old, places)
-    places = np.where(inside[..., None], places, 0.0)
-    nearest = _number(old, np.rint(places))
-    first = np.floor(np.clip(places, 0.0, (old.width - 1, old.height - 1)))
-    rest = np.clip(places - first, 0.0, 1.0)
+    positions = _snapped(project_points(old, new_rays))
+    inside = in_image(old, positions)
+    positions = np.where(inside[..., None], positions, 0.0)
+    nearest = _number(old, np.rint(positions))
+    first = np.floor(np.clip(positions, 0.0, (old.width - 1, old.height - 1)))
+    rest = np.clip(positions - first, 0.0, 1.0)
     steps = [np.array([right, down]) for down in (0, 1) for right in (0, 1)]
     corners = np.stack([_number(old, first + step) for step in steps])
     weights = [np.where(step, rest, 1.0 - rest).prod(axis=-1) for step in steps]
     weights = np.stack(weights).astype(np.float32) * lit[corners]
     seen = inside & lit[nearest] & np.isfinite(new_rays[..., 0])
     weights = weights / np.where(seen, weights.sum(axis=0), 1.0)
-    largest = 1.0 + np.sqrt(2.0) * _STEEPEST / focal_length_px(old.lens)
-    return _Map(seen, nearest, corners, weights, old_rays, new_rays, float(largest))
+    max_ratio = 1.0 + np.sqrt(2.0) * _MAX_SLOPE / focal_length_px(old.lens)
+    return _Map(seen, nearest, corners, weights, old_rays, new_rays, float(max_ratio))
 
 
 def _number(camera: Camera, pixels: Float[np.ndarray, "*batch 2"]) -> Int[np.ndarray, "*batch"]:
@@ -199,23 +199,23 @@ def _number(camera: Camera, pixels: Float[np.ndarray, "*batch 2"]) -> Int[np.nda
 def _load(
     load: Callable[[str, int], NDArray], old: Camera, new: Camera, channel: str, index: int
 ) -> NDArray:
-    places, kind = _map(old, new), CHANNELS[channel]
+    mapping, kind = _map(old, new), CHANNELS[channel]
     flat = _read(load, old, channel, index)
     if kind.is_light:
-        return _light(flat, places)
+        return _light(flat, mapping)
     if kind.display == "flow":
-        first, last = _ends(flat, places, old, new)
+        first, last = _ends(flat, mapping, old, new)
         motion = np.round(last - first, 9)  # so that rounding does not change a pinhole's own flow
-        return np.where(places.seen[..., None], motion, np.nan).astype(np.float32)
+        return np.where(mapping.seen[..., None], motion, np.nan).astype(np.float32)
     if kind.encoding == CHANNELS["depth"].encoding:
-        return _distance(flat, places, is_z=channel != "ray_distance")
-    found = flat[places.nearest]
+        return _distance(flat, mapping, is_z=channel != "ray_distance")
+    values = flat[mapping.nearest]
     if channel == "occlusion":
-        _, last = _ends(_read(load, old, "flow_forward", index), places, old, new)
-        found |= ~in_image(new, last)
+        _, last = _ends(_read(load, old, "flow_forward", index), mapping, old, new)
+        values |= ~in_image(new, last)
     empty = -1 if channel == "face" else np.nan if flat.dtype.kind == "f" else 0
-    seen = places.seen.reshape(*places.seen.shape, *(1,) * (flat.ndim - 1))
-    return np.where(seen, found, np.array(empty, flat.dtype))
+    seen = mapping.seen.reshape(*mapping.seen.shape, *(1,) * (flat.ndim - 1))
+    return np.where(seen, values, np.array(empty, flat.dtype))
 
 
 def _read(
@@ -231,38 +231,38 @@ def _read(
     return image.reshape(-1, *image.shape[2:])
 
 
-def _light(flat: NDArray, places: _Map) -> NDArray:
+def _light(flat: NDArray, mapping: _Map) -> NDArray:
     """Bilinear mean in linear light; black where nothing was seen."""
     is_srgb = flat.dtype == np.uint8
     linear = linear_from_srgb(flat) if is_srgb else flat
-    mean = np.zeros((*places.seen.shape, flat.shape[-1]))
-    for numbers, weights in zip(places.corners, places.weights, strict=True):
+    mean = np.zeros((*mapping.seen.shape, flat.shape[-1]))
+    for numbers, weights in zip(mapping.corners, mapping.weights, strict=True):
         mean += linear[numbers] * weights[..., None]
-    mean = np.where(places.seen[..., None], mean, 0.0)
+    mean = np.where(mapping.seen[..., None], mean, 0.0)
     return srgb_from_linear(mean) if is_srgb else mean.astype(flat.dtype)
 
 
-def _distance(flat: NDArray, places: _Map, *, is_z: bool) -> NDArray:
+def _distance(flat: NDArray, mapping: _Map, *, is_z: bool) -> NDArray:
     """Distance along the new pixel's ray, or its z, from the surrounding inverse distances."""
     distance = flat.astype(float)
     if is_z:
-        z = places.old_rays[:, 2]
+        z = mapping.old_rays[:, 2]
         distance = np.where(z > 0.0, distance, np.nan) / np.where(z > 0.0, z, 1.0)
-    around = distance[places.corners]
-    used = places.weights > 0.0
-    least = np.where(used, around, np.inf).min(axis=0)
-    most = np.where(used, around, -np.inf).max(axis=0)
+    around = distance[mapping.corners]
+    used = mapping.weights > 0.0
+    nearest_distance = np.where(used, around, np.inf).min(axis=0)
+    farthest_distance = np.where(used, around, -np.inf).max(axis=0)
     # False where a corner has no value.
-    is_one_surface = places.seen & (most <= places.largest_ratio * least)
-    inverse = np.where(used, places.weights / np.where(used, around, 1.0), 0.0).sum(axis=0)
+    is_one_surface = mapping.seen & (farthest_distance <= mapping.max_ratio * nearest_distance)
+    inverse = np.where(used, mapping.weights / np.where(used, around, 1.0), 0.0).sum(axis=0)
     mean = 1.0 / np.where(is_one_surface, inverse, 1.0)
-    found = np.where(is_one_surface, mean, distance[places.nearest])
-    found = np.where(places.seen, found, np.nan)
-    return (found * places.new_rays[..., 2] if is_z else found).astype(np.float32)
+    result = np.where(is_one_surface, mean, distance[mapping.nearest])
+    result = np.where(mapping.seen, result, np.nan)
+    return (result * mapping.new_rays[..., 2] if is_z else result).astype(np.float32)
 
 
 def _ends(
-    flow: NDArray, places: _Map, old: Camera, new: Camera
+    flow: NDArray, mapping: _Map, old: Camera, new: Camera
 ) -> tuple[Float[np.ndarray, "h w 2"], Float[np.ndarray, "h w 2"]]:
     """Image positions, now and then, of the point seen by the nearest old pixel of a new pixel.
 
@@ -271,7 +271,7 @@ def _ends(
     """
     starts = pixel_grid(old.width, old.height).reshape(-1, 2)
     first, last = (
-        new.lens.project(old.lens.unproject(each))[places.nearest]
+        new.lens.project(old.lens.unproject(each))[mapping.nearest]
         for each in (starts, starts + flow)
     )
     return first, last

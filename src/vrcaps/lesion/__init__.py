@@ -19,14 +19,17 @@ from vrcaps.lesion.colitis import Colitis as Colitis
 from vrcaps.lesion.library import draw_lesions as draw_lesions
 from vrcaps.lesion.library import lesion_library as lesion_library
 from vrcaps.lesion.library import parse_lesion as parse_lesion
-from vrcaps.lesion.mucosal import Angioectasia as Angioectasia
-from vrcaps.lesion.mucosal import Erosion as Erosion
-from vrcaps.lesion.mucosal import Lymphangiectasia as Lymphangiectasia
-from vrcaps.lesion.mucosal import Ulcer as Ulcer
 from vrcaps.lesion.polyp import Polyp as Polyp
 from vrcaps.lesion.structural import Diverticulum as Diverticulum
 from vrcaps.lesion.structural import Stricture as Stricture
 from vrcaps.lesion.structural import Tumor as Tumor
+
+# isort: split
+# Imported last: the order of imports is the order of `LESIONS`, of which exports number classes.
+from vrcaps.lesion.mucosal import Angioectasia as Angioectasia
+from vrcaps.lesion.mucosal import Erosion as Erosion
+from vrcaps.lesion.mucosal import Lymphangiectasia as Lymphangiectasia
+from vrcaps.lesion.mucosal import Ulcer as Ulcer
 
 if TYPE_CHECKING:
     AnyLesion = Lesion

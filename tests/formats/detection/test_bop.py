@@ -169,7 +169,7 @@ def test_walls_that_move_are_no_rigid_objects(sequence, tmp_path):
         image = sequence.load(channel, index)
         return image + np.float32(1e-3) if channel == "depth" else image
 
-    with pytest.raises(InputError, match=r"Lesion 1 of .* lies 1 mm beside .* the wall moves"):
+    with pytest.raises(InputError, match=r"Lesion 1 of .* is 1 mm from .* the wall moves"):
         export(Bop(), [replace(sequence, load=load)], tmp_path / "out")
     assert not list(tmp_path.iterdir())
 
@@ -185,7 +185,7 @@ def test_what_bop_cannot_hold(sequence, fisheye_episode, tmp_path, monkeypatch):
         export(Bop(), [replace(sequence, episode=None)], tmp_path / "out")
     mesh = replace(sequence.episode.organ, instance=None)
     monkeypatch.setattr(lesion_models, "read_stored_organ", lambda *_: mesh)
-    with pytest.raises(InputError, match="no lesion numbers"):
+    with pytest.raises(InputError, match="no lesion IDs"):
         export(Bop(), [sequence], tmp_path / "out")
     with pytest.raises(InputError, match="depth_step_mm is 0"):
         Bop(depth_step_mm=0.0)

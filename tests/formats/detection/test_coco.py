@@ -122,15 +122,15 @@ def test_splits_have_a_file_each_with_the_same_categories(tmp_path):
 
 
 def test_crowds_are_runs_and_small_parts_can_be_left_out(tmp_path):
-    form = Coco(crowd=("colitis",), least_area=2)
+    form = Coco(crowd=("colitis",), min_area=2)
     out = export(form, [sequence_of()], tmp_path / "out")
     rows = json.loads((out / "annotations/instances_all.json").read_text())["annotations"]
     assert [(row["instance"], row["iscrowd"]) for row in rows] == [(1, 0), (2, 1), (3, 0)]
     assert isinstance(rows[1]["segmentation"], dict)
     with pytest.raises(UnknownNameError, match=r"No kind of lesion named 'polip'.*'polyp'"):
         Coco(crowd=("polip",))
-    with pytest.raises(InputError, match="least_area is 0"):
-        Coco(least_area=0)
+    with pytest.raises(InputError, match="min_area is 0"):
+        Coco(min_area=0)
 
 
 @pytest.mark.parametrize("masks", ["polygons", "rle"])
@@ -216,3 +216,12 @@ def test_command(pinhole_episode, tmp_path, capsys):
     assert "Wrote 1 sequences, 5 frames" in capsys.readouterr().out.replace("\n", " ")
     (found,) = Coco().read(tmp_path / "out")
     assert_same_images(found, pinhole_episode.sequence(), "instance")
+
+
+def test_category_ids_are_those_of_earlier_exports(tmp_path):
+    """All kinds of lesions have an ID, so that data sets can be combined."""
+    kinds = "bleeding colitis polyp tumor diverticulum stricture erosion ulcer angioectasia"
+    names = [*kinds.split(), "lymphangiectasia", "lesion"]
+    out = export(Coco(), [sequence_of()], tmp_path / "out")
+    content = json.loads((out / "annotations/instances_all.json").read_text())
+    assert [(each["id"], each["name"]) for each in content["categories"]] == [*enumerate(names, 1)]

@@ -156,10 +156,10 @@ def test_what_does_not_fit_is_one_clear_line(sequence, tmp_path):
     for form in (Images(), Images(masks="binary"), Images(layout="classes")):
         with pytest.raises(InputError, match=r"images requires the channel .*--channels rgb "):
             export(form, [plain], tmp_path / "out")
-    with pytest.raises(InputError, match="ball/front is of none"):
+    with pytest.raises(InputError, match="ball/front is not from one"):
         export(Images(layout="classes"), [replace(sequence, episode=None)], tmp_path / "out")
     other = replace(sequence, name="other", label_names=("background", "wall"))
-    with pytest.raises(InputError, match=r"Masks with numbers of 2 lists.*--masks binary"):
+    with pytest.raises(InputError, match=r"have 2 lists of classes.*--masks binary"):
         export(Images(masks="numbers"), [sequence, other], tmp_path / "out")
     with pytest.raises(InputError, match=r"holds no images. Allowed: .png"):
         Images().read(tmp_path)
@@ -175,7 +175,7 @@ def test_damage_is_one_clear_line(sequence, tmp_path):
     with pytest.raises(InputError, match=r"Cannot read .*000000.png"):
         found.image("rgb", 0)
     (out / "masks/ball_front_000003.png").unlink()
-    with pytest.raises(InputError, match=r"no mask of ball_front_000003.png, nor of 0 more"):
+    with pytest.raises(InputError, match=r"masks of ball_front_000003.png and 0 more"):
         Images().read(out)
 
 

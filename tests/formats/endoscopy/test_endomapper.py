@@ -10,8 +10,7 @@ from tests.support.ellipsoid_sequence import ellipsoid_sequence
 from tests.support.exported import assert_same_depth, assert_same_images, round_trip
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.core.errors import InputError, MissingExtraError
-from vrcaps.formats.endoscopy.endomapper import EndoMapper
-from vrcaps.formats.endoscopy.exr_files import read_exr
+from vrcaps.formats.endoscopy.endomapper import EndoMapper, read_exr
 from vrcaps.formats.io import export
 
 LENS = LensPinhole(fx=25.0, fy=24.0, cx=20.25, cy=17.5)
@@ -65,7 +64,7 @@ def test_damage_is_one_clear_line(sequence, tmp_path):
     header = {"type": OpenEXR.scanlineimage}
     with OpenEXR.File(header, {"B": np.zeros((2, 3), np.float32)}) as file:
         file.write(str(path))
-    with pytest.raises(InputError, match="has no whole red channel"):
+    with pytest.raises(InputError, match="has no complete red channel"):
         read_exr(path)
     next(out.rglob("calibration.txt")).write_text("fx: 3\nfy: 4\n")
     with pytest.raises(InputError, match=r"It holds a line `key: number` for fx"):

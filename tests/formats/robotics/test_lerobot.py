@@ -11,7 +11,7 @@ import pytest
 from vrcaps.core.errors import InputError
 from vrcaps.formats.io import export
 from vrcaps.formats.robotics.lerobot import LeRobot
-from vrcaps.formats.robotics.lerobot_rows import action_rows, state_rows, task_of
+from vrcaps.formats.robotics.lerobot_tables import action_rows, state_rows, task_of
 from vrcaps.recording.table import FrameTable
 
 FRAMES = "data/chunk-000/file-000.parquet"

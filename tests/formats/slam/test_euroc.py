@@ -13,9 +13,8 @@ from vrcaps.camera.lens import LensEquidistant, LensKannalaBrandt, LensPinhole
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import invert, rotation_from_vector, transform_from
 from vrcaps.formats.io import export
-from vrcaps.formats.shared.timed_rows import nearest_rows
-from vrcaps.formats.slam.euroc import Euroc
-from vrcaps.formats.slam.vslam_lab import VslamLab
+from vrcaps.formats.shared.text_files import nearest_rows
+from vrcaps.formats.slam.euroc import Euroc, VslamLab
 
 PINHOLE = LensPinhole(fx=25.0, fy=24.0, cx=20.25, cy=17.5, k1=-0.02, k2=1e-5, p1=1e-3)
 FISHEYE = LensKannalaBrandt(fx=19.0, fy=19.5, cx=19.75, cy=17.5, k1=-0.05, k2=0.002)

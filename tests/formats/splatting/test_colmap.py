@@ -12,10 +12,10 @@ from tests.support.exported import assert_same_images, round_trip
 from tests.support.oracle_pycolmap import read_colmap_model
 from vrcaps.camera.camera import project_points
 from vrcaps.camera.lens import LensEquidistant, LensKannalaBrandt, LensPinhole, LensScaramuzza
+from vrcaps.camera.lens.exchange import colmap_model, lens_from_colmap
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.transforms import invert, rotation_from_vector, transform_from, transform_points
 from vrcaps.formats.io import export
-from vrcaps.formats.shared.opencv_lens import lens_of, opencv_model
 from vrcaps.formats.splatting.colmap import Colmap
 
 LENSES = {
@@ -108,7 +108,7 @@ def test_hidden_points_are_not_observed(tmp_path):
 
 def test_without_points_no_depth_is_needed(tmp_path):
     sequence = ellipsoid_sequence(LENSES["PINHOLE"], 50, 42).with_channels(["rgb"])
-    with pytest.raises(InputError, match=r"points from the channel 'depth'.*--points 0"):
+    with pytest.raises(InputError, match=r"the channel 'depth' for points.*--points 0"):
         export(Colmap(), [sequence], tmp_path / "out")
     out = export(Colmap(points=0), [sequence], tmp_path / "out")
     assert read_colmap_model(out / "ball_front/sparse/0")["points"] == {}
@@ -128,9 +128,9 @@ def test_lens_that_colmap_does_not_have(lens, tmp_path):
 
 
 def test_equidistant_lens_is_a_fisheye_without_distortion():
-    model, parameters = opencv_model(LensEquidistant(focal=20.0, cx=9.5, cy=8.0), "it")
+    model, parameters = colmap_model(LensEquidistant(focal=20.0, cx=9.5, cy=8.0), "it")
     assert model == "OPENCV_FISHEYE"
-    lens = lens_of(model, parameters, "it")
+    lens = lens_from_colmap(model, parameters, "it")
     assert lens == LensKannalaBrandt(fx=20.0, fy=20.0, cx=9.5, cy=8.0)
 
 

@@ -93,7 +93,7 @@ def test_bad_folders_are_one_clear_line(fisheye_episode, tmp_path):
         with pytest.raises(InputError, match=message):
             WebDataset().read(tmp_path)
     sequence = split_in_two(fisheye_episode)[0]
-    with pytest.raises(InputError, match="would have the same name"):
+    with pytest.raises(InputError, match="have the same names"):
         export(WebDataset(), [sequence, replace(sequence, patient="2")], tmp_path / "out")
     with pytest.raises(InputError, match="shard_mb is 0"):
         WebDataset(shard_mb=0.0)

@@ -14,11 +14,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Union
 
 from vrcaps.camera.lens.base import Lens as Lens
-from vrcaps.camera.lens.equidistant import LensEquidistant as LensEquidistant
-from vrcaps.camera.lens.equirectangular import LensEquirectangular as LensEquirectangular
-from vrcaps.camera.lens.kannala_brandt import LensKannalaBrandt as LensKannalaBrandt
 from vrcaps.camera.lens.pinhole import LensPinhole as LensPinhole
-from vrcaps.camera.lens.scaramuzza import LensScaramuzza as LensScaramuzza
+from vrcaps.camera.lens.wide_angle import LensEquidistant as LensEquidistant
+from vrcaps.camera.lens.wide_angle import LensEquirectangular as LensEquirectangular
+from vrcaps.camera.lens.wide_angle import LensKannalaBrandt as LensKannalaBrandt
+from vrcaps.camera.lens.wide_angle import LensScaramuzza as LensScaramuzza
 
 LENSES: dict[str, type[Lens]] = {
     lens.kind: lens

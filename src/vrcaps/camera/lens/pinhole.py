@@ -22,7 +22,7 @@ from vrcaps.camera.lens.tensors import namespace, on_tensors, solved
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-_WIDEST = 1e4
+_MAX_TANGENT = 1e4
 """Maximum tangent of the angle to the axis that is considered: 89.994°."""
 _SLACK = 1e-9
 """Rounding tolerance at the edge of the field, relative: a ray on the edge still projects."""
@@ -84,8 +84,8 @@ class LensPinhole:
         across = first_positive_root((1.0, tilt, k1, 0.0, k2, 0.0, k3))
         along = first_positive_root((1.0, tilt, 3.0 * k1, 0.0, 5.0 * k2, 0.0, 7.0 * k3))
         angle = math.pi / 2 if self.max_angle is None else self.max_angle
-        widest = math.tan(angle) if angle < math.pi / 2 else math.inf
-        return min(across, along, widest, _WIDEST)
+        max_tangent = math.tan(angle) if angle < math.pi / 2 else math.inf
+        return min(across, along, max_tangent, _MAX_TANGENT)
 
     @on_tensors
     def project(

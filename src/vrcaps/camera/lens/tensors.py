@@ -54,8 +54,8 @@ def on_tensors(method: Method) -> Method:
     def converted(self: Any, values: Any) -> Any:
         if not is_tensor(values):
             return method(self, np.asarray(values, float))
-        found = method(self, values.double())
-        return found.to(values.dtype) if values.is_floating_point() else found
+        result = method(self, values.double())
+        return result.to(values.dtype) if values.is_floating_point() else result
 
     return converted  # type: ignore[return-value]
 
@@ -78,8 +78,8 @@ def solved(
         return solve(target)
     import torch
 
-    found = torch.from_numpy(np.asarray(solve(target.detach().cpu().numpy())))
-    found = found.to(target.device)
-    has_none = found.isnan()
-    start = found.masked_fill(has_none, 0.0)  # NaN would spread to all gradients
+    solution = torch.from_numpy(np.asarray(solve(target.detach().cpu().numpy())))
+    solution = solution.to(target.device)
+    has_none = solution.isnan()
+    start = solution.masked_fill(has_none, 0.0)  # NaN would spread to all gradients
     return (start - newton_step(start, target)).masked_fill(has_none, torch.nan)

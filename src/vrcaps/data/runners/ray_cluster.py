@@ -18,7 +18,7 @@ from typing import Any
 
 from vrcaps.core.errors import InputError, import_extra
 from vrcaps.data.make_unit import Job, Maker, Outcome
-from vrcaps.data.runners.runner import Deaths, UnitQueue, num_processors
+from vrcaps.data.runners.local import UnitQueue, WorkerDeaths, num_processors
 from vrcaps.data.units import Units
 
 LOCAL, AUTO = "local", "auto"
@@ -160,10 +160,10 @@ def _require_head(address: str) -> None:
     """
     from ray._private.services import canonicalize_bootstrap_address
 
-    place = canonicalize_bootstrap_address(address) if address == AUTO else address
-    if place is None or not _answers(place):
+    head = canonicalize_bootstrap_address(address) if address == AUTO else address
+    if head is None or not _answers(head):
         raise InputError(
-            f"No Ray head answers at {place}. Start one with `ray start --head`, or give "
+            f"No Ray head answers at {head}. Start one with `ray start --head`, or give "
             f"--ray {LOCAL}."
         )
 
@@ -176,15 +176,15 @@ def _outcomes(
     Raises:
         InputError: If the cluster is lost or cannot run vrcaps.
     """
-    most = workers or max(1, int(ray.cluster_resources().get("CPU", 1)))
+    max_running = workers or max(1, int(ray.cluster_resources().get("CPU", 1)))
     task = ray.remote(num_cpus=1, max_retries=0)(_make)
     # In a tuple the reference is not resolved: the worker fetches the job if it lacks it.
-    shared, deaths = (ray.put(job),), Deaths()
+    shared, deaths = (ray.put(job),), WorkerDeaths()
     queue = UnitQueue(numbers, Units(job.plan).per_patient)
     running: dict[Any, int] = {}
     asked = time.monotonic()
     while queue or running:
-        while queue and len(running) < most:
+        while queue and len(running) < max_running:
             number = queue.take()
             running[task.remote(shared, number)] = number
         ended, _ = ray.wait(list(running), timeout=_POLL)
@@ -202,7 +202,9 @@ def _outcomes(
                 yield outcome
 
 
-def _outcome(ray: Any, reference: Any, number: int, deaths: Deaths, head: str) -> Outcome | None:
+def _outcome(
+    ray: Any, reference: Any, number: int, deaths: WorkerDeaths, head: str
+) -> Outcome | None:
     """Outcome of a finished task; None if its unit is retried."""
     try:
         return ray.get(reference)
@@ -216,13 +218,13 @@ def _outcome(ray: Any, reference: Any, number: int, deaths: Deaths, head: str) -
         ) from error
     except ray.exceptions.RayError as error:
         # The worker or its machine died, or it took too much memory.
-        return deaths.bury(number, type(error).__name__)
+        return deaths.count(number, type(error).__name__)
 
 
 def _lost(head: str, how: str) -> str:
     return (
-        f"The Ray head at {head} {how}. Units made so far are whole; start it again, or give "
-        f"--ray {LOCAL}, and repeat the command to go on."
+        f"The Ray head at {head} {how}. Completed recordings are kept. Restart it, or give "
+        f"--ray {LOCAL}, and repeat the command to resume."
     )
 
 

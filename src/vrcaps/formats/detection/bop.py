@@ -12,27 +12,36 @@ https://github.com/thodan/bop_toolkit/blob/master/docs/bop_datasets_format.md.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 
 from vrcaps.camera.lens import LensPinhole
+from vrcaps.camera.lens.exchange import camera_matrix
 from vrcaps.config.limits import Range, check_fields
-from vrcaps.core.errors import InputError
+from vrcaps.config.plain_files import read_plain
+from vrcaps.core.errors import InputError, narrow
 from vrcaps.core.files import write_bytes, write_json
-from vrcaps.core.transforms import invert
+from vrcaps.core.transforms import invert, transform_from
 from vrcaps.core.units import MM
 from vrcaps.formats.detection.lesion_models import LesionModel, lesion_models
-from vrcaps.formats.detection.read_bop import SCENE_CAMERA, SCENE_GT, read_bop
 from vrcaps.formats.format import Needs
-from vrcaps.formats.shared.folders import write_names
-from vrcaps.formats.shared.frame_files import write_times
-from vrcaps.formats.shared.intrinsics import matrix_of, plain_pinhole
-from vrcaps.formats.shared.stored_images import stored_steps
+from vrcaps.formats.shared.folders import (
+    by_number,
+    find_folders,
+    images_in,
+    matched,
+    with_names,
+    write_names,
+)
+from vrcaps.formats.shared.stored_images import read_plane, read_rgb, stored_steps
+from vrcaps.formats.shared.text_files import camera_of, plain_pinhole, read_times, write_times
 from vrcaps.recording.frame_files import write_images
+from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.recording.organ_files import organ_name
 
 if TYPE_CHECKING:
@@ -40,8 +49,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vrcaps.formats.format import Advance
-    from vrcaps.recording.frame_sequence import FrameSequence
 
+_CAMERA, _TRUTH = "scene_camera.json", "scene_gt.json"
 _SAME_WALL = 0.2 * MM
 """Maximum median distance between a lesion's surface and its model over its pixels."""
 
@@ -95,7 +104,13 @@ class Bop:
         Raises:
             InputError: If it is not in this layout.
         """
-        return read_bop(folder)
+        return with_names(
+            folder,
+            (
+                (place.relative_to(folder).as_posix(), _read_scene(place, split))
+                for place, split in find_folders(folder, _CAMERA)
+            ),
+        )
 
     def _write_scene(
         self, place: Path, sequence: FrameSequence, models: Models, advance: Advance
@@ -123,8 +138,8 @@ class Bop:
                 infos[str(k)].append(seen.info)
             write_images(images)
             advance()
-        write_json(place / SCENE_CAMERA, cameras)
-        write_json(place / SCENE_GT, truths)
+        write_json(place / _CAMERA, cameras)
+        write_json(place / _TRUTH, truths)
         write_json(place / "scene_gt_info.json", infos)
         write_times(place, sequence)
         return {
@@ -134,7 +149,7 @@ class Bop:
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _LesionView:
     """Lesion in an image: its masks, and its rows of `scene_gt` and `scene_gt_info`."""
 
     mask: Bool[np.ndarray, "h w"]
@@ -165,8 +180,7 @@ def _write_models(folder: Path, known: dict[str, Models]) -> None:
 
 def _matrix(sequence: FrameSequence) -> Float[np.ndarray, "3 3"]:
     assert sequence.camera is not None
-    assert isinstance(sequence.camera.lens, LensPinhole)
-    return matrix_of(sequence.camera.lens)
+    return camera_matrix(sequence.camera.lens)
 
 
 def _camera_row(sequence: FrameSequence, index: int, step_mm: float) -> dict[str, Any]:
@@ -181,14 +195,14 @@ def _camera_row(sequence: FrameSequence, index: int, step_mm: float) -> dict[str
 
 def _seen_lesions(
     sequence: FrameSequence, index: int, models: Models, depth: NDArray
-) -> Sequence[_Seen]:
+) -> Sequence[_LesionView]:
     """Lesions whose silhouette lies in an image, including occluded ones."""
     episode = sequence.episode
     assert episode is not None
     T_world_patient = np.array(episode.head["T_world_patient"])
     T_camera_patient = invert(sequence.Ts_world_camera[index]) @ T_world_patient
     instance = sequence.image("instance", index)
-    found = []
+    lesions = []
     for number, model in models.items():
         T_camera_model = T_camera_patient @ model.T_patient_model
         height, width = depth.shape
@@ -208,8 +222,8 @@ def _seen_lesions(
             "obj_id": model.number,
             "instance": number,
         }
-        found.append(_Seen(mask, visible, truth, _info(part, mask, visible, depth)))
-    return found
+        lesions.append(_LesionView(mask, visible, truth, _info(part, mask, visible, depth)))
+    return lesions
 
 
 def _in_image(
@@ -226,12 +240,12 @@ def _in_image(
     return image
 
 
-def _require_rigid(sequence: FrameSequence, number: int, beside: NDArray) -> None:
-    off = float(np.nanmedian(np.abs(beside))) if np.isfinite(beside).any() else 0.0
-    if off > _SAME_WALL:
+def _require_rigid(sequence: FrameSequence, number: int, offset: NDArray) -> None:
+    distance = float(np.nanmedian(np.abs(offset))) if np.isfinite(offset).any() else 0.0
+    if distance > _SAME_WALL:
         raise InputError(
-            f"Lesion {number} of {sequence.name} lies {off / MM:.2g} mm beside its place at rest: "
-            "the wall moves, and bop holds rigid objects. Export a recording of a wall at rest."
+            f"Lesion {number} of {sequence.name} is {distance / MM:.2g} mm from its position at "
+            "rest, because the wall moves. Allowed for bop: recordings of a wall at rest."
         )
 
 
@@ -242,10 +256,10 @@ def _info(
     (first_column, first_row), whole = part
     rows, columns = np.nonzero(np.isfinite(whole))
     all_px, seen_px = len(rows), int(visible.sum())
-    shown = np.nonzero(visible)
+    pixels = np.nonzero(visible)
     return {
         "bbox_obj": _box(rows + first_row, columns + first_column),
-        "bbox_visib": _box(*shown) if seen_px else [-1, -1, -1, -1],
+        "bbox_visib": _box(*pixels) if seen_px else [-1, -1, -1, -1],
         "px_count_all": all_px,
         "px_count_valid": int(np.isfinite(depth[mask]).sum()),
         "px_count_visib": seen_px,
@@ -267,6 +281,67 @@ def _targets(infos: dict[str, list[tuple[int, float]]], scene: int) -> Rows:
     return [
         {"im_id": int(key), "inst_count": 1, "obj_id": number, "scene_id": scene}
         for key, rows in infos.items()
-        for number, share in rows
-        if share >= 0.1
+        for number, fraction in rows
+        if fraction >= 0.1
     ]
+
+
+def _read_scene(place: Path, split: str | None) -> FrameSequence:
+    cameras = read_plain(place / _CAMERA, "camera")
+    truths = read_plain(place / _TRUTH, "pose") if (place / _TRUTH).exists() else {}
+    color = next((place / name for name in ("rgb", "gray") if (place / name).is_dir()), None)
+    if color is None:
+        raise InputError(f"{place} has no folder rgb, so it is no scene of BOP.")
+    channels = {"rgb": by_number(images_in(color))}
+    if (place / "depth").is_dir():
+        channels["depth"] = by_number(images_in(place / "depth"))
+    numbers = list(channels["rgb"])
+    paths = matched(channels)
+    try:
+        rows = [cameras[str(number)] for number in numbers]
+        fx, skew, cx, _, fy, cy, *_ = rows[0]["cam_K"]
+        lens = LensPinhole(fx=fx, fy=fy, cx=cx, cy=cy, skew=skew)
+        values = {TIME: read_times(place, numbers, 1.0)}
+        if all("cam_R_w2c" in row for row in rows):
+            rotation = np.array([row["cam_R_w2c"] for row in rows]).reshape(-1, 3, 3)
+            translation = np.array([row["cam_t_w2c"] for row in rows]) * MM
+            values[CAMERA_POSE] = invert(transform_from(rotation, translation))
+        scales = [float(row.get("depth_scale", 1.0)) for row in rows]
+        readers: dict[str, Callable[[int], NDArray]] = {
+            "rgb": partial(_read_color, paths["rgb"]),
+            **({"depth": partial(_read_depth, paths["depth"], scales)} if "depth" in paths else {}),
+        }
+        if truths:
+            truth = [truths.get(str(number), []) for number in numbers]
+            readers["instance"] = partial(_read_instance, place / "mask_visib", paths["rgb"], truth)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"{place / _CAMERA} is not as BOP's: {error} is missing.") from error
+    camera = camera_of(lens, paths["rgb"][0])
+    load = partial(_load, readers)
+    name = "/".join(place.parts[-2:])
+    return FrameSequence(name, tuple(readers), values, load, camera, split=split)
+
+
+def _load(readers: Mapping[str, Callable[[int], NDArray]], channel: str, index: int) -> NDArray:
+    return readers[channel](index)
+
+
+def _read_color(paths: list[Path], index: int) -> NDArray:
+    return read_rgb(paths[index])
+
+
+def _read_depth(paths: list[Path], scales: list[float], index: int) -> NDArray:
+    stored = read_plane(paths[index])
+    return np.where(stored > 0, stored * (scales[index] * MM), np.nan).astype(np.float32)
+
+
+def _read_instance(
+    masks: Path, images: list[Path], truths: list[list[dict[str, Any]]], index: int
+) -> NDArray:
+    """Visible object IDs per pixel: of the lesion, or the index in the image's list."""
+    instance = np.zeros(read_rgb(images[index]).shape[:2], np.uint16)
+    for k, row in enumerate(truths[index]):
+        mask = read_plane(masks / f"{images[index].stem}_{k:06d}.png")
+        number = row.get("instance", k + 1)
+        instance[mask > 0] = narrow([number], np.uint16, f"instance numbers in {masks.parent}")
+    return instance

@@ -8,7 +8,9 @@ without lesions are also listed. Boxes are x, y, width, height from the top-left
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -16,21 +18,24 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.config.limits import Range, check_fields
-from vrcaps.core.errors import UnknownNameError
+from vrcaps.config.plain_files import read_plain
+from vrcaps.core.errors import InputError, UnknownNameError, narrow
 from vrcaps.core.files import write_bytes
-from vrcaps.formats.detection.masks import outlines, run_lengths
-from vrcaps.formats.detection.read_coco import read_coco
+from vrcaps.core.names import inside, listed
+from vrcaps.formats.detection.masks import mask_of, outlines, run_lengths
 from vrcaps.formats.format import Needs
 from vrcaps.formats.shared.folders import folder_name
-from vrcaps.recording.frame_files import write_images
+from vrcaps.formats.shared.stored_images import read_rgb
+from vrcaps.recording.frame_files import require_pixels, write_images
+from vrcaps.recording.frame_sequence import SPLITS, TIME, FrameSequence
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from jaxtyping import Bool, UInt16
+    from numpy.typing import NDArray
 
     from vrcaps.formats.format import Advance
-    from vrcaps.recording.frame_sequence import FrameSequence
 
 _OTHER = "lesion"
 """Category of instances of unknown kind."""
@@ -46,13 +51,13 @@ class Coco:
         grades: Whether lesions of different grades are separate categories, such as polyp-Ip.
         crowd: Kinds of lesions marked as crowds, on which detectors are not evaluated, such as
             colitis; their masks are run lengths.
-        least_area: Minimum number of pixels of an annotated lesion.
+        min_area: Minimum number of pixels of an annotated lesion.
     """
 
     masks: Literal["polygons", "rle"] = "polygons"
     grades: bool = False
     crowd: tuple[str, ...] = ()
-    least_area: Annotated[int, Range(1)] = 1
+    min_area: Annotated[int, Range(1)] = 1
 
     kind: ClassVar[str] = "coco"
     needs: ClassVar[Needs] = Needs(channels=("rgb", "instance"), poses=False)
@@ -71,14 +76,14 @@ class Coco:
         images = annotations = 0
         for sequence in sequences:
             split = sequence.split or "all"
-            place = folder / (sequence.split or "images")
-            place.mkdir(exist_ok=True)
+            root = folder / (sequence.split or "images")
+            root.mkdir(exist_ok=True)
             file = files.setdefault(split, _File())
             names = _lesion_names(sequence, grades=self.grades)
             for k in range(len(sequence)):
                 images += 1
                 name = f"{folder_name(sequence)}_{k:06d}.png"
-                write_images([(place / name, sequence.image("rgb", k))])
+                write_images([(root / name, sequence.image("rgb", k))])
                 instance = sequence.image("instance", k)
                 file.images.append(json.dumps(_image(sequence, k, images, name, instance.shape)))
                 for row in self._annotations(instance, names, categories):
@@ -99,7 +104,10 @@ class Coco:
         Raises:
             InputError: If it is not in this layout.
         """
-        return read_coco(folder)
+        files = listed(folder, f"annotations/{_FILES}")
+        if not files:
+            raise InputError(f"{folder} holds no annotations/{_FILES}, so it is no COCO data set.")
+        return tuple(sequence for path in files for sequence in _read_file(path, folder))
 
     def _annotations(
         self,
@@ -112,7 +120,7 @@ class Coco:
             kind, category = names.get(number, (_OTHER, _OTHER))
             mask = instance == number
             area = int(mask.sum())
-            if area < self.least_area:
+            if area < self.min_area:
                 continue
             is_crowd = kind in self.crowd
             yield {
@@ -146,8 +154,8 @@ class _File:
             ("annotations", self.annotations, "}\n"),
         ):
             yield f'"{key}": [\n'.encode()
-            for place, row in enumerate(rows):
-                yield (row + (",\n" if place + 1 < len(rows) else "\n")).encode()
+            for index, row in enumerate(rows):
+                yield (row + (",\n" if index + 1 < len(rows) else "\n")).encode()
             yield f"]{end}".encode()
 
 
@@ -190,11 +198,11 @@ def _lesion_names(sequence: FrameSequence, *, grades: bool) -> dict[int, tuple[s
     """Kind and category of each lesion of an episode, by lesion ID."""
     if sequence.episode is None:
         return {}
-    found = {}
+    names = {}
     for lesion in sequence.episode.head["organ"].get("lesions", []):
         kind, grade = lesion["kind"], lesion.get("grade")
-        found[lesion["instance"]] = (kind, f"{kind}-{grade}" if grades and grade else kind)
-    return found
+        names[lesion["instance"]] = (kind, f"{kind}-{grade}" if grades and grade else kind)
+    return names
 
 
 def _categories(sequences: Sequence[FrameSequence], *, grades: bool) -> dict[str, int]:
@@ -202,10 +210,75 @@ def _categories(sequences: Sequence[FrameSequence], *, grades: bool) -> dict[str
 
     With grades, the existing ones follow, and `lesion` last, each by name.
     """
-    found = {
+    existing = {
         category
         for sequence in sequences
         for _, category in _lesion_names(sequence, grades=grades).values()
     }
-    names = [*_kinds(), *sorted(found - set(_kinds())), _OTHER]
+    names = [*_kinds(), *sorted(existing - set(_kinds())), _OTHER]
     return {name: number for number, name in enumerate(names, 1)}
+
+
+_FILES = "instances_*.json"
+_CHANNELS = ("rgb", "label", "instance")
+
+
+def _read_file(path: Path, folder: Path) -> list[FrameSequence]:
+    part = path.stem.removeprefix("instances_")
+    content = read_plain(path, "annotation")
+    try:
+        categories = sorted(content["categories"], key=lambda each: each["id"])
+        number = {each["id"]: k for k, each in enumerate(categories, 1)}
+        label_names = ("background", *(each["name"] for each in categories))
+        annotations: dict[int, list[tuple[int, dict[str, Any]]]] = {}
+        for each in content["annotations"]:
+            row = (number[each["category_id"]], each)
+            annotations.setdefault(each["image_id"], []).append(row)
+        sequences: dict[str, list[dict[str, Any]]] = {}
+        for image in content["images"]:
+            sequences.setdefault(image.get("sequence", part), []).append(image)
+        split = next((name for name in SPLITS if part.startswith(name)), None)
+        return [
+            FrameSequence(
+                name,
+                _CHANNELS,
+                {TIME: np.array([image.get("time_s", k) for k, image in enumerate(rows)], float)},
+                partial(_load, _image_folder(folder, part), rows, annotations),
+                label_names=label_names,
+                patient=rows[0].get("patient"),
+                split=split,
+            )
+            for name, rows in sequences.items()
+        ]
+    except (KeyError, TypeError) as error:
+        raise InputError(f"{path} holds no COCO instances: {error} is missing.") from error
+
+
+def _image_folder(folder: Path, part: str) -> Path:
+    for root in (folder / part, folder / "images" / part, folder / "images"):
+        if root.is_dir():
+            return root
+    return folder
+
+
+def _load(
+    folder: Path,
+    images: Sequence[dict[str, Any]],
+    annotations: dict[int, list[tuple[int, dict[str, Any]]]],
+    channel: str,
+    index: int,
+) -> NDArray:
+    image = images[index]
+    if channel == "rgb":
+        return read_rgb(inside(folder, image["file_name"]))
+    height, width = int(image["height"]), int(image["width"])
+    require_pixels(width, height)
+    values = np.zeros((height, width), np.uint8 if channel == "label" else np.uint16)
+    rows = list(enumerate(annotations.get(image["id"], []), 1))
+    # Single lesions are drawn over crowds.
+    for position, (label, row) in sorted(rows, key=lambda each: -each[1][1].get("iscrowd", 0)):
+        where = f"annotation {row.get('id')}"
+        mask = mask_of(row["segmentation"], height, width, where)
+        number = label if channel == "label" else row.get("instance", position)
+        values[mask] = narrow([number], values.dtype, f"{channel} numbers of {folder}")
+    return values

@@ -21,8 +21,7 @@ from vrcaps.core.errors import InputError, narrow
 from vrcaps.core.files import write_bytes
 from vrcaps.core.names import inside, listed
 from vrcaps.formats.format import Needs, require_channels
-from vrcaps.formats.shared.folders import folder_name
-from vrcaps.formats.shared.frame_files import image_loader
+from vrcaps.formats.shared.folders import folder_name, image_loader
 from vrcaps.formats.shared.stored_images import IMAGES, read_plane, read_rgb
 from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import SPLITS, TIME, FrameSequence
@@ -82,14 +81,14 @@ class Images:
         names = {self._label_names(sequence) for sequence in sequences}
         if len(names) > 1 and self.layout == "masks":
             raise InputError(
-                f"Masks with numbers of {len(names)} lists of classes do not fit into one folder. "
-                "Export the organs by themselves, or lesions with --masks binary."
+                f"The sequences have {len(names)} lists of classes; one folder of masks holds one. "
+                "Export each organ separately, or lesions with --masks binary."
             )
         for sequence in sequences:
-            place = folder / (sequence.split or "")
+            root = folder / (sequence.split or "")
             for index in range(len(sequence)):
                 name = f"{folder_name(sequence)}_{index:06d}.png"
-                self._write_frame(place, name, sequence, index)
+                self._write_frame(root, name, sequence, index)
                 advance()
         if self.layout == "masks":
             lines = "".join(f"{name}\n" for name in names.pop())
@@ -105,16 +104,16 @@ class Images:
         for path in listed(folder, "**/*"):
             if path.suffix.lower() in IMAGES:
                 files.setdefault(path.parent, []).append(path)
-        masks = {place: _masks_beside(place, files) for place in files}
-        found = set(masks.values())
-        places = sorted(place for place in files if place not in found)
-        if not places:
+        masks = {root: _masks_beside(root, files) for root in files}
+        mask_folders = set(masks.values())
+        roots = sorted(root for root in files if root not in mask_folders)
+        if not roots:
             raise InputError(f"{folder} holds no images. Allowed: {', '.join(IMAGES)}.")
         path = folder / _CLASSES
         names = tuple(path.read_text("utf-8-sig").splitlines()) if path.exists() else ()
         return tuple(
-            self._read_one(folder, sorted(files[place], key=_natural), masks[place], files, names)
-            for place in places
+            self._read_one(folder, sorted(files[root], key=_natural), masks[root], files, names)
+            for root in roots
         )
 
     def _channel(self, sequence: FrameSequence) -> str:
@@ -126,23 +125,26 @@ class Images:
         wanted = "instance" if self.layout == "classes" else self._channel(sequence)
         require_channels(self.kind, sequence, (wanted,))
         if self.layout == "classes" and sequence.episode is None:
-            raise InputError(f"Kinds of lesions are known of episodes; {sequence.name} is of none.")
+            raise InputError(
+                f"Only episodes state their kinds of lesions; {sequence.name} is not from one. "
+                "Export an episode, or --layout masks."
+            )
         return sequence.label_names if wanted == "label" else ("background", "lesion")
 
-    def _write_frame(self, place: Path, name: str, sequence: FrameSequence, index: int) -> None:
+    def _write_frame(self, root: Path, name: str, sequence: FrameSequence, index: int) -> None:
         image = sequence.image("rgb", index)
         if self.layout == "classes":
             assert sequence.episode is not None
             lesions = sequence.episode.head["organ"]["lesions"]
             kind = shown_lesion(sequence.image("instance", index), lesions, self.min_fraction)
-            files = [] if kind is None else [(inside(place, f"{kind}/{name}"), image)]
+            files = [] if kind is None else [(inside(root, f"{kind}/{name}"), image)]
         else:
             channel = self._channel(sequence)
             mask = sequence.image(channel, index)
             if channel == "instance":
                 numbers = mask if sequence.episode is None else lesion_instances(mask)
                 mask = np.where(numbers > 0, 255, 0).astype(np.uint8)
-            files = [(place / _IMAGES[0] / name, image), (place / _MASKS[0] / name, mask)]
+            files = [(root / _IMAGES[0] / name, image), (root / _MASKS[0] / name, mask)]
         for path, _ in files:
             path.parent.mkdir(parents=True, exist_ok=True)
         write_images(files)
@@ -155,29 +157,29 @@ class Images:
         files: dict[Path, list[Path]],
         names: tuple[str, ...],
     ) -> FrameSequence:
-        place = paths[0].parent
-        parts = place.relative_to(folder).parts
+        root = paths[0].parent
+        parts = root.relative_to(folder).parts
         values = {TIME: np.arange(len(paths)) / self.fps, FILE_NAME: np.array(_file_names(paths))}
-        if parts and place.name not in (*_IMAGES, *SPLITS):
-            values["class"] = np.array([place.name] * len(paths))
-            names = names or ("background", place.name)
-        found = {"rgb": paths}
+        if parts and root.name not in (*_IMAGES, *SPLITS):
+            values["class"] = np.array([root.name] * len(paths))
+            names = names or ("background", root.name)
+        channels = {"rgb": paths}
         if masks is not None:
-            found["label"] = _matching(paths, masks, files[masks])
+            channels["label"] = _matching(paths, masks, files[masks])
         return FrameSequence(
-            "/".join(parts) or place.name,
-            tuple(found),
+            "/".join(parts) or root.name,
+            tuple(channels),
             values,
-            image_loader(found, {"rgb": read_rgb, "label": partial(_read_mask, self.masks)}),
+            image_loader(channels, {"rgb": read_rgb, "label": partial(_read_mask, self.masks)}),
             label_names=names if masks is not None else (),
             split=next((part for part in parts if part in SPLITS), None),
         )
 
 
-def _masks_beside(place: Path, files: dict[Path, list[Path]]) -> Path | None:
+def _masks_beside(root: Path, files: dict[Path, list[Path]]) -> Path | None:
     """Folder of the masks of a folder of images; None if there is none."""
-    names = _MASKS if place.name in _IMAGES else tuple(f"{place.name}_{mask}" for mask in _MASKS)
-    return next((place.with_name(name) for name in names if place.with_name(name) in files), None)
+    names = _MASKS if root.name in _IMAGES else tuple(f"{root.name}_{mask}" for mask in _MASKS)
+    return next((root.with_name(name) for name in names if root.with_name(name) in files), None)
 
 
 def _matching(paths: list[Path], folder: Path, masks: list[Path]) -> list[Path]:
@@ -186,8 +188,8 @@ def _matching(paths: list[Path], folder: Path, masks: list[Path]) -> list[Path]:
     missing = [path for path in paths if path.stem not in by_stem]
     if missing:
         raise InputError(
-            f"{folder} holds no mask of {missing[0].name}, nor of {len(missing) - 1} more images. "
-            "Add them, or take the folder away to read without masks."
+            f"{folder} lacks the masks of {missing[0].name} and {len(missing) - 1} more images. "
+            "Add them, or remove the folder to read without masks."
         )
     return [by_stem[path.stem] for path in paths]
 

@@ -131,7 +131,7 @@ def lesion_models(episode: Episode, first: int) -> Mapping[int, LesionModel]:
         return {}
     mesh = read_stored_organ(episode.files, episode.head)
     if mesh.instance is None:
-        raise InputError(f"The organ of {episode.url} has no lesion numbers. Record it anew.")
+        raise InputError(f"The organ of {episode.url} has no lesion IDs. Record it again.")
     T_patient_world = invert(np.array(episode.head["T_world_patient"]))
     vertices = transform_points(T_patient_world, mesh.vertices)
     owner = face_label(mesh.instance, mesh.faces)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _STEPS = ((1, 0), (0, 1), (-1, 0), (0, -1))
 """Right, down, left, up as steps of (x, y)."""
-_LONGEST_COUNT = 60
+_MAX_COUNT_BITS = 60
 """Maximum number of bits of a count in compressed runs."""
 _TURNS = (1, 0, 3)
 """Right turn first, to separate pixels that touch only at a corner."""
@@ -34,9 +34,9 @@ def outlines(mask: Bool[np.ndarray, "h w"]) -> list[Int[np.ndarray, "k 2"]]:
     parts = np.zeros(mask.shape, np.int32)
     scipy.ndimage.label(mask, output=parts)  # pixels that share an edge
     polygons = []
-    for number, place in enumerate(scipy.ndimage.find_objects(parts), 1):
-        part = parts[place] == number
-        corner = np.array([place[1].start, place[0].start])
+    for number, box in enumerate(scipy.ndimage.find_objects(parts), 1):
+        part = parts[box] == number
+        corner = np.array([box[1].start, box[0].start])
         loops = _loops(part)
         holes = [loop for loop in loops if _signed_area(loop) < 0.0]
         if holes:
@@ -148,7 +148,7 @@ def _decompressed(text: str) -> Sequence[int]:
         bits = ord(character) - 48
         value |= (bits & 31) << shift
         shift += 5
-        if shift > _LONGEST_COUNT:
+        if shift > _MAX_COUNT_BITS:
             raise ValueError("a count has too many digits")
         if bits & 32:
             continue

@@ -7,7 +7,12 @@ camera-to-world matrix in millimeters: points are rows, ``p_world = p_camera T``
 flow have no value, all planes are 0, as outside the image of the real endoscope.
 
 C3VD's occlusions are pixels that hide something within 100 mm; those of an episode are points not
-visible in the next frame, so they are neither written nor read. Source:
+visible in the next frame, so they are neither written nor read.
+
+``*_omnidirectional_values.txt`` holds ``width height cx cy a0 [a1] a2 a3 a4 c d e``: the Scaramuzza
+model, a1 always 0. The data set's own loader counts pixels from 0 and uses the stretch matrix
+[[c, d], [e, 1]]. Pinholes have ``*_pinhole_values.txt`` in the same form. EndoGSLAM reads a YAML
+file, PPSNet ``camera.txt``, whose second to fifth words are fx fy cx cy. Source:
 https://durrlab.github.io/C3VD and https://github.com/DurrLab/C3VD.
 """
 
@@ -20,24 +25,42 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 
+from vrcaps.camera.camera import Camera
+from vrcaps.camera.lens import LensPinhole
+from vrcaps.camera.lens.exchange import lens_from_values, lens_values
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import write_bytes
 from vrcaps.core.names import listed
 from vrcaps.core.units import MM
-from vrcaps.formats.endoscopy import c3vd_cameras as cameras
 from vrcaps.formats.format import Needs, require_channels
-from vrcaps.formats.shared.folders import each_folder, folder_name, found_folders, new_folder
-from vrcaps.formats.shared.frame_files import (
+from vrcaps.formats.shared.folders import (
     by_number,
+    find_folders,
+    folder_name,
     image_loader,
     matched,
+    nearest_file,
+    new_folder,
+    sequence_folders,
+)
+from vrcaps.formats.shared.stored_images import (
+    image_size,
+    read_numbers,
+    read_plane,
+    read_rgb,
+    write_tiff,
+)
+from vrcaps.formats.shared.text_files import (
+    camera_of,
+    numbers_of,
+    plain_pinhole,
+    read_text_numbers,
     read_times,
+    read_yaml,
     rows_of,
     write_times,
 )
-from vrcaps.formats.shared.intrinsics import plain_pinhole
-from vrcaps.formats.shared.stored_images import read_numbers, read_plane, read_rgb, write_tiff
 from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.render.encoding import fixed_point
@@ -47,13 +70,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vrcaps.camera.camera import Camera
     from vrcaps.formats.format import Advance
 
-_FULL = 65535
-_DEPTH = fixed_point("m", 100.0 * MM / _FULL)
+_MAX_STORED = 65535
+_DEPTH = fixed_point("m", 100.0 * MM / _MAX_STORED)
 _DEPTH_8_BITS = fixed_point("m", 100.0 * MM / 255)
-_LARGEST = {"normal": 1.0, "flow_backward": 20.0}
+_MAX_VALUES = {"normal": 1.0, "flow_backward": 20.0}
 """Maximum absolute value of the stored range [1, px]."""
 
 Layout = Literal["c3vd", "flat", "endogslam", "ppsnet", "endostreamdepth"]
@@ -72,14 +94,19 @@ _FILES: dict[str, dict[str, str]] = {
     },
     "flat": _FLAT,
     "endogslam": {"rgb": "color/{}_color.png", "depth": "depth/{}_depth.tiff"},
-    "ppsnet": {
-        "rgb": "images/{}.png",
-        "depth": "depths/{}.tiff",
-        "normal": "normals/{}.tiff",
-    },
+    "ppsnet": {"rgb": "images/{}.png", "depth": "depths/{}.tiff", "normal": "normals/{}.tiff"},
     "endostreamdepth": _FLAT,
 }
 _POSES = {"ppsnet": "poses_gt.txt"}
+_CALIBRATIONS = {
+    "scaramuzza": ("*omnidirectional_values.txt", "cx cy a0 a2 a3 a4 c d e"),
+    "pinhole": ("*pinhole_values.txt", "fx fy cx cy k1 k2 p1 p2 k3"),
+}
+"""Calibration file of each kind of lens, and its parameters after width and height."""
+_ENDOGSLAM, _PPSNET = "c3vd.yaml", "camera.txt"
+_FIT = (802.319, 801.885, 668.286, 547.733, -0.42234, 0.10654)
+"""fx, fy, cx, cy [px], k1, k2 of C3VD's colonoscope at 1350x1080 (EndoGSLAM, undisort.py)."""
+_FIT_SIZE = (1350, 1080)
 
 
 @dataclass(frozen=True)
@@ -112,20 +139,20 @@ class C3vd:
             InputError: If the reader of the layout needs a lens or a channel that is missing.
         """
         lists: dict[str, list[str]] = {}
-        for sequence, place in self._folders(sequences, folder):
-            self._write_camera(sequence, place)
+        for sequence, root in self._folders(sequences, folder):
+            self._write_camera(sequence, root)
             channels = [name for name in _FILES[self.layout] if name in sequence.channels]
             for name in channels:
-                self._path(place, name, 0).parent.mkdir(exist_ok=True)
+                self._path(root, name, 0).parent.mkdir(exist_ok=True)
             for index in range(len(sequence)):
                 for name in channels:
-                    path = self._path(place, name, index)
+                    path = self._path(root, name, index)
                     _write_image(path, name, sequence.image(name, index))
                 advance()
-            self._write_poses(sequence, place)
-            write_times(place, sequence)
+            self._write_poses(sequence, root)
+            write_times(root, sequence)
             part = sequence.split or "train"
-            lists.setdefault(part, []).append(place.relative_to(folder).as_posix())
+            lists.setdefault(part, []).append(root.relative_to(folder).as_posix())
         if self.layout == "ppsnet":
             for part, names in lists.items():
                 write_bytes(folder / f"{part}.txt", (" ".join(names) + "\n").encode())
@@ -137,78 +164,74 @@ class C3vd:
             InputError: If it is not in this layout; the message names the detected layout.
         """
         try:
-            places = [*found_folders(folder, self._pattern("rgb"))]
+            roots = [*find_folders(folder, _glob(_FILES[self.layout]["rgb"]))]
         except InputError as error:
             fits = [k for k, files in _FILES.items() if listed(folder, f"**/{_glob(files['rgb'])}")]
             hint = f" It fits the layout {fits[0]!r}." if fits else ""
             raise InputError(f"{error}{hint}") from None
-        return tuple(self._read_one(place, folder, split) for place, split in places)
+        return tuple(self._read_one(root, folder, split) for root, split in roots)
 
     def _folders(
         self, sequences: Sequence[FrameSequence], folder: Path
     ) -> Iterator[tuple[FrameSequence, Path]]:
         if self.layout != "endostreamdepth":
-            yield from each_folder(sequences, folder)
+            yield from sequence_folders(sequences, folder)
             return
         for sequence in sequences:  # its loader has the splits itself, and ignores folders
             yield sequence, new_folder(folder, "cv3d", folder_name(sequence))
 
-    def _path(self, place: Path, channel: str, index: int) -> Path:
-        return place / _FILES[self.layout][channel].format(f"{index:04d}")
+    def _path(self, root: Path, channel: str, index: int) -> Path:
+        return root / _FILES[self.layout][channel].format(f"{index:04d}")
 
-    def _pattern(self, channel: str) -> str:
-        return _glob(_FILES[self.layout][channel])
-
-    def _write_camera(self, sequence: FrameSequence, place: Path) -> None:
+    def _write_camera(self, sequence: FrameSequence, root: Path) -> None:
         assert sequence.camera is not None
         if self.layout == "endogslam":
-            lens, step = plain_pinhole(self, sequence), 100.0 * MM / _FULL
-            cameras.write_endogslam(place, lens, sequence.camera, step)
+            lens, step = plain_pinhole(self, sequence), 100.0 * MM / _MAX_STORED
+            _write_endogslam(root, lens, sequence.camera, step)
         elif self.layout == "ppsnet":
             require_channels("The layout ppsnet", sequence, ("normal",))
-            cameras.write_ppsnet(place, plain_pinhole(self, sequence))
+            _write_ppsnet(root, plain_pinhole(self, sequence))
         else:
-            cameras.write_calibration(place, sequence.camera)
+            _write_calibration(root, sequence.camera)
 
-    def _write_poses(self, sequence: FrameSequence, place: Path) -> None:
+    def _write_poses(self, sequence: FrameSequence, root: Path) -> None:
         poses = sequence.Ts_world_camera.copy()
         poses[:, :3, 3] /= MM
         if self.layout == "ppsnet":
             rows = (f"{k} {_joined(pose, ' ')}\n" for k, pose in enumerate(poses))
         else:
             rows = (f"{_joined(pose.T, ',')}\n" for pose in poses)
-        write_bytes(place / _POSES.get(self.layout, "pose.txt"), "".join(rows).encode())
+        write_bytes(root / _POSES.get(self.layout, "pose.txt"), "".join(rows).encode())
 
-    def _read_one(self, place: Path, folder: Path, split: str | None) -> FrameSequence:
-        found = {
-            name: by_number(listed(place, self._pattern(name))) for name in _FILES[self.layout]
-        }
-        paths = matched(found)
-        values = {TIME: read_times(place, found["rgb"], self.fps)}
-        poses = place / _POSES.get(self.layout, "pose.txt")
+    def _read_one(self, root: Path, folder: Path, split: str | None) -> FrameSequence:
+        templates = _FILES[self.layout].items()
+        files = {name: by_number(listed(root, _glob(path))) for name, path in templates}
+        paths = matched(files)
+        values = {TIME: read_times(root, files["rgb"], self.fps)}
+        poses = root / _POSES.get(self.layout, "pose.txt")
         if poses.exists():
-            rows = rows_of(_read_poses(poses), found["rgb"], poses)
+            rows = rows_of(_read_poses(poses), files["rgb"], poses)
             values[CAMERA_POSE] = rows if self.layout == "ppsnet" else rows.transpose(0, 2, 1)
             values[CAMERA_POSE][:, :3, 3] *= MM
-        readers = {name: partial(_read_vectors, _LARGEST[name]) for name in _LARGEST}
+        readers = {name: partial(_read_vectors, _MAX_VALUES[name]) for name in _MAX_VALUES}
         return FrameSequence(
-            place.name,
+            root.name,
             tuple(paths),
             values,
             image_loader(paths, {"rgb": read_rgb, "depth": _read_depth, **readers}),
-            self._read_camera(place, folder, paths["rgb"][0]),
+            self._read_camera(root, folder, paths["rgb"][0]),
             split=split,
         )
 
-    def _read_camera(self, place: Path, folder: Path, image: Path) -> Camera | None:
+    def _read_camera(self, root: Path, folder: Path, image: Path) -> Camera | None:
         if self.lens == "pinhole-fit":
             is_undistorted = self.layout in ("endogslam", "ppsnet")
-            return cameras.fitted_camera(image, is_undistorted=is_undistorted)
+            return _fitted_camera(image, is_undistorted=is_undistorted)
         if self.layout == "endogslam":
-            return cameras.read_endogslam(place, folder)
+            return _read_endogslam(root, folder)
         if self.layout == "ppsnet":
-            return cameras.read_ppsnet(place, image)
-        return cameras.read_calibration(place, folder, image)
+            return _read_ppsnet(root, image)
+        return _read_calibration(root, folder, image)
 
 
 def _glob(template: str) -> str:
@@ -241,25 +264,25 @@ def _write_image(path: Path, channel: str, image: NDArray) -> None:
         write_images([(path, image)])
     elif channel == "depth":
         stored = _DEPTH.encode(image)
-        write_tiff(path, np.where(stored == _FULL, 0, stored).astype(np.uint16))
+        write_tiff(path, np.where(stored == _MAX_STORED, 0, stored).astype(np.uint16))
     else:
-        write_tiff(path, _stored_vectors(image, _LARGEST[channel]))
+        write_tiff(path, _stored_vectors(image, _MAX_VALUES[channel]))
 
 
-def _stored_vectors(vectors: NDArray, largest: float) -> NDArray:
+def _stored_vectors(vectors: NDArray, max_value: float) -> NDArray:
     """Three planes [h w 3] of 16 bits; all 0 where a component is NaN or out of range."""
-    steps = np.rint((vectors.astype(float) / largest + 1.0) * (_FULL / 2))
-    known = ((steps >= 0) & (steps <= _FULL)).all(axis=-1, keepdims=True)
+    steps = np.rint((vectors.astype(float) / max_value + 1.0) * (_MAX_STORED / 2))
+    known = ((steps >= 0) & (steps <= _MAX_STORED)).all(axis=-1, keepdims=True)
     stored = np.where(known, steps, 0).astype(np.uint16)
     return np.concatenate([stored, np.zeros_like(stored)], axis=-1)[..., :3]
 
 
-def _read_vectors(largest: float, path: Path) -> NDArray:
+def _read_vectors(max_value: float, path: Path) -> NDArray:
     stored = read_numbers(path)
     if stored.ndim != 3 or stored.dtype != np.uint16:
         raise InputError(f"{path} is no color image of 16 bits, but {stored.dtype}.")
-    components = 3 if largest == _LARGEST["normal"] else 2
-    values = (stored[..., :components] * (2.0 / _FULL) - 1.0) * largest
+    components = 3 if max_value == _MAX_VALUES["normal"] else 2
+    values = (stored[..., :components] * (2.0 / _MAX_STORED) - 1.0) * max_value
     values[~stored.any(axis=-1)] = np.nan
     return values.astype(np.float32)
 
@@ -269,4 +292,108 @@ def _read_depth(path: Path) -> NDArray:
     stored = read_plane(path)
     if stored.dtype == np.uint8:
         return _DEPTH_8_BITS.decode(stored)
-    return _DEPTH.decode(np.where(stored == _FULL, 0, stored))
+    return _DEPTH.decode(np.where(stored == _MAX_STORED, 0, stored))
+
+
+def _write_calibration(folder: Path, camera: Camera) -> None:
+    """Write the lens of a camera as C3VD does, with a file that names the values."""
+    pattern, names = _CALIBRATIONS[camera.lens.kind]
+    numbers = (camera.width, camera.height, *lens_values(camera.lens, names))
+    path = folder / pattern.replace("*", "camera_")
+    write_bytes(path, (" ".join(f"{value:.17g}" for value in numbers) + "\n").encode())
+    path = path.with_name(path.name.replace("values", "format"))
+    write_bytes(path, f"width height {names}\n".encode())
+
+
+def _read_calibration(folder: Path, top: Path, image: Path) -> Camera | None:
+    """Camera of the nearest calibration in a sequence's folder or above; None if there is none.
+
+    Raises:
+        InputError: If it cannot be read, or is for another image size.
+    """
+    path = nearest_file(folder, top, *(pattern for pattern, _ in _CALIBRATIONS.values()))
+    if path is None:
+        return None
+    kind = "pinhole" if path.match(_CALIBRATIONS["pinhole"][0]) else "scaramuzza"
+    names = _CALIBRATIONS[kind][1]
+    width, height, *values = read_text_numbers(path) or (0.0, 0.0)
+    if len(values) == 10 and values[3] == 0.0:
+        del values[3]  # a1
+    if len(values) != 9:
+        raise InputError(f"{path} holds {2 + len(values)} numbers. Allowed: width height {names}.")
+    rows, columns = image_size(image)
+    if (height, width) != (rows, columns):
+        raise InputError(
+            f"{path} is for images of {width:g}x{height:g} pixels, but {image} has "
+            f"{columns}x{rows}. Give a calibration of that size, or remove it."
+        )
+    return Camera("camera", lens_from_values(kind, names, values), int(width), int(height))
+
+
+def _fitted_camera(image: Path, *, is_undistorted: bool) -> Camera:
+    """Pinhole camera that EndoGSLAM fitted to C3VD's colonoscope, for images of any size.
+
+    Args:
+        image: One of the images.
+        is_undistorted: Whether the images are undistorted.
+    """
+    height, width = image_size(image)
+    across, down = width / _FIT_SIZE[0], height / _FIT_SIZE[1]
+    fx, fy, cx, cy, *distortion = _FIT
+    center = ((cx + 0.5) * across - 0.5, (cy + 0.5) * down - 0.5)
+    values = (fx * across, fy * down, *center, *([0.0, 0.0] if is_undistorted else distortion))
+    lens = lens_from_values("pinhole", "fx fy cx cy k1 k2", values)
+    return Camera("camera", lens, width, height)
+
+
+def _write_endogslam(folder: Path, lens: LensPinhole, camera: Camera, step: float) -> None:
+    """Write the camera in EndoGSLAM's data set configuration; `step` [m] is the depth step."""
+    scale = MM / step
+    text = f"""dataset_name: c3vd
+camera_params:
+  image_height: {camera.height}
+  image_width: {camera.width}
+  fx: {lens.fx!r}
+  fy: {lens.fy!r}
+  cx: {lens.cx!r}
+  cy: {lens.cy!r}
+  png_depth_scale: {scale!r}
+"""
+    write_bytes(folder / _ENDOGSLAM, text.encode())
+
+
+def _read_endogslam(folder: Path, top: Path) -> Camera | None:
+    """Camera of the nearest `c3vd.yaml`; None if there is none.
+
+    Raises:
+        InputError: If it cannot be read.
+    """
+    path = nearest_file(folder, top, _ENDOGSLAM)
+    if path is None:
+        return None
+    plain = read_yaml(path).get("camera_params")
+    keys = ("fx", "fy", "cx", "cy", "image_width", "image_height")
+    given = {"camera_params": [plain.get(key) for key in keys] if isinstance(plain, dict) else None}
+    fx, fy, cx, cy, width, height = numbers_of(given, "camera_params", len(keys), path)
+    return Camera("camera", LensPinhole(fx=fx, fy=fy, cx=cx, cy=cy), int(width), int(height))
+
+
+def _write_ppsnet(folder: Path, lens: LensPinhole) -> None:
+    """Write `camera.txt`, one line of six words."""
+    numbers = " ".join(map(repr, lens_values(lens, "fx fy cx cy")))
+    write_bytes(folder / _PPSNET, f"pinhole {numbers} 0\n".encode())
+
+
+def _read_ppsnet(folder: Path, image: Path) -> Camera:
+    """Camera of `camera.txt`.
+
+    Raises:
+        InputError: If it cannot be read.
+    """
+    path = folder / _PPSNET
+    try:
+        _, *words, _ = path.read_text("utf-8-sig").splitlines()[0].split()
+        lens = lens_from_values("pinhole", "fx fy cx cy", [float(word) for word in words])
+    except (OSError, ValueError, IndexError) as error:
+        raise InputError(f"Cannot read {path}: {error}. It holds six words.") from error
+    return camera_of(lens, image)

@@ -24,23 +24,28 @@ import numpy as np
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.config.limits import check_fields
-from vrcaps.core.errors import InputError
-from vrcaps.core.files import write_bytes
+from vrcaps.core.errors import InputError, import_extra, reading
+from vrcaps.core.files import atomic_write, write_bytes
 from vrcaps.core.names import listed
 from vrcaps.core.units import DM
-from vrcaps.formats.endoscopy.exr_files import read_exr, write_exr
 from vrcaps.formats.endoscopy.unity import frames_with_poses, recorder_text
 from vrcaps.formats.format import Needs
-from vrcaps.formats.shared.folders import each_folder, found_folders
-from vrcaps.formats.shared.frame_files import by_number, image_loader, matched
-from vrcaps.formats.shared.intrinsics import plain_pinhole
+from vrcaps.formats.shared.folders import (
+    by_number,
+    find_folders,
+    image_loader,
+    matched,
+    sequence_folders,
+)
 from vrcaps.formats.shared.stored_images import read_rgb
-from vrcaps.recording.frame_files import write_images
+from vrcaps.formats.shared.text_files import plain_pinhole
+from vrcaps.recording.frame_files import require_pixels, write_images
 from vrcaps.recording.frame_sequence import FrameSequence
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from jaxtyping import Float
     from numpy.typing import NDArray
 
     from vrcaps.formats.format import Advance
@@ -75,29 +80,29 @@ class EndoMapper:
             InputError: If a lens has distortion.
             MissingExtraError: If OpenEXR is not installed.
         """
-        for sequence, place in each_folder(sequences, folder):
+        for sequence, root in sequence_folders(sequences, folder):
             lens = plain_pinhole(self, sequence)
             lists = {"rgb": "image_{:04d}.png", "depth": "aov_image_{:04d}.exr"}
             for name, template in lists.items():
-                (place / name).mkdir()
+                (root / name).mkdir()
                 paths = (f"{name}/{template.format(k)}" for k in range(len(sequence)))
                 rows = zip(sequence.times, paths, strict=True)
                 text = "".join(f"{time:.9f} {path}\n" for time, path in rows)
-                write_bytes(place / f"{name}.txt", text.encode())
+                write_bytes(root / f"{name}.txt", text.encode())
             for index in range(len(sequence)):
-                image = place / "rgb" / lists["rgb"].format(index)
+                image = root / "rgb" / lists["rgb"].format(index)
                 write_images([(image, sequence.image("rgb", index))])
                 depth = _stored_depth(self.depth, sequence.image("depth", index))
-                write_exr(place / "depth" / lists["depth"].format(index), depth)
+                write_exr(root / "depth" / lists["depth"].format(index), depth)
                 advance()
-            write_bytes(place / _TRAJECTORY, recorder_text(sequence, DM, ";").encode())
-            write_bytes(place / "info.txt", f"name: {sequence.name}\n".encode())
+            write_bytes(root / _TRAJECTORY, recorder_text(sequence, DM, ";").encode())
+            write_bytes(root / "info.txt", f"name: {sequence.name}\n".encode())
             assert sequence.camera is not None
             values = (lens.fx, lens.fy, lens.cx, lens.cy)
             sizes = (sequence.camera.width, sequence.camera.height)
             rows = zip(_KEYS, (*values, *sizes), strict=True)
             text = "".join(f"{key}: {value:.12g}\n" for key, value in rows)
-            write_bytes(place / _CALIBRATION, text.encode())
+            write_bytes(root / _CALIBRATION, text.encode())
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
         """Return the sequences of a folder. Frames whose row of poses is damaged are left out.
@@ -105,19 +110,19 @@ class EndoMapper:
         Raises:
             InputError: If it is not in this layout.
         """
-        places = found_folders(folder, _TRAJECTORY)
-        return tuple(self._read_one(place, split) for place, split in places)
+        roots = find_folders(folder, _TRAJECTORY)
+        return tuple(self._read_one(root, split) for root, split in roots)
 
-    def _read_one(self, place: Path, split: str | None) -> FrameSequence:
-        frames = by_number(listed(place, "rgb/*.png"))
-        frames, values = frames_with_poses(place / _TRAJECTORY, DM, frames)
-        paths = matched({"rgb": frames, "depth": by_number(listed(place, "depth/*.exr"))})
+    def _read_one(self, root: Path, split: str | None) -> FrameSequence:
+        frames = by_number(listed(root, "rgb/*.png"))
+        frames, values = frames_with_poses(root / _TRAJECTORY, DM, frames)
+        paths = matched({"rgb": frames, "depth": by_number(listed(root, "depth/*.exr"))})
         return FrameSequence(
-            place.name,
+            root.name,
             tuple(paths),
             values,
             image_loader(paths, {"rgb": read_rgb, "depth": partial(_read_depth, self.depth)}),
-            _read_camera(place / _CALIBRATION),
+            _read_camera(root / _CALIBRATION),
             split=split,
         )
 
@@ -138,15 +143,49 @@ def _read_depth(kind: Depth, path: Path) -> NDArray:
 
 
 def _read_camera(path: Path) -> Camera:
-    found = {}
+    numbers = {}
     try:
         for line in path.read_text("utf-8-sig").splitlines():
             key, _, value = line.partition(":")
             if key.strip() in _KEYS:
-                found[key.strip()] = float(value)
-        fx, fy, cx, cy, cols, rows = (found[key] for key in _KEYS)
+                numbers[key.strip()] = float(value)
+        fx, fy, cx, cy, cols, rows = (numbers[key] for key in _KEYS)
     except (OSError, ValueError, KeyError) as error:
         raise InputError(
             f"Cannot read {path}: {error}. It holds a line `key: number` for {', '.join(_KEYS)}."
         ) from error
     return Camera("camera", LensPinhole(fx=fx, fy=fy, cx=cx, cy=cy), int(cols), int(rows))
+
+
+def write_exr(path: Path, plane: Float[np.ndarray, "h w"]) -> None:
+    """Write a plane as float32 in red, green and blue, compressed without loss (ZIP).
+
+    Raises:
+        MissingExtraError: If OpenEXR is not installed.
+    """
+    exr = import_extra("OpenEXR", "formats")
+    header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
+    planes = np.repeat(plane.astype(np.float32)[..., None], 3, axis=-1)
+    with atomic_write(path) as temporary, exr.File(header, {"RGB": planes}) as file:
+        file.write(str(temporary))
+
+
+def read_exr(path: Path) -> Float[np.ndarray, "h w"]:
+    """Read the red channel of an image.
+
+    Raises:
+        InputError: If the file cannot be read, has no red channel, or exceeds `MAX_PIXELS`.
+        MissingExtraError: If OpenEXR is not installed.
+    """
+    exr = import_extra("OpenEXR", "formats")
+    with reading(path):
+        with exr.File(str(path), header_only=True) as file:
+            low, high = (np.asarray(corner, int) for corner in file.header()["dataWindow"])
+        width, height = (high - low + 1).tolist()
+        require_pixels(width, height)
+        with exr.File(str(path), separate_channels=True) as file:
+            channels = file.channels()
+            pixels = channels["R"].pixels if "R" in channels else None
+    if not isinstance(pixels, np.ndarray) or pixels.ndim != 2:
+        raise InputError(f"{path} has no complete red channel.")
+    return pixels.astype(np.float32)

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 
+from vrcaps.camera.lens.exchange import camera_matrix
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import write_bytes
@@ -24,19 +25,15 @@ from vrcaps.core.names import listed
 from vrcaps.core.units import DM, MM
 from vrcaps.formats.endoscopy.unity import frames_with_poses, recorder_text
 from vrcaps.formats.format import Needs
-from vrcaps.formats.shared.folders import each_folder, folder_name, found_folders
-from vrcaps.formats.shared.frame_files import (
+from vrcaps.formats.shared.folders import (
     by_number,
+    find_folders,
+    folder_name,
     image_loader,
     images_in,
     matched,
-    read_times,
-)
-from vrcaps.formats.shared.intrinsics import (
-    matrix_of,
     nearest_file,
-    plain_pinhole,
-    read_matrix_camera,
+    sequence_folders,
 )
 from vrcaps.formats.shared.stored_images import (
     IMAGES,
@@ -45,6 +42,7 @@ from vrcaps.formats.shared.stored_images import (
     stored_steps,
     write_rgba,
 )
+from vrcaps.formats.shared.text_files import plain_pinhole, read_matrix_camera, read_times
 from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import TIME, FrameSequence
 from vrcaps.render.encoding import fixed_point
@@ -85,21 +83,21 @@ class EndoSlam:
         Raises:
             InputError: If a lens has distortion.
         """
-        for sequence, place in each_folder(sequences, folder):
-            matrix = matrix_of(plain_pinhole(self, sequence)).ravel()
+        for sequence, root in sequence_folders(sequences, folder):
+            matrix = camera_matrix(plain_pinhole(self, sequence)).ravel()
             for name in (_FRAMES, _DEPTHS, _POSES, _CALIBRATION):
-                (place / name).mkdir()
+                (root / name).mkdir()
             for index in range(len(sequence)):
-                frame = place / _FRAMES / f"image_{index:04d}.png"
+                frame = root / _FRAMES / f"image_{index:04d}.png"
                 write_images([(frame, sequence.image("rgb", index))])
                 depth = self._stored_depth(sequence.image("depth", index))
-                path = place / _DEPTHS / f"aov_image_{index:04d}.png"
+                path = root / _DEPTHS / f"aov_image_{index:04d}.png"
                 write_rgba(path, np.repeat(depth[..., None], 4, axis=-1))
                 advance()
-            poses = place / _POSES / f"{folder_name(sequence)}_position_rotation.csv"
+            poses = root / _POSES / f"{folder_name(sequence)}_position_rotation.csv"
             write_bytes(poses, recorder_text(sequence, DM, ",").encode())
             row = ",".join(f"{value:.12g}" for value in matrix)
-            write_bytes(place / _CALIBRATION / "cam.txt", f"{row}\n".encode())
+            write_bytes(root / _CALIBRATION / "cam.txt", f"{row}\n".encode())
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
         """Return the sequences of a folder; poses and `cam.txt` are optional.
@@ -109,27 +107,27 @@ class EndoSlam:
         Raises:
             InputError: If it is not in this layout.
         """
-        places = found_folders(folder, f"{_FRAMES}/*")
-        return tuple(self._read_one(place, folder, split) for place, split in places)
+        roots = find_folders(folder, f"{_FRAMES}/*")
+        return tuple(self._read_one(root, folder, split) for root, split in roots)
 
     def _stored_depth(self, depth: NDArray) -> NDArray:
         steps = fixed_point("m", self.depth_step_mm * MM).encode(depth)
         return stored_steps(steps, np.uint8)
 
-    def _read_one(self, place: Path, folder: Path, split: str | None) -> FrameSequence:
-        frames = by_number(images_in(place / _FRAMES))
+    def _read_one(self, root: Path, folder: Path, split: str | None) -> FrameSequence:
+        frames = by_number(images_in(root / _FRAMES))
         if not frames:
-            raise InputError(f"{place / _FRAMES} holds no image. Allowed: {', '.join(IMAGES)}.")
-        recorders = sorted([*listed(place, _RECORDER), *listed(place, f"{_POSES}/*.csv")])
+            raise InputError(f"{root / _FRAMES} holds no image. Allowed: {', '.join(IMAGES)}.")
+        recorders = sorted([*listed(root, _RECORDER), *listed(root, f"{_POSES}/*.csv")])
         if recorders:
             frames, values = frames_with_poses(recorders[0], DM, frames)
         else:
-            values = {TIME: read_times(place, frames, self.fps)}
-        depths = by_number(listed(place, f"{_DEPTHS}/*.png"))
+            values = {TIME: read_times(root, frames, self.fps)}
+        depths = by_number(listed(root, f"{_DEPTHS}/*.png"))
         paths = matched({"rgb": frames, "depth": depths})
-        intrinsics = nearest_file(place, folder, f"{_CALIBRATION}/cam.txt", "cam.txt")
+        intrinsics = nearest_file(root, folder, f"{_CALIBRATION}/cam.txt", "cam.txt")
         return FrameSequence(
-            place.name,
+            root.name,
             tuple(paths),
             values,
             image_loader(

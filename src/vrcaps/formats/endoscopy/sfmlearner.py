@@ -26,17 +26,24 @@ from vrcaps.core.names import listed
 from vrcaps.core.transforms import transform_from
 from vrcaps.core.units import LENGTH_UNITS
 from vrcaps.formats.format import Needs
-from vrcaps.formats.shared.folders import folder_name, found_folders, new_folder, read_rows
-from vrcaps.formats.shared.frame_files import (
+from vrcaps.formats.shared.folders import (
     by_number,
+    find_folders,
+    folder_name,
     image_loader,
     matched,
+    new_folder,
+)
+from vrcaps.formats.shared.stored_images import read_numbers, read_rgb, write_jpeg
+from vrcaps.formats.shared.text_files import (
+    matrix_text,
+    plain_pinhole,
+    read_matrix_camera,
+    read_rows,
     read_times,
     rows_of,
     write_times,
 )
-from vrcaps.formats.shared.intrinsics import matrix_text, plain_pinhole, read_matrix_camera
-from vrcaps.formats.shared.stored_images import read_numbers, read_rgb, write_jpeg
 from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import CAMERA_POSE, SPLITS, TIME, FrameSequence
 from vrcaps.render.encoding import fixed_point
@@ -83,19 +90,19 @@ class SfmLearner:
         lists: dict[str, str] = {}
         for sequence in sequences:
             text = matrix_text(plain_pinhole(self, sequence))
-            place = new_folder(folder, None, folder_name(sequence))
-            write_bytes(place / "cam.txt", text.encode())
+            root = new_folder(folder, None, folder_name(sequence))
+            write_bytes(root / "cam.txt", text.encode())
             for index in range(len(sequence)):
-                write_jpeg(place / f"{index:07d}.jpg", sequence.image("rgb", index), self.quality)
+                write_jpeg(root / f"{index:07d}.jpg", sequence.image("rgb", index), self.quality)
                 if "depth" in sequence.channels and self.depth != "none":
-                    self._write_depth(place, index, sequence.image("depth", index))
+                    self._write_depth(root, index, sequence.image("depth", index))
                 advance()
-            write_times(place, sequence)
+            write_times(root, sequence)
             rows = sequence.Ts_world_camera[:, :3].reshape(-1, 12)
             poses = "".join(" ".join(f"{value:.12g}" for value in row) + "\n" for row in rows)
-            write_bytes(place / _POSES, poses.encode())
+            write_bytes(root / _POSES, poses.encode())
             part = sequence.split or "train"
-            lists[part] = lists.get(part, "") + f"{place.name}\n"
+            lists[part] = lists.get(part, "") + f"{root.name}\n"
         for part, names in lists.items():
             write_bytes(folder / f"{part}.txt", names.encode())
 
@@ -113,44 +120,43 @@ class SfmLearner:
                     name.strip().rstrip("/"): part
                     for name in path.read_text("utf-8-sig").splitlines()
                 }
-        places = (place for place, _ in found_folders(folder, "cam.txt"))
+        roots = (root for root, _ in find_folders(folder, "cam.txt"))
         return tuple(
-            self._read_one(place, splits.get(place.relative_to(folder).as_posix()))
-            for place in places
+            self._read_one(root, splits.get(root.relative_to(folder).as_posix())) for root in roots
         )
 
     @property
     def _unit(self) -> float:
         return LENGTH_UNITS[self.depth_unit]
 
-    def _write_depth(self, place: Path, index: int, depth: NDArray) -> None:
+    def _write_depth(self, root: Path, index: int, depth: NDArray) -> None:
         if self.depth == "npy":
             stored = np.nan_to_num(depth / self._unit).astype(np.float32)
-            write_images([(place / f"{index:07d}.npy", stored)])
+            write_images([(root / f"{index:07d}.npy", stored)])
             return
-        (place / "depth").mkdir(exist_ok=True)
+        (root / "depth").mkdir(exist_ok=True)
         stored = fixed_point("m", self._unit / _STEPS_A_UNIT).encode(depth)
-        write_images([(place / "depth" / f"{index:07d}.png", stored)])
+        write_images([(root / "depth" / f"{index:07d}.png", stored)])
 
-    def _read_one(self, place: Path, split: str | None) -> FrameSequence:
-        frames = by_number(listed(place, "*.jpg"))
+    def _read_one(self, root: Path, split: str | None) -> FrameSequence:
+        frames = by_number(listed(root, "*.jpg"))
         if not frames:
             raise InputError(
-                f"{place} holds no *.jpg; the loaders of this layout read nothing else."
+                f"{root} holds no *.jpg; the loaders of this layout read nothing else."
             )
-        depths = by_number(listed(place, "*.npy") or listed(place, "depth/*.png"))
+        depths = by_number(listed(root, "*.npy") or listed(root, "depth/*.png"))
         paths = matched({"rgb": frames, "depth": {} if self.depth == "none" else depths})
-        values = {TIME: read_times(place, frames, self.fps)}
-        poses = place / _POSES
+        values = {TIME: read_times(root, frames, self.fps)}
+        poses = root / _POSES
         if poses.exists():
             rows = rows_of(read_rows(poses, 12), frames, poses).reshape(-1, 3, 4)
             values[CAMERA_POSE] = transform_from(rows[..., :3], rows[..., 3])
         return FrameSequence(
-            place.name,
+            root.name,
             tuple(paths),
             values,
             image_loader(paths, {"rgb": read_rgb, "depth": partial(_read_depth, self._unit)}),
-            read_matrix_camera(place / "cam.txt", paths["rgb"][0]),
+            read_matrix_camera(root / "cam.txt", paths["rgb"][0]),
             split=split,
         )
 

@@ -24,22 +24,25 @@ from vrcaps.core.names import listed
 from vrcaps.core.units import CM
 from vrcaps.formats.endoscopy.unity import poses_from_unity, unity_from_poses
 from vrcaps.formats.format import Needs
-from vrcaps.formats.shared.folders import found_folders, read_rows, with_names, write_names
-from vrcaps.formats.shared.frame_files import (
+from vrcaps.formats.shared.folders import (
     by_number,
+    find_folders,
     image_loader,
     matched,
+    nearest_file,
+    with_names,
+    write_names,
+)
+from vrcaps.formats.shared.stored_images import read_plane, read_rgb
+from vrcaps.formats.shared.text_files import (
+    matrix_text,
+    plain_pinhole,
+    read_matrix_camera,
+    read_rows,
     read_times,
     rows_of,
     write_times,
 )
-from vrcaps.formats.shared.intrinsics import (
-    matrix_text,
-    nearest_file,
-    plain_pinhole,
-    read_matrix_camera,
-)
-from vrcaps.formats.shared.stored_images import read_plane, read_rgb
 from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.render.encoding import fixed_point
@@ -102,9 +105,9 @@ class SimCol3D:
         Raises:
             InputError: If it is not in this layout.
         """
-        places = [place for place, _ in found_folders(folder, "FrameBuffer_*.png")]
+        roots = [root for root, _ in find_folders(folder, "FrameBuffer_*.png")]
         return with_names(
-            folder, ((f"{p.parent.name}/{p.name}", self._read_one(p, folder)) for p in places)
+            folder, ((f"{p.parent.name}/{p.name}", self._read_one(p, folder)) for p in roots)
         )
 
     def _colons(self, sequences: Sequence[FrameSequence]) -> dict[str, list[FrameSequence]]:
@@ -115,21 +118,21 @@ class SimCol3D:
             groups.setdefault(key, []).append(sequence)
         return {_numeral(k): group for k, group in enumerate(groups.values())}
 
-    def _read_one(self, place: Path, folder: Path) -> FrameSequence:
-        frames = by_number(listed(place, "FrameBuffer_*.png"))
-        paths = matched({"rgb": frames, "depth": by_number(listed(place, "Depth_*.png"))})
-        values = {TIME: read_times(place, frames, self.fps)}
-        name = place.name.removeprefix("Frames_").removesuffix("_OP")
-        positions = nearest_file(place, folder, f"SavedPosition_{name}.txt")
+    def _read_one(self, root: Path, folder: Path) -> FrameSequence:
+        frames = by_number(listed(root, "FrameBuffer_*.png"))
+        paths = matched({"rgb": frames, "depth": by_number(listed(root, "Depth_*.png"))})
+        values = {TIME: read_times(root, frames, self.fps)}
+        name = root.name.removeprefix("Frames_").removesuffix("_OP")
+        positions = nearest_file(root, folder, f"SavedPosition_{name}.txt")
         if positions is not None:
             turns = positions.with_name(f"SavedRotationQuaternion_{name}.txt")
             xyz, xyzw = read_rows(positions, 3), read_rows(turns, 4)
             values[CAMERA_POSE] = poses_from_unity(
                 CM * rows_of(xyz, frames, positions), rows_of(xyzw, frames, turns)
             )
-        intrinsics = nearest_file(place, folder, "cam.txt")
+        intrinsics = nearest_file(root, folder, "cam.txt")
         return FrameSequence(
-            place.name,
+            root.name,
             tuple(paths),
             values,
             image_loader(paths, {"rgb": read_rgb, "depth": _read_depth}),
@@ -143,18 +146,18 @@ def _numeral(index: int) -> str:
 
 
 def _write_one(colon: Path, name: str, sequence: FrameSequence, advance: Advance) -> None:
-    place = colon / f"Frames_{name}"
-    place.mkdir()
+    root = colon / f"Frames_{name}"
+    root.mkdir()
     for index in range(len(sequence)):
         color, depth = sequence.image("rgb", index), sequence.image("depth", index)
         write_images(
             [
-                (place / f"FrameBuffer_{index:04d}.png", color),
-                (place / f"Depth_{index:04d}.png", _DEPTH.encode(depth)),
+                (root / f"FrameBuffer_{index:04d}.png", color),
+                (root / f"Depth_{index:04d}.png", _DEPTH.encode(depth)),
             ]
         )
         advance()
-    write_times(place, sequence)
+    write_times(root, sequence)
     positions, xyzw = unity_from_poses(sequence.Ts_world_camera)
     write_bytes(colon / f"SavedPosition_{name}.txt", _rows(positions / CM))
     write_bytes(colon / f"SavedRotationQuaternion_{name}.txt", _rows(xyzw))

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.camera.lens import LensEquidistant, LensKannalaBrandt, LensPinhole
+from vrcaps.camera.lens.exchange import OpenCvLens
 from vrcaps.core.transforms import quaternion_from_matrix
-from vrcaps.formats.shared.opencv_lens import require_no_skew
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -57,8 +56,8 @@ def transform(ns: int, parent: str, child: str, T_parent_child: NDArray) -> Mess
 
 def pose_of(message: Mapping[str, Any]) -> NDArray:
     """``wxyz`` and position [m] of a transform, as a row of 7 numbers."""
-    turn, place = message["rotation"], message["translation"]
-    return np.array([*(turn[k] for k in "wxyz"), *(place[k] for k in "xyz")], float)
+    rotation, translation = message["rotation"], message["translation"]
+    return np.array([*(rotation[k] for k in "wxyz"), *(translation[k] for k in "xyz")], float)
 
 
 def vector(xyz: NDArray) -> Message:
@@ -120,30 +119,19 @@ def camera_calibration(ns: int, frame: str, camera: Camera, name: str) -> Messag
     Raises:
         InputError: If it is a pinhole with skew, which no model supports.
     """
-    model, fx, fy, distortion = _model(camera.lens, name)
-    cx, cy = camera.lens.cx, camera.lens.cy
+    lens = OpenCvLens.of(camera.lens, name)
+    (fx, fy), (cx, cy) = lens.focal, lens.center
     return {
         "timestamp": timestamp(ns),
         "frame_id": frame,
         "width": camera.width,
         "height": camera.height,
-        "distortion_model": model,
-        "D": distortion,
+        "distortion_model": "kannala_brandt" if lens.is_fisheye else "plumb_bob",
+        "D": list(lens.distortion),
         "K": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
         "R": np.eye(3).ravel().tolist(),
         "P": [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
     }
-
-
-def _model(lens: Any, name: str) -> tuple[str, float, float, list[float]]:
-    """Name of the distortion model, focal lengths [px], coefficients."""
-    if isinstance(lens, LensEquidistant):
-        return "kannala_brandt", lens.focal, lens.focal, [0.0] * 4
-    if isinstance(lens, LensKannalaBrandt):
-        return "kannala_brandt", lens.fx, lens.fy, [lens.k1, lens.k2, lens.k3, lens.k4]
-    assert isinstance(lens, LensPinhole)
-    require_no_skew(lens, name)
-    return "plumb_bob", lens.fx, lens.fy, [lens.k1, lens.k2, lens.p1, lens.p2, lens.k3]
 
 
 def entity(ns: int, name: str, frame: str, **primitives: list[Message]) -> Message:

@@ -23,21 +23,28 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.files import write_bytes, write_json
 from vrcaps.core.names import inside, listed
 from vrcaps.formats.format import Needs
-from vrcaps.formats.robotics.lerobot_rows import (
+from vrcaps.formats.robotics.lerobot_read import read_dataset
+from vrcaps.formats.robotics.lerobot_tables import (
     ACTION,
+    DEPTH,
+    EPISODES,
+    IMAGES,
+    INFO,
+    NAMES,
     STATE,
     Rows,
+    Statistics,
     action_rows,
     color_histogram,
-    color_statistics,
     features_of,
     state_rows,
-    statistics,
     task_of,
+    write_episodes,
+    write_frames,
+    write_tasks,
 )
-from vrcaps.formats.robotics.lerobot_tables import write_episodes, write_frames, write_tasks
 from vrcaps.formats.shared.folders import recordings
-from vrcaps.recording.frame_sequence import SPLITS
+from vrcaps.recording.frame_sequence import SPLITS, FrameSequence
 from vrcaps.recording.layout import camera_to_plain
 from vrcaps.recording.pictures import Preview
 
@@ -45,16 +52,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vrcaps.formats.format import Advance
-    from vrcaps.recording.frame_sequence import FrameSequence
 
-INFO, NAMES, EPISODES = "meta/info.json", "meta/vrcaps.json", "meta/episodes"
-FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
-IMAGES, DEPTH = "observation.images.", "observation.depth."
+_FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 _CHUNK = 1000
 _KEY_INTERVAL = 8
 """Key-frame interval of a video: frames are read in random order."""
 
-_Cameras = tuple["FrameSequence", ...]
+_Cameras = tuple[FrameSequence, ...]
 
 
 @dataclass(frozen=True)
@@ -90,8 +94,8 @@ class LeRobot:
             stem = _episode(group[0][1]).head["capsule"]["name"]
             number = sum(name.startswith(stem) for name in names)
             names.append(f"{stem}-{number + 1}" if number else stem)
-            place = inside(folder, names[-1]) if len(groups) > 1 else folder
-            self._write_group(place, group, advance)
+            root = inside(folder, names[-1]) if len(groups) > 1 else folder
+            self._write_group(root, group, advance)
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
         """Return the sequences of all data sets in a folder, also external ones; one per camera.
@@ -99,12 +103,10 @@ class LeRobot:
         Raises:
             InputError: If there is none, or a file is damaged.
         """
-        from vrcaps.formats.robotics.lerobot_read import read_dataset
-
-        places = [path.parent.parent for path in listed(folder, f"**/{INFO}")]
-        if not places:
+        roots = [path.parent.parent for path in listed(folder, f"**/{INFO}")]
+        if not roots:
             raise InputError(f"{folder} holds no {INFO}, so no LeRobot data set.")
-        return tuple(sequence for place in places for sequence in read_dataset(place))
+        return tuple(sequence for root in roots for sequence in read_dataset(root))
 
     def _kind_of(self, cameras: _Cameras) -> Any:
         """Key of a data set: the same for all of its recordings."""
@@ -113,7 +115,7 @@ class LeRobot:
     def _features(self, cameras: _Cameras) -> dict[str, Any]:
         """Features of a kind of recording, as in `info.json`."""
         fps = _episode(cameras).head["fps"]
-        found: dict[str, Any] = {}
+        features: dict[str, Any] = {}
         for sequence in cameras:
             camera = sequence.camera
             assert camera is not None
@@ -124,38 +126,38 @@ class LeRobot:
                 # Video sizes are even.
                 even = [side + side % 2 for side in size]
                 image = {"dtype": "video", "shape": [*even, 3], "info": _film_info(even, fps)}
-            found[f"{IMAGES}{camera.name}"] = {**image, "names": ["height", "width", "channels"]}
+            features[f"{IMAGES}{camera.name}"] = {**image, "names": ["height", "width", "channels"]}
             if self.depth and "depth" in sequence.channels:
                 depth = {"dtype": "float32", "shape": size, "names": ["height", "width"]}
-                found[f"{DEPTH}{camera.name}"] = depth
-        return found | features_of(_rows(cameras))
+                features[f"{DEPTH}{camera.name}"] = depth
+        return features | features_of(_rows(cameras))
 
     def _write_group(
-        self, place: Path, group: Sequence[tuple[str | None, _Cameras]], advance: Advance
+        self, root: Path, group: Sequence[tuple[str | None, _Cameras]], advance: Advance
     ) -> None:
         """Write a data set of recordings of one kind, in the order of their splits."""
         order = [*SPLITS, None]
         group = sorted(group, key=lambda item: order.index(item[0]))
         features = self._features(group[0][1])
         tasks = list(dict.fromkeys(task_of(_episode(cameras)) for _, cameras in group))
-        found, rows, frames = _Statistics(), [], 0
+        collected, rows, frames = Statistics(), [], 0
         for number, (_, cameras) in enumerate(group):
             task = tasks.index(task_of(_episode(cameras)))
             episode = _Numbers(number, frames, task)
-            histograms = self._write_images_and_rows(place, features, cameras, episode, advance)
-            own = found.add(_rows(cameras), histograms, len(cameras[0]))
+            histograms = self._write_images_and_rows(root, features, cameras, episode, advance)
+            own = collected.add(_rows(cameras), histograms, len(cameras[0]))
             rows.append(_episode_row(episode, cameras, tasks[task], features, own))
             frames += len(cameras[0])
-        write_episodes(place / EPISODES / f"{_file(0)}.parquet", rows)
-        write_tasks(place / "meta/tasks.parquet", tasks)
-        write_json(place / "meta/stats.json", found.all())
+        write_episodes(root / EPISODES / f"{_file(0)}.parquet", rows)
+        write_tasks(root / "meta/tasks.parquet", tasks)
+        write_json(root / "meta/stats.json", collected.all())
         fps = _episode(group[0][1]).head["fps"]
-        write_json(place / INFO, _info(features, group, frames, len(tasks), fps))
-        write_json(place / NAMES, [_names(cameras) for _, cameras in group])
+        write_json(root / INFO, _info(features, group, frames, len(tasks), fps))
+        write_json(root / NAMES, [_names(cameras) for _, cameras in group])
 
     def _write_images_and_rows(
         self,
-        place: Path,
+        root: Path,
         features: Mapping[str, Any],
         cameras: _Cameras,
         episode: _Numbers,
@@ -184,15 +186,14 @@ class LeRobot:
                     depth.append(sequence.image("depth", k))
                 advance()
             histograms[key] = images.histogram
-            if depth:
-                columns[key.replace(IMAGES, DEPTH)] = np.stack(depth)
+            columns |= {key.replace(IMAGES, DEPTH): np.stack(depth)} if depth else {}
             if self.images:
                 columns[key] = images.files
-                continue
-            path = place / "videos" / key / f"{_file(episode.number)}.mp4"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_bytes(path, images.film())
-        write_frames(place / "data" / f"{_file(episode.number)}.parquet", features, columns)
+            else:
+                path = root / "videos" / key / f"{_file(episode.number)}.mp4"
+                path.parent.mkdir(parents=True, exist_ok=True)
+                write_bytes(path, images.film())
+        write_frames(root / "data" / f"{_file(episode.number)}.parquet", features, columns)
         return histograms
 
 
@@ -231,34 +232,6 @@ class _Images:
         return self._film.finish()
 
 
-class _Statistics:
-    """Statistics of a data set, collected episode by episode."""
-
-    def __init__(self) -> None:
-        self._values: dict[str, list[NDArray]] = {}
-        self._histograms: dict[str, NDArray] = {}
-        self._frames = 0
-
-    def add(
-        self, rows: Mapping[str, Rows], histograms: Mapping[str, NDArray], frames: int
-    ) -> dict[str, dict[str, list]]:
-        """Add an episode; return its own statistics."""
-        self._frames += frames
-        for name, own in rows.items():
-            self._values.setdefault(name, []).append(own.values)
-        for name, own in histograms.items():
-            self._histograms[name] = self._histograms.get(name, 0) + own
-        colors = {name: color_statistics(own, frames) for name, own in histograms.items()}
-        return {name: statistics(own.values) for name, own in rows.items()} | colors
-
-    def all(self) -> dict[str, dict[str, list]]:
-        """Return the statistics of all episodes."""
-        found = {name: statistics(np.concatenate(own)) for name, own in self._values.items()}
-        for name, histogram in self._histograms.items():
-            found[name] = color_statistics(histogram, self._frames)
-        return found
-
-
 def _rows(cameras: _Cameras) -> dict[str, Rows]:
     episode = _episode(cameras)
     states = state_rows(episode)
@@ -278,7 +251,7 @@ def _episode(cameras: _Cameras) -> Any:
 
 def _file(number: int) -> str:
     """Path of the file of an episode."""
-    return FILE.format(chunk_index=number // _CHUNK, file_index=number % _CHUNK)
+    return _FILE.format(chunk_index=number // _CHUNK, file_index=number % _CHUNK)
 
 
 def _film_info(size: Sequence[int], fps: float) -> dict[str, Any]:
@@ -307,7 +280,7 @@ def _episode_row(
     own: Mapping[str, Mapping[str, list]],
 ) -> dict[str, Any]:
     """Row of an episode in the table of episodes."""
-    place = {"chunk_index": episode.number // _CHUNK, "file_index": episode.number % _CHUNK}
+    location = {"chunk_index": episode.number // _CHUNK, "file_index": episode.number % _CHUNK}
     frames = len(cameras[0])
     seconds = frames / _episode(cameras).head["fps"]
     row: dict[str, Any] = {
@@ -316,11 +289,11 @@ def _episode_row(
         "length": frames,
         "dataset_from_index": episode.first,
         "dataset_to_index": episode.first + frames,
-        **{f"data/{name}": index for name, index in place.items()},
+        **{f"data/{name}": index for name, index in location.items()},
         **{"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0},
     }
     for key in (name for name, feature in features.items() if feature["dtype"] == "video"):
-        row |= {f"videos/{key}/{name}": index for name, index in place.items()}
+        row |= {f"videos/{key}/{name}": index for name, index in location.items()}
         row |= {f"videos/{key}/from_timestamp": 0.0, f"videos/{key}/to_timestamp": seconds}
     for name, stats in own.items():
         row |= {f"stats/{name}/{key}": value for key, value in stats.items()}
@@ -351,8 +324,8 @@ def _info(
         "video_files_size_in_mb": 200,
         "fps": _whole(fps),
         "splits": splits,
-        "data_path": f"data/{FILE}.parquet",
-        "video_path": f"videos/{{video_key}}/{FILE}.mp4" if is_film else None,
+        "data_path": f"data/{_FILE}.parquet",
+        "video_path": f"videos/{{video_key}}/{_FILE}.mp4" if is_film else None,
         "features": features,
     }
 

@@ -14,9 +14,15 @@ from vrcaps.config.plain_files import read_plain
 from vrcaps.core.errors import InputError, reading
 from vrcaps.core.names import inside, listed
 from vrcaps.core.transforms import matrix_from_unit_quaternion, transform_from
-from vrcaps.formats.robotics.lerobot import DEPTH, EPISODES, IMAGES, INFO, NAMES
-from vrcaps.formats.robotics.lerobot_rows import STATE
-from vrcaps.formats.robotics.lerobot_tables import read_rows
+from vrcaps.formats.robotics.lerobot_tables import (
+    DEPTH,
+    EPISODES,
+    IMAGES,
+    INFO,
+    NAMES,
+    STATE,
+    read_table_rows,
+)
 from vrcaps.formats.shared.stored_images import decoded_rgb
 from vrcaps.recording.frame_files import require_pixels
 from vrcaps.recording.frame_sequence import CAMERA_POSE, SPLITS, TIME, FrameSequence
@@ -41,7 +47,7 @@ def read_dataset(folder: Path) -> Iterator[FrameSequence]:
     info = read_plain(folder / INFO, "LeRobot")
     names = read_plain(folder / NAMES, "LeRobot") if (folder / NAMES).exists() else None
     paths = listed(folder, f"{EPISODES}/**/*.parquet")
-    rows = [row for path in paths for row in read_rows(path)]
+    rows = [row for path in paths for row in read_table_rows(path)]
     if not rows or "features" not in info:
         raise InputError(f"{folder} has no episodes in {EPISODES} or no features in {INFO}.")
     for row in rows:
@@ -57,12 +63,12 @@ def _sequences_of(
     folder: Path, info: Mapping[str, Any], row: Mapping[str, Any], own: Mapping[str, Any] | None
 ) -> Iterator[FrameSequence]:
     features = info["features"]
-    place = {name: row[f"data/{name}"] for name in ("chunk_index", "file_index")}
-    table = _file(folder, info["data_path"], place)
+    location = {name: row[f"data/{name}"] for name in ("chunk_index", "file_index")}
+    table = _file(folder, info["data_path"], location)
     columns = ["episode_index", "timestamp", *([STATE] if STATE in features else [])]
     frames = [
         {**frame, "row": k}
-        for k, frame in enumerate(read_rows(table, columns))
+        for k, frame in enumerate(read_table_rows(table, columns))
         if frame["episode_index"] == row["episode_index"]
     ]
     values = {TIME: np.array([frame["timestamp"] for frame in frames], float)}
@@ -95,8 +101,8 @@ def _capsule_poses(features: Mapping[str, Any], frames: list[dict[str, Any]]) ->
     names: list[str] = list(features.get(STATE, {}).get("names") or [])
     if not set(_CAPSULE) <= set(names):
         return np.zeros((0, 4, 4))
-    places = [names.index(name) for name in _CAPSULE]
-    rows = np.array([[frame[STATE][k] for k in places] for frame in frames], float)
+    columns = [names.index(name) for name in _CAPSULE]
+    rows = np.array([[frame[STATE][k] for k in columns] for frame in frames], float)
     rotations = matrix_from_unit_quaternion(rows[:, 3:], STATE)
     return transform_from(rotations, rows[:, :3])
 
@@ -117,20 +123,20 @@ def _load(
     row: Mapping[str, Any],
     key: str,
     table: Path,
-    places: tuple[int, ...],
+    indices: tuple[int, ...],
     channel: str,
     index: int,
 ) -> NDArray:
     if channel == "depth":
-        depth = _column(table, key.replace(IMAGES, DEPTH))[places[index]].values.flatten()
+        depth = _column(table, key.replace(IMAGES, DEPTH))[indices[index]].values.flatten()
         return depth.to_numpy().reshape(info["features"][key.replace(IMAGES, DEPTH)]["shape"])
     if info["features"][key]["dtype"] == "image":
         try:
-            return decoded_rgb(_column(table, key)[places[index]]["bytes"].as_py())
+            return decoded_rgb(_column(table, key)[indices[index]]["bytes"].as_py())
         except InputError as error:
             raise InputError(f"Cannot read image {index} of {key} in {table}: {error}.") from error
-    place = {name: row[f"videos/{key}/{name}"] for name in ("chunk_index", "file_index")}
-    path = _file(folder, info["video_path"], {"video_key": key, **place})
+    location = {name: row[f"videos/{key}/{name}"] for name in ("chunk_index", "file_index")}
+    path = _file(folder, info["video_path"], {"video_key": key, **location})
     return _film_frame(path, row[f"videos/{key}/from_timestamp"] + index / info["fps"])
 
 

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 
 from vrcaps import _core
+from vrcaps.camera.lens.exchange import OPENCV_LENSES
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.config.plain_files import decode_json
 from vrcaps.core.errors import InputError, import_extra, reading
@@ -32,7 +33,6 @@ from vrcaps.core.transforms import matrix_from_unit_quaternion, transform_from
 from vrcaps.formats.format import Needs
 from vrcaps.formats.robotics import foxglove_schemas as foxglove
 from vrcaps.formats.shared.folders import recordings, split_of
-from vrcaps.formats.shared.opencv_lens import OPENCV_LENSES
 from vrcaps.formats.shared.stored_images import decoded_rgb, jpeg_bytes
 from vrcaps.motion.dynamics_columns import MAGNET_COLUMNS
 from vrcaps.organ.surface import json_safe
@@ -278,12 +278,12 @@ def _plain(sequence: FrameSequence) -> dict[str, Any]:
 def _reading(path: Path) -> Iterator[Any]:
     mcap = import_extra("mcap.reader", "formats", package="mcap")
     with reading(path), path.open("rb") as file:
-        found = mcap.make_reader(file, validate_crcs=True)
-        summary = found.get_summary()
+        reader = mcap.make_reader(file, validate_crcs=True)
+        summary = reader.get_summary()
         chunks = [] if summary is None else summary.chunk_indexes
         if any(chunk.uncompressed_size > MAX_BYTES for chunk in chunks):
             raise ValueError(f"a chunk states more than {MAX_BYTES} bytes")
-        yield found
+        yield reader
 
 
 def _read_file(path: Path, split: str | None) -> tuple[FrameSequence, ...]:
@@ -326,10 +326,10 @@ def _sequence(
 def _load(path: Path, camera: str, times: Sequence[int], channel: str, index: int) -> NDArray:
     topic, ns = f"/{camera}/{channel}", times[index]
     with _reading(path) as reader:
-        found = next(iter(reader.iter_messages([topic], starting_at=ns, ending_at=ns)), None)
-        if found is None:
+        record = next(iter(reader.iter_messages([topic], starting_at=ns, ending_at=ns)), None)
+        if record is None:
             raise ValueError(f"it has no {topic} at {ns} ns")
-        message = json.loads(found[2].data)
+        message = json.loads(record[2].data)
         if channel == "rgb":
             return decoded_rgb(base64.b64decode(message["data"]))
         values = foxglove.values_of(message)

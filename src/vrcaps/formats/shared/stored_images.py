@@ -225,5 +225,5 @@ def _read_tiff_by_opencv(path: Path) -> NDArray:
         raise MissingExtraError("OpenCV, which reads this compression,", "formats") from error
     stored = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if stored is None:
-        raise ValueError("no whole TIFF")
+        raise ValueError("it is no complete TIFF")
     return stored if stored.ndim == 2 else stored[..., ::-1]

@@ -17,23 +17,30 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from vrcaps.camera.lens import LensPinhole
+from vrcaps.camera.lens.exchange import camera_matrix
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import write_bytes
 from vrcaps.core.names import listed
 from vrcaps.core.transforms import transform_from
 from vrcaps.formats.format import Needs
-from vrcaps.formats.shared.folders import found_folders, read_rows, with_names, write_names
-from vrcaps.formats.shared.frame_files import (
-    TIMES,
+from vrcaps.formats.shared.folders import (
     by_number,
+    find_folders,
     image_loader,
     matched,
+    with_names,
+    write_names,
+)
+from vrcaps.formats.shared.stored_images import read_rgb
+from vrcaps.formats.shared.text_files import (
+    TIMES,
+    camera_of,
+    plain_pinhole,
+    read_rows,
     read_times,
     rows_of,
     write_times,
 )
-from vrcaps.formats.shared.intrinsics import camera_of, matrix_of, plain_pinhole
-from vrcaps.formats.shared.stored_images import read_rgb
 from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 
@@ -65,17 +72,17 @@ class Kitti:
         (folder / "poses").mkdir()
         names = {f"{number:02d}": sequence for number, sequence in enumerate(sequences)}
         for name, sequence in names.items():
-            matrix = np.column_stack([matrix_of(plain_pinhole(self, sequence)), np.zeros(3)])
-            place = folder / "sequences" / name
-            (place / "image_2").mkdir(parents=True)
+            matrix = np.column_stack([camera_matrix(plain_pinhole(self, sequence)), np.zeros(3)])
+            root = folder / "sequences" / name
+            (root / "image_2").mkdir(parents=True)
             for index in range(len(sequence)):
-                path = place / "image_2" / f"{index:06d}.png"
+                path = root / "image_2" / f"{index:06d}.png"
                 write_images([(path, sequence.image("rgb", index))])
                 advance()
             rows = [f"P{number}: {_row(matrix)}\n" for number in range(4)]
             calibration = "".join([*rows, f"Tr: {_row(np.eye(4)[:3])}\n"])
-            write_bytes(place / _CALIBRATION, calibration.encode())
-            write_times(place, sequence)
+            write_bytes(root / _CALIBRATION, calibration.encode())
+            write_times(root, sequence)
             poses = "".join(f"{_row(pose[:3])}\n" for pose in sequence.Ts_world_camera)
             write_bytes(folder / "poses" / f"{name}.txt", poses.encode())
         write_names(folder, names)
@@ -88,27 +95,27 @@ class Kitti:
         Raises:
             InputError: If it is not in this layout.
         """
-        places = [place for place, _ in found_folders(folder, _CALIBRATION)]
-        return with_names(folder, ((place.name, _read_one(place)) for place in places))
+        roots = [root for root, _ in find_folders(folder, _CALIBRATION)]
+        return with_names(folder, ((root.name, _read_one(root)) for root in roots))
 
 
 def _row(matrix: NDArray) -> str:
     return " ".join(f"{value:.12e}" for value in matrix.ravel())
 
 
-def _read_one(place: Path) -> FrameSequence:
-    images = {k: by_number(listed(place, f"image_{k}/*.png")) for k in _CAMERAS}
+def _read_one(root: Path) -> FrameSequence:
+    images = {k: by_number(listed(root, f"image_{k}/*.png")) for k in _CAMERAS}
     number = next((k for k in _CAMERAS if images[k]), None)
     if number is None:
-        raise InputError(f"{place} has neither image_2/*.png nor image_0/*.png.")
-    if not (place / TIMES).exists():
-        raise InputError(f"{place} has no {TIMES}.")
+        raise InputError(f"{root} has neither image_2/*.png nor image_0/*.png.")
+    if not (root / TIMES).exists():
+        raise InputError(f"{root} has no {TIMES}.")
     paths = matched({"rgb": images[number]})
-    matrix = _projections(place / _CALIBRATION).get(f"P{number}")
+    matrix = _projections(root / _CALIBRATION).get(f"P{number}")
     if matrix is None:
-        raise InputError(f"{place / _CALIBRATION} has no row P{number}.")
-    values = {TIME: read_times(place, images[number], 1.0)}
-    poses = place.parent.parent / "poses" / f"{place.name}.txt"
+        raise InputError(f"{root / _CALIBRATION} has no row P{number}.")
+    values = {TIME: read_times(root, images[number], 1.0)}
+    poses = root.parent.parent / "poses" / f"{root.name}.txt"
     if poses.exists():
         rows = rows_of(read_rows(poses, 12), images[number], poses).reshape(-1, 3, 4)
         center = -np.linalg.solve(matrix[:, :3], matrix[:, 3])
@@ -117,16 +124,16 @@ def _read_one(place: Path) -> FrameSequence:
     lens = LensPinhole(fx=matrix[0, 0], fy=matrix[1, 1], cx=matrix[0, 2], cy=matrix[1, 2])
     camera = camera_of(lens, paths["rgb"][0])
     loader = image_loader(paths, {"rgb": read_rgb})
-    return FrameSequence(place.name, ("rgb",), values, loader, camera)
+    return FrameSequence(root.name, ("rgb",), values, loader, camera)
 
 
 def _projections(path: Path) -> dict[str, NDArray]:
     """Matrices [3 4] of a calibration by name."""
-    found = {}
+    matrices = {}
     try:
         for line in filter(None, path.read_text("utf-8-sig").splitlines()):
             name, _, numbers = line.partition(":")
-            found[name] = np.array(numbers.split(), float).reshape(3, 4)
+            matrices[name] = np.array(numbers.split(), float).reshape(3, 4)
     except (OSError, ValueError) as error:
         raise InputError(f"Cannot read {path}: {error}.") from error
-    return found
+    return matrices

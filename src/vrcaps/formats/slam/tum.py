@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import numpy as np
 
 from vrcaps.camera.camera import Camera
-from vrcaps.camera.lens import LensPinhole
+from vrcaps.camera.lens.exchange import lens_from_values, lens_values
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError, require
 from vrcaps.core.files import write_bytes
@@ -27,9 +27,9 @@ from vrcaps.core.transforms import (
     transform_from,
 )
 from vrcaps.formats.format import Needs
-from vrcaps.formats.shared.folders import each_folder, found_folders, read_rows
-from vrcaps.formats.shared.stored_images import image_size, read_plane, read_rgb, stored_steps
-from vrcaps.formats.shared.timed_rows import nearest_rows
+from vrcaps.formats.shared.folders import find_folders, sequence_folders
+from vrcaps.formats.shared.stored_images import read_plane, read_rgb, stored_steps
+from vrcaps.formats.shared.text_files import camera_of, nearest_rows, read_rows
 from vrcaps.motion.replay import tum_rows
 from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from vrcaps.formats.format import Advance
 
 _TRUTH, _CALIBRATION = "groundtruth.txt", "calibration.txt"
+_LENS = "fx fy cx cy k1 k2 p1 p2 k3"
 
 
 @dataclass(frozen=True)
@@ -63,23 +64,23 @@ class Tum:
 
     def write(self, sequences: Sequence[FrameSequence], folder: Path, advance: Advance) -> None:
         """Write a folder for each sequence."""
-        for sequence, place in each_folder(sequences, folder):
+        for sequence, root in sequence_folders(sequences, folder):
             lists = {name: "" for name in ("rgb", "depth") if name in sequence.channels}
             for name in lists:
-                (place / name).mkdir()
+                (root / name).mkdir()
             for index, time in enumerate(sequence.times):
                 images = {name: sequence.image(name, index) for name in lists}
                 if "depth" in images:
                     images["depth"] = self._stored_depth(images["depth"])
                 for name, image in images.items():
                     path = f"{name}/{index:06d}.png"
-                    write_images([(place / path, image)])
+                    write_images([(root / path, image)])
                     lists[name] += f"{time:.9f} {path}\n"
                 advance()
             for name, lines in lists.items():
-                write_bytes(place / f"{name}.txt", lines.encode())
-            write_bytes(place / _TRUTH, trajectory_text(sequence).encode())
-            write_bytes(place / _CALIBRATION, _calibration_text(sequence).encode())
+                write_bytes(root / f"{name}.txt", lines.encode())
+            write_bytes(root / _TRUTH, trajectory_text(sequence).encode())
+            write_bytes(root / _CALIBRATION, _calibration_text(sequence).encode())
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
         """Return the sequences of a folder; color images take the nearest depth and pose.
@@ -89,34 +90,34 @@ class Tum:
         Raises:
             InputError: If it is not in this layout.
         """
-        return tuple(self._read_one(place, split) for place, split in found_folders(folder, _TRUTH))
+        return tuple(self._read_one(root, split) for root, split in find_folders(folder, _TRUTH))
 
     def _stored_depth(self, depth: NDArray) -> NDArray:
         return stored_steps(depth * self.depth_scale)
 
-    def _read_one(self, place: Path, split: str | None) -> FrameSequence:
-        lists = {n: _read_list(place / f"{n}.txt") for n in ("rgb", "depth")}
+    def _read_one(self, root: Path, split: str | None) -> FrameSequence:
+        lists = {n: _read_list(root / f"{n}.txt") for n in ("rgb", "depth")}
         lists = {name: rows for name, rows in lists.items() if rows}
         if "rgb" not in lists:
-            raise InputError(f"{place} has no rgb.txt, so it is no TUM RGB-D sequence.")
+            raise InputError(f"{root} has no rgb.txt, so it is no TUM RGB-D sequence.")
         times = {name: np.array([time for time, _ in rows]) for name, rows in lists.items()}
-        _, rows = tum_rows(place / _TRUTH)
-        nearest = {name: nearest_rows(times["rgb"], found) for name, found in times.items()}
+        _, rows = tum_rows(root / _TRUTH)
+        nearest = {name: nearest_rows(times["rgb"], own) for name, own in times.items()}
         nearest["pose"] = nearest_rows(times["rgb"], rows[:, 0])
         kept = np.flatnonzero(np.min(list(nearest.values()), axis=0) >= 0)
         if len(kept) == 0:
-            raise InputError(f"{place} has no image with depth and pose within 20 ms of it.")
+            raise InputError(f"{root} has no image with depth and pose within 20 ms of it.")
         paths = {
-            name: [inside(place, found[k][1]) for k in nearest[name][kept]]
-            for name, found in lists.items()
+            name: [inside(root, own[k][1]) for k in nearest[name][kept]]
+            for name, own in lists.items()
         }
         poses = poses_of(rows[nearest["pose"][kept]])
         return FrameSequence(
-            place.name,
+            root.name,
             tuple(lists),
             {TIME: times["rgb"][kept], CAMERA_POSE: poses},
             partial(_load, paths, self.depth_scale),
-            _read_camera(place / _CALIBRATION, paths["rgb"][0]),
+            _read_camera(root / _CALIBRATION, paths["rgb"][0]),
             split=split,
         )
 
@@ -139,11 +140,9 @@ def poses_of(rows: NDArray) -> NDArray:
 
 
 def _calibration_text(sequence: FrameSequence) -> str:
-    """``fx fy cx cy k1 k2 p1 p2 k3``: the parameters of a pinhole [px]."""
+    """Parameters of a pinhole [px] in the order of `_LENS`."""
     assert sequence.camera is not None
-    lens = sequence.camera.lens
-    assert isinstance(lens, LensPinhole)
-    values = (lens.fx, lens.fy, lens.cx, lens.cy, lens.k1, lens.k2, lens.p1, lens.p2, lens.k3)
+    values = lens_values(sequence.camera.lens, _LENS)
     return " ".join(f"{value:.12g}" for value in values) + "\n"
 
 
@@ -151,10 +150,7 @@ def _read_camera(path: Path, image: Path) -> Camera | None:
     """Camera of a sequence; None without a calibration file."""
     if not path.exists():
         return None
-    height, width = image_size(image)
-    fx, fy, cx, cy, k1, k2, p1, p2, k3 = read_rows(path, 9)[0].tolist()
-    lens = LensPinhole(fx=fx, fy=fy, cx=cx, cy=cy, k1=k1, k2=k2, p1=p1, p2=p2, k3=k3)
-    return Camera("camera", lens, width, height)
+    return camera_of(lens_from_values("pinhole", _LENS, read_rows(path, 9)[0].tolist()), image)
 
 
 def _read_list(path: Path) -> list[tuple[float, str]]:

@@ -9,14 +9,23 @@ https://colmap.github.io/format.html, https://colmap.github.io/rigs.html.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 
-from vrcaps.camera.camera import Camera
+from vrcaps.camera.camera import Camera, in_image, pixel_grid, project_points, unproject_pixels
+from vrcaps.camera.lens.exchange import (
+    COLMAP_MODELS,
+    HALF,
+    OPENCV_LENSES,
+    colmap_model,
+    lens_from_colmap,
+)
 from vrcaps.config.limits import Range, check_fields
+from vrcaps.core import rng
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import write_bytes
 from vrcaps.core.names import inside
@@ -25,18 +34,17 @@ from vrcaps.core.transforms import (
     matrix_from_unit_quaternion,
     quaternion_from_matrix,
     transform_from,
+    transform_points,
 )
 from vrcaps.formats.format import Needs
-from vrcaps.formats.shared.folders import each_rig, found_folders
-from vrcaps.formats.shared.frame_files import image_loader, read_times, write_times
-from vrcaps.formats.shared.opencv_lens import HALF, MODELS, OPENCV_LENSES, lens_of, opencv_model
+from vrcaps.formats.shared.folders import find_folders, image_loader, rig_folders
 from vrcaps.formats.shared.stored_images import read_rgb
-from vrcaps.formats.splatting.seen_points import SeenPoints, seen_points
+from vrcaps.formats.shared.text_files import read_times, write_times
 from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from jaxtyping import Bool, Float, Int, UInt8
 
     from vrcaps.formats.format import Advance
 
@@ -70,11 +78,11 @@ class Colmap:
         for sequence in sequences:
             if self.points > 0 and "depth" not in sequence.channels:
                 raise InputError(
-                    f"colmap takes points from the channel 'depth', which {sequence.name} has not. "
+                    f"colmap requires the channel 'depth' for points; {sequence.name} lacks it. "
                     "Record it, or add --points 0."
                 )
-        for rig, place in each_rig(sequences, folder):
-            model = place / _MODEL
+        for rig, root in rig_folders(sequences, folder):
+            model = root / _MODEL
             model.mkdir(parents=True)
             points = seen_points(rig, self.points)
             write_bytes(model / _CAMERAS, _cameras_text(rig).encode())
@@ -82,11 +90,11 @@ class Colmap:
             write_bytes(model / "frames.txt", _frames_text(rig).encode())
             write_bytes(model / _POINTS, _points_text(points).encode())
             write_bytes(model / _IMAGES, _images_text(rig, points).encode())
-            write_times(place, rig[0])
+            write_times(root, rig[0])
             for sequence, name in zip(rig, _prefixes(rig), strict=True):
-                (place / "images" / name).mkdir(parents=True)
+                (root / "images" / name).mkdir(parents=True)
                 for k in range(len(sequence)):
-                    path = place / "images" / _image_name(name, k)
+                    path = root / "images" / _image_name(name, k)
                     write_images([(path, sequence.image("rgb", k))])
                     advance()
 
@@ -100,8 +108,8 @@ class Colmap:
         """
         return tuple(
             sequence
-            for place, split in found_folders(folder, _CAMERAS)
-            for sequence in _read_model(place, split)
+            for root, split in find_folders(folder, _CAMERAS)
+            for sequence in _read_model(root, split)
         )
 
 
@@ -133,7 +141,7 @@ def _cameras_text(rig: Sequence[FrameSequence]) -> str:
     lines = ["# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]"]
     for number, sequence in enumerate(rig, 1):
         assert sequence.camera is not None
-        model, parameters = opencv_model(sequence.camera.lens, sequence.name)
+        model, parameters = colmap_model(sequence.camera.lens, sequence.name)
         size = f"{sequence.camera.width} {sequence.camera.height}"
         lines.append(f"{number} {model} {size} {_numbers([*parameters.values()])}")
     return "\n".join(lines) + "\n"
@@ -165,8 +173,8 @@ def _images_text(rig: Sequence[FrameSequence], points: SeenPoints) -> str:
             pose = _pose(invert(sequence.Ts_world_camera[k]))
             number = _image_id(rig, c, k)
             lines.append(f"{number} {pose} {c + 1} {_image_name(prefixes[c], k)}")
-            found, pixels = points.seen[c][k]
-            rows = zip(found + 1, pixels + HALF, strict=True)
+            indices, pixels = points.seen[c][k]
+            rows = zip(indices + 1, pixels + HALF, strict=True)
             lines.append(" ".join(f"{x:.4f} {y:.4f} {point}" for point, (x, y) in rows))
     return "\n".join(lines) + "\n"
 
@@ -176,9 +184,9 @@ def _points_text(points: SeenPoints) -> str:
     tracks: list[list[str]] = [[] for _ in points.positions]
     num_cameras = len(points.seen)
     for c, frames in enumerate(points.seen):
-        for k, (found, _) in enumerate(frames):
-            for place, point in enumerate(found):
-                tracks[point].append(f"{k * num_cameras + c + 1} {place}")
+        for k, (indices, _) in enumerate(frames):
+            for index, point in enumerate(indices):
+                tracks[point].append(f"{k * num_cameras + c + 1} {index}")
     lines = ["# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)"]
     for number, track in enumerate(tracks):
         color = " ".join(map(str, points.colors[number]))
@@ -187,11 +195,11 @@ def _points_text(points: SeenPoints) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _read_model(place: Path, split: str | None) -> list[FrameSequence]:
-    cameras = {int(row[0]): row for row in _rows(place / _CAMERAS)}
-    mounts = _read_mounts(place / _RIGS)
-    root = _image_root(place)
-    rows = _rows(place / _IMAGES, every=2)
+def _read_model(model: Path, split: str | None) -> list[FrameSequence]:
+    cameras = {int(row[0]): row for row in _rows(model / _CAMERAS)}
+    mounts = _read_mounts(model / _RIGS)
+    root = _image_root(model)
+    rows = _rows(model / _IMAGES, every=2)
     sequences = []
     for number, row in cameras.items():
         mine = sorted((each for each in rows if int(each[8]) == number), key=lambda each: each[9])
@@ -200,9 +208,9 @@ def _read_model(place: Path, split: str | None) -> list[FrameSequence]:
         names = [" ".join(each[9:]) for each in mine]
         folder = Path(names[0]).parent
         name = folder.name if folder.parts[:1] == ("rig1",) else f"camera{number}"
-        camera = _read_camera(row, name, place).at(mounts.get(number, np.eye(4)))
+        camera = _read_camera(row, name, model).at(mounts.get(number, np.eye(4)))
         poses = np.array([each[1:8] for each in mine], float)
-        rotations = matrix_from_unit_quaternion(poses[:, :4], place / _IMAGES)
+        rotations = matrix_from_unit_quaternion(poses[:, :4], model / _IMAGES)
         Ts_camera_world = transform_from(rotations, poses[:, 4:])
         times = read_times(root, range(len(mine)), 1.0)
         values = {TIME: times, CAMERA_POSE: invert(Ts_camera_world)}
@@ -215,12 +223,12 @@ def _read_model(place: Path, split: str | None) -> list[FrameSequence]:
     return sequences
 
 
-def _image_root(place: Path) -> Path:
+def _image_root(model: Path) -> Path:
     """Image folder of the scene of a model."""
-    for root in (place.parent.parent, place.parent, place):
+    for root in (model.parent.parent, model.parent, model):
         if (root / "images").is_dir():
             return root
-    raise InputError(f"There is no folder images beside {place} or above it.")
+    raise InputError(f"There is no folder images next to {model} or above it.")
 
 
 def _rows(path: Path, every: int = 1) -> list[list[str]]:
@@ -231,16 +239,16 @@ def _rows(path: Path, every: int = 1) -> list[list[str]]:
         raise InputError(f"Cannot read {path}: {error}.") from error
     rows = [line.split() for line in lines if not line.startswith("#")]
     rows = rows[::every] if every > 1 else [row for row in rows if row]
-    least = {_CAMERAS: 5, _IMAGES: 10}.get(path.name, 4)
+    min_words = {_CAMERAS: 5, _IMAGES: 10}.get(path.name, 4)
     for row in (row for row in rows if row):
-        if len(row) < least:
+        if len(row) < min_words:
             raise InputError(f"{path} has a row of {len(row)} words: {' '.join(row)!r}.")
     return [row for row in rows if row]
 
 
-def _read_camera(row: list[str], name: str, place: Path) -> Camera:
-    parameters = dict(zip(MODELS.get(row[1], ()), map(float, row[4:]), strict=False))
-    lens = lens_of(row[1], parameters, str(place / _CAMERAS))
+def _read_camera(row: list[str], name: str, model: Path) -> Camera:
+    parameters = dict(zip(COLMAP_MODELS.get(row[1], ()), map(float, row[4:]), strict=False))
+    lens = lens_from_colmap(row[1], parameters, str(model / _CAMERAS))
     return Camera(name, lens, int(row[2]), int(row[3]))
 
 
@@ -258,3 +266,98 @@ def _read_mounts(path: Path) -> dict[int, np.ndarray]:
                 mounts[int(words[1])] = invert(T_camera_rig)
             words = words[10 if has_pose else 3 :]
     return mounts
+
+
+_SLACK, _STEP = 1e-3, 2e-5
+"""Tolerance of a visible point's depth from the surrounding pixels: a fraction, and [m]."""
+
+
+@dataclass(frozen=True)
+class SeenPoints:
+    """Points of the wall with their observations.
+
+    Attributes:
+        positions: In the world frame [m].
+        colors: sRGB of the pixel that each was sampled at.
+        seen: Indices [m] of the points and their pixels [m 2], for each camera and frame.
+    """
+
+    positions: Float[np.ndarray, "n 3"]
+    colors: UInt8[np.ndarray, "n 3"]
+    seen: list[list[tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m 2"]]]]
+
+
+def seen_points(sequences: Sequence[FrameSequence], count: int) -> SeenPoints:
+    """Sample points at pixels of all images and keep those visible in two or more images.
+
+    A point is visible if its z lies within the depths of the four surrounding pixels.
+
+    Args:
+        sequences: Cameras of one capsule, with rgb and depth unless `count` is 0.
+        count: Number of sampled points; most are seen twice if the capsule moves slowly.
+    """
+    images = sum(map(len, sequences))
+    samples = [
+        _drawn(sequence, k, -(-count // images))
+        for sequence in sequences
+        for k in range(len(sequence) if count > 0 else 0)
+    ]
+    positions = np.concatenate([np.zeros((0, 3)), *(points for points, _ in samples)])
+    colors = np.concatenate([np.zeros((0, 3), np.uint8), *(color for _, color in samples)])
+    if count == 0:
+        nothing = np.zeros(0, int), np.zeros((0, 2))
+        return SeenPoints(positions, colors, [[nothing] * len(one) for one in sequences])
+    seen = [[_seen(one, k, positions) for k in range(len(one))] for one in sequences]
+    everywhere = np.concatenate([each for row in seen for each, _ in row])
+    kept = np.bincount(everywhere, minlength=len(positions)) >= 2
+    number = np.cumsum(kept) - 1
+    tracks = [[(number[each[kept[each]]], at[kept[each]]) for each, at in row] for row in seen]
+    return SeenPoints(positions[kept], colors[kept], tracks)
+
+
+def _drawn(sequence: FrameSequence, index: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points [m] and colors of pixels sampled from an image."""
+    camera = _camera(sequence)
+    depth, rgb = sequence.image("depth", index), sequence.image("rgb", index)
+    rows, columns = np.nonzero(depth > 0.0)
+    draw = rng.stream(0, f"formats/seen_points/{camera.name}/{index}")
+    chosen = draw.permutation(len(rows))[:count]
+    rows, columns = rows[chosen], columns[chosen]
+    rays = unproject_pixels(camera, pixel_grid(camera.width, camera.height)[rows, columns])
+    points = rays * (depth[rows, columns] / rays[:, 2])[:, None]
+    return transform_points(sequence.Ts_world_camera[index], points), rgb[rows, columns]
+
+
+def _seen(
+    sequence: FrameSequence, index: int, positions: Float[np.ndarray, "n 3"]
+) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m 2"]]:
+    camera = _camera(sequence)
+    points = transform_points(invert(sequence.Ts_world_camera[index]), positions)
+    pixels = project_points(camera, points)
+    inside = np.flatnonzero(in_image(camera, pixels) & (points[:, 2] > 0.0))
+    near = _is_at_depth(sequence.image("depth", index), pixels[inside], points[inside, 2])
+    visible = inside[near]
+    return visible, pixels[visible]
+
+
+def _is_at_depth(
+    depth: Float[np.ndarray, "h w"], pixels: Float[np.ndarray, "n 2"], z: Float[np.ndarray, " n"]
+) -> Bool[np.ndarray, " n"]:
+    """Whether z lies within the depths of the four pixels around each position."""
+    height, width = depth.shape
+    corners = []
+    for step in (np.floor, np.ceil):
+        for other in (np.floor, np.ceil):
+            column = step(pixels[:, 0]).astype(int).clip(0, width - 1)
+            row = other(pixels[:, 1]).astype(int).clip(0, height - 1)
+            corners.append(depth[row, column])
+    known = np.isfinite(corners)
+    nearest = np.where(known, corners, np.inf).min(axis=0)
+    farthest = np.where(known, corners, -np.inf).max(axis=0)
+    slack = _SLACK * z + _STEP
+    return (z >= nearest - slack) & (z <= farthest + slack)
+
+
+def _camera(sequence: FrameSequence) -> Camera:
+    assert sequence.camera is not None
+    return sequence.camera

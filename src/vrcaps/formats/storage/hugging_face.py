@@ -26,7 +26,7 @@ from vrcaps.formats.storage.samples import (
     by_split,
     channel_meaning,
     frames_of,
-    require_own_names,
+    require_unique_names,
     sample_images,
     sample_key,
     sample_values,
@@ -69,18 +69,18 @@ class HuggingFace:
 
     def write(self, sequences: Sequence[FrameSequence], folder: Path, advance: Advance) -> None:
         """Write the files of each split, and the README."""
-        require_own_names(sequences)
+        require_unique_names(sequences)
         columns = _Columns.of(sequences)
-        place, splits = folder / "data", by_split(sequences)
-        place.mkdir()
+        target, splits = folder / "data", by_split(sequences)
+        target.mkdir()
         for split, own in splits.items():
             paths = []
             for rows in self._shards(own, advance):
-                paths.append(place / f"{len(paths)}.partial")
+                paths.append(target / f"{len(paths)}.partial")
                 _write_rows(paths[-1], columns, rows)
             for number, path in enumerate(paths):
                 name = f"{split or _SPLIT}-{number:05d}-of-{len(paths):05d}.parquet"
-                path.rename(place / name)
+                path.rename(target / name)
         names = [split or _SPLIT for split in splits]
         write_bytes(folder / "README.md", _readme(names, columns).encode())
 
@@ -219,8 +219,8 @@ def _plain(row: dict[str, Any], split: str) -> dict[str, Any]:
     return known | more
 
 
-def _read(place: tuple[Path, int, int, str]) -> bytes:
-    path, group, row, channel = place
+def _read(location: tuple[Path, int, int, str]) -> bytes:
+    path, group, row, channel = location
     stored = _column(path, group, f"{channel}.bytes" if _is_image(channel) else channel)[row]
     return (stored["bytes"] if _is_image(channel) else stored).as_py()
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _OTHER = ("sequence", "index", "patient", "split", "camera", "label_names", "channels")
 """Keys of a sample that are not values of its frame."""
 
-Place = Any
+Location = Any
 """Storage location of an image in a layout."""
 
 
@@ -39,7 +39,7 @@ class Sample:
     """Frame that was read: its plain values and the locations of its images."""
 
     plain: Mapping[str, Any]
-    images: Mapping[str, Place]
+    images: Mapping[str, Location]
 
 
 def sample_key(sequence: FrameSequence, index: int) -> str:
@@ -47,29 +47,29 @@ def sample_key(sequence: FrameSequence, index: int) -> str:
     return f"{folder_name(sequence).replace('.', '-')}_{index:06d}"
 
 
-def require_own_names(sequences: Sequence[FrameSequence]) -> None:
+def require_unique_names(sequences: Sequence[FrameSequence]) -> None:
     """Check that samples of different sequences have different names.
 
     Raises:
         InputError: If two sequences have the same.
     """
-    found: dict[str, str] = {}
+    names: dict[str, str] = {}
     for sequence in sequences:
         key = sample_key(sequence, 0)
-        if key in found:
+        if key in names:
             raise InputError(
-                f"The sequences {found[key]} and {sequence.name} would have the same name. Export "
-                "them into folders of their own."
+                f"The samples of {names[key]} and {sequence.name} have the same names. "
+                "Export them into separate folders."
             )
-        found[key] = sequence.name
+        names[key] = sequence.name
 
 
 def by_split(sequences: Iterable[FrameSequence]) -> dict[str | None, list[FrameSequence]]:
     """Sequences of each split, in order."""
-    found: dict[str | None, list[FrameSequence]] = {}
+    splits: dict[str | None, list[FrameSequence]] = {}
     for sequence in sequences:
-        found.setdefault(sequence.split, []).append(sequence)
-    return found
+        splits.setdefault(sequence.split, []).append(sequence)
+    return splits
 
 
 def sample_images(sequence: FrameSequence, index: int) -> dict[str, bytes]:
@@ -118,7 +118,7 @@ def channel_meaning(channel: str) -> dict[str, Any]:
 
 
 def sequences_from(
-    samples: Iterable[Sample], read: Callable[[Place], bytes], where: str
+    samples: Iterable[Sample], read: Callable[[Location], bytes], where: str
 ) -> tuple[FrameSequence, ...]:
     """Frame sequences from samples in any order; images are read on demand.
 
@@ -130,18 +130,18 @@ def sequences_from(
     Raises:
         InputError: If a sample lacks a required key.
     """
-    found: dict[str, list[Sample]] = {}
+    groups: dict[str, list[Sample]] = {}
     for sample in samples:
         missing = [key for key in (*_OTHER, "time") if key not in dict(sample.plain)]
         if missing:
             raise InputError(
                 f"A sample in {where} lacks {missing[0]!r}. Allowed: what vrcaps export writes."
             )
-        found.setdefault(sample.plain["sequence"], []).append(sample)
-    if not found:
+        groups.setdefault(sample.plain["sequence"], []).append(sample)
+    if not groups:
         raise InputError(f"{where} holds no samples.")
     with reading(f"the samples in {where}, which do not fit together"):
-        return tuple(_sequence(name, rows, read) for name, rows in found.items())
+        return tuple(_sequence(name, rows, read) for name, rows in groups.items())
 
 
 def frames_of(sequences: Iterable[FrameSequence]) -> Iterator[tuple[FrameSequence, int]]:
@@ -149,17 +149,17 @@ def frames_of(sequences: Iterable[FrameSequence]) -> Iterator[tuple[FrameSequenc
     return ((sequence, index) for sequence in sequences for index in range(len(sequence)))
 
 
-def _sequence(name: str, rows: list[Sample], read: Callable[[Place], bytes]) -> FrameSequence:
+def _sequence(name: str, rows: list[Sample], read: Callable[[Location], bytes]) -> FrameSequence:
     rows = sorted(rows, key=lambda row: int(row.plain["index"]))
     first = rows[0].plain
     names = [key for key in first if key not in _OTHER]
     channels = tuple(channel for channel in CHANNELS if channel in rows[0].images)
-    places = {channel: [row.images[channel] for row in rows] for channel in channels}
+    locations = {channel: [row.images[channel] for row in rows] for channel in channels}
     return FrameSequence(
         name,
         channels,
         {key: np.array([row.plain[key] for row in rows], float) for key in names},
-        partial(_load, places, read),
+        partial(_load, locations, read),
         None if first["camera"] is None else camera_from_plain(first["camera"], at="camera"),
         tuple(first["label_names"]),
         first["patient"],
@@ -168,13 +168,16 @@ def _sequence(name: str, rows: list[Sample], read: Callable[[Place], bytes]) -> 
 
 
 def _load(
-    places: dict[str, list[Place]], read: Callable[[Place], bytes], channel: str, index: int
+    locations: dict[str, list[Location]],
+    read: Callable[[Location], bytes],
+    channel: str,
+    index: int,
 ) -> NDArray:
-    place = places[channel][index]
+    location = locations[channel][index]
     try:
-        return sample_image(channel, read(place))
+        return sample_image(channel, read(location))
     except (OSError, ValueError) as error:
-        raise InputError(f"Cannot read the image at {place}: {error}.") from error
+        raise InputError(f"Cannot read the image at {location}: {error}.") from error
 
 
 def _npy(array: NDArray) -> bytes:

@@ -27,7 +27,7 @@ from vrcaps.formats.storage.samples import (
     Sample,
     by_split,
     frames_of,
-    require_own_names,
+    require_unique_names,
     sample_images,
     sample_key,
     sample_values,
@@ -65,7 +65,7 @@ class WebDataset:
 
     def write(self, sequences: Sequence[FrameSequence], folder: Path, advance: Advance) -> None:
         """Write a folder of shards for each split, or one if there are no splits."""
-        require_own_names(sequences)
+        require_unique_names(sequences)
         for split, own in by_split(sequences).items():
             frames = list(frames_of(own))
             if self.seed is not None:
@@ -96,9 +96,9 @@ class WebDataset:
 class _Shards:
     """Tar files of a folder; a new one starts when the last has reached its size."""
 
-    def __init__(self, folder: Path, most_bytes: float) -> None:
+    def __init__(self, folder: Path, max_bytes: float) -> None:
         folder.mkdir(exist_ok=True)
-        self._folder, self._most_bytes = folder, most_bytes
+        self._folder, self._max_bytes = folder, max_bytes
         self._open = ExitStack()
         self._count, self._tar = 0, None
 
@@ -110,7 +110,7 @@ class _Shards:
 
     def add(self, files: dict[str, bytes]) -> None:
         """Write the files of one sample into one shard."""
-        if self._tar is None or self._tar.offset >= self._most_bytes:
+        if self._tar is None or self._tar.offset >= self._max_bytes:
             self._open.close()
             path = self._folder / f"{self._count:06d}.tar"
             temporary = self._open.enter_context(atomic_write(path))
@@ -124,24 +124,24 @@ class _Shards:
 
 def _samples(path: Path) -> Iterator[Sample]:
     """Samples of a shard; the files of a sample are consecutive."""
-    places: dict[str, dict[str, tuple[Path, int, int]]] = {}
+    locations: dict[str, dict[str, tuple[Path, int, int]]] = {}
     whole = path.stat().st_size
     with reading(path), tarfile.open(path, "r:") as tar:
         for member in tar:
             if not member.isreg() or member.offset_data + member.size > whole:
-                raise ValueError(f"{member.name} is no whole file")
+                raise ValueError(f"{member.name} is no complete file")
             key, _, kind = member.name.partition(".")
-            place = (path, member.offset_data, member.size)
-            places.setdefault(key, {})[kind.partition(".")[0]] = place
-    for key, kinds in places.items():
+            location = (path, member.offset_data, member.size)
+            locations.setdefault(key, {})[kind.partition(".")[0]] = location
+    for key, kinds in locations.items():
         if "json" not in kinds:
             raise InputError(f"{path}: the sample {key} has no .json. Allowed: what vrcaps writes.")
         yield Sample(decode_json(_read(kinds.pop("json")), f"{path}: {key}.json"), kinds)
 
 
-def _read(place: tuple[Path, int, int]) -> bytes:
+def _read(location: tuple[Path, int, int]) -> bytes:
     """Bytes of a file in a shard."""
-    path, offset, size = place
+    path, offset, size = location
     with path.open("rb") as file:
         file.seek(offset)
         return file.read(size)

@@ -23,7 +23,7 @@ from vrcaps.data.counts import (
     shared_organs,
 )
 from vrcaps.data.plan import DatasetSettings
-from vrcaps.data.stored_files import read_at_once
+from vrcaps.data.store import read_at_once
 from vrcaps.recording.frame_sequence import SPLITS
 from vrcaps.recording.pictures import legend, limits_of, picture
 from vrcaps.render.channels import CHANNELS

@@ -13,7 +13,7 @@ from vrcaps.camera.camera import Camera, camera_rays
 from vrcaps.core.color import LUMA_WEIGHTS
 from vrcaps.core.units import MM
 from vrcaps.data.dataset import Dataset, Member
-from vrcaps.data.stored_files import read_at_once
+from vrcaps.data.store import read_at_once
 from vrcaps.recording.episode import Episode
 from vrcaps.recording.frame_sequence import SPLITS
 from vrcaps.tools.report import make_figure, png_bytes

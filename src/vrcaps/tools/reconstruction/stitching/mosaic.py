@@ -22,6 +22,7 @@ import numpy as np
 
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
+from vrcaps.camera.lens.exchange import as_pinhole
 from vrcaps.core.errors import InputError
 from vrcaps.tools.reconstruction.matching import Pair, chained, opencv
 
@@ -313,6 +314,7 @@ def pinhole_of(camera: Camera) -> LensPinhole:
     Raises:
         InputError: If its lens is not a pinhole.
     """
-    if not isinstance(camera.lens, LensPinhole):
+    lens = as_pinhole(camera.lens)
+    if lens is None:
         raise InputError(f"Camera {camera.name!r} is not a pinhole. Give rectified images.")
-    return camera.lens
+    return lens

@@ -9,7 +9,7 @@ import pytest
 
 from vrcaps.cli import main
 from vrcaps.core.files import file_sha256
-from vrcaps.data.check_dataset import check_dataset
+from vrcaps.data.check import check_dataset
 from vrcaps.data.ledger import entries
 from vrcaps.data.store import LocalStore, open_store
 from vrcaps.recording.frame_files import write_images
@@ -67,7 +67,7 @@ def test_what_is_not_made_yet_or_not_planned_is_said(made: Path, capsys) -> None
     )
     (made / "ledger" / "p00009-000009.json").unlink()
     assert check_dataset(made, checksums_only=True) == [
-        "1 of 8 recordings are not made yet; the command that made the others goes on."
+        "1 of 8 recordings are missing; repeat the command that made the others to resume."
     ]
     with pytest.raises(SystemExit):
         main(["dataset", "check", str(made), "--checksums-only", "--workers", "0"])
@@ -81,7 +81,7 @@ def test_what_is_not_made_yet_or_not_planned_is_said(made: Path, capsys) -> None
 def test_a_process_of_its_own_checks_labels_too(made: Path, capsys) -> None:
     main(["dataset", "check", str(made), "--workers", "1"])
     said = capsys.readouterr().out
-    assert "8 recordings of 4 patients (2 train, 1 val, 1 test) are whole" in said
+    assert "8 recordings of 4 patients (2 train, 1 val, 1 test) are complete" in said
     assert "patients in different splits share an organ (1 organs)" in said
 
 
@@ -95,4 +95,4 @@ def test_a_remote_one_is_checked_as_a_local_one(made: Path) -> None:
     name = next(iter(entries(store)))
     store.write(f"episodes/{name}/frames.parquet", b"other")
     (fault,) = check_dataset(url, checksums_only=True)
-    assert "frames.parquet has changed" in fault
+    assert "frames.parquet differs" in fault

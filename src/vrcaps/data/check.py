@@ -15,11 +15,9 @@ from typing import Any
 
 from vrcaps.core.files import files_in, scratch_folder
 from vrcaps.core.processes import end_with_parent
-from vrcaps.data.about import ABOUT
 from vrcaps.data.card import read_plan_of
-from vrcaps.data.ledger import EPISODES, entries, failures
-from vrcaps.data.store import LocalStore, Store, open_store
-from vrcaps.data.stored_files import read_at_once
+from vrcaps.data.ledger import ABOUT, EPISODES, entries, failures
+from vrcaps.data.store import LocalStore, Store, open_store, read_at_once
 from vrcaps.data.units import Units
 from vrcaps.recording.check import check_episode
 
@@ -45,30 +43,43 @@ def check_dataset(
         InputError: If it is not a data set, or its ledger is damaged.
     """
     store = open_store(url)
-    units, found = Units(read_plan_of(store)), entries(store)
-    faults = [*_faults_of_plan(units, found), *_shared_patients(found), *_doubles(found)]
-    organs = {e["organ"]["path"]: e["organ"]["sha256"] for e in found.values() if e.get("organ")}
-    wrong = {path: _fault_of(store, path, checksum) for path, checksum in organs.items()}
-    faults += [fault for fault in wrong.values() if fault is not None]
+    units, recorded = Units(read_plan_of(store)), entries(store)
+    faults = [
+        *_faults_of_plan(units, recorded),
+        *_shared_patients(recorded),
+        *_duplicates(recorded),
+    ]
+    damaged = _damaged_organs(store, recorded)
+    faults += damaged.values()
     jobs = []
-    for name, entry in found.items():
+    for name, entry in recorded.items():
         organ = (entry.get("organ") or {}).get("path")
         # Labels cannot be checked against a damaged organ.
-        is_enough = checksums_only or wrong.get(organ) is not None
-        jobs.append(_Job(str(url), name, entry["files"], organ, is_enough))
+        jobs.append(_Job(str(url), name, entry["files"], organ, checksums_only or organ in damaged))
     for done, faults_of_job in enumerate(_all_checked(jobs, workers), 1):
         faults += faults_of_job
         if progress is not None:
             progress(done, len(jobs))
+    return [*faults, *_missing(store, units, len(recorded))]
+
+
+def _missing(store: Store, units: Units, count: int) -> Iterator[str]:
+    """Failed units, and the number of those that are neither failed nor among `count` recorded."""
     failed = failures(store)
-    faults += [f"{name} could not be made: {f['error']}" for name, f in failed.items()]
-    missing = len(units) - len(found) - len(failed)
+    yield from (f"{name} failed: {failure['error']}" for name, failure in failed.items())
+    missing = len(units) - count - len(failed)
     if missing > 0:
-        faults.append(
-            f"{missing} of {len(units)} recordings are not made yet; the command that made the "
-            "others goes on."
+        yield (
+            f"{missing} of {len(units)} recordings are missing; repeat the command that made the "
+            "others to resume."
         )
-    return faults
+
+
+def _damaged_organs(store: Store, recorded: Mapping[str, _Entry]) -> dict[str, str]:
+    """Fault of each damaged or missing organ, by its path."""
+    organs = {e["organ"]["path"]: e["organ"]["sha256"] for e in recorded.values() if e.get("organ")}
+    faults = {path: _fault_of(store, path, checksum) for path, checksum in organs.items()}
+    return {path: fault for path, fault in faults.items() if fault is not None}
 
 
 @dataclass(frozen=True)
@@ -138,15 +149,15 @@ def _fault_of(store: Store, name: str, checksum: str) -> str | None:
     """Fault of a file; None if it has none."""
     where = f"{store.url}/{name}"
     try:
-        found = hashlib.sha256(store.read(name)).hexdigest()
+        digest = hashlib.sha256(store.read(name)).hexdigest()
     except FileNotFoundError:
         return f"{where} is missing"
-    return None if found == checksum else f"{where} has changed since it was made"
+    return None if digest == checksum else f"{where} differs from its checksum"
 
 
-def _faults_of_plan(units: Units, found: Mapping[str, _Entry]) -> Iterator[str]:
+def _faults_of_plan(units: Units, recorded: Mapping[str, _Entry]) -> Iterator[str]:
     """Entries that disagree with the plan."""
-    for name, entry in found.items():
+    for name, entry in recorded.items():
         number = entry["number"]
         if not 0 <= number < len(units) or units.name(number) != name:
             yield f"{name} is no recording of the plan"
@@ -160,24 +171,24 @@ def _faults_of_plan(units: Units, found: Mapping[str, _Entry]) -> Iterator[str]:
             )
 
 
-def _shared_patients(found: Mapping[str, _Entry]) -> Iterator[str]:
+def _shared_patients(recorded: Mapping[str, _Entry]) -> Iterator[str]:
     splits: dict[int, set[str]] = defaultdict(set)
-    for entry in found.values():
+    for entry in recorded.values():
         splits[entry["patient"]].add(entry["split"])
     for patient, names in sorted(splits.items()):
         if len(names) > 1:
             yield f"patient {patient} is in {' and '.join(sorted(names))}"
 
 
-def _doubles(found: Mapping[str, _Entry]) -> Iterator[str]:
+def _duplicates(recorded: Mapping[str, _Entry]) -> Iterator[str]:
     """Recordings with equal images; allowed for a clean twin of a patient without lesions."""
     seen: dict[frozenset[tuple[str, str]], str] = {}
-    for name, entry in found.items():
+    for name, entry in recorded.items():
         images = frozenset(item for item in entry["files"].items() if item[0].count("/") == 2)
         other = seen.setdefault(images, name)
         if other == name or not images:
             continue
-        before = found[other]
+        before = recorded[other]
         if before["patient"] != entry["patient"]:
             yield f"{name} holds the same images as {other}, of another patient"
         elif _is_twin(before) == _is_twin(entry):

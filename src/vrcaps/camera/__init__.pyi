@@ -1,0 +1,14 @@
+from .camera import Camera as Camera
+from .camera import Led as Led
+from .camera import camera_rays as camera_rays
+from .camera import led_ring as led_ring
+from .camera import project_points as project_points
+from .camera import unproject_pixels as unproject_pixels
+from .derive import scaled_camera as scaled_camera
+from .derive import scaled_lens as scaled_lens
+from .lens import LENSES as LENSES
+from .lens import LensEquidistant as LensEquidistant
+from .lens import LensEquirectangular as LensEquirectangular
+from .lens import LensKannalaBrandt as LensKannalaBrandt
+from .lens import LensPinhole as LensPinhole
+from .lens import LensScaramuzza as LensScaramuzza

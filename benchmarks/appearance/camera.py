@@ -1,4 +1,4 @@
-"""The cameras that take our frames beside real ones: lens, sensor and recorder of each class."""
+"""The cameras that take our frames and real ones: lens, sensor and recorder of each class."""
 
 from __future__ import annotations
 

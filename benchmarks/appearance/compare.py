@@ -1,7 +1,7 @@
 """Claim: frames look more like real ones than those of VR-Caps do.
 
 Sets our frames of each class beside the real frames of that class, and the synthetic frames
-published with VR-Caps beside the same: means, spreads and gradients in CIE L*a*b*, and highlights.
+published with VR-Caps next to the same: means, spreads and gradients in CIE L*a*b*, and highlights.
 
     python -m benchmarks.appearance.compare
     python -m benchmarks.appearance.compare --only clean_colon --sheets /tmp/looks   # while tuning
@@ -189,11 +189,11 @@ is more alike.
   many of them ours is closer. Sets are small, so the resampled distances are larger than the
   measured ones.
 - One scale: each frame becomes a disc {size} pixels wide, 0.9 of the shorter side of its field of
-  view, so black borders and what is printed on them do not count. Where recorders print text and
+  view, so black borders and text printed on them do not count. Where recorders print text and
   boxes into the view (HyperKvasir), the left sixth, and two fifths of the lowest third, are left
   out in all three sets.
 - Where the real frames are JPEG files, ours are stored at their size, quality and color resolution
-  first. Those of VR-Caps are crops of published figures, taken as they are.
+  first. Those of VR-Caps are crops of published images, taken as they are.
 - Capsule classes are seen by the catalog's PillCam SB3 in small bowels: those without bleeding in
   collapsed ones, every second frame with bubbles, chyme and liquid. The others are seen by a
   colonoscope's tip with a field of 140° and two light guides in colons that hold what scores 3 and

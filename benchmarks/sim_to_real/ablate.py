@@ -109,9 +109,9 @@ def page_text(rows: Sequence[Row]) -> str:
         "## Simulator ablation: results",
         about(rows),
         f"All our images show the same patients, {PATIENTS} at most. Up to {seeds} networks of "
-        "each kind; an interval over few of them is too narrow. Each network learned first "
-        "from images that lack one thing, from random weights of its own; then from a tenth of "
-        "the real images. The first row is the figure of networks whose images lack nothing, the "
+        "each kind; an interval over few of them is too narrow. Each network was trained first "
+        "on images that lack one thing, from different random weights; then on a tenth of "
+        "the real images. The first row is the metric of networks whose images lack nothing, the "
         "others are changes on the same real images.",
         table(["without", *titles], table_rows(found, names)),
     ]

@@ -168,8 +168,8 @@ def _sample(task: Task, found: Found) -> str:
     seeds = max(len(rows) for key, rows in found.items() if key[0] == task.name)
     figure = task.figure[0].upper() + task.figure[1:]
     return (
-        f"{figure}; up to {seeds} seeds, each judged by a fold of its own: of "
-        f"one arm {images} images in {groups} groups. Fewer seeds are marked with their number."
+        f"{figure}; up to {seeds} seeds, each evaluated on a separate fold: of "
+        f"one arm {images} images in {groups} groups. Fewer seeds are marked with their count."
     )
 
 
@@ -210,7 +210,7 @@ def verdict(interval: Interval) -> str:
     """What an interval of a difference says."""
     if interval.low > 0.0:
         return "better"
-    return "**worse**" if interval.high < 0.0 else "not told apart"
+    return "**worse**" if interval.high < 0.0 else "not significant"
 
 
 def quality_part(task: Task, found: Found, arms: Sequence[str]) -> list[str]:
@@ -248,7 +248,7 @@ def depth_part(found: Found) -> list[str]:
         "Relative error after scaling by medians (smaller is better) and Spearman's correlation. "
         "Intervals are over networks only: there is one phantom frame of C3VD, and one patient of "
         "the sinus data.",
-        table(["learned from", *(DEPTH_TITLES[name] for name in names), "networks"], body),
+        table(["trained on", *(DEPTH_TITLES[name] for name in names), "networks"], body),
     ]
 
 

@@ -149,7 +149,7 @@ def read_large(folder: Path, side: int) -> Pictures:
 
 
 def middle(image: np.ndarray, side: int) -> np.ndarray:
-    """The middle of an image, of at most a side [px], with memory of its own."""
+    """The middle of an image, of at most a side [px], with separate memory."""
     top, left = (max(0, length - side) // 2 for length in image.shape[:2])
     return image[top : top + side, left : left + side].copy()
 

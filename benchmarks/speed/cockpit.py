@@ -1,7 +1,7 @@
 """Claim: on two cores the cockpit shows 20 images a second at real time, 150 ms after an input.
 
 The stomach with magnet and Panda and a camera of 320², as `vrcaps cockpit` opens it. `no browser`
-is the server's side alone: a client in a process of its own takes the images over the page's
+is the server's side alone: a client in a separate process takes the images over the page's
 connection and draws nothing. The other rows are a headless Chromium that draws without a graphics
 card, which takes much of the two cores; once with the scene in a small and once in a large window.
 An image counts when the client has it, or the browser has decoded it: first while the magnet rests,

@@ -1,6 +1,6 @@
 """A client of the cockpit's page that draws nothing: it takes the images and holds keys.
 
-Run in a process of its own, it shows what the server does without the work of a browser.
+Run in a separate process, it shows what the server does without the work of a browser.
 """
 
 from __future__ import annotations

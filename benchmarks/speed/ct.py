@@ -4,7 +4,7 @@ Claim: 512 × 512 × 600 voxels to an organ in ≤ 3 minutes on two cores; 512 �
 < 6 GB. Reference: radiology's usual matrix; the longest scan is a whole trunk at half a millimeter.
 
 Each scan is a made one of a generated colon that fills it, written as a DICOM series. The command
-runs in a process of its own, from reading the files to `organ.glb` and its picture.
+runs in a separate process, from reading the files to `organ.glb` and its picture.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def whole_scan(num_slices: int, *, fluid_depth: float) -> Volume:
 
 
 def run(arguments: list[str]) -> tuple[float, float]:
-    """Seconds and peak memory [GB] of the command in a process of its own.
+    """Seconds and peak memory [GB] of the command in a separate process.
 
     Raises:
         SystemExit: If it fails.

@@ -86,12 +86,12 @@ sent), so it serves at most {1.0 / times.head:,.0f} units a second: {median / ti
 workers with units as short as these. The first unit ends {times.start:.1f} s later than it would
 take alone: a process starts and loads its modules. The simulation: each worker has a processor, its
 units take the measured times (scaled for long ones), the head serves one outcome after the other,
-100 units a worker. The ideal is what the workers alone would do. What limits is the recording
+100 units a worker. The ideal is what the workers alone would do. The limit is the recording
 itself; two processes on this machine share its memory and its files.
 
 {table(head, rows)}
 
-What is done once for each unit or each run, by the number of units that are there; an entry of
+Work done once for each unit or each run, by the number of units that are there; an entry of
 {FILES:,} files:
 
 {table(("units in the ledger", "enter one", "ask for one", "list all"), ledgers)}

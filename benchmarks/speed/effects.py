@@ -124,7 +124,7 @@ def _subject(name: str, effects: str, light: RenderSettings) -> Subject:
     steps = list(motion.steps())
 
     def frame(view: int) -> object:
-        step = replace(steps[view])  # a step of its own: nothing known of it from before counts
+        step = replace(steps[view])  # a new step without cached results
         cameras.expose(step)
         return cameras.capture(step)
 

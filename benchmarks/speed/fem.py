@@ -52,7 +52,7 @@ def main() -> None:
     rows.append(world_row(organ, FemDeformation(edge=22.0 * MM), given.size))
     text = f"""## Elastic-wall speed
 
-A generated colon of {len(organ.faces):,} triangles, pushed at one place; steps of
+A generated colon of {len(organ.faces):,} triangles, pushed at one point; steps of
 {1e3 * _DT:g} ms. Processor time of all threads, median of {given.size} steps. In a world: what a
 step of the layer and the exchange of forces with a capsule on it take beyond a world whose wall
 does not move.

@@ -4,7 +4,7 @@ The second claim: the first batch of a data set at a remote URL is there in less
 
 A data set of a generated colon is made for it: 8 patients, one recording of a camera each. Batches
 are of 8 frames, shuffled. Local files are in the memory of the operating system. The remote URL is
-of a web server in a process of its own on the same machine, which waits before each answer for as
+of a web server in a separate process on the same machine, which waits before each answer for as
 long as a network would; its data set is read from `vrcaps.data.open` to the first batch, with
 nothing kept from before.
 

@@ -1,6 +1,6 @@
 """Claim: quasi-static worlds step 5,000 times a second on two cores, each step 1/30 s.
 
-Magnetic capsules in a generated stomach, each led along the upper wall by a magnet of its own at
+Magnetic capsules in a generated stomach, each led along the upper wall by a separate magnet at
 15 mm/s; N worlds in one call, by both dynamics: steps a second of the clock and of a processor, the
 share of Python, what reading all of them costs, and memory and time to make a world.
 
@@ -51,7 +51,7 @@ def main() -> None:
     World(model)
     counts = [count for count in COUNTS if count <= args.most]
     rows = [row(model, count, dynamics) for dynamics in DYNAMICS for count in counts]
-    text = f"""## Speed of parallel worlds
+    text = f"""## Parallel-world speed
 
 A generated stomach of {len(organ.faces)} triangles, the capsule `magnetic` at places along it, led
 along the upper wall by a magnet at {1e3 * SPEED:.0f} mm/s; steps of 1/30 s, physics in substeps of

@@ -55,7 +55,7 @@ def main() -> None:
 
 Force and patch of a capsule {2e3 * RADIUS:.0f} mm thick on flat walls of triangles with edges of
 {", ".join(f"{edge:g}" for edge in EDGES)} mm, {", ".join(f"{depth:g}" for depth in DEPTHS)} mm
-deep, at three places each: the largest error.
+deep, at three positions each: the largest error.
 
 {table(HEAD, rows)}
 

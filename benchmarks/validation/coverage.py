@@ -159,7 +159,7 @@ def main() -> None:
     rows = [measure(organ, given.size) for organ in organs()]
     text = (
         "## Coverage\n\n`python -m benchmarks.validation.coverage`: MiroCam on the centerline; "
-        f"{POINTS} points on each triangle, Embree's rays from every\npose; shares of the area, "
+        f"{POINTS} points on each triangle, Embree's rays from every\npose; fractions of the area, "
         "*frustum* of the vertices (VR-Caps' definition). The difference is symmetric.\n\n"
         + table(HEAD, rows)
         + "\n\n"

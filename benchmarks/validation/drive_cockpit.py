@@ -2,7 +2,7 @@
 
 A script moves the sticks and triggers of a mocked gamepad in a headless Chromium; all else is the
 cockpit's own: its page, a free magnet or that of the Panda, physics in real time or as near as two
-cores come. The script looks at what the page shows, the poses of capsule and magnet and the time,
+cores come. The script looks at the page, the poses of capsule and magnet and the time,
 and leads as the policy `navigator` does. When the capsule is in the pylorus the drive is recorded
 from its commands, the recorded poses are compared with those that were driven, and the episode is
 checked as `vrcaps check` does.

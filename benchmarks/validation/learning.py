@@ -51,13 +51,13 @@ def main() -> None:
     text = f"""## Trained policy
 
 `python -m benchmarks.validation.learning`: `vrcaps evaluate` under full physics in stomachs 100 to
-119, at least {given.size} seeds of five episodes of 60 s. `coverage-ppo` learned in stomachs 0 to
-15 under quasi-static dynamics and is told landmarks; `next-best-view` knows the shape of each
+119, at least {given.size} seeds of five episodes of 60 s. `coverage-ppo` was trained in stomachs
+0 to 15 under quasi-static dynamics and observes landmarks; `next-best-view` knows the shape of each
 organ. Medians over episodes, with 10th to 90th percentile; a time that was not reached counts as
-the longest. VR-Caps states 96.04 % at 47.62 s by the definition *frustum*, in a stomach in which it
-learned. These are no figures of a device: gravity is balanced, an ideal actuator applies any force
-and torque along six axes, and the policies read which parts of the wall are still unseen, in the
-true shape of the organ.
+the longest. VR-Caps states 96.04 % at 47.62 s by the definition *frustum*, in its training
+stomach. These are not measurements of a device: gravity is balanced, an ideal actuator applies
+any force and torque along six axes, and the policies read which parts of the wall are still
+unseen, in the true shape of the organ.
 
 {table(head, rows)}
 

@@ -1,7 +1,7 @@
 """Claim: LeRobot's own loader reads what is exported for it, with the values that were recorded.
 
 Records a capsule that flies and one that a magnet steers, exports both with films and with images,
-and reads them by `LeRobotDataset` in the interpreter of an environment of its own, for
+and reads them by `LeRobotDataset` in the interpreter of a separate environment, for
 LeRobot asks for other versions of packages than this project. For example:
 ``uv venv lerobot && VIRTUAL_ENV=lerobot uv pip install lerobot==0.4.4``, then
 ``python -m benchmarks.validation.lerobot --python lerobot/bin/python``.

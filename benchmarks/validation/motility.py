@@ -54,8 +54,8 @@ def main() -> None:
 
 `python -m benchmarks.validation.motility`: {10 * len(clocks)} cycles of the migrating motor complex
 in {len(clocks)} patients, read every {SAMPLE:g} s at places of a straight gut of
-{gut.centerline.length:g} m; contractions counted where they take half of what a full one takes.
-Mean ± standard deviation; of speeds and cycle means between patients. Figures and sources:
+{gut.centerline.length:g} m; contractions counted where they take half the length of a full one.
+Mean ± standard deviation; of speeds and cycle means between patients. Values and sources:
 `ComplexStatistics`, `SegmentMotility`. The two studies of cycles differ; patients follow the first.
 
 {table(HEAD, rows)}
@@ -109,7 +109,7 @@ def phase_rows(clocks: list[MigratingMotorComplex]) -> list[tuple[str, ...]]:
         share = 100.0 * shares[:, :, phase - 1]
         spread = f"{share.mean():.0f} ± {share.std():.0f} %"
         name = "I" * phase
-        rows.append((f"share of phase {name} in the cycle", zone, spread, published))
+        rows.append((f"fraction of phase {name} in the cycle", zone, spread, published))
     for zone in ("duodenum", "jejunum"):
         lasts = np.concatenate([third_phases(clock, PORTS[zone][0]) for clock in clocks]) / MINUTE
         spread = f"{lasts.mean():.1f} ± {lasts.std():.1f} min"

@@ -20,7 +20,7 @@ from benchmarks.validation.path_scenes import Scene, scenes
 BLOCK = 16
 """Width of the blocks of pixels whose means are compared."""
 IMAGES = 24
-"""Images of each renderer, each of its own seed; their scatter is the noise."""
+"""Images of each renderer, each with a different seed; their scatter is the noise."""
 SAMPLES = 32
 TRIALS = 2000
 """Pairs of images of pure noise that the difference is held against."""

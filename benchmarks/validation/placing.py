@@ -76,14 +76,14 @@ def main() -> None:
 walls with `physical` drag; magnet `cylinder-76.2` on the Panda, outside 3 cm of belly. Random
 places in body and antrum, each {NEAREST / CM:g} to {FARTHEST / CM:g} cm from the last. The heading
 asked for is the last one plus a Gaussian vector (standard deviation 0.5 along each axis), made
-parallel to the wall; the first is Gaussian alone. It is drawn anew, Gaussian alone, where it is
+parallel to the wall; the first is Gaussian alone. It is drawn again, Gaussian alone, where it is
 within {JOINT_ENDS / DEG:.0f}° of away from the arm's base, where its last joint ends. A
 `PointToPointPlanner` leads the capsule along the wall; the error is the distance of its center
 from where it would touch the wall at rest. *Placed*: it has been within 3 mm for a second, so that
 the error of those placed cannot be larger; *at the end*: of all targets, at that moment or when the
 planner gives up, after two attempts of up to 10 s more than the way takes. *Heading*: angle to the
-direction asked for. Published, for another set-up: 1.8 ± 2.1 mm. What is not placed is said to be
-so by the state; then the next begins anew there.
+direction asked for. Published, for another set-up: 1.8 ± 2.1 mm. Failures to place are reported
+by the state; then the next target starts there.
 
 {table(HEAD, rows)}
 

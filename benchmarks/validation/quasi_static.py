@@ -1,9 +1,9 @@
 """Claim: led by a magnet, quasi-static motion goes the way of the physics, within 0.5 mm (median).
 
-Generated stomachs and colons, a magnetic capsule at three places of each, settled by the physics;
-from there the same commands under both dynamics: the twist of a free magnet outside that leads the
-capsule along the upper wall, and a wrench without any magnet. A wrench gives a capsule momentum,
-which quasi-static motion has not: that row says how far the two part then.
+Generated stomachs and colons, a magnetic capsule at three positions of each, settled by the
+physics; from there the same commands under both dynamics: the twist of a free magnet outside that
+leads the capsule along the upper wall, and a wrench without any magnet. A wrench gives a capsule
+momentum, which quasi-static motion has not: that row says how far the two part then.
 
     python -m benchmarks.validation.quasi_static [--stomachs 10] [--colons 5]
 """

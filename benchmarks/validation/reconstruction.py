@@ -84,7 +84,7 @@ def main() -> None:
 scale of the true trajectory; the mean map is scaled by the median of each frame. `trajectory` is
 the root mean square of positions after alignment, `wall` the distance of the fused wall's vertices
 from the true one, `within 2 mm` the part of that stretch of the wall that true depth and poses
-bring back which the estimate brings back, too. VR-Caps states 9.3 mm for the stomach and 22.6 mm
+bring back which the estimate also brings back. VR-Caps states 9.3 mm for the stomach and 22.6 mm
 for the small bowel.
 
 {table(HEAD, rows)}"""

@@ -49,7 +49,7 @@ def main() -> None:
 `python -m benchmarks.validation.resume`: PPO in a short tube, {LEARNER.num_actions:,} actions in 8
 worlds. Killed by SIGKILL {given.size} times, {", ".join(f"{w:.1f}" for w in waits)} s after the
 first checkpoint that the process wrote, when {", ".join(map(str, rounds))} rounds were done, each
-time started anew; then to the end. The same bytes: {"yes" if same else "NO"}.
+time restarted; then to the end. The same bytes: {"yes" if same else "NO"}.
 
 {table(["file", "SHA-256 undisturbed", "killed and resumed"], rows)}
 """

@@ -239,8 +239,8 @@ def main() -> None:
         "1992). Nearer to the beam than six free ways diffusion does not hold to 3 %; there the "
         "walks\nagree with walks in NumPy (`tests/render/test_scattering.py`).\n\n"
         + table(("index", "albedo", "diffusion", *rings), profiles)
-        + "\n\nRadiosity without and with scattering beside path tracing through tissue (two "
-        f"images of {REFERENCE['spp']} paths,\n{REFERENCE['max_bounces']} reflections, "
+        + "\n\nRadiosity without and with scattering compared with path tracing through tissue "
+        f"(two images of {REFERENCE['spp']} paths,\n{REFERENCE['max_bounces']} reflections, "
         f"{round(320 * VIEW)} pixels to a side), in red, green and blue. Noise of the reference "
         "does not count: errors\nagainst its two images are multiplied.\n\n"
         + table(RADIOSITY_HEAD, radiosity)

@@ -101,8 +101,8 @@ def test_the_summary_of_the_page_is_what_its_sections_say():
             words = re.escape(" − ".join(ARM_TITLES[arm] for arm in pair))
             found = re.search(rf"^\| 10 % \| {words} \| (.*?) \| (.*?) \|$", section, re.M)
             figure = "" if found is None else found[1]
-            is_told = found is not None and "not told" not in found[2]
-            assert text.strip() == (f"**{figure}**" if is_told else figure)
+            is_significant = found is not None and "not significant" not in found[2]
+            assert text.strip() == (f"**{figure}**" if is_significant else figure)
 
 
 def test_rows_survive_a_kill_in_the_middle_of_a_line(tmp_path):
@@ -234,7 +234,11 @@ def test_difference_on_the_same_images_is_told_where_the_arms_are_not():
 
 @pytest.mark.parametrize(
     ("interval", "words"),
-    [((0.1, 0.01, 0.2), "better"), ((-0.1, -0.2, -0.01), "**worse**"), ((0, -1, 1), "not told")],
+    [
+        ((0.1, 0.01, 0.2), "better"),
+        ((-0.1, -0.2, -0.01), "**worse**"),
+        ((0, -1, 1), "not significant"),
+    ],
 )
 def test_verdicts_follow_from_intervals(interval, words):
     assert verdict(Interval(*interval)).startswith(words)

@@ -55,10 +55,10 @@ MEMORY = Claim(
     sense="≤",
     limit=1.0,
     unit="GB",
-    reference="a laptop beside other programs",
+    reference="a laptop that runs other programs",
 )
 SUBSTEPS = Claim(
-    text="substeps a second per core, a capsule resting on a soft wall, the slowest place",
+    text="substeps a second per core, a capsule resting on a soft wall, the slowest view",
     sense="≥",
     limit=20_000.0,
     unit="per second",

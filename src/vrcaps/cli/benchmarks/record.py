@@ -52,18 +52,18 @@ def measure(*, num_frames: int, num_runs: int) -> Report:
         "first whole frame to the last. The stages below are then run one at a time over the "
         "same frames; in the recording they overlap."
     )
-    found = (
+    measured = (
         replace(claims.TO_DISK, measured=_spread(runs, "rate")),
         replace(claims.QUICK_TO_DISK, measured=_spread(quick_runs, "rate")),
         replace(claims.MEMORY, measured=_spread(runs, "peak_gb"))
         if first["peak_gb"] is not None
-        else replace(claims.MEMORY, reason="this system does not tell"),
+        else replace(claims.MEMORY, reason="this system does not report it"),
     )
     return Report(
         title="Recording speed",
         command="vrcaps bench record",
         setting=setting,
-        claims=found,
+        claims=measured,
         tables=(
             _stages(runs, "Time per stage of a frame"),
             _stages(quick_runs, "Time per stage with direct light and no shadows"),

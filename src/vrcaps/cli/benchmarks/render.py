@@ -50,17 +50,17 @@ def measure(extent: Extent, *, only: Sequence[str]) -> Report:
     with console.status("generating the colon"):
         organ = make_organ(extent.num_triangles, seed=_SEED)
     stage = make_stage(organ, num_views=extent.num_views)
-    found = []
+    studies = []
     for name in only:
         with progress_bar(name) as advance:
-            found.append(STUDIES[name](stage, extent, _counter(advance, extent.num_rounds + 1)))
+            studies.append(STUDIES[name](stage, extent, _counter(advance, extent.num_rounds + 1)))
     is_whole = tuple(only) == tuple(STUDIES)
     return Report(
         title="Rendering speed" if is_whole else f"Rendering speed: {', '.join(only)}",
         command="vrcaps bench render" + ("" if is_whole else f" --only {' '.join(only)}"),
         setting=setting(stage, extent),
-        claims=tuple(claim for study in found for claim in study.claims),
-        tables=tuple(study.table for study in found),
+        claims=tuple(claim for study in studies for claim in study.claims),
+        tables=tuple(study.table for study in studies),
         machine=machine_facts(),
     )
 

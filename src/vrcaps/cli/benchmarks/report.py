@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 PAGE_TITLE = """# Benchmarks
 
-Each table below is written by the command named below it; nobody types results. Where a figure is a
+Each table below is written by the command named below it; nobody types results. Where a value is a
 median, the 10th and 90th percentile follow in brackets.
 """
 

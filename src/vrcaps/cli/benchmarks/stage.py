@@ -130,8 +130,8 @@ def subdivide(organ: OrganSurface) -> OrganSurface:
     """Subdivide each triangle of a wall into four at the midpoints of its edges."""
     faces = np.asarray(organ.faces, np.int64)
     ends = faces[:, [[0, 1], [1, 2], [2, 0]]]
-    edges, number = np.unique(np.sort(ends.reshape(-1, 2), axis=1), axis=0, return_inverse=True)
-    middle = len(organ.vertices) + number.reshape(-1, 3)
+    edges, index = np.unique(np.sort(ends.reshape(-1, 2), axis=1), axis=0, return_inverse=True)
+    middle = len(organ.vertices) + index.reshape(-1, 3)
     (a, b, c), (ab, bc, ca) = faces.T, middle.T
     quarters = np.stack([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]])
     corner, side = organ.uv, 0.5 * (organ.uv + np.roll(organ.uv, -1, axis=1))

@@ -85,8 +85,8 @@ def interleave(
     wall = np.empty((num_rounds + 1, len(subjects)))
     cpu = np.empty_like(wall)
     for turn in range(num_rounds + 1):
-        for place in range(len(subjects)):
-            k = (place + turn) % len(subjects)
+        for position in range(len(subjects)):
+            k = (position + turn) % len(subjects)
             wall[turn, k], cpu[turn, k] = _turn(subjects[k], num_views)
         if progress is not None:
             progress()

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 _SEED = 0
 _NUM_ROUNDS = 200
 _WARM = 5
-_PLACES = (2, 4, 6)
+_VIEWS = (2, 4, 6)
 _REST = 1.0
 _FRAME = 1.0 / 60.0
 _COARSER = 2e-4
@@ -83,21 +83,21 @@ def measure(num_triangles: int, num_rounds: int) -> Report:
     with console.status("generating the colon"):
         stage = make_stage(make_organ(num_triangles, seed=_SEED), num_views=8)
     parts = (_substeps, _wave, _frames, _finite_elements)
-    found = []
+    results = []
     for part in parts:  # without a spinner: its thread would disturb the timing
         console.print(f"timing {part.__name__.strip('_').replace('_', ' ')} …")
-        found.append(part(stage, num_rounds))
+        results.append(part(stage, num_rounds))
     return Report(
         title="Physics speed",
         command="vrcaps bench world",
         setting=(
             f"A generated colon of {stage.num_triangles} triangles, default tissue with the "
             f"spring wall, default substep of {1e6 * SUBSTEP:.0f} µs; {stage.model.device.name} "
-            f"let fall at three places and left for {_REST:g} s. {num_rounds} repetitions. Times "
+            f"released in three views and left for {_REST:g} s. {num_rounds} repetitions. Times "
             "are on the clock, and in processor time of all threads together."
         ),
-        claims=tuple(claim for claim, _ in found),
-        tables=tuple(table for _, table in found),
+        claims=tuple(claim for claim, _ in results),
+        tables=tuple(table for _, table in results),
         machine=machine_facts(),
     )
 
@@ -113,9 +113,9 @@ def _timed(call: Callable[[], object], num_rounds: int) -> Timed:
     return Timed(wall, cpu)
 
 
-def _world(stage: Stage, place: int, tissue: Tissue, substep: float = SUBSTEP) -> World:
+def _world(stage: Stage, view: int, tissue: Tissue, substep: float = SUBSTEP) -> World:
     """World with a capsule at rest."""
-    start = replace(stage.states[place], vertices_world=None)
+    start = replace(stage.states[view], vertices_world=None)
     world = World(stage.model, tissue, start, substep=substep)
     for _ in range(10):
         world.step(Control(), _REST / 10)
@@ -124,13 +124,13 @@ def _world(stage: Stage, place: int, tissue: Tissue, substep: float = SUBSTEP) -
 
 def _substeps(stage: Stage, num_rounds: int) -> tuple[Claim, Table]:
     count, rows, slowest = 200, [], None
-    for place in _PLACES:
-        world = _world(stage, place, Tissue())
+    for view in _VIEWS:
+        world = _world(stage, view, Tissue())
         times = _timed(lambda world=world: world.step(Control(), count * SUBSTEP), num_rounds)
         contact = world.state.contact
         assert contact is not None
         note = f"{1e6 * contact.area:.0f} mm² touched, {1e3 * contact.depth:.2f} mm deep"
-        rows.append(times.row(f"place {place}", note, 1e6 / count))
+        rows.append(times.row(f"view {view}", note, 1e6 / count))
         if slowest is None or np.median(times.cpu) > np.median(slowest):
             slowest = times.cpu
     assert slowest is not None
@@ -140,7 +140,7 @@ def _substeps(stage: Stage, num_rounds: int) -> tuple[Claim, Table]:
 
 
 def _wave(stage: Stage, num_rounds: int) -> tuple[Claim, Table]:
-    world = _world(stage, _PLACES[0], Tissue(motility=Motility()))
+    world = _world(stage, _VIEWS[0], Tissue(motility=Motility()))
     wall = MovingWall(stage.model)
 
     def wave() -> None:
@@ -165,7 +165,7 @@ def _frames(stage: Stage, num_rounds: int) -> tuple[Claim, Table]:
     cases = ((SUBSTEP, RenderSettings()), (SUBSTEP, plain), (_COARSER, plain))
     for substep, settings in cases:
         renderer = Renderer(stage.model, settings)
-        world = _world(stage, _PLACES[0], Tissue(motility=Motility()), substep)
+        world = _world(stage, _VIEWS[0], Tissue(motility=Motility()), substep)
         frame = renderer.render(world.state, stage.camera)
 
         def step(world: World = world, renderer: Renderer = renderer, frame: Frame = frame) -> None:

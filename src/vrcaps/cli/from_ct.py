@@ -115,8 +115,7 @@ class FromCt:
         for path in (self.scan, self.labels):
             if path is not None and not path.exists():
                 raise InputError(f"No scan at {path}. Give a DICOM folder or a NIfTI file.")
-        from vrcaps.tools.ct.from_ct import require_threshold
-        from vrcaps.tools.ct.labels import label_number
+        from vrcaps.tools.ct.from_ct import label_number, require_threshold
 
         self._wall()
         require_threshold(self.threshold)
@@ -162,8 +161,7 @@ class FromCt:
             yield path, organ
 
     def _from_labels(self, scan: Volume) -> Iterator[tuple[Path, OrganSurface]]:
-        from vrcaps.tools.ct.from_ct import organ_from_label
-        from vrcaps.tools.ct.labels import check_label, misplaced
+        from vrcaps.tools.ct.from_ct import check_label, misplaced, organ_from_label
         from vrcaps.tools.ct.scan_files import read_volume
         from vrcaps.tools.ct.volume import common_part
 

@@ -11,8 +11,15 @@ from tests.support.phantom import coverage
 from vrcaps._core import Wall as Surface
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.mesh.mesh import Mesh, wall_distance
-from vrcaps.tools.ct.from_ct import WallOptions, find_lumens, organ_from_gas, organ_from_label
-from vrcaps.tools.ct.labels import check_label, label_number, misplaced
+from vrcaps.tools.ct.from_ct import (
+    WallOptions,
+    check_label,
+    find_lumens,
+    label_number,
+    misplaced,
+    organ_from_gas,
+    organ_from_label,
+)
 from vrcaps.tools.ct.lumen import choose_gas
 from vrcaps.tools.ct.volume import Volume
 

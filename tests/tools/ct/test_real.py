@@ -7,8 +7,13 @@ import numpy as np
 import pytest
 
 from vrcaps.organ.measure import measure_organ
-from vrcaps.tools.ct.from_ct import WallOptions, find_lumens, organ_from_gas, organ_from_label
-from vrcaps.tools.ct.labels import TOTALSEGMENTATOR
+from vrcaps.tools.ct.from_ct import (
+    TOTALSEGMENTATOR,
+    WallOptions,
+    find_lumens,
+    organ_from_gas,
+    organ_from_label,
+)
 from vrcaps.tools.ct.scan_files import read_volume
 from vrcaps.tools.ct.volume import common_part
 

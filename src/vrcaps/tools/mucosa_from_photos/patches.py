@@ -10,9 +10,9 @@ import scipy
 
 from vrcaps.core.color import log_linear_from_srgb
 from vrcaps.core.errors import InputError
-from vrcaps.tools.field_of_view import FieldOfView, field_of_view, fill
 from vrcaps.tools.mucosa_from_photos.region import MIN_SIDE, Region, box_region, find_region
 from vrcaps.tools.mucosa_from_photos.vessels import Vessels, find_vessels
+from vrcaps.tools.photos import FieldOfView, field_of_view, fill
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float

@@ -9,7 +9,7 @@ import numpy as np
 
 from vrcaps.core.color import lab_from_srgb, srgb_from_log_linear
 from vrcaps.core.units import MM
-from vrcaps.tools.field_of_view import highlights
+from vrcaps.tools.photos import highlights
 from vrcaps.tools.report import make_figure
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ import numpy as np
 from vrcaps.core.color import log_linear_from_srgb, luminance
 from vrcaps.core.errors import InputError, reading
 from vrcaps.core.names import listed
-from vrcaps.tools.field_of_view import field_of_view
+from vrcaps.tools.photos import field_of_view
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, UInt8

@@ -29,7 +29,7 @@ from vrcaps.core.transforms import rotation_from_vector, transform_points
 from vrcaps.mesh.mesh import Mesh, wall_of
 from vrcaps.metrics.trajectory import Similarity
 from vrcaps.recording.frame_sequence import CAMERA_POSE
-from vrcaps.tools.field_of_view import fill
+from vrcaps.tools.photos import fill
 from vrcaps.tools.reconstruction.estimates import network_depth
 from vrcaps.tools.reconstruction.stitching.mosaic import Mosaic
 from vrcaps.tools.reconstruction.stitching.stitch import Stitched

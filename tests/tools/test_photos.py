@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from vrcaps.tools.field_of_view import field_of_view, fill
+from vrcaps.tools.photos import field_of_view, fill
 
 
 def frame(side: int = 256, seed: int = 0) -> np.ndarray:

@@ -194,7 +194,7 @@ def test_bad_input_is_one_clear_line(tmp_path):
         read_weights(tmp_path / "bad.safetensors")
     with pytest.raises(UnknownNameError, match="encoder of timm"):
         DepthTask(backbone=Backbone(encoder="resnet1520")).network(is_pretrained=False)
-    with pytest.raises(InputError, match="holds numbers that are not finite"):
+    with pytest.raises(InputError, match="contains values that are not finite"):
         _train(DEPTH, tmp_path / "nan", steps=2, start=str(_broken(tmp_path)))
 
 

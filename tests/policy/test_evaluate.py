@@ -21,8 +21,8 @@ from vrcaps.policy.evaluation import (
     EpisodeCurves,
     Evaluation,
     episode_measures,
-    judged_time,
     read_rows,
+    reported_time,
     success_measures,
 )
 
@@ -88,7 +88,7 @@ def test_figures_of_a_curve_by_hand() -> None:
 
 
 def test_coverage_is_told_at_the_papers_time_or_at_the_end_of_shorter_episodes() -> None:
-    assert (judged_time(60.0), judged_time(30.0)) == (47.62, 30.0)
+    assert (reported_time(60.0), reported_time(30.0)) == (47.62, 30.0)
 
 
 def test_success_by_hand() -> None:

@@ -119,7 +119,7 @@ def test_a_folder_of_something_else_is_refused(trained: Path, tmp_path: Path) ->
     with pytest.raises(InputError, match=r"other settings: learner\.epochs was 2, now 3"):
         train(settings_of(replace(LEARNER, epochs=3)), trained)
     (tmp_path / "note.txt").write_text("mine")
-    with pytest.raises(InputError, match=r"holds no training\. Give a new or empty folder"):
+    with pytest.raises(InputError, match=r"contains no training\. Give a new or empty folder"):
         train(settings_of(), tmp_path)
     for name, text in (("settings.json", "{"), ("policy.npz", "nothing")):
         folder = tmp_path / name.replace(".", "_")
@@ -138,7 +138,7 @@ def test_a_training_of_other_versions_goes_on_only_if_forced(trained: Path, tmp_
     stated = json.loads((tmp_path / "settings.json").read_text())
     stated["made_with"]["torch"] = "1.0"
     (tmp_path / "settings.json").write_text(json.dumps(stated))
-    with pytest.raises(InputError, match=r"begun with other versions: torch was 1\.0, now"):
+    with pytest.raises(InputError, match=r"a training of other versions: torch was 1\.0, now"):
         train(settings_of(), tmp_path)
     assert train(settings_of(), tmp_path, is_forced=True).step == 3
     (tmp_path / "checkpoint.npz").write_bytes(b"cut off")

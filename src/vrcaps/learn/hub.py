@@ -196,8 +196,8 @@ def read_index(location: str) -> dict[str, PublishedWeights]:
         StorageError: If the location cannot be reached.
     """
     at, text = f"{location}/{INDEX}", _read(location, INDEX)
-    found = from_plain(Index, decode_json(text, at), at=at)
-    return {one.name: one for one in found.weights}
+    index = from_plain(Index, decode_json(text, at), at=at)
+    return {one.name: one for one in index.weights}
 
 
 def find_weights(given: str, task: str = "") -> Path:
@@ -262,8 +262,8 @@ def add_to_index(folder: Path, entry: PublishedWeights) -> None:
         InputError: If the index is damaged.
     """
     known = read_index(str(folder)) if (folder / INDEX).is_file() else {}
-    found = {**known, entry.name: entry}
-    index = Index(weights=tuple(found[name] for name in sorted(found)))
+    entries = {**known, entry.name: entry}
+    index = Index(weights=tuple(entries[name] for name in sorted(entries)))
     write_json(folder / INDEX, to_plain(index, Index))
 
 

@@ -112,7 +112,7 @@ def _write_predictions(
 ) -> dict[str, str]:
     """Write the predictions into a folder; return the unreadable images with the reason."""
     frames = [(one, index) for one in sequences for index in range(len(one))]
-    shown = set(np.unique(np.linspace(0, len(frames) - 1, _SHEET_ROWS).astype(int)).tolist())
+    on_sheet = set(np.unique(np.linspace(0, len(frames) - 1, _SHEET_ROWS).astype(int)).tolist())
     rows: list[dict[str, object]] = []
     pictures: list[NDArray] = []
     skipped: dict[str, str] = {}
@@ -133,7 +133,7 @@ def _write_predictions(
         output = trained(batch_of([sample]))[0]
         _write_files(inside(out, name), view, task.files(output, letterbox))
         rows.append({"image": name, **task.row(output)})
-        if done in shown or not pictures:
+        if done in on_sheet or not pictures:
             pictures.append(task.picture(output, sample))
         progress(done + 1, len(frames))
     if not rows:

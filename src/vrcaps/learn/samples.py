@@ -197,8 +197,8 @@ def near_duplicates(first: Hashes, second: Hashes, near: float = NEAR) -> Int[np
     known = first.reshape(len(first), -1).astype(np.float32)
     bits = _FREQUENCIES**2 - 1
     pairs = []
-    for begin in range(0, len(second), _AT_ONCE):
-        part = second[begin : begin + _AT_ONCE]
+    for start in range(0, len(second), _AT_ONCE):
+        part = second[start : start + _AT_ONCE]
         alike = np.full(len(part), -1.0)
         nearest = np.zeros(len(part), int)
         for turned in _positions(part):
@@ -208,7 +208,7 @@ def near_duplicates(first: Hashes, second: Hashes, near: float = NEAR) -> Int[np
             nearest = np.where(value > alike, best, nearest)
             alike = np.maximum(alike, value)
         matches = np.flatnonzero((bits - alike) / 2.0 <= near * bits)
-        pairs.append(np.stack([nearest[matches], matches + begin], axis=1))
+        pairs.append(np.stack([nearest[matches], matches + start], axis=1))
     return np.concatenate(pairs)
 
 

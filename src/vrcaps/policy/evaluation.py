@@ -64,7 +64,7 @@ class EpisodeCurves:
         }
 
 
-def judged_time(whole_time: float) -> float:
+def reported_time(whole_time: float) -> float:
     """Time at which coverage is reported [s]: that of VR-Caps, or the end of shorter episodes."""
     return min(PAPER_TIME, whole_time)
 
@@ -104,21 +104,23 @@ def episode_measures(curves: EpisodeCurves, whole_time: float) -> dict[str, floa
         Coverages and areas under the curve in percent; times in seconds, NaN if a coverage was
         not reached; percentiles of the normal force in newtons.
     """
-    figures: dict[str, float] = {}
-    judged = judged_time(whole_time)
+    measures: dict[str, float] = {}
+    report_time = reported_time(whole_time)
     for k, level in enumerate(POINT_LEVELS):
         percent = 100.0 * curves.fraction[:, k]
-        figures[f"{level}_at_{judged:g}_s"] = float(coverage_at(curves.time, percent, judged))
-        figures[f"{level}_at_end"] = float(percent[-1])
-        figures[f"{level}_area_under_curve"] = _mean_until(curves.time, percent, whole_time)
+        measures[f"{level}_at_{report_time:g}_s"] = float(
+            coverage_at(curves.time, percent, report_time)
+        )
+        measures[f"{level}_at_end"] = float(percent[-1])
+        measures[f"{level}_area_under_curve"] = _mean_until(curves.time, percent, whole_time)
         for target in TARGETS:
             reached = np.flatnonzero(percent >= target - 1e-9)
             time = float(curves.time[reached[0]]) if len(reached) else np.nan
-            figures[f"{level}_time_to_{target:g}_s"] = time
+            measures[f"{level}_time_to_{target:g}_s"] = time
     forces = np.percentile(curves.normal_force[1:], FORCE_PERCENTILES)
     names = ("p50", "p90", "p99", "max")
-    figures |= {f"force_{n}_n": float(f) for n, f in zip(names, forces, strict=True)}
-    return figures
+    measures |= {f"force_{n}_n": float(f) for n, f in zip(names, forces, strict=True)}
+    return measures
 
 
 def coverage_at(
@@ -198,11 +200,11 @@ class Evaluation:
         self, level: CoverageLevel, time: Float[np.ndarray, " t"]
     ) -> Float[np.ndarray, "n t"]:
         """Coverage of all episodes at times [s], in percent."""
-        found = []
+        values = []
         for row in self.rows:
             curve = self.episode_curves(row)
-            found.append(coverage_at(curve["time_s"], 100.0 * curve[level], time))
-        return np.array(found)
+            values.append(coverage_at(curve["time_s"], 100.0 * curve[level], time))
+        return np.array(values)
 
     def median_row(self, name: str) -> dict[str, Any]:
         """Return the episode with the median value of a metric."""
@@ -220,7 +222,7 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
         with path.open(newline="") as file:
             return [{k: _value(v) for k, v in row.items()} for row in csv.DictReader(file)]
     except (OSError, ValueError, csv.Error) as error:
-        raise InputError(f"{path} cannot be read ({error}). Delete it to begin anew.") from error
+        raise InputError(f"{path} cannot be read ({error}). Delete it to start again.") from error
 
 
 def _text(value: Any) -> str:
@@ -245,5 +247,5 @@ def _require_same(path: Path, settings: dict[str, Any]) -> None:
     if changed:
         raise InputError(
             f"{path.parent} holds an evaluation with another {', '.join(sorted(changed))}. Give a "
-            "new folder, or the settings that it was begun with."
+            "new folder, or its original settings."
         )

@@ -192,9 +192,9 @@ class ClassificationTask(BackboneTask):
         text = f"{self.classes[int(output.argmax())]} {class_probabilities(output[None]).max():.2f}"
         if "class" in sample:
             text += f" (is {self.classes[int(sample['class'])]})"
-        shown = Image.fromarray(sample["image"])
-        ImageDraw.Draw(shown).text((4, 4), text, fill=(255, 255, 255), stroke_width=1)
-        return np.asarray(shown)
+        picture = Image.fromarray(sample["image"])
+        ImageDraw.Draw(picture).text((4, 4), text, fill=(255, 255, 255), stroke_width=1)
+        return np.asarray(picture)
 
     def row(self, output: NDArray) -> Mapping[str, object]:
         """The most probable class, and the probability of each class."""

@@ -208,8 +208,8 @@ def depth_picture(depth: Float[np.ndarray, "s s"], sample: Sample) -> UInt8[np.n
 
     maps = [sample["depth"], depth] if "depth" in sample else [depth]
     low, high = np.nanpercentile(np.stack(maps), [1.0, 99.0])
-    shown = [(one - low) / max(high - low, 1e-9) for one in maps]
-    colored = [(colormaps["turbo"](one)[..., :3] * 255.0).astype(np.uint8) for one in shown]
+    scaled = [(one - low) / max(high - low, 1e-9) for one in maps]
+    colored = [(colormaps["turbo"](one)[..., :3] * 255.0).astype(np.uint8) for one in scaled]
     return np.concatenate([sample["image"], *colored], axis=1)
 
 

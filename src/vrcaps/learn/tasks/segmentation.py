@@ -96,12 +96,12 @@ class SegmentationTask(BackboneTask):
         return {**self.inputs(image, letterbox, None), "mask": truth}
 
     def _mask(self, sequence: FrameSequence, index: int, name: str) -> NDArray:
-        shown = sequence.image(_channel_of(sequence, name), index)
+        labels = sequence.image(_channel_of(sequence, name), index)
         if name == LESION:
-            return (shown if sequence.episode is None else lesion_instances(shown)) > 0
+            return (labels if sequence.episode is None else lesion_instances(labels)) > 0
         if name in _kinds(sequence):
-            return np.isin(shown, _kinds(sequence)[name])
-        return shown == sequence.label_names.index(name)
+            return np.isin(labels, _kinds(sequence)[name])
+        return labels == sequence.label_names.index(name)
 
     def augment(self, sample: Sample, rng: np.random.Generator) -> Sample:
         """Apply a random crop, flips, a transposition and color jitter."""

@@ -224,9 +224,9 @@ class SuperResolutionTask(Task):
     def picture(self, output: NDArray, sample: Sample) -> UInt8[np.ndarray, "s k 3"]:
         """Central parts of the bicubic upsampling, the output and the ground truth."""
         large = image_of(output)
-        shown = [_resized(sample["image"], *large.shape[:2]), large]
-        shown += [sample["truth"]] if "truth" in sample else []
-        return np.concatenate([_middle(one, self.size, self.size) for one in shown], axis=1)
+        images = [_resized(sample["image"], *large.shape[:2]), large]
+        images += [sample["truth"]] if "truth" in sample else []
+        return np.concatenate([_middle(one, self.size, self.size) for one in images], axis=1)
 
     def files(self, output: NDArray, letterbox: Letterbox) -> Mapping[str, NDArray]:
         """The upsampled image."""

@@ -13,7 +13,7 @@ import numpy as np
 from vrcaps.core.files import write_bytes, write_csv
 from vrcaps.metrics.bootstrap import bootstrap, mean_band
 from vrcaps.metrics.point_coverage import POINT_LEVELS
-from vrcaps.policy.evaluation import PAPER_COVERAGE, PAPER_TIME, TARGETS, Evaluation, judged_time
+from vrcaps.policy.evaluation import PAPER_COVERAGE, PAPER_TIME, TARGETS, Evaluation, reported_time
 from vrcaps.tools.report import (
     data_url,
     html_image,
@@ -50,7 +50,7 @@ class Subject:
     @property
     def judged_at(self) -> float:
         """Time at which coverage is reported [s]."""
-        return judged_time(self.settings.episode_time)
+        return reported_time(self.settings.episode_time)
 
     @property
     def has_goal(self) -> bool:

@@ -16,7 +16,7 @@ from vrcaps.core import rng
 from vrcaps.core.errors import InputError
 from vrcaps.learn.tasks.segmentation import LESION
 from vrcaps.recording.frame_sequence import FrameSequence
-from vrcaps.recording.shown_lesion import lesion_instances, shown_lesion
+from vrcaps.recording.image_class import image_class, lesion_instances
 
 Urls = tuple[str, ...]
 """Folders or URLs of data sets."""
@@ -104,7 +104,7 @@ def _frames(sequence: FrameSequence, size: int) -> Iterator[OurFrame]:
             small_image(sequence.image("rgb", index), size),
             small_map(number_of[lesion_instances(instance)], size),
             kinds,
-            shown_lesion(instance, lesions, MIN_FRACTION),
+            image_class(instance, lesions, MIN_FRACTION),
             sequence.split == "val",
         )
 

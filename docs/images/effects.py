@@ -1,4 +1,4 @@
-"""Draw every effect at every severity, and write the tables of the page.
+"""Draw every effect at every severity.
 
 python -m docs.images.effects
 """
@@ -13,7 +13,6 @@ from PIL import Image, ImageDraw
 from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.camera_pipeline.effect.base import MAX_SEVERITY
 from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES, Effects
-from vrcaps.camera_pipeline.effects_tables import with_tables
 from vrcaps.camera_pipeline.pipeline import CameraPipeline, PipelineState
 from vrcaps.capsule.device import Device
 from vrcaps.capsule.device_file import read_device
@@ -83,5 +82,3 @@ def draw_sheet(path: Path) -> None:
 
 if __name__ == "__main__":
     draw_sheet(DOCS / "images" / "effects.jpg")
-    page = DOCS / "concepts" / "effects.md"
-    page.write_text(with_tables(page.read_text(encoding="utf-8")), encoding="utf-8")

@@ -23,7 +23,7 @@ from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.units import DEG
 from vrcaps.motion.dynamics import Dynamics
-from vrcaps.motion.dynamics_columns import ESTIMATE_COLUMNS, MAGNET_COLUMNS
+from vrcaps.motion.dynamics_settings import ESTIMATE_COLUMNS, MAGNET_COLUMNS
 from vrcaps.motion.rollout import Rollout
 from vrcaps.recording.table import make_table
 from vrcaps.world.model import Model, posture_transform

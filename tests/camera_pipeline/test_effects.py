@@ -1,3 +1,4 @@
+import runpy
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +10,6 @@ from vrcaps.camera_pipeline.effect.exposure import AdaptiveFrameRate, AutoExposu
 from vrcaps.camera_pipeline.effect.optics import DepthOfField
 from vrcaps.camera_pipeline.effect.sensor import BayerFilter
 from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES, Effects, parse_effects
-from vrcaps.camera_pipeline.effects_tables import with_tables
 from vrcaps.capsule.device_file import read_device
 from vrcaps.config.convert import from_plain, to_plain
 from vrcaps.core.errors import InputError, UnknownNameError
@@ -141,7 +141,6 @@ def test_what_cannot_be(given: dict, match: str) -> None:
 
 
 def test_tables_of_the_page_follow_from_the_effects() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "concepts" / "effects.md").read_text(
-        encoding="utf-8"
-    )
-    assert with_tables(page) == page, "run python -m docs.images.effects"
+    script = runpy.run_path(str(Path(__file__).parents[2] / "docs" / "effect_tables.py"))
+    page = script["PAGE"].read_text(encoding="utf-8")
+    assert script["with_tables"](page) == page, "Run: python -m docs.effect_tables"

@@ -17,7 +17,7 @@ from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.core.errors import InputError
 from vrcaps.lesion import Location, Polyp
 from vrcaps.motion.dynamics import Dynamics
-from vrcaps.motion.dynamics_columns import DYNAMICS_COLUMNS
+from vrcaps.motion.dynamics_settings import DYNAMICS_COLUMNS
 from vrcaps.recording import recorder
 from vrcaps.recording.check import check_episode
 from vrcaps.recording.episode import read_episode

@@ -1,3 +1,10 @@
+"""Declarations of channels, and the tables that follow from them."""
+
+from __future__ import annotations
+
+import runpy
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -125,3 +132,14 @@ def test_the_core_fills_every_channel_of_its_stage():
 def test_whole_numbers_beyond_the_stored_type_are_refused(channel, value):
     with pytest.raises(InputError, match=rf"{value}\. Allowed"):
         ENCODINGS[channel].encode(np.full((2, 3), value))
+
+
+DOCS = Path(__file__).parents[2] / "docs"
+SCRIPT = runpy.run_path(str(DOCS / "channel_tables.py"))
+
+
+@pytest.mark.parametrize("page", SCRIPT["TABLES"])
+def test_tables_are_up_to_date(page):
+    text = (DOCS / page).read_text("utf-8")
+    table = SCRIPT["TABLES"][page]()
+    assert SCRIPT["with_table"](text, table) == text, "Run: python docs/channel_tables.py"

@@ -20,7 +20,7 @@ from vrcaps.core.transforms import (
 )
 from vrcaps.core.units import CM
 from vrcaps.magnet.presets import read_magnet
-from vrcaps.motion.dynamics_columns import dynamics_row, estimate_row, magnet_row
+from vrcaps.motion.dynamics_settings import DynamicsSettings, dynamics_row, estimate_row, magnet_row
 from vrcaps.motion.motion import Command, MotionState, Step, with_neighbors
 from vrcaps.motion.trajectory import start_pose
 from vrcaps.organ.surface import OrganSurface
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
     from vrcaps.magnet.sources import Source
-    from vrcaps.motion.dynamics import Dynamics
 
 _PASSED = 5.0 * CM
 """Distance of the front of phase III beyond the capsule in the first frame: less than the 9 cm that
@@ -75,7 +74,7 @@ class Rollout:
     def __init__(
         self,
         model: Model,
-        settings: Dynamics,
+        settings: DynamicsSettings,
         *,
         frames: int,
         fps: float,
@@ -132,7 +131,7 @@ class Rollout:
         """Simulated time, including settling [s]."""
         return self.settings.settle + (self.frames - 1) / self.fps
 
-    def change(self, settings: Dynamics) -> None:
+    def change(self, settings: DynamicsSettings) -> None:
         """Change commands: posture, insufflation, flushes, fronts of phase III.
 
         The result is the same as if they had been known from the start, provided that no step has

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
 
 import numpy as np
 
 from vrcaps.camera.camera import Camera, check_names
-from vrcaps.core.errors import InputError, UnknownNameError, require
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.recording.frame_files import decode_image, decode_wall, wall_path
 from vrcaps.recording.frame_sequence import CAMERA_POSE, EXPOSURE, TIME, FrameSequence
@@ -23,17 +23,44 @@ from vrcaps.recording.layout import (
     EpisodeFiles,
     LocalFiles,
     camera_from_plain,
+    organ_name,
     read_head,
+    require_head,
 )
-from vrcaps.recording.lazy import lazy
-from vrcaps.recording.organ_files import organ_name, read_stored_organ, require_organ_name
+from vrcaps.recording.organ_files import read_stored_organ
 from vrcaps.recording.table import FrameTable, decode_table, require_table
 from vrcaps.render.channels import CHANNELS, Frame
-from vrcaps.scenario.scenario import MAX_FRAMES, Scenario, scenario_from_plain
+from vrcaps.scenario.scenario import Scenario, scenario_from_plain
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Float32
     from numpy.typing import NDArray
+
+
+Value = TypeVar("Value")
+
+
+class lazy(Generic[Value]):
+    """Property that is computed once, like `functools.cached_property`, but without its lock.
+
+    Before Python 3.12 that holds one lock for all objects of a class, so the tables of many
+    episodes would be read one after the other. Concurrent threads may compute a value twice.
+    """
+
+    def __init__(self, method: Callable[[Any], Value]) -> None:
+        self._method = method
+        self.__doc__ = method.__doc__
+
+    @overload
+    def __get__(self, instance: None, owner: type) -> lazy[Value]: ...
+    @overload
+    def __get__(self, instance: object, owner: type) -> Value: ...
+    def __get__(self, instance: object | None, owner: type) -> lazy[Value] | Value:
+        if instance is None:
+            return self
+        value = self._method(instance)
+        instance.__dict__[self._method.__name__] = value  # later accesses read it from here
+        return value
 
 
 @dataclass(frozen=True)
@@ -361,30 +388,3 @@ def read_episode(path: str | Path | EpisodeFiles, *, unfinished: bool = False) -
     )
     check_names(cameras)
     return Episode(files, head, cameras, tuple(head["channels"]))
-
-
-def require_head(head: dict[str, Any], where: str) -> None:
-    """Check that `episode.json` has the keys needed to read the episode.
-
-    Raises:
-        InputError: If a key is missing, of the wrong type or out of range, or a channel is unknown.
-    """
-    types = {"frames": int, "cameras": list, "channels": dict, "organ": dict, "scenario": dict}
-    for key, expected in types.items():
-        if type(head.get(key)) is not expected:
-            raise InputError(f"{where}: {key} is {head.get(key)!r}, not {expected.__name__}.")
-    for key in ("cameras", "channels"):
-        require(len(head[key]) > 0, f"{where}: number of {key}", len(head[key]), "1 or more")
-    if "wall" in head:
-        count = head["wall"].get("num_vertices") if isinstance(head["wall"], dict) else None
-        is_count = type(count) is int and count > 0
-        require(is_count, f"{where}: wall.num_vertices", repr(count), "a whole number above 0")
-    frames = head["frames"]
-    require(0 < frames <= MAX_FRAMES, f"{where}: frames", frames, f"1 to {MAX_FRAMES}")
-    unknown = sorted(set(head["channels"]) - set(CHANNELS))
-    if unknown:
-        raise UnknownNameError("channel", unknown[0], CHANNELS)
-    require_organ_name(head, where)
-    names = head["organ"].get("label_names")
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise InputError(f"{where}: organ.label_names is missing or no list of texts.")

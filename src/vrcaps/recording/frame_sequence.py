@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
     from numpy.typing import NDArray
 
-    from vrcaps.recording.episode import Episode
 
 SPLITS = ("train", "val", "test")
 """Splits of a data set."""
@@ -58,7 +57,7 @@ class FrameSequence:
         label_names: Class names of `label` by index; 0 is `background`.
         patient: Patient ID, by which data sets are split; None if unknown.
         split: `train`, `val` or `test`; None if the source has no splits.
-        episode: Episode that it belongs to; None for external data.
+        episode: `Episode` that it belongs to; None for external data.
 
     Raises:
         InputError: If the name is not a relative path, a value does not have one row per frame, a
@@ -74,7 +73,7 @@ class FrameSequence:
     label_names: tuple[str, ...] = ()
     patient: str | None = None
     split: str | None = None
-    episode: Episode | None = field(default=None, repr=False)
+    episode: Any = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         require_name("sequence", self.name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
@@ -14,13 +15,13 @@ from vrcaps.capsule.device import Device
 from vrcaps.config.convert import from_plain, to_plain
 from vrcaps.config.plain_files import decode_json
 from vrcaps.core.build_info import EPISODE_PACKAGES, core_sha256, versions
-from vrcaps.core.errors import InputError
+from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.core.files import scratch_folder
 from vrcaps.core.names import inside
 from vrcaps.organ.surface import json_safe
 from vrcaps.recording.frame_files import wall_to_plain
 from vrcaps.render.channels import CHANNELS
-from vrcaps.scenario.scenario import Scenario, scenario_to_plain
+from vrcaps.scenario.scenario import MAX_FRAMES, Scenario, scenario_to_plain
 from vrcaps.sensors.sensors import Sensors, hall_array
 from vrcaps.world.model import Model
 
@@ -95,6 +96,8 @@ RECORDING, COMPLETE = "recording", "complete"
 
 _Row = tuple[float, float, float, float]
 _Pose = tuple[_Row, _Row, _Row, _Row]
+
+_SHARED = re.compile(rf"\.\./\.\./{SHARED_ORGANS}/[0-9a-f]{{64}}\.glb")
 
 _LESION_KEYS = ("lesions", "clean_twin_of")
 """Keys of the organ's lesions; for a clean twin, of the lesions that it omits."""
@@ -226,3 +229,49 @@ def read_head(files: EpisodeFiles) -> dict[str, Any]:
         given = head.get("format") if isinstance(head, dict) else None
         raise InputError(f"{path} has the format {given!r}. Allowed: {FORMAT!r}.")
     return head
+
+
+def organ_name(head: dict[str, Any]) -> str:
+    """Path of the organ's file, relative to the episode with this `episode.json`."""
+    return head["organ"].get("path", ORGAN_GLB)
+
+
+def require_organ_name(head: dict[str, Any], where: str) -> None:
+    """Check that the organ is the episode's own file or one of its data set.
+
+    Raises:
+        InputError: If it is not.
+    """
+    name = organ_name(head)
+    if name != ORGAN_GLB and not (isinstance(name, str) and _SHARED.fullmatch(name)):
+        raise InputError(
+            f"{where}: organ.path is {name!r}. Allowed: {ORGAN_GLB!r}, or "
+            f"'../../{SHARED_ORGANS}/' and the name of an organ there."
+        )
+
+
+def require_head(head: dict[str, Any], where: str) -> None:
+    """Check that `episode.json` has the keys needed to read the episode.
+
+    Raises:
+        InputError: If a key is missing, of the wrong type or out of range, or a channel is unknown.
+    """
+    types = {"frames": int, "cameras": list, "channels": dict, "organ": dict, "scenario": dict}
+    for key, expected in types.items():
+        if type(head.get(key)) is not expected:
+            raise InputError(f"{where}: {key} is {head.get(key)!r}, not {expected.__name__}.")
+    for key in ("cameras", "channels"):
+        require(len(head[key]) > 0, f"{where}: number of {key}", len(head[key]), "1 or more")
+    if "wall" in head:
+        count = head["wall"].get("num_vertices") if isinstance(head["wall"], dict) else None
+        is_count = type(count) is int and count > 0
+        require(is_count, f"{where}: wall.num_vertices", repr(count), "a whole number above 0")
+    frames = head["frames"]
+    require(0 < frames <= MAX_FRAMES, f"{where}: frames", frames, f"1 to {MAX_FRAMES}")
+    unknown = sorted(set(head["channels"]) - set(CHANNELS))
+    if unknown:
+        raise UnknownNameError("channel", unknown[0], CHANNELS)
+    require_organ_name(head, where)
+    names = head["organ"].get("label_names")
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise InputError(f"{where}: organ.label_names is missing or no list of texts.")

@@ -5,7 +5,6 @@ The wall is a file in the episode's folder, or one of its data set that episodes
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,29 +18,14 @@ from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.read_mesh import read_mesh
 from vrcaps.organ.organ_file import write_organ
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.recording.layout import EPISODE_JSON, ORGAN_GLB, SHARED_ORGANS, EpisodeFiles, file_here
+from vrcaps.recording.layout import (
+    EPISODE_JSON,
+    ORGAN_GLB,
+    EpisodeFiles,
+    file_here,
+    organ_name,
+)
 from vrcaps.scenario.scenario import SOURCE_ORGAN, OrganFile, Scenario
-
-_SHARED = re.compile(rf"\.\./\.\./{SHARED_ORGANS}/[0-9a-f]{{64}}\.glb")
-
-
-def organ_name(head: dict[str, Any]) -> str:
-    """Path of the organ's file, relative to the episode with this `episode.json`."""
-    return head["organ"].get("path", ORGAN_GLB)
-
-
-def require_organ_name(head: dict[str, Any], where: str) -> None:
-    """Check that the organ is the episode's own file or one of its data set.
-
-    Raises:
-        InputError: If it is not.
-    """
-    name = organ_name(head)
-    if name != ORGAN_GLB and not (isinstance(name, str) and _SHARED.fullmatch(name)):
-        raise InputError(
-            f"{where}: organ.path is {name!r}. Allowed: {ORGAN_GLB!r}, or "
-            f"'../../{SHARED_ORGANS}/' and the name of an organ there."
-        )
 
 
 def read_stored_organ(files: EpisodeFiles, head: dict[str, Any]) -> Mesh:

@@ -18,8 +18,7 @@ from vrcaps.core.locks import file_lock
 from vrcaps.motion.motion import MotionState
 from vrcaps.recording.episode import Episode
 from vrcaps.recording.frame_files import read_image
-from vrcaps.recording.layout import FRAMES_PARQUET, ORGAN_GLB, PREVIEW_MP4, SHEET_PNG
-from vrcaps.recording.organ_files import organ_name
+from vrcaps.recording.layout import FRAMES_PARQUET, ORGAN_GLB, PREVIEW_MP4, SHEET_PNG, organ_name
 from vrcaps.recording.pictures import require_preview
 from vrcaps.recording.table import FrameTable, read_table, write_table
 

@@ -20,7 +20,7 @@ from vrcaps.core.transforms import (
     transform_from,
     transform_points,
 )
-from vrcaps.motion.dynamics_columns import SPEED_ALONG_GUT
+from vrcaps.motion.dynamics_settings import SPEED_ALONG_GUT
 from vrcaps.motion.motion import Motion, Step
 from vrcaps.organ.surface import face_label
 from vrcaps.recording.parquet_files import open_parquet

@@ -75,8 +75,10 @@ def settings(
 
 
 def field_docs(cls: type) -> dict[str, str]:
-    """Description of each field in a dataclass's docstring, on one line each."""
-    return {name: " ".join(text.split()) for name, text in _DOCUMENTED.findall(cls.__doc__ or "")}
+    """Description of each field in the docstrings of a class and its bases, on one line each."""
+    docs = [base.__doc__ or "" for base in reversed(cls.__mro__)]
+    found = [match for doc in docs for match in _DOCUMENTED.findall(doc)]
+    return {name: " ".join(text.split()) for name, text in found}
 
 
 def type_name(declared: Any) -> str:

@@ -42,7 +42,7 @@ from vrcaps.formats.shared.stored_images import read_plane, read_rgb, stored_ste
 from vrcaps.formats.shared.text_files import camera_of, plain_pinhole, read_times, write_times
 from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
-from vrcaps.recording.organ_files import organ_name
+from vrcaps.recording.layout import organ_name
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float

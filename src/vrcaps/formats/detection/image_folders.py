@@ -25,7 +25,7 @@ from vrcaps.formats.shared.folders import folder_name, image_loader
 from vrcaps.formats.shared.stored_images import IMAGES, read_plane, read_rgb
 from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import SPLITS, TIME, FrameSequence
-from vrcaps.recording.shown_lesion import lesion_instances, shown_lesion
+from vrcaps.recording.image_class import lesion_instances, image_class
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -136,7 +136,7 @@ class Images:
         if self.layout == "classes":
             assert sequence.episode is not None
             lesions = sequence.episode.head["organ"]["lesions"]
-            kind = shown_lesion(sequence.image("instance", index), lesions, self.min_fraction)
+            kind = image_class(sequence.image("instance", index), lesions, self.min_fraction)
             files = [] if kind is None else [(inside(root, f"{kind}/{name}"), image)]
         else:
             channel = self._channel(sequence)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.core.files import write_bytes
-from vrcaps.motion.dynamics_columns import DYNAMICS_COLUMNS
+from vrcaps.motion.dynamics_settings import DYNAMICS_COLUMNS
 from vrcaps.recording.parquet_files import open_parquet
 from vrcaps.recording.sensing import pad_column_names
 from vrcaps.recording.table import POSE_COLUMNS

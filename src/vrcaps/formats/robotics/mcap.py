@@ -34,7 +34,7 @@ from vrcaps.formats.format import Needs
 from vrcaps.formats.robotics import foxglove_schemas as foxglove
 from vrcaps.formats.shared.folders import recordings, split_of
 from vrcaps.formats.shared.stored_images import decoded_rgb, jpeg_bytes
-from vrcaps.motion.dynamics_columns import MAGNET_COLUMNS
+from vrcaps.motion.dynamics_settings import MAGNET_COLUMNS
 from vrcaps.organ.surface import json_safe
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.recording.layout import camera_from_plain, camera_to_plain

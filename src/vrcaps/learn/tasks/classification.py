@@ -19,7 +19,7 @@ from vrcaps.learn.picture_border import Overlay, tissue_mask
 from vrcaps.learn.task import MAX_CLASSES, BackboneTask, Batch, Losses, Metric, Presets, Sample
 from vrcaps.metrics.classification import accuracy, confusion_matrix, f1_scores, matthews, roc_auc
 from vrcaps.recording.frame_sequence import FrameSequence
-from vrcaps.recording.shown_lesion import NORMAL, shown_lesion
+from vrcaps.recording.image_class import NORMAL, image_class
 
 if TYPE_CHECKING:
     from jaxtyping import UInt8
@@ -139,7 +139,7 @@ class ClassificationTask(BackboneTask):
         lesions = sequence.episode.head["organ"]["lesions"]
         instance = sequence.image("instance", index)
         seen = np.where(tissue_mask(*instance.shape, self.mask_overlays), instance, 0)
-        return shown_lesion(seen, lesions, self.min_fraction)
+        return image_class(seen, lesions, self.min_fraction)
 
     def inputs(
         self, image: UInt8[np.ndarray, "h w 3"], letterbox: Letterbox, camera: Camera | None

@@ -16,7 +16,7 @@ NORMAL = "normal"
 """Class of images without a lesion."""
 
 
-def shown_lesion(
+def image_class(
     instance: UInt16[np.ndarray, "h w"], lesions: Sequence[dict[str, Any]], min_fraction: float
 ) -> str | None:
     """Kind of the largest lesion in an image, or `NORMAL`; None if the largest is too small.

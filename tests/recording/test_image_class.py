@@ -3,7 +3,7 @@
 import numpy as np
 
 from vrcaps.lumen.particles import FIRST_CLUMP
-from vrcaps.recording.shown_lesion import NORMAL, lesion_instances, shown_lesion
+from vrcaps.recording.image_class import NORMAL, image_class, lesion_instances
 
 LESIONS = [{"instance": 1, "kind": "polyp"}, {"instance": 2, "kind": "bleeding"}]
 
@@ -19,13 +19,13 @@ def frame(**pixels):
 
 
 def test_the_largest_lesion_counts_if_it_is_large_enough():
-    assert shown_lesion(frame(), LESIONS, 0.05) == NORMAL
-    assert shown_lesion(frame(polyp=5, bleeding=9), LESIONS, 0.05) == "bleeding"
-    assert shown_lesion(frame(polyp=4), LESIONS, 0.05) is None
+    assert image_class(frame(), LESIONS, 0.05) == NORMAL
+    assert image_class(frame(polyp=5, bleeding=9), LESIONS, 0.05) == "bleeding"
+    assert image_class(frame(polyp=4), LESIONS, 0.05) is None
 
 
 def test_clumps_of_chyme_are_no_lesions():
-    assert shown_lesion(frame(clump=40), LESIONS, 0.05) == NORMAL
-    assert shown_lesion(frame(clump=40, polyp=6), LESIONS, 0.05) == "polyp"
+    assert image_class(frame(clump=40), LESIONS, 0.05) == NORMAL
+    assert image_class(frame(clump=40, polyp=6), LESIONS, 0.05) == "polyp"
     shown = lesion_instances(frame(clump=40, bleeding=3))
     assert shown.dtype == np.uint16 and (shown == 2).sum() == 3 and (shown > 0).sum() == 3

@@ -1,3 +1,7 @@
+"""Images of an episode: PNG and NumPy files."""
+
+from __future__ import annotations
+
 import struct
 import zlib
 

@@ -1,11 +1,17 @@
-"""Markdown tables of the effects, generated from their declarations."""
+"""Write the tables of camera effects in docs/concepts/effects.md from their declarations.
+
+python docs/effect_tables.py
+"""
 
 from __future__ import annotations
 
 from dataclasses import fields
+from pathlib import Path
 
 from vrcaps.camera_pipeline.effect.base import MAX_SEVERITY, Effect
 from vrcaps.camera_pipeline.effects import EFFECTS
+
+PAGE = Path(__file__).parent / "concepts" / "effects.md"
 
 _MARK, _END = "<!-- {} -->", "<!-- end of {} -->"
 
@@ -54,3 +60,7 @@ def _described(effect: Effect | None) -> str:
             text = numbers[0] if len(numbers) == 1 else f"({', '.join(numbers)})"
             parts.append(f"{field.name} {text}")
     return ", ".join(parts)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(with_tables(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

@@ -1,0 +1,276 @@
+"""Settings of `Dynamics`, and its columns of `frames.parquet`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import numpy as np
+
+from vrcaps.actuation.steering_program import MagnetSteering
+from vrcaps.config.file_ref import FileRef, file_ref
+from vrcaps.core.errors import InputError, UnknownNameError, require
+from vrcaps.core.transforms import quaternion_from_matrix
+from vrcaps.motion.fly_through import FlyThrough
+from vrcaps.tissue.contact_laws import Drag, SpringWall, WinklerFoundation
+from vrcaps.tissue.fem.deformation import FemDeformation
+from vrcaps.tissue.motility.migrating_complex import Front
+from vrcaps.tissue.motility.motility import Motility, Propulsion
+from vrcaps.tissue.tissue import Tissue
+from vrcaps.world.mechanics import DYNAMICS, SUBSTEP, DynamicsKind
+from vrcaps.world.schedule import (
+    Flush,
+    Insufflation,
+    PostureChange,
+    Wrench,
+    check_flushes,
+    check_insufflation,
+    check_posture_changes,
+    check_wrenches,
+    require_rising,
+)
+
+if TYPE_CHECKING:
+    from vrcaps.actuation.magnet_controller import ControllerStatus
+    from vrcaps.motion.motion import Command
+    from vrcaps.sensors.pose_filter import PoseBelief
+    from vrcaps.world.model import Contact, Coupling
+
+_POSE = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
+
+SPEED_ALONG_GUT = "capsule_along_gut_m_per_s"
+"""Column of every commanded frame."""
+
+DYNAMICS_COLUMNS = (
+    *(f"contact_force_{axis}_n" for axis in "xyz"),
+    *(f"contact_torque_{axis}_nm" for axis in "xyz"),
+    "normal_force_total_n",
+    "friction_work_j",
+    "contact_area_m2",
+    "contact_depth_m",
+    *(f"commanded_force_{axis}_n" for axis in "xyz"),
+    *(f"commanded_torque_{axis}_nm" for axis in "xyz"),
+    "insufflation",
+    *(f"patient_{name}" for name in _POSE),
+    "mmc_phase",
+)
+"""Columns of every dynamic motion."""
+
+MAGNET_COLUMNS = (
+    *(f"magnet_{name}" for name in _POSE),
+    *(f"flux_density_{axis}_t" for axis in "xyz"),
+    *(f"magnetic_force_{axis}_n" for axis in "xyz"),
+    *(f"magnetic_torque_{axis}_nm" for axis in "xyz"),
+    *(f"required_force_{axis}_n" for axis in "xyz"),
+    "coupling_angle_rad",
+    "coupling_distance_m",
+    "position_error_m",
+    "heading_error_rad",
+    "magnet_limit",
+    "coupling_lost",
+)
+"""Further columns with a steering magnet; those of an arm's joints follow."""
+
+ESTIMATE_COLUMNS = (
+    *(f"estimated_{name}" for name in _POSE),
+    *(f"estimated_velocity_{axis}_m_per_s" for axis in "xyz"),
+    "estimated_position_sigma_m",
+    "estimated_roll_sigma_rad",
+)
+"""Further columns if the controller uses an estimated pose."""
+
+DEFORMATIONS = ("spring", "fem", "rigid")
+MOTILITIES = ("none", "fasting", "phase-three", "steady")
+WRENCH_FRAMES = ("world", "capsule", "gut")
+
+
+@dataclass(frozen=True)
+class DynamicsSettings:
+    """Settings of a capsule motion simulated from gravity, wall contact, muscle and commands.
+
+    Attributes:
+        start: Start position of the capsule, as a fraction of the centerline from the oral end;
+            moved on to the next position where the capsule fits.
+        angle: Angle between the capsule's front and the direction to the anal end, about the x axis
+            of the centerline's frame [rad]; π looks back.
+        deformation: Deformation of the wall: `spring` (springs and dampers at the vertices near the
+            contact), `fem` (an elastic layer) or `rigid` (none except the softness of
+            `foundation`).
+        spring: Parameters of `spring`.
+        fem: Parameters of `fem`; None for the defaults.
+        foundation: Pressure of the wall against a capsule that presses in.
+        drag: Resistance of the wall against a capsule that slides along.
+        motility: Motility of the muscle: `none`; `fasting`, the migrating motor complex at random;
+            `phase-three`, its strongest phase, whose front has passed the capsule by 5 cm in the
+            first frame; `steady`, even contractions of every segment.
+        fallback_segment: Segment whose muscle is used where the wall's own segment name is unknown,
+            such as `jejunum`; None makes that an error.
+        propulsion: Force β (v_p − u) of peristalsis in addition to contact; None for no such force.
+        wrenches: Commanded force and torque: linear in time between entries, constant before and
+            after them.
+        wrench_file: CSV of such entries instead, see `read_wrenches`.
+        wrench_frame: Axes of commanded forces and torques: `world`, the `capsule`'s own, or the
+            `gut`'s at the capsule: z along the centerline towards the anal end.
+        posture_changes: Changes of the patient's posture over time.
+        insufflation: Insufflation over time; empty: as modeled.
+        flushes: Times at which bubbles and chyme around the capsule are flushed off.
+        phase_three: Fronts of phase III, each at a given position and time, replacing the next one
+            due; if `motility` is none, the muscle rests until the first.
+        magnet: External magnet that steers the capsule; None for no magnet.
+        settle: Time before the first frame, without commands [s]. The gut reaches its first
+            insufflation, and muscle activity starts within 1 s.
+        step: Maximum time between updates of muscle and commands [s].
+        substep: Maximum substep of the dynamics [s]. Gentle forces permit four times the default.
+        dynamics: `physics`, with inertia; or `quasi-static`, in equilibrium without inertia and
+            many times as fast, see `vrcaps.world.mechanics`.
+    """
+
+    start: float = FlyThrough.start
+    angle: float = 0.0
+    deformation: Literal["spring", "fem", "rigid"] = "spring"
+    spring: SpringWall = field(default_factory=SpringWall)
+    fem: FemDeformation | None = None
+    foundation: WinklerFoundation = field(default_factory=WinklerFoundation)
+    drag: Drag = field(default_factory=Drag)
+    motility: Literal["none", "fasting", "phase-three", "steady"] = "none"
+    fallback_segment: str | None = None
+    propulsion: Propulsion | None = None
+    wrenches: tuple[Wrench, ...] = ()
+    wrench_file: FileRef | str | None = None
+    wrench_frame: Literal["world", "capsule", "gut"] = "world"
+    posture_changes: tuple[PostureChange, ...] = ()
+    insufflation: tuple[Insufflation, ...] = ()
+    flushes: tuple[Flush, ...] = ()
+    phase_three: tuple[Front, ...] = ()
+    magnet: MagnetSteering | None = None
+    settle: float = 1.0
+    step: float = 0.05
+    substep: float = SUBSTEP
+    dynamics: DynamicsKind = "physics"
+
+    kind: ClassVar[str] = "dynamics"
+
+    @property
+    def column_names(self) -> tuple[str, ...]:
+        """Columns of contact and commands, and of the magnet if there is one."""
+        magnet = () if self.magnet is None else MAGNET_COLUMNS
+        if self.magnet is not None and self.magnet.pose == "located":
+            magnet += ESTIMATE_COLUMNS
+        return (SPEED_ALONG_GUT, *DYNAMICS_COLUMNS, *magnet)
+
+    def make_tissue(self, front: float) -> Tissue:
+        """Tissue, with the front of `phase-three` at an arc length in the first frame [m]."""
+        motility = None
+        if self.motility != "none" or self.phase_three:
+            motility = Motility(
+                fallback_segment=self.fallback_segment,
+                propulsion=self.propulsion,
+                fronts=self.phase_three,
+                is_asleep=self.motility == "none",
+            )
+        if self.motility == "phase-three" and motility is not None:
+            motility = replace(motility, front=front)
+        elif self.motility == "steady" and motility is not None:
+            motility = replace(motility, complex=None)
+        deformations: dict[str, SpringWall | FemDeformation | None] = {
+            "spring": self.spring,
+            "fem": self.fem or FemDeformation(),
+            "rigid": None,
+        }
+        return Tissue(
+            foundation=self.foundation,
+            drag=self.drag,
+            deformation=deformations[self.deformation],
+            motility=motility,
+        )
+
+    def __post_init__(self) -> None:
+        if self.wrench_file is not None:
+            object.__setattr__(self, "wrench_file", file_ref(self.wrench_file))
+        for name, valid, allowed in (
+            ("start", 0.0 <= self.start <= 1.0, "0 to 1"),
+            ("angle", math.isfinite(self.angle), "finite [rad]"),
+            ("settle", 0.0 <= self.settle <= 3600.0, "0 to 3600 s"),
+            ("step", 0.0 < self.step <= 0.5, "above 0 to 0.5 s"),
+        ):
+            require(valid, f"Dynamics' {name}", getattr(self, name), allowed)
+        for noun, name, known in (
+            ("deformation", self.deformation, DEFORMATIONS),
+            ("motility", self.motility, MOTILITIES),
+            ("wrench frame", self.wrench_frame, WRENCH_FRAMES),
+            ("dynamics", self.dynamics, DYNAMICS),
+        ):
+            if name not in known:
+                raise UnknownNameError(noun, name, known)
+        if self.propulsion is not None and self.motility == "none":
+            raise InputError(
+                "Propulsion follows the muscle, but motility is none. Choose "
+                f"{', '.join(MOTILITIES[1:])}."
+            )
+        if self.wrenches and self.wrench_file:
+            raise InputError("wrenches and wrench_file are both given. Give one of them.")
+        check_wrenches(self.wrenches, "wrenches")
+        check_posture_changes(self.posture_changes, "posture_changes")
+        check_insufflation(self.insufflation, "insufflation")
+        check_flushes(self.flushes, "flushes")
+        if self.phase_three and self.motility == "steady":
+            raise InputError(
+                "phase_three begins fronts, but motility is steady, which has none. Choose none, "
+                "fasting or phase-three."
+            )
+        require_rising([front.time for front in self.phase_three], "phase_three")
+
+
+def dynamics_row(contact: Contact, command: Command) -> dict[str, float]:
+    """Row of `DYNAMICS_COLUMNS`."""
+    pose = command.T_world_patient
+    values = (
+        *contact.force_world,
+        *contact.torque_world,
+        contact.normal_force_total,
+        contact.friction_work,
+        contact.area,
+        contact.depth,
+        *command.force_world,
+        *command.torque_world,
+        command.insufflation,
+        *pose[:3, 3],
+        *quaternion_from_matrix(pose[:3, :3]),
+        command.phase,
+    )
+    return dict(zip(DYNAMICS_COLUMNS, values, strict=True))
+
+
+def magnet_row(coupling: Coupling, status: ControllerStatus) -> dict[str, float | str]:
+    """Row of `MAGNET_COLUMNS`, and the joint angles of an arm."""
+    actuator = status.actuator
+    values = (
+        *actuator.T_world_magnet[:3, 3],
+        *quaternion_from_matrix(actuator.T_world_magnet[:3, :3]),
+        *coupling.flux_density_world,
+        *coupling.force_world,
+        *coupling.torque_world,
+        *status.required_force,
+        coupling.angle,
+        coupling.distance,
+        float(np.linalg.norm(status.position_error)),
+        status.heading_error,
+        actuator.limit,
+        status.lost,
+    )
+    row = dict(zip(MAGNET_COLUMNS, values, strict=True))
+    return row | {f"joint_{k}_rad": angle for k, angle in enumerate(actuator.joint_angles, start=1)}
+
+
+def estimate_row(belief: PoseBelief) -> dict[str, float]:
+    """Row of `ESTIMATE_COLUMNS`."""
+    pose = belief.T_world_capsule
+    values = (
+        *pose[:3, 3],
+        *quaternion_from_matrix(pose[:3, :3]),
+        *belief.velocity_world,
+        belief.position_sigma,
+        belief.roll_sigma,
+    )
+    return dict(zip(ESTIMATE_COLUMNS, values, strict=True))

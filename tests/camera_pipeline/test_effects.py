@@ -31,7 +31,7 @@ def test_effects_as_a_user_writes_them() -> None:
 
 
 def test_an_effect_that_is_not_given_is_the_capsules_own() -> None:
-    """PillCam COLON 2 adapts from 4 to 35 frames a second; the catalog exposes automatically."""
+    """PillCam COLON 2 adapts from 4 to 35 frames per second; the catalog exposes automatically."""
     device = read_device("pillcam-colon2")
     own = Effects().of_device(device)
     assert own.auto_exposure == AutoExposure(0.0)

@@ -203,7 +203,7 @@ def test_all_settings_are_listed_with_type_unit_and_default(capsys) -> None:
         ("record --out {tmp}/o --organ none.ply --unit mm", "none.ply"),
         ("record --out {tmp}/o --organ {mesh} --unit inch", "Unknown length unit 'inch'. Allowed"),
         ("record --out {tmp}/o --organ {mesh} --unit mm", "is empty"),
-        ("record --out {tmp}/full", "holds something else"),
+        ("record --out {tmp}/full", "contains other files"),
         ("record {tmp}/none.json --out {tmp}/o", "No file at"),
         ("record --out {tmp}/o --threads 0", "--threads is 0. Allowed: 1 or more"),
         ("organ inspect {tmp}/none.ply --unit mm", "No file at"),

@@ -78,7 +78,7 @@ def test_values_of_the_motion_reach_the_scenario() -> None:
         (["deformation=jelly"], "motion.deformation is 'jelly'. Allowed: 'spring', 'fem', 'rigid'"),
         (["drag.law=none"], "motion.drag.law is 'none'. Allowed: 'incetan2021'"),
         (["drag.friction=-1"], "motion.drag: friction is -1.0. Allowed: 0 or more"),
-        (["propulsion={}"], "Propulsion follows the muscle, but motility is none"),
+        (["propulsion={}"], "Propulsion requires motility, but motility is none"),
         (["motility=fasting", "fallback_segment=tail"], "No segment named 'tail'. Known: antrum"),
         (["wrenches=[{force=[nan, 0, 0]}]"], "entry 0 is not finite. Allowed: finite numbers"),
         (

@@ -123,7 +123,7 @@ def test_an_image_of_coco_lies_in_the_folder(tmp_path):
     with pytest.raises(InputError, match="leads out of"):
         found.image("rgb", 0)
     (found,) = read_format("coco", _coco(tmp_path / "large", width=10**6, height=10**6))
-    with pytest.raises(InputError, match="states 1000000 x 1000000 pixels"):
+    with pytest.raises(InputError, match="declares 1000000 x 1000000 pixels"):
         found.image("label", 0)
 
 

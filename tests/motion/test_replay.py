@@ -84,14 +84,14 @@ def test_decimal_commas_and_comma_separators(tmp_path):
     [
         ("", "starts with .*, not the header tX"),
         ("x;y\n1;2\n", "not the header tX;tY;tZ;rX;rY;rZ;rW;time"),
-        (HEADER + ROWS[0], "holds 1 poses. A path needs at least 2"),
+        (HEADER + ROWS[0], "contains 1 poses. Allowed: 2 or more"),
         (
             HEADER + ROWS[0] + "nan;0;0;0;0;0;1;1\n" + ROWS[3],
-            "line 3 holds a value that is not fin",
+            "line 3 contains a value that is not fin",
         ),
         (HEADER + ROWS[0] + "a;0;0;0;0;0;1;1\n", "line 3 holds no number"),
         (HEADER + ROWS[0] + "1;2\n" + ROWS[1], "line 3 has 2 values, not 8; only a cut-off last"),
-        (HEADER + ROWS[0] + "0;0;0;0;0;0;2;1\n", "line 3 holds a quaternion of length 2, not 1"),
+        (HEADER + ROWS[0] + "0;0;0;0;0;0;2;1\n", "line 3 contains a quaternion of length 2, not 1"),
         (HEADER + ROWS[1] + ROWS[0], r"line 3: time 0 s does not come after 0\.5 s"),
         (
             "tX,tY,tZ,rX,rY,rZ,rW,time(s)\n" + "0,0,0,0,0,0,1,0\n" + "0,5,0,0,0,0,0,1,1\n",
@@ -130,7 +130,7 @@ def test_tum_round_trip(tmp_path, rng):
 
 def test_tum_with_nan(tmp_path):
     path = _write(tmp_path, "0 0 0 0 0 0 0 1\n1 0 nan 0 0 0 0 1\n2 0 0 0 0 0 0 1\n")
-    with pytest.raises(InputError, match=r"line 2 holds a value that is not finite \(1 0 nan"):
+    with pytest.raises(InputError, match=r"line 2 contains a value that is not finite \(1 0 nan"):
         read_tum(path, unit="m")
 
 

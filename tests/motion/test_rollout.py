@@ -244,7 +244,7 @@ def test_rejects_a_twin_with_other_triangles(lying: Model) -> None:
         ({"angle": np.nan}, r"Dynamics' angle is nan. Allowed: finite"),
         ({"settle": -1.0}, r"Dynamics' settle is -1.0. Allowed: 0 to 3600 s"),
         ({"step": 0.0}, r"Dynamics' step is 0.0. Allowed: above 0 to 0.5 s"),
-        ({"propulsion": Propulsion()}, "Propulsion follows the muscle, but motility is none"),
+        ({"propulsion": Propulsion()}, "Propulsion requires motility, but motility is none"),
         (
             {"wrenches": (Wrench(),), "wrench_file": "a.csv"},
             "wrenches and wrench_file are both given",

@@ -112,7 +112,7 @@ def test_an_interrupted_recording_is_said_first(episode, key):
     _edit_head(episode, lambda h: (h.update(status="recording"), key != "status" and h.pop(key)))
     first, *_ = check_episode(episode)
     assert str(first) == (
-        "episode.json: the recording was interrupted. To go on: "
+        "episode.json: the recording was interrupted. To resume it: "
         f"vrcaps record {episode / 'episode.json'} --out {episode}"
     )
 
@@ -123,7 +123,7 @@ def test_an_interrupted_recording_is_said_first(episode, key):
     [
         (
             lambda h: h.update(status="recording"),
-            "the recording was interrupted. To go on: vrcaps record",
+            "the recording was interrupted. To resume it: vrcaps record",
         ),
         (lambda h: h.update(format="other/1"), "has the format 'other/1'"),
         (lambda h: h["channels"]["depth"].update(scale=1.0), "channels.depth is not the encoding"),
@@ -206,7 +206,7 @@ def test_corrupted_files(episode, name, how):
             lambda a: np.where(a > 0, (a // 2 + 16384), 0).astype(np.uint16),
             "is not of unit length",
         ),
-        ("front/label/000001.png", lambda a: a + (a > 0) * np.uint8(7), "which has no name"),
+        ("front/label/000001.png", lambda a: a + (a > 0) * np.uint8(7), "which has no label name"),
     ],
 )
 def test_wrong_images(episode, name, change, what):

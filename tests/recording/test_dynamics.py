@@ -266,7 +266,7 @@ def test_check_finds_faults_of_walls(whole, tmp_path):
 
 
 def test_walls_that_were_not_recorded(recorded):
-    with pytest.raises(InputError, match=r"holds no walls\. Record with --wall"):
+    with pytest.raises(InputError, match=r"contains no walls\. Record it with --wall"):
         read_episode(recorded).wall(0)
 
 

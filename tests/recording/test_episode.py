@@ -98,7 +98,7 @@ def test_unknown_names_and_frames(recorded):
 
 
 def test_no_episode(tmp_path):
-    with pytest.raises(InputError, match=r"is no episode: it holds no episode\.json"):
+    with pytest.raises(InputError, match=r"is not an episode: it contains no episode\.json"):
         read_episode(tmp_path)
 
 
@@ -121,9 +121,9 @@ def test_unreadable_image(recorded, tmp_path):
         ({"wall": {"num_vertices": -4}}, "wall.num_vertices is -4"),
         ({"wall": []}, "wall.num_vertices is None"),
         ({"organ": {}}, "organ.label_names is missing"),
-        ({"organ": {"label_names": [1]}}, "organ.label_names is missing or no list of texts"),
+        ({"organ": {"label_names": [1]}}, "organ.label_names is missing or not a list of strings"),
         ({"cameras": []}, "number of cameras is 0"),
-        ({"cameras": [{}]}, r"cameras\[0\] is no camera. Allowed: a table with exactly name"),
+        ({"cameras": [{}]}, r"cameras\[0\] is not a camera. Allowed: a table with exactly name"),
     ],
 )
 def test_broken_head(recorded, tmp_path, change, match):
@@ -155,5 +155,5 @@ def test_names_of_cameras_are_checked_as_on_writing(recorded, tmp_path, names, m
 
 def test_a_head_nested_too_deeply(tmp_path):
     (tmp_path / "episode.json").write_text("[" * 100_000)
-    with pytest.raises(InputError, match="is no episode: cannot read"):
+    with pytest.raises(InputError, match="is not an episode: cannot read"):
         read_episode(tmp_path)

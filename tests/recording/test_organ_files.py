@@ -130,5 +130,5 @@ def test_organ_and_capsule_in_memory(
         record(other, tmp_path / "moved")
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "notes.txt").write_text("precious")
-    with pytest.raises(InputError, match="holds something else"):
+    with pytest.raises(InputError, match="contains other files"):
         record(scenario, tmp_path / "full")

@@ -95,7 +95,7 @@ def test_full_disk_then_resume(recorded, scenario, tmp_path, monkeypatch, fail_a
         with pytest.raises(InputError, match=r"The disk is full .* run the same command again"):
             record(scenario, out)
     assert json.loads((out / "episode.json").read_text())["status"] == "recording"
-    with pytest.raises(InputError, match=r"was interrupted\. To go on: vrcaps record \S"):
+    with pytest.raises(InputError, match=r"was interrupted\. To resume it: vrcaps record \S"):
         read_episode(out)
     written, whole = _digests(out), _digests(recorded)
     assert all(whole[name] == digest for name, digest in written.items() if name != "episode.json")
@@ -161,7 +161,7 @@ def test_other_write_errors(scenario, tmp_path, monkeypatch):
 
 def test_folder_that_holds_something_else(scenario, tmp_path):
     (tmp_path / "thesis.txt").write_text("mine")
-    with pytest.raises(InputError, match=r"holds something else \('thesis.txt'"):
+    with pytest.raises(InputError, match=r"contains other files \('thesis.txt'"):
         record(scenario, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
 
@@ -182,7 +182,7 @@ def test_folder_with_a_foreign_episode_json(scenario, tmp_path):
 
 def test_different_scenario_is_refused(recorded, scenario):
     before = _digests(recorded)
-    with pytest.raises(InputError, match="holds an episode of a different scenario"):
+    with pytest.raises(InputError, match="contains an episode of a different scenario"):
         record(replace(scenario, seed=2), recorded)
     assert _digests(recorded) == before
 

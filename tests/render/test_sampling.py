@@ -94,6 +94,6 @@ def test_without_the_package_the_extra_is_named(monkeypatch: pytest.MonkeyPatch)
 
 def test_only_path_tracing_has_noise() -> None:
     with pytest.raises(
-        InputError, match=r"Light 'radiosity' has no noise to take away\. Drop denoise"
+        InputError, match=r"denoise requires path tracing, but light is 'radiosity'"
     ):
         RenderSettings(light="radiosity", denoise=True)

@@ -96,6 +96,6 @@ def test_wrong_input(organ: OrganSurface):
     with pytest.raises(InputError, match=r"Mucus film is -1\.0\. Allowed: 0 to 1000 \[µm\]\."):
         RenderSettings(light="direct", mucus_film_um=-1.0)
     with pytest.raises(
-        InputError, match=r"shape has no look of its own, so no film\. Drop mucus-film-um"
+        InputError, match=r"shape has no appearance, so it cannot have a mucus film"
     ):
         apply_mucus_film(replace(organ, appearance=None), 1e-5)

@@ -50,8 +50,8 @@ class Effects:
 
     Each field is a severity from 0 (off) to 4, a range of severities from which a recording samples
     one, or the effect with exact parameters. None is the capsule's own, see `of_device`, and leaves
-    the scene unchanged. The class of a field documents the effect. To add an effect, add its file
-    in `camera_pipeline/effect` and its field here.
+    the scene unchanged. The class of a field documents the effect. To add an effect, add its class
+    to the file of its stage in `camera_pipeline/effect` and its field here.
 
     Example:
         >>> effects = vrcaps.Effects(depth_of_field=2, sensor_noise=(1, 3), jpeg=1)
@@ -109,13 +109,13 @@ class Effects:
 
         A severity does not depend on the presence of other effects.
         """
-        chosen: dict[str, int] = {}
+        severities: dict[str, int] = {}
         for name in SEVERITIES:
             value = getattr(self, name)
             if isinstance(value, tuple):
                 rng = stream(seed, f"camera/severity/{name}")
-                chosen[name] = int(rng.integers(value[0], value[1], endpoint=True))
-        return replace(self, **chosen)  # type: ignore[arg-type]
+                severities[name] = int(rng.integers(value[0], value[1], endpoint=True))
+        return replace(self, **severities)  # type: ignore[arg-type]
 
     def resolve(self, name: str) -> Any:
         """Return one effect with its parameters; None if it is off.
@@ -125,16 +125,14 @@ class Effects:
         """
         value = getattr(self, name)
         if isinstance(value, tuple):
-            raise InputError(
-                f"Effect {name} is a range of severities. Sample one first: sample(seed)."
-            )
+            raise InputError(f"Effect {name} is a range of severities. Call sample(seed) first.")
         return SEVERITIES.get(name, (None,))[value] if isinstance(value, int) else value
 
     def of_kind(self, kind: type[Kind]) -> tuple[Kind, ...]:
         """Effects of a kind that are on, in their order."""
         names = [name for name, cls in EFFECTS.items() if issubclass(cls, kind)]
-        found = (self.resolve(name) for name in names)
-        return tuple(effect for effect in found if effect is not None)
+        effects = (self.resolve(name) for name in names)
+        return tuple(effect for effect in effects if effect is not None)
 
     @property
     def is_ideal(self) -> bool:
@@ -179,7 +177,7 @@ def _check(kind: type[Effect], value: Any) -> None:
     if not (is_range and list(ends) == sorted(ends) and 0 <= ends[0] <= ends[-1] <= MAX_SEVERITY):
         raise InputError(
             f"Effect {kind.name} has the severity {given}. Allowed: 0 to {MAX_SEVERITY}, or a "
-            "rising range of these."
+            "ascending range of these."
         )
 
 
@@ -227,19 +225,19 @@ def parse_effects(text: str) -> Effects:
         UnknownNameError: If an effect does not exist.
         InputError: If an item or a severity is invalid.
     """
-    chosen: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for item in (part.strip() for part in text.split(",")):
         name, equals, value = item.partition("=")
         name, value = name.strip().replace("-", "_"), value.strip()
         name = SHORT_NAMES.get(name, name)
         if name == _RANDOM and not equals:
-            chosen |= dict.fromkeys(SEVERITIES, (0, MAX_SEVERITY))
+            values |= dict.fromkeys(SEVERITIES, (0, MAX_SEVERITY))
         elif name == _NONE and not equals:
-            chosen |= dict.fromkeys(_OF_CAMERA, 0)
+            values |= dict.fromkeys(_OF_CAMERA, 0)
         elif name == _ALL:
-            chosen |= dict.fromkeys(SEVERITIES, _All.parse(value))
+            values |= dict.fromkeys(SEVERITIES, _All.parse(value))
         elif name in EFFECTS:
-            chosen[name] = 0 if value == "0" else EFFECTS[name].parse(value)
+            values[name] = 0 if value == "0" else EFFECTS[name].parse(value)
         else:
             raise UnknownNameError("effect", name, (*EFFECTS, *SHORT_NAMES, _ALL, _RANDOM, _NONE))
-    return Effects(**chosen)
+    return Effects(**values)

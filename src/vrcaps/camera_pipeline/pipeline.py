@@ -118,18 +118,24 @@ class CameraPipeline:
         camera = device.camera(camera) if isinstance(camera, str) else camera
         effects = Effects().of_device(device) if effects is None else effects
         fps = device.frame_rate if fps is None else fps
-        self.renderer, self.camera, self.channels = renderer, camera, tuple(channels)
+        self.renderer, self.camera = renderer, camera
+        self.channels = tuple(channels)
         self.state = PipelineState()
         self._effects = effects
-        self._fps, self._seed, self._number = fps, seed, number
+        self._fps = fps
+        self._seed, self._number = seed, number
         self._is_ideal = effects.is_ideal
         self._rate_adapts = effects.resolve("adaptive_frame_rate") is not None
         self._automatic: AutoExposure | None = effects.resolve("auto_exposure")
-        chosen = effects.of_kind(ImageEffect)
-        setup = CameraSetup(camera, number, fps, seed, chosen)
-        self._stages: dict[str, Stage] = {effect.name: effect.stage(setup) for effect in chosen}
-        self._needs_motion = self._rate_adapts or any(effect.needs_motion for effect in chosen)
-        self._needs = {name for effect in chosen for name in effect.needs}
+        image_effects = effects.of_kind(ImageEffect)
+        setup = CameraSetup(camera, number, fps, seed, image_effects)
+        self._stages: dict[str, Stage] = {
+            effect.name: effect.stage(setup) for effect in image_effects
+        }
+        self._needs_motion = self._rate_adapts or any(
+            effect.needs_motion for effect in image_effects
+        )
+        self._needs = {name for effect in image_effects for name in effect.needs}
         self._needs |= _MOTION_CHANNELS if self._needs_motion else set()
         rays = camera_rays(camera)
         self._lit = np.asarray(np.isfinite(rays).all(axis=-1))
@@ -233,12 +239,12 @@ class CameraPipeline:
         if radiance.planes is None:
             return Frame(**radiance.channels)
         context = FrameContext(radiance.step, exposure, radiance.channels)
-        made = {"rgb": self._core.apply(radiance.planes, self._frame_params(radiance, context))}
+        images = {"rgb": self._core.apply(radiance.planes, self._frame_params(radiance, context))}
         if "dome_label" in radiance.channels:
-            made["dome_label"] = label = np.zeros(self._lit.shape, np.uint8)
+            images["dome_label"] = label = np.zeros(self._lit.shape, np.uint8)
             for stage in self._stages.values():
                 stage.mark_dome(label, radiance.step.state.time)
-        return Frame(**radiance.channels | made)
+        return Frame(**radiance.channels | images)
 
     def _frame_params(self, radiance: SceneRadiance, context: FrameContext) -> dict[str, object]:
         """Parameters of a frame for the stages of the core."""

@@ -77,7 +77,7 @@ class Device:
             )
         require(len(self.cameras) > 0, "number of cameras", 0, "1 or more")
         check_names(self.cameras)
-        _check_places(self, straight)
+        _check_positions(self, straight)
         if self.led_spectrum is not None:
             check_spectrum(self.led_spectrum)
 
@@ -93,14 +93,14 @@ class Device:
         raise UnknownNameError("camera", name, [camera.name for camera in self.cameras])
 
 
-def _check_places(device: Device, straight: float) -> None:
-    places = {f"camera {c.name!r}": c.position for c in device.cameras}
-    places |= {f"magnet {k}": m.position_capsule for k, m in enumerate(device.magnets)}
-    for what, (x, y, z) in places.items():
+def _check_positions(device: Device, straight: float) -> None:
+    positions = {f"camera {c.name!r}": c.position for c in device.cameras}
+    positions |= {f"magnet {k}": m.position_capsule for k, m in enumerate(device.magnets)}
+    for name, (x, y, z) in positions.items():
         if np.hypot(np.hypot(x, y), max(abs(z) - straight, 0.0)) > device.radius:
             raise InputError(
-                f"{what} is outside the body. Allowed: a position inside it, from the center of "
-                "mass."
+                f"{name} is outside the body. Allowed: a position inside it, relative to the "
+                "center of mass."
             )
 
 

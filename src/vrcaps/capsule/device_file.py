@@ -130,8 +130,11 @@ def _expand_camera(plain: dict[str, Any]) -> dict[str, Any]:
     rings = plain.pop("led_rings", None)
     if rings is None:
         return plain
-    made = from_plain(tuple[LedRing, ...], rings, at="led_rings", units=True)
-    return {**plain, "leds": [*plain.get("leds", []), *(led for ring in made for led in ring.leds)]}
+    expanded = from_plain(tuple[LedRing, ...], rings, at="led_rings", units=True)
+    return {
+        **plain,
+        "leds": [*plain.get("leds", []), *(led for ring in expanded for led in ring.leds)],
+    }
 
 
 def _expand_magnet(plain: dict[str, Any]) -> dict[str, Any]:

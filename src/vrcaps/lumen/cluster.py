@@ -25,10 +25,10 @@ def sizes(total: int, mean: float, rng: np.random.Generator) -> Int[np.ndarray, 
     drawn = np.minimum(rng.geometric(1.0 / mean, total), max(1, round(4.0 * mean)))
     ends = np.cumsum(drawn)
     count = int(np.searchsorted(ends, total)) + 1 if total else 0
-    chosen = drawn[:count]
+    counts = drawn[:count]
     if count:
-        chosen[-1] -= ends[count - 1] - total
-    return chosen
+        counts[-1] -= ends[count - 1] - total
+    return counts
 
 
 def pack(
@@ -54,24 +54,24 @@ def pack(
     Returns:
         Positions relative to the first sphere of each cluster [m].
     """
-    place = np.zeros((len(radius), 3))
+    positions = np.zeros((len(radius), 3))
     first = np.concatenate([[0], np.cumsum(number)])[:-1].astype(int)
     for member in range(1, int(number.max(initial=0))):
         start = first[number > member]
         shape = (len(start), _TRIES)
-        beside = start[:, None] + rng.integers(0, member, shape)
+        neighbor = start[:, None] + rng.integers(0, member, shape)
         direction = rng.standard_normal((*shape, 3))
         direction[..., 2] = _FLATTENING * np.abs(direction[..., 2]) if dimensions == 3 else 0.0
         direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
         own = radius[start + member]
-        reach = touch * (radius[beside] + own[:, None])
-        tried = place[beside] + reach[..., None] * direction
+        reach = touch * (radius[neighbor] + own[:, None])
+        tried = positions[neighbor] + reach[..., None] * direction
         others = start[:, None] + np.arange(member)
-        apart = np.linalg.norm(tried[:, :, None] - place[others][:, None], axis=-1)
+        apart = np.linalg.norm(tried[:, :, None] - positions[others][:, None], axis=-1)
         gap = apart - touch * (radius[others][:, None] + own[:, None, None])
         least = gap.min(axis=-1)
         far = np.linalg.norm(tried, axis=-1)
         is_free = least > -0.02 * own[:, None]
         best = np.argmax(np.where(is_free, 1.0 - far, least - 10.0), axis=1)
-        place[start + member] = tried[np.arange(len(start)), best]
-    return place
+        positions[start + member] = tried[np.arange(len(start)), best]
+    return positions

@@ -86,7 +86,7 @@ def require_sizes(whose: str, smallest: float, radius: float, largest: float) ->
         0.0 < smallest <= radius <= largest < math.inf,
         f"{whose} smallest, radius, largest",
         (smallest, radius, largest),
-        "above 0 m and rising",
+        "above 0 m and ascending",
     )
 
 

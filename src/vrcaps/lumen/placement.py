@@ -68,8 +68,8 @@ def place_bubbles(
         return no_spheres()
     rafts.settle(up, bubbles.rising)
     radius = rafts.radii(bubbles)
-    place = rafts.spread(radius, dimensions=2, touch=1.0)
-    centers = _on_wall(organ, wall, place, LIFT_BUBBLE * radius)
+    positions = rafts.spread(radius, dimensions=2, touch=1.0)
+    centers = _on_wall(organ, wall, positions, LIFT_BUBBLE * radius)
     number = 1 + np.arange(len(radius)) % 65535
     return Spheres(
         centers=centers,
@@ -94,10 +94,10 @@ def place_chyme(
         return no_spheres()
     clumps.settle(-up, chyme.settled)
     radius = clumps.radii(chyme)
-    place = clumps.spread(radius, dimensions=3, touch=_BOUND)
-    distance = wall.signed_distance(place)
-    lifted = _on_wall(organ, wall, place, _LIFT_CHYME * radius)
-    centers = np.where((distance < _LIFT_CHYME * radius)[:, None], lifted, place)
+    positions = clumps.spread(radius, dimensions=3, touch=_BOUND)
+    distance = wall.signed_distance(positions)
+    lifted = _on_wall(organ, wall, positions, _LIFT_CHYME * radius)
+    centers = np.where((distance < _LIFT_CHYME * radius)[:, None], lifted, positions)
     white = (rng.random(len(clumps.number)) < chyme.white)[clumps.owner]
     shade = rng.uniform(0.75, 1.1, len(radius))[:, None]
     color = np.where(white[:, None], chyme.white_color, chyme.yellow_color)
@@ -123,7 +123,8 @@ class _Seeds:
         mean_size: float,
         rng: np.random.Generator,
     ) -> None:
-        self.organ, self.wall, self.rng = organ, wall, rng
+        self.organ, self.wall = organ, wall
+        self.rng = rng
         edges, area = smooth_area(organ)
         self.total = int(rng.poisson(per_area * area[-1]))
         self.number = sizes(self.total, mean_size, rng)
@@ -164,8 +165,8 @@ class _Seeds:
         first /= np.linalg.norm(first, axis=1, keepdims=True)
         axes = np.stack([first, np.cross(self.inward, first), self.inward], axis=-1)[self.owner]
         lift = np.minimum(radius, 0.5 * self.lumen_radius[self.owner])
-        place = self.anchor[self.owner] + lift[:, None] * self.inward[self.owner]
-        return place + np.einsum("nij,nj->ni", axes, flat)
+        start = self.anchor[self.owner] + lift[:, None] * self.inward[self.owner]
+        return start + np.einsum("nij,nj->ni", axes, flat)
 
 
 def _inward(organ: OrganSurface, face: np.ndarray) -> Float[np.ndarray, "n 3"]:
@@ -174,10 +175,10 @@ def _inward(organ: OrganSurface, face: np.ndarray) -> Float[np.ndarray, "n 3"]:
 
 
 def _on_wall(
-    organ: OrganSurface, wall: Wall, place: Float[np.ndarray, "n 3"], height: np.ndarray
+    organ: OrganSurface, wall: Wall, positions: Float[np.ndarray, "n 3"], height: np.ndarray
 ) -> Float[np.ndarray, "n 3"]:
     """Points of the wall nearest to given positions, lifted into the lumen [m]."""
-    nearest, face = wall.closest_point(place)
+    nearest, face = wall.closest_point(positions)
     return nearest + height[:, None] * _inward(organ, face)
 
 
@@ -231,7 +232,7 @@ def dome_sites(
     Returns:
         Positions in the capsule frame, relative to its center [m].
     """
-    places = np.zeros((len(radius), 3))
+    positions = np.zeros((len(radius), 3))
     half = length / 2.0 - capsule_radius
     for k, own in enumerate(radius):
         cosine = rng.uniform(np.cos(_WIDEST), 1.0, _TRIES)
@@ -239,6 +240,6 @@ def dome_sites(
         normal = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=1)
         tried = (capsule_radius + own) * normal + np.array([0.0, 0.0, half])
         tried *= np.array([1.0, 1.0, -1.0 if k % 2 else 1.0])
-        apart = np.linalg.norm(tried[:, None] - places[:k], axis=-1) - radius[:k] - own
-        places[k] = tried[np.argmax(apart.min(axis=1, initial=np.inf))]
-    return places
+        apart = np.linalg.norm(tried[:, None] - positions[:k], axis=-1) - radius[:k] - own
+        positions[k] = tried[np.argmax(apart.min(axis=1, initial=np.inf))]
+    return positions

@@ -205,7 +205,7 @@ class DynamicsSettings:
                 raise UnknownNameError(noun, name, known)
         if self.propulsion is not None and self.motility == "none":
             raise InputError(
-                "Propulsion follows the muscle, but motility is none. Choose "
+                "Propulsion requires motility, but motility is none. Allowed: "
                 f"{', '.join(MOTILITIES[1:])}."
             )
         if self.wrenches and self.wrench_file:
@@ -216,7 +216,7 @@ class DynamicsSettings:
         check_flushes(self.flushes, "flushes")
         if self.phase_three and self.motility == "steady":
             raise InputError(
-                "phase_three begins fronts, but motility is steady, which has none. Choose none, "
+                "phase_three starts fronts, but steady motility has none. Allowed motility: none, "
                 "fasting or phase-three."
             )
         require_rising([front.time for front in self.phase_three], "phase_three")

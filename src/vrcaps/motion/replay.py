@@ -196,7 +196,7 @@ def tum_rows(path: str | Path) -> tuple[list[int], Float[np.ndarray, "n 8"]]:
 def _no_tum(path: str | Path, number: int, reason: str) -> InputError:
     return InputError(
         f"{path} line {number} is not in the layout TUM: {reason}. TUM has seconds and qx qy qz qw "
-        "with blanks between; CSV of EuRoC and TUM-VI (nanoseconds, qw first) has the format "
+        "separated by blanks; CSV of EuRoC and TUM-VI (nanoseconds, qw first) has the format "
         "'euroc'."
     )
 
@@ -227,7 +227,7 @@ def read_euroc_csv(path: str | Path, *, unit: str) -> Trajectory:
     if len(wrong):
         raise InputError(
             f"{path} line {numbers[wrong[0]]} has the time {rows[wrong[0]][1][0]}. EuRoC's files "
-            "have whole nanoseconds; a file in seconds with blanks between is the format 'tum'."
+            "have whole nanoseconds; a file in seconds, separated by blanks, has the format 'tum'."
         )
     poses = transform_from(_rotations(path, numbers, values[:, 4:8]), scale * values[:, 1:4])
     return _trajectory(path, numbers, _NANOSECOND * values[:, 0], poses, ())
@@ -235,8 +235,8 @@ def read_euroc_csv(path: str | Path, *, unit: str) -> Trajectory:
 
 def quaternion_order(header: str) -> str:
     """Order of a quaternion's components in a header, such as ``wxyz``; or empty."""
-    found = "".join(_QUATERNION.findall(header.lower()))
-    return found if sorted(found) == sorted("wxyz") else ""
+    order = "".join(_QUATERNION.findall(header.lower()))
+    return order if sorted(order) == sorted("wxyz") else ""
 
 
 def read_unity_csv(
@@ -285,7 +285,8 @@ def read_unity_csv(
     poses = transform_from(rotations, scale * values[:, :3] @ world.T)
     if _first_jumps(poses):
         notes.append(f"Dropped line {numbers[0]}, the first pose, from which the path jumps.")
-        numbers, values, poses = numbers[1:], values[1:], poses[1:]
+        numbers = numbers[1:]
+        values, poses = values[1:], poses[1:]
     return _trajectory(path, numbers, values[:, 7], poses, tuple(notes))
 
 
@@ -314,11 +315,11 @@ def _numbers(
         try:
             values[index] = [float(cell) for cell in cells]
         except ValueError as error:
-            raise InputError(f"{path} line {number} holds no number: {error}.") from error
+            raise InputError(f"{path} line {number} does not contain a number: {error}.") from error
         if not np.all(np.isfinite(values[index])):
             raise InputError(
-                f"{path} line {number} holds a value that is not finite ({' '.join(cells)}). "
-                "Remove the line; the path is interpolated across it."
+                f"{path} line {number} contains a value that is not finite ({' '.join(cells)}). "
+                "Remove the line: the path is interpolated across it."
             )
     return [number for number, _ in rows], values
 
@@ -330,8 +331,8 @@ def _rotations(
     wrong = np.flatnonzero(np.abs(length - 1.0) > 0.01)
     if len(wrong):
         raise InputError(
-            f"{path} line {numbers[wrong[0]]} holds a quaternion of length {length[wrong[0]]:.4g}, "
-            "not 1."
+            f"{path} line {numbers[wrong[0]]} contains a quaternion of length "
+            f"{length[wrong[0]]:.4g}, not 1."
         )
     return matrix_from_quaternion(wxyz)
 
@@ -355,7 +356,7 @@ def _trajectory(
 ) -> Trajectory:
     require_rigid(poses, path)
     if len(times) < 2:
-        raise InputError(f"{path} holds {len(times)} poses. A path needs at least 2.")
+        raise InputError(f"{path} contains {len(times)} poses. Allowed: 2 or more.")
     wrong = np.flatnonzero(np.diff(times) <= 0.0)
     if len(wrong):
         raise InputError(

@@ -266,7 +266,8 @@ class Rollout:
         magnet = self.settings.magnet
         step = self.settings.step if magnet is None else min(self.settings.step, magnet.period)
         count = math.ceil((end - begin) / step * (1.0 - 1e-9))
-        contacts, couplings, wrenches = [], [], np.zeros((max(count, 1), 2, 3))
+        contacts, couplings = [], []
+        wrenches = np.zeros((max(count, 1), 2, 3))
         for index in range(count):
             times = [begin + (end - begin) * (index + k) / count for k in (0, 1)]
             wrenches[index] = self._wrench(times[0]) if begin >= 0.0 else 0.0
@@ -361,13 +362,13 @@ class Rollout:
         if muscle.phase(np.array(arc_length), 0.0) != 3:
             raise InputError(
                 f"motility is phase-three, but the migrating motor complex does not pass where "
-                f"the capsule is set in {self.model.organ.name}. Choose fasting, steady or none."
+                f"the capsule is placed in {self.model.organ.name}. Allowed: fasting, steady, none."
             )
 
     def _require_time(self) -> None:
         if not self.settings.settle and insufflation_at(self.settings.insufflation, 0.0) != 1.0:
             raise InputError(
-                "settle is 0 s, but the gut needs time to take on its first insufflation. Allowed: "
+                "settle is 0 s, but the gut needs time to reach its first insufflation. Allowed: "
                 "above 0 s, or a first factor of 1."
             )
 
@@ -381,7 +382,7 @@ def _offset(organ: OrganSurface, shown: OrganSurface) -> Float[np.ndarray, "n 3"
     if not np.array_equal(organ.faces, shown.faces):
         raise InputError(
             f"{organ.name} and its clean twin have different triangles, so the one's moving wall "
-            "cannot be shown on the other. Record the twin with another motion."
+            "cannot be transferred to the other. Record the twin with another motion."
         )
     return shown.vertices - organ.vertices
 

@@ -217,17 +217,17 @@ def start_pose(
     wanted = start * line.length
     # Towards the far end: a capsule that does not fit at one end fits further in.
     end = line.length if start <= 0.5 else 0.0
-    places = np.linspace(wanted, end, max(2, math.ceil(abs(end - wanted) / _SPACING) + 1))
-    poses = model.centerline_poses(places, angle=angle)
+    arc_lengths = np.linspace(wanted, end, max(2, math.ceil(abs(end - wanted) / _SPACING) + 1))
+    poses = model.centerline_poses(arc_lengths, angle=angle)
     clearance = capsule_clearance(model, poses).min(axis=1)
     fitting = np.flatnonzero(clearance > _CLEARANCE * model.device.radius)
     if len(fitting) == 0:
         raise InputError(
-            f"{model.device.name} in {model.organ.name}: the capsule fits nowhere from start "
-            f"{start:g} on: {fit_text(model)} Start elsewhere, inflate the gut, or take a smaller "
+            f"{model.device.name} in {model.organ.name}: the capsule fits nowhere beyond start "
+            f"{start:g} on: {fit_text(model)} Change start, inflate the gut, or use a smaller "
             "capsule."
         )
-    place = float(places[fitting[0]])
-    moved = abs(place - wanted)
-    note = f"Set the capsule {moved / MM:.1f} mm further along, where it fits."
-    return poses[fitting[0]], place, (note,) if moved > 0.0 else ()
+    arc_length = float(arc_lengths[fitting[0]])
+    moved = abs(arc_length - wanted)
+    note = f"Moved the start position by {moved / MM:.1f} mm to where the capsule fits."
+    return poses[fitting[0]], arc_length, (note,) if moved > 0.0 else ()

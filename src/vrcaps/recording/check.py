@@ -112,7 +112,7 @@ def _check_status(path: Path) -> list[Problem]:
     if read_head(LocalFiles(path)).get("status") == COMPLETE:
         return []
     go_on = f"vrcaps record {path / EPISODE_JSON} --out {path}"
-    return [Problem(EPISODE_JSON, f"the recording was interrupted. To go on: {go_on}")]
+    return [Problem(EPISODE_JSON, f"the recording was interrupted. To resume it: {go_on}")]
 
 
 def _check_head(episode: Episode) -> Iterator[Problem]:
@@ -146,7 +146,7 @@ def _check_table(episode: Episode) -> Iterator[Problem]:
             continue
         is_allowed = np.isfinite(values) | (np.isnan(values) & (name in may_lack))
         if not is_allowed.all():
-            yield Problem(f"{FRAMES_PARQUET} {name}", "holds values that are not finite")
+            yield Problem(f"{FRAMES_PARQUET} {name}", "contains values that are not finite")
             return
     yield from _check_motion(episode)
 
@@ -174,7 +174,7 @@ def _check_motion(episode: Episode) -> Iterator[Problem]:
                 f"pose of {camera.name} is {error[row]:.2g} off that of the capsule and its mount",
             )
     if not set(columns["segment"]) <= set(episode.label_names):
-        yield Problem(f"{FRAMES_PARQUET} segment", "holds a name that is no label name")
+        yield Problem(f"{FRAMES_PARQUET} segment", "contains a name that is not a label name")
 
 
 def _is_rigid(Ts: NDArray) -> NDArray:
@@ -194,7 +194,7 @@ def _load_organ(episode: Episode) -> tuple[Mesh | None, list[Problem]]:
     if len(mesh.faces) != expected:
         return None, [Problem(where, f"has {len(mesh.faces)} triangles, not {expected}")]
     if not np.isfinite(mesh.vertices).all():
-        return None, [Problem(where, "holds vertices that are not finite")]
+        return None, [Problem(where, "contains vertices that are not finite")]
     return mesh, []
 
 
@@ -218,7 +218,7 @@ def _stored_wall(
         what = "is missing" if not path.exists() else f"cannot be read ({reason_of(error)})"
         return None, [Problem(where, what)]
     if not np.isfinite(vertices).all():
-        return None, [Problem(where, "holds vertices that are not finite")]
+        return None, [Problem(where, "contains vertices that are not finite")]
     if organ is None or len(organ.vertices) != len(vertices):
         return None, []
     return wall_of(vertices, organ.faces), []
@@ -276,7 +276,7 @@ def _faults(
                     f"has {np.count_nonzero(seen & blind)} values where the lens is blind",
                 )
     if "label" in values and int(values["label"].max()) >= len(episode.label_names):
-        yield "label", f"holds class {values['label'].max()}, which has no name"
+        yield "label", f"holds class {values['label'].max()}, which has no label name"
     if "depth" in values and "ray_distance" in values:
         both = np.isfinite(values["depth"]) & np.isfinite(values["ray_distance"]) & ~blind
         error = np.abs(values["depth"] - values["ray_distance"] * rays[..., 2])[both]

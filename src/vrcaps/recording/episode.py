@@ -128,7 +128,7 @@ class Episode:
             UnknownNameError: If camera or channel was not recorded.
         """
         own = self.cameras[0] if camera is None else self.camera(camera)
-        found = FrameSequence(
+        sequence = FrameSequence(
             f"{self.name}/{own.name}",
             self.channels,
             {
@@ -143,14 +143,14 @@ class Episode:
             self.label_names,
             episode=self,
         )
-        return found if channels is None else found.with_channels(channels)
+        return sequence if channels is None else sequence.with_channels(channels)
 
     def _exposure(self, camera: str) -> dict[str, NDArray]:
         """Exposure of each frame by its name as a value; empty where it is fixed."""
         from vrcaps.camera_pipeline.capsule_cameras import exposure_columns
 
-        found = self.table.columns.get(exposure_columns(camera)[0])
-        return {} if found is None else {EXPOSURE: found}
+        exposure = self.table.columns.get(exposure_columns(camera)[0])
+        return {} if exposure is None else {EXPOSURE: exposure}
 
     def sequences(self, camera: str | None = None) -> tuple[FrameSequence, ...]:
         """Return the frame sequence of each camera, or of the given one.
@@ -265,8 +265,9 @@ class Episode:
         encoding, own = CHANNELS[channel].encoding, self.camera(camera)
         shape = (own.height, own.width, *((encoding.planes,) if encoding.planes > 1 else ()))
         if stored.shape != shape or stored.dtype != encoding.dtype:
-            found = f"{stored.dtype} {stored.shape}"
-            raise ValueError(f"it holds {found}, not {encoding.dtype} {shape}")
+            raise ValueError(
+                f"it contains {stored.dtype} {stored.shape}, not {encoding.dtype} {shape}"
+            )
         return stored
 
     def frame(
@@ -337,7 +338,7 @@ class Episode:
         vertices = decode_wall(self.files.read(self._wall_name(frame)))
         shape = (self.head["wall"]["num_vertices"], 3)
         if vertices.shape != shape or vertices.dtype != np.float32:
-            raise ValueError(f"it holds {vertices.dtype} {vertices.shape}, not float32 {shape}")
+            raise ValueError(f"it contains {vertices.dtype} {vertices.shape}, not float32 {shape}")
         return vertices
 
     def wall_path(self, frame: int) -> Path:
@@ -351,7 +352,7 @@ class Episode:
 
     def _wall_name(self, frame: int) -> str:
         if "wall" not in self.head:
-            raise InputError(f"{self.url} holds no walls. Record with --wall to store them.")
+            raise InputError(f"{self.url} contains no walls. Record it with --wall.")
         self._require_frame(frame)
         return wall_path(frame)
 
@@ -379,8 +380,8 @@ def read_episode(path: str | Path | EpisodeFiles, *, unfinished: bool = False) -
     head, where = read_head(files), f"{files.url}/{EPISODE_JSON}"
     if head.get("status") != COMPLETE and not unfinished:
         raise InputError(
-            f"The recording of {files.url} was interrupted. To go on: vrcaps record {where} --out "
-            f"{files.url}"
+            f"The recording of {files.url} was interrupted. To resume it: vrcaps record {where} "
+            f"--out {files.url}"
         )
     require_head(head, where)
     cameras = tuple(

@@ -63,7 +63,7 @@ def require_pixels(width: int, height: int) -> None:
         ValueError: If it has no pixels, or more than `MAX_PIXELS`.
     """
     if not 0 < width * height <= MAX_PIXELS:
-        raise ValueError(f"it states {width} x {height} pixels; allowed are 1 to {MAX_PIXELS}")
+        raise ValueError(f"it declares {width} x {height} pixels. Allowed: 1 to {MAX_PIXELS}")
 
 
 _DTYPE = "float32"

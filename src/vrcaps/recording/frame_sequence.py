@@ -200,7 +200,11 @@ def _require_possible(channel: str, image: NDArray, what: str) -> None:
     if image.dtype.kind != "f":
         return
     if np.isinf(image).any():
-        raise InputError(f"{what} holds an infinite value. Allowed: finite ones, NaN for none.")
+        raise InputError(
+            f"{what} contains an infinite value. Allowed: finite values, or NaN for none."
+        )
     encoding = CHANNELS[channel].encoding
     if encoding.unit == "m" and encoding.components == 1 and (image < 0.0).any():
-        raise InputError(f"{what} holds a negative distance. Allowed: 0 or more, NaN for none.")
+        raise InputError(
+            f"{what} contains a negative distance. Allowed: 0 or more, or NaN for none."
+        )

@@ -191,10 +191,10 @@ def camera_from_plain(plain: Any, *, at: str) -> Camera:
     names = [f.name for f in fields(Camera) if f.name not in ("position", "rotation")]
     names.append("T_capsule_camera")
     if not isinstance(plain, dict) or set(plain) != set(names):
-        raise InputError(f"{at} is no camera. Allowed: a table with exactly {', '.join(names)}.")
+        raise InputError(f"{at} is not a camera. Allowed: a table with exactly {', '.join(names)}.")
     values = dict(plain)
-    place = f"{at}.T_capsule_camera"
-    rows = from_plain(_Pose, values.pop("T_capsule_camera"), at=place)[:3]
+    key = "T_capsule_camera"
+    rows = from_plain(_Pose, values.pop(key), at=f"{at}.{key}")[:3]
     position, rotation = [row[3] for row in rows], [row[:3] for row in rows]
     return from_plain(Camera, {**values, "position": position, "rotation": rotation}, at=at)
 
@@ -222,9 +222,11 @@ def read_head(files: EpisodeFiles) -> dict[str, Any]:
     try:
         head = decode_json(files.read(EPISODE_JSON), EPISODE_JSON)
     except FileNotFoundError as error:
-        raise InputError(f"{files.url} is no episode: it holds no {EPISODE_JSON}.") from error
+        raise InputError(
+            f"{files.url} is not an episode: it contains no {EPISODE_JSON}."
+        ) from error
     except (OSError, InputError) as error:
-        raise InputError(f"{files.url} is no episode: cannot read {path} ({error}).") from error
+        raise InputError(f"{files.url} is not an episode: cannot read {path} ({error}).") from error
     if not isinstance(head, dict) or head.get("format") != FORMAT:
         given = head.get("format") if isinstance(head, dict) else None
         raise InputError(f"{path} has the format {given!r}. Allowed: {FORMAT!r}.")
@@ -274,4 +276,4 @@ def require_head(head: dict[str, Any], where: str) -> None:
     require_organ_name(head, where)
     names = head["organ"].get("label_names")
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise InputError(f"{where}: organ.label_names is missing or no list of texts.")
+        raise InputError(f"{where}: organ.label_names is missing or not a list of strings.")

@@ -47,8 +47,8 @@ def read_stored_organ(files: EpisodeFiles, head: dict[str, Any]) -> Mesh:
             mesh = read_mesh(path, unit="m")
     except FileNotFoundError as error:
         raise InputError(
-            f"{files.url} is of a data set, which keeps its organ at {name} relative to the "
-            "episode, and that file is missing. Copy it along, to the same relative place."
+            f"{files.url} belongs to a data set whose organ {name}, relative to the episode, is "
+            "missing. Copy it to the same relative path."
         ) from error
     T_world_patient = np.array(head["T_world_patient"])
     return replace(mesh, vertices=transform_points(T_world_patient, mesh.vertices))
@@ -74,5 +74,5 @@ def with_stored_organ(scenario: Scenario, out: Path) -> Scenario:
         written = folder / SOURCE_ORGAN
         write_organ(written, scenario.organ)
         if not path.exists() or file_sha256(written) != file_sha256(path):
-            raise InputError(f"{out} holds an episode of another organ. Give an empty folder.")
+            raise InputError(f"{out} contains an episode of another organ. Give an empty folder.")
     return replace(scenario, organ=OrganFile(str(path)))

@@ -36,5 +36,5 @@ def open_parquet(source: Path | bytes, name: object) -> Iterator[pq.ParquetFile]
         about = file.metadata
         sizes = [about.row_group(k).total_byte_size for k in range(about.num_row_groups)]
         if not all(0 <= size <= MAX_BYTES for size in sizes):
-            raise ValueError(f"a group of rows states {max(sizes)} bytes; {MAX_BYTES} are allowed")
+            raise ValueError(f"a row group declares {max(sizes)} bytes. Allowed: up to {MAX_BYTES}")
         yield file

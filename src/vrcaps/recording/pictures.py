@@ -47,13 +47,13 @@ def picture(
     low, high = limits
     valid = np.isfinite(values) if values.ndim == 2 else np.all(np.isfinite(values), axis=-1)
     if display == "flow":
-        shown = _flow_colors(values, high)
+        colors = _flow_colors(values, high)
     else:
         fraction = np.nan_to_num((values - low) / max(high - low, 1e-12))
         fraction = fraction ** (1 / 2.2) if display == "color" else fraction
-        shown = (np.clip(fraction, 0.0, 1.0) * 255.0).astype(np.uint8)
-        shown = _color_map("turbo")[shown] if display == "scalar" else shown
-    return np.where(valid[..., None], shown, _BACKGROUND)
+        colors = (np.clip(fraction, 0.0, 1.0) * 255.0).astype(np.uint8)
+        colors = _color_map("turbo")[colors] if display == "scalar" else colors
+    return np.where(valid[..., None], colors, _BACKGROUND)
 
 
 def limits_of(channel: str, images: list[NDArray]) -> tuple[float, float]:
@@ -91,11 +91,11 @@ def contact_sheet(episode: Episode) -> UInt8[np.ndarray, "h w 3"]:
         draw.text((_MARGIN, top), caption, fill=_TEXT, font=font)
         tile = (round(camera.width * _TILE_HEIGHT / camera.height), _TILE_HEIGHT)
         for column, image in enumerate(images):
-            shown = Image.fromarray(np.ascontiguousarray(picture(channel, image, limits)))
+            tile_image = Image.fromarray(np.ascontiguousarray(picture(channel, image, limits)))
             is_categorical = CHANNELS[channel].is_categorical
             method = Image.Resampling.NEAREST if is_categorical else Image.Resampling.BOX
             left = _MARGIN + column * (max(widths) + _MARGIN)
-            sheet.paste(shown.resize(tile, method), (left, top + _LINE))
+            sheet.paste(tile_image.resize(tile, method), (left, top + _LINE))
     return np.asarray(sheet)
 
 
@@ -129,10 +129,10 @@ def legend(
         return f": {', '.join(declared.class_names[1:])}"
     if declared.display not in ("classes", "numbers"):
         return ""
-    seen = np.unique(np.concatenate([np.unique(image) for image in images]))
+    values = np.unique(np.concatenate([np.unique(image) for image in images]))
     if declared.display == "classes":
-        return f": {', '.join(label_names[i] for i in seen if i > 0)}"
-    return f": {', '.join(str(i) for i in seen if i > 0) or 'none'}"
+        return f": {', '.join(label_names[i] for i in values if i > 0)}"
+    return f": {', '.join(str(i) for i in values if i > 0) or 'none'}"
 
 
 def _class_colors() -> UInt8[np.ndarray, "256 3"]:
@@ -204,9 +204,9 @@ class Preview:
 
         canvas = np.zeros((*self._size, 3), np.uint8)
         left = 0
-        for shown in pictures:
-            canvas[: shown.shape[0], left : left + shown.shape[1]] = shown
-            left += shown.shape[1]
+        for picture in pictures:
+            canvas[: picture.shape[0], left : left + picture.shape[1]] = picture
+            left += picture.shape[1]
         self._container.mux(self._stream.encode(av.VideoFrame.from_ndarray(canvas, format="rgb24")))
 
     def finish(self) -> bytes:
@@ -228,8 +228,8 @@ def require_preview(path: Path, frames: int) -> None:
 
     try:
         with av.open(str(path)) as container:
-            found = container.streams.video[0].frames
+            count = container.streams.video[0].frames
     except (FFmpegError, IndexError) as error:
-        raise ValueError(f"no whole video: {error}") from error
-    if found != frames:
-        raise ValueError(f"a video of {found} frames, not {frames}")
+        raise ValueError(f"not a complete video: {error}") from error
+    if count != frames:
+        raise ValueError(f"a video of {count} frames, not {frames}")

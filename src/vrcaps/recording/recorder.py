@@ -160,11 +160,11 @@ class _Recording:
 
     def checkpoint(self) -> Checkpoint | None:
         """Checkpoint to resume the motion from; None if it must start from the beginning."""
-        found = read_checkpoint(self.out)
-        if found is None:
+        checkpoint = read_checkpoint(self.out)
+        if checkpoint is None:
             return None
-        is_whole = all(self.is_there(frame) for frame in range(found.motion.frame + 1))
-        return found if is_whole else None
+        is_whole = all(self.is_there(frame) for frame in range(checkpoint.motion.frame + 1))
+        return checkpoint if is_whole else None
 
 
 def _silent(done: int, total: int) -> None:
@@ -186,7 +186,7 @@ def _require_free(out: Path) -> None:
     names = [name for name in names if not is_temporary(name)]
     if names and EPISODE_JSON not in names:
         raise InputError(
-            f"{out} holds something else ({names[0]!r}, …). Give a new or empty folder."
+            f"{out} contains other files ({names[0]!r}, …). Give a new or empty folder."
         )
 
 
@@ -200,8 +200,8 @@ def _require_same(out: Path, scenario: Scenario) -> None:
         return
     if read_head(LocalFiles(out)).get("scenario") != scenario_to_plain(scenario):
         raise InputError(
-            f"{out} holds an episode of a different scenario. Give a new or empty folder; "
-            f"to go on with that episode, record {out / EPISODE_JSON}."
+            f"{out} contains an episode of a different scenario. Give a new or empty folder; "
+            f"to resume that episode, record {out / EPISODE_JSON}."
         )
 
 
@@ -214,9 +214,9 @@ def _begin(out: Path, head: dict[str, Any]) -> None:
     before.pop("status", None)
     changed = [key for key in head if before.get(key) != head[key]]
     if changed or set(before) != set(head):
-        what = changed[0] if changed else "a key"
+        key = changed[0] if changed else "set of keys"
         raise InputError(
-            f"{out} holds an episode of this scenario made with another {what}"
+            f"{out} contains an episode of this scenario made with another {key}"
             f"{_other_version(before, head)}. Give a new or empty folder."
         )
     for channel in head["channels"]:
@@ -228,12 +228,13 @@ def _begin(out: Path, head: dict[str, Any]) -> None:
 
 def _other_version(before: dict[str, Any], head: dict[str, Any]) -> str:
     """Message with the versions of the episode's program and this one; empty if they are equal."""
-    made = before.get("made_with")
-    then = {"vrcaps": before.get("vrcaps_version"), **(made if isinstance(made, dict) else {})}
-    now = {"vrcaps": head["vrcaps_version"], **head["made_with"]}
-    for name, here in now.items():
-        if then.get(name) != here:
-            return f", {name} {then.get(name) or 'unknown'} (here {here}): bytes may differ"
+    made_with = before.get("made_with")
+    recorded = {"vrcaps": before.get("vrcaps_version")}
+    recorded |= made_with if isinstance(made_with, dict) else {}
+    for name, version in {"vrcaps": head["vrcaps_version"], **head["made_with"]}.items():
+        if recorded.get(name) != version:
+            known = recorded.get(name) or "unknown"
+            return f", {name} {known} (here {version}): bytes may differ"
     return ""
 
 
@@ -320,7 +321,7 @@ def _write_steps(
         if run.is_there(step.index):
             writer.submit(step.index, partial(_preview_from_files, preview, episode, step.index))
             continue
-        made, wall = cameras.capture(step), None
+        images, wall = cameras.capture(step), None
         if run.scenario.wall:
             wall = stored_wall(run.model, step.state, run.wall_vertices)
         state, then = run.motion.checkpoint(), None
@@ -328,8 +329,8 @@ def _write_steps(
             then = partial(write_checkpoint, run.out, Checkpoint(state, rows.table()))
         writer.submit(
             step.index,
-            partial(_preview_from_images, preview, made),
-            files=partial(_write_images, run, step.index, made, wall),
+            partial(_preview_from_images, preview, images),
+            files=partial(_write_images, run, step.index, images, wall),
             then=then,
         )
     if not (run.out / FRAMES_PARQUET).exists():
@@ -404,7 +405,7 @@ def _explained(out: Path, error: OSError) -> StorageError:
     """Convert a file-system error to a one-line error."""
     if error.errno in _FULL:
         return StorageError(
-            f"The disk is full (or a limit reached) while recording into {out}: {error}. All files "
-            "there are whole; free some space and run the same command again to go on."
+            f"The disk is full (or a limit reached) while recording into {out}: {error}. All "
+            "written files are complete. Free disk space and run the same command again to resume."
         )
     return StorageError(f"Cannot write the episode {out}: {error}.")

@@ -33,13 +33,13 @@ def recording_lock(out: Path) -> Iterator[None]:
         FolderInUseError: If another recorder holds the folder.
         StorageError: If it cannot be written to.
     """
-    made = [path for path in (out, *out.parents) if not path.exists()]
+    new_folders = [path for path in (out, *out.parents) if not path.exists()]
     try:
         with file_lock(out / LOCK, f"the episode {out}"):
             yield
     finally:
         with contextlib.suppress(OSError):  # it is not empty
-            for path in made:
+            for path in new_folders:
                 path.rmdir()
 
 
@@ -89,8 +89,8 @@ def read_checkpoint(episode: Path) -> Checkpoint | None:
         return Checkpoint(MotionState(frame, read_arrays(path)), read_table(table))
     except (OSError, ValueError, LookupError, TypeError) as error:
         raise InputError(
-            f"{folder} is damaged ({error}). Delete it to simulate from the beginning; images that "
-            "are there are kept."
+            f"{folder} is damaged ({error}). Delete it to simulate from the beginning; existing "
+            "images are kept."
         ) from error
 
 
@@ -153,4 +153,6 @@ def _frames(episode: Episode) -> dict[Path, Callable[[], object]]:
 
 def _read_organ(episode: Episode) -> None:
     if len(episode.organ.faces) != episode.head["organ"].get("num_faces"):
-        raise InputError(f"{ORGAN_GLB} has another number of triangles than {episode.path} says.")
+        raise InputError(
+            f"{ORGAN_GLB} has a different number of triangles than {episode.path} states."
+        )

@@ -1,4 +1,4 @@
-"""Readings of sensors in the capsule and under the patient: columns of `frames.parquet`."""
+"""Sensor readings in the capsule and under the patient, as columns of `frames.parquet`."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from vrcaps.scenario.build import ResolvedScenario
     from vrcaps.world.model import Model
 
-_PLACE = ("localized_{}_m", "localized_axis_{}")
+_LOCALIZED = ("localized_{}_m", "localized_axis_{}")
 _CERTAINTY = ("localized_sigma_m", "localized_residual_t")
 
 
@@ -41,7 +41,7 @@ def pad_column_names(sensors: Sensors) -> tuple[str, ...]:
         return ()
     return (
         *(f"hall_{k}_{axis}_t" for k in range(sensors.hall.count**2) for axis in "xyz"),
-        *(name.format(axis) for name in _PLACE for axis in "xyz"),
+        *(name.format(axis) for name in _LOCALIZED for axis in "xyz"),
         *_CERTAINTY,
     )
 
@@ -76,7 +76,7 @@ class SensorReadings:
         if self._sensors.hall is not None:
             self._prepare_pad(self._sensors.hall)
         if before is not None:
-            self._go_on(before)
+            self._continue_from(before)
 
     def read(self, step: Step, sources: Sequence[Source] = ()) -> dict[str, float]:
         """Return the columns of a frame; call it for each frame in turn.
@@ -96,8 +96,8 @@ class SensorReadings:
             columns |= _named("gyroscope_{}_rad_per_s", turn)
         unit = self._sensors.magnetometer
         if unit is not None:
-            place = transform_points(pose, np.array([unit.position_capsule]))
-            flux = flux_density(outside, place)[0][0]
+            position = transform_points(pose, np.array([unit.position_capsule]))
+            flux = flux_density(outside, position)[0][0]
             rng = stream(self._seed, "sensors/magnetometer", step.index)
             columns |= _named("magnetometer_{}_t", read_magnetometer(unit, flux, pose[:3, :3], rng))
         if self._sensors.hall is not None:
@@ -120,9 +120,9 @@ class SensorReadings:
         """Sensor readings, and the estimated position and direction of the capsule's magnet."""
         (magnet,) = self._model.device.magnets
         pose = step.state.T_world_capsule
-        (place,) = transform_points(pose, np.array([magnet.position_capsule]))
+        (position,) = transform_points(pose, np.array([magnet.position_capsule]))
         axis = rotate_vectors(pose, np.array(magnet.moment_capsule))
-        inside = Dipole(float(np.linalg.norm(axis)), magnet_pose(place, axis))
+        inside = Dipole(float(np.linalg.norm(axis)), magnet_pose(position, axis))
         rng = stream(self._seed, "sensors/hall", step.index)
         readings = read_hall(self._true_array, [inside, *outside], rng)
         columns = {
@@ -130,22 +130,23 @@ class SensorReadings:
             for k, row in enumerate(readings)
             for name, value in zip("xyz", row, strict=True)
         }
-        found, sigma, residual = np.full((4, 4), np.nan), math.nan, math.nan
+        T_world_magnet = np.full((4, 4), np.nan)
+        sigma, residual = math.nan, math.nan
         try:
             # The pose of the steering magnet is known from the arm; the earth's field is not.
             estimate = localize(self._array, readings, inside, known=outside[1:], start=self._last)
         except InputError:  # too few sensors within their range
             self._last = None
         else:
-            found, residual = estimate.T_world_magnet, estimate.residual
+            T_world_magnet, residual = estimate.T_world_magnet, estimate.residual
             sigma = math.sqrt(np.trace(estimate.covariance[:3, :3]))
             # A resumed recording builds it from the table's columns.
-            self._last = magnet_pose(found[:3, 3], found[:3, 2])
-        for name, vector in zip(_PLACE, (found[:3, 3], found[:3, 2]), strict=True):
-            columns |= _named(name, vector)
+            self._last = magnet_pose(T_world_magnet[:3, 3], T_world_magnet[:3, 2])
+        for name, column in zip(_LOCALIZED, (3, 2), strict=True):
+            columns |= _named(name, T_world_magnet[:3, column])
         return columns | dict(zip(_CERTAINTY, (sigma, residual), strict=True))
 
-    def _go_on(self, before: FrameTable) -> None:
+    def _continue_from(self, before: FrameTable) -> None:
         """Restore the bias and the last position after the rows of earlier frames."""
         if self._imu is not None:
             still = CapsuleKinematics(np.eye(3))
@@ -153,11 +154,11 @@ class SensorReadings:
                 rng = self._imu_rng(frame)
                 *_, self._bias = read_imu(self._imu, still, self._bias, rng)
         if self._sensors.hall is not None and len(before):
-            place, axis = (
+            position, axis = (
                 np.array([float(before.columns[name.format(a)][-1]) for a in "xyz"])
-                for name in _PLACE
+                for name in _LOCALIZED
             )
-            self._last = magnet_pose(place, axis) if np.isfinite(place).all() else None
+            self._last = magnet_pose(position, axis) if np.isfinite(position).all() else None
 
     def _imu_rng(self, frame: int) -> np.random.Generator:
         return stream(self._seed, "sensors/imu", frame)

@@ -120,8 +120,8 @@ class TableRows:
         positions = state.T_world_capsule[None, :3, 3]
         arc_length, segment = locate_in_gut(self.model, positions, step=step, wall=wall)
         row |= {"arc_length_m": arc_length[0], "segment": segment[0]}
-        places = np.array([T_world_body[:3, 3] for T_world_body in poses.values()])
-        clearances = np.asarray(wall.signed_distance(places), float)
+        origins = np.array([T_world_body[:3, 3] for T_world_body in poses.values()])
+        clearances = np.asarray(wall.signed_distance(origins), float)
         row |= {f"{body}_clearance_m": d for body, d in zip(poses, clearances, strict=True)}
         row["wall_at_rest"] = state.vertices_world is None
         if step.command is not None:
@@ -176,7 +176,8 @@ def locate_in_gut(
         step: Pose of wall and patient; None takes the rest state of the model.
         wall: Deformed wall; None takes the wall at rest.
     """
-    organ, pose, vertices = model.organ, model.T_world_patient, model.vertices_world
+    organ = model.organ
+    pose, vertices = model.T_world_patient, model.vertices_world
     if step is not None and step.command is not None:
         pose = step.command.T_world_patient
     if step is not None and step.state.vertices_world is not None:

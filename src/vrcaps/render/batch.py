@@ -96,17 +96,19 @@ def _check(renderers: Sequence[Renderer], channels: Sequence[str], poses: np.nda
     if poses.ndim != 3:
         raise InputError(f"Poses have the shape {poses.shape}. Allowed: (n, 4, 4).")
     if not renderers:
-        raise InputError("A batch has no renderer. Allowed: one for all images or one for each.")
+        raise InputError("renderers is empty. Allowed: one for all images or one per image.")
     distinct = {id(renderer): renderer for renderer in renderers}.values()
     for renderer in distinct:
         if not renders_batches(renderer):
             raise InputError(
-                f"A batch of images is of direct light in an empty lumen, was given light "
-                f"{renderer.settings.light!r}. Set light to 'direct', supersampling to 1 and leave "
-                "the contents out, or render one by one."
+                f"Batches require direct light in an empty lumen, but light is "
+                f"{renderer.settings.light!r}. Set light to 'direct' and supersampling to 1 and "
+                "leave the contents out, or render one by one."
             )
         if renderer.settings != renderers[0].settings:
-            raise InputError("Renderers of a batch have different settings. Give all the same.")
+            raise InputError(
+                "Renderers of a batch have different settings. Allowed: equal settings."
+            )
 
 
 def _array(name: str, count: int, camera: Camera, out: Mapping[str, NDArray[Any]]) -> NDArray[Any]:

@@ -238,9 +238,9 @@ def led_light(spectrum: Spectrum) -> Imaging:
     Raises:
         InputError: If a color of the camera gets hardly any light.
     """
-    seen, usual = _Seen(spectrum), _Seen(PHOSPHOR)
-    blood = (seen.blood - usual.blood).astype(np.float32)
-    bile = (seen.bile - usual.bile).astype(np.float32)
+    own, reference = _Densities(spectrum), _Densities(PHOSPHOR)
+    blood = (own.blood - reference.blood).astype(np.float32)
+    bile = (own.bile - reference.bile).astype(np.float32)
 
     def color(log_light: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
         _, red, yellow = unmix_chromophores(log_light)
@@ -248,16 +248,16 @@ def led_light(spectrum: Spectrum) -> Imaging:
 
     def absorption(white: tuple[float, float, float]) -> tuple[float, float, float]:
         _, red, yellow = unmix_absorption(white)
-        more = red * (seen.thin_blood - usual.thin_blood)
-        more += yellow * (seen.thin_bile - usual.thin_bile)
+        more = red * (own.thin_blood - reference.thin_blood)
+        more += yellow * (own.thin_bile - reference.thin_bile)
         red, green, blue = np.maximum(np.array(white) + more, 0.0).tolist()
         return red, green, blue
 
-    red, green, blue = (WHITE_LIGHT.bands_nm + seen.bands_nm - usual.bands_nm).tolist()
+    red, green, blue = (WHITE_LIGHT.bands_nm + own.bands_nm - reference.bands_nm).tolist()
     return Imaging(color, absorption, (red, green, blue))
 
 
-class _Seen:
+class _Densities:
     """Densities in the camera's channels under a spectrum.
 
     Attributes:
@@ -269,8 +269,8 @@ class _Seen:
     """
 
     def __init__(self, spectrum: Spectrum) -> None:
-        weights, usual = channel_weights(spectrum), channel_weights(PHOSPHOR)
-        green, blue = float(usual[1] @ _HEMOGLOBIN), float(usual[2] @ _BILIRUBIN_ALL)
+        weights, reference = channel_weights(spectrum), channel_weights(PHOSPHOR)
+        green, blue = float(reference[1] @ _HEMOGLOBIN), float(reference[2] @ _BILIRUBIN_ALL)
         scattering = np.array([reduced_scattering(nm) for nm in WAVELENGTHS])
         factor = _HEMOGLOBIN / green * reduced_scattering(545.0) / scattering
         density = lut_densities()[:, None]

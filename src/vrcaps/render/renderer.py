@@ -319,8 +319,8 @@ class Renderer:
             )
             label = len(self.model.organ.label_names)
             spheres = replace(lumen_contents.spheres, color=color)
-            made = _core.Contents(wall, spheres, light.bubbles(bubbles), pools, label)
-            kept = (lumen_contents, wall, made)
+            core = _core.Contents(wall, spheres, light.bubbles(bubbles), pools, label)
+            kept = (lumen_contents, wall, core)
         self._contents[slot] = (lumen_contents, *kept[1:])
         return kept[2]
 

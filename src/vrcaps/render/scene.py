@@ -85,7 +85,10 @@ def apply_mucus_film(organ: OrganSurface, thickness: float) -> OrganSurface:
     """
     look = organ.appearance
     if look is None:
-        raise InputError(f"{organ.name} has no look of its own, so no film. Drop mucus-film-um.")
+        raise InputError(
+            f"{organ.name} has no appearance, so it cannot have a mucus film. Leave out "
+            "mucus_film_um."
+        )
     covered = covered_fraction(thickness / _CELL_HEIGHT)
     texel = _texel_size(organ, look)
     wet = replace(

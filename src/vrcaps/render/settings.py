@@ -63,7 +63,9 @@ class RenderSettings:
         if self.light not in get_args(Light):
             raise UnknownNameError("light", self.light, get_args(Light))
         if self.scattering and self.light == "direct":
-            raise InputError("Scattering goes with light radiosity or path, not direct. Drop one.")
+            raise InputError(
+                "Scattering requires light 'radiosity' or 'path', not 'direct'. Change one of them."
+            )
         film, thickest = self.mucus_film_um or 0.0, MAX_FILM_UM
         for name, value, valid, allowed in (
             ("Supersampling", self.supersampling, self.supersampling >= 1, "1, 2, 3, …"),
@@ -75,6 +77,6 @@ class RenderSettings:
             require(valid, name, value, allowed)
         if self.denoise and self.light != "path":
             raise InputError(
-                f"Light {self.light!r} has no noise to take away. "
-                "Drop denoise, or ask for light 'path'."
+                f"denoise requires path tracing, but light is {self.light!r}. "
+                "Set denoise to false or light to 'path'."
             )

@@ -224,7 +224,7 @@ def read_lesions(path: str | Path) -> tuple[AnyLesion, ...]:
     """
     plain = read_plain(Path(path), "lesions")
     if not isinstance(plain, dict) or set(plain) != {"lesions"}:
-        raise InputError(f"{path} is no file of lesions. Allowed: tables [[lesions]], no more.")
+        raise InputError(f"{path} is not a lesion file. Allowed: tables [[lesions]] only.")
     return from_plain(tuple[AnyLesion, ...], plain["lesions"], at="lesions")
 
 

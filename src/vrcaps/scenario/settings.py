@@ -67,8 +67,8 @@ def settings(
         where = f"{path}.{f.name}" if path else f.name
         default = f.default_factory() if f.default_factory is not MISSING else f.default
         default = getattr(whole, f.name, default)
-        shown = getattr(default, "kind", "as below") if is_dataclass(default) else default
-        yield Setting(where, kind, hints[f.name], shown, docs.get(f.name, ""))
+        value = getattr(default, "kind", "as below") if is_dataclass(default) else default
+        yield Setting(where, kind, hints[f.name], value, docs.get(f.name, ""))
         for table in _tables(hints[f.name]):
             inner = default if isinstance(default, table) else None
             yield from settings(table, where, getattr(table, "kind", kind), inner)
@@ -77,8 +77,8 @@ def settings(
 def field_docs(cls: type) -> dict[str, str]:
     """Description of each field in the docstrings of a class and its bases, on one line each."""
     docs = [base.__doc__ or "" for base in reversed(cls.__mro__)]
-    found = [match for doc in docs for match in _DOCUMENTED.findall(doc)]
-    return {name: " ".join(text.split()) for name, text in found}
+    matches = [match for doc in docs for match in _DOCUMENTED.findall(doc)]
+    return {name: " ".join(text.split()) for name, text in matches}
 
 
 def type_name(declared: Any) -> str:

@@ -30,7 +30,7 @@ _SEVERITY = re.compile(r"(\d+)(?:\.\.(\d+))?")
 class Effect:
     """Effect of a camera, in physical parameters.
 
-    A subclass is a frozen dataclass in a separate file, with a field in `Effects`.
+    A subclass is a frozen dataclass in the file of its stage, with a field in `Effects`.
 
     Attributes:
         name: Key in a scenario and in `--effects`.
@@ -66,13 +66,13 @@ class Effect:
         Raises:
             InputError: If the text is invalid.
         """
-        found = _SEVERITY.fullmatch(text)
-        if found is None:
+        match = _SEVERITY.fullmatch(text)
+        if match is None:
             raise InputError(
                 f"Effect {cls.name} has the severity {text!r}. Allowed: {cls.name}=0 to "
                 f"{cls.name}={MAX_SEVERITY}, or a range such as {cls.name}=0..{MAX_SEVERITY}."
             )
-        first, last = found.groups()
+        first, last = match.groups()
         return int(first) if last is None else (int(first), int(last))
 
 

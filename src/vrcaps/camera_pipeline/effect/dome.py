@@ -105,17 +105,17 @@ class Droplets(ImageEffect):
         """
         radius = self.radius * np.exp(self.spread * rng.standard_normal(self.count))
         radius = np.minimum(radius, 0.5 * self.distance)
-        places = np.empty((self.count, 2))
+        positions = np.empty((self.count, 2))
         for k in range(self.count):
             # Uniform on the sphere: the cosine of the angle to the axis is uniform.
             angle = np.arccos(1.0 - rng.random(_TRIES) * (1.0 - np.cos(field)))
             azimuth = rng.uniform(0.0, 2.0 * np.pi, _TRIES)
             tries = np.column_stack([angle * np.cos(azimuth), angle * np.sin(azimuth)])
-            gaps = np.linalg.norm(tries[:, None] - places[None, :k], axis=-1)
+            gaps = np.linalg.norm(tries[:, None] - positions[None, :k], axis=-1)
             gaps -= (radius[:k] + radius[k]) / self.distance
-            places[k] = tries[gaps.min(axis=1, initial=np.inf).argmax()]
+            positions[k] = tries[gaps.min(axis=1, initial=np.inf).argmax()]
         azimuth = rng.uniform(0.0, 2.0 * np.pi)
-        return radius, places, np.array([np.cos(azimuth), np.sin(azimuth)])
+        return radius, positions, np.array([np.cos(azimuth), np.sin(azimuth)])
 
     def stage(self, setup: CameraSetup) -> DropletsStage:
         """Create the drops on the dome of one camera."""
@@ -145,10 +145,11 @@ class DropletsStage(Stage):
     def __init__(self, droplets: Droplets, setup: CameraSetup) -> None:
         """Distribute the drops."""
         super().__init__()
-        self._droplets, self._camera, self._lens = droplets, setup.camera, dome_lens(setup)
+        self._droplets = droplets
+        self._camera, self._lens = setup.camera, dome_lens(setup)
         self._rays, self._lit = lit_rays(setup)
         self._field = float(np.arccos(self._rays[self._lit][:, 2].min(initial=1.0)))
-        self._radius, self._places, self._heading = droplets.place(
+        self._radius, self._positions, self._heading = droplets.place(
             self._field, dome_rng(setup, "drop")
         )
         self._nearest = _nearest_lit(self._lit)
@@ -156,13 +157,13 @@ class DropletsStage(Stage):
 
     def frame_params(self, frame: FrameContext) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Indices of pixels that drops change, their source pixels, and their weights."""
-        found = self.at_time(frame.step.state.time)
-        return found.pixels, found.sources, found.weights
+        drops = self.at_time(frame.step.state.time)
+        return drops.pixels, drops.sources, drops.weights
 
     def mark_dome(self, label: UInt8[np.ndarray, "h w"], time: float) -> None:
         """Mark pixels of which drops cover half or more."""
-        found = self.at_time(time)
-        label.reshape(-1)[found.pixels[found.coverage >= 0.5]] = DOME_NAMES.index("drop")
+        drops = self.at_time(time)
+        label.reshape(-1)[drops.pixels[drops.coverage >= 0.5]] = DOME_NAMES.index("drop")
 
     def at_time(self, time: float) -> DropMap:
         """Return the map at a time [s]."""
@@ -178,14 +179,14 @@ class DropletsStage(Stage):
         """Planar positions of the drops after a path [rad]; drops that leave the field re-enter."""
         along, across = self._heading, np.array([-self._heading[1], self._heading[0]])
         reach = self._field + self._radius / self._droplets.distance
-        aside = self._places @ across
+        aside = self._positions @ across
         half = np.sqrt(np.maximum(reach**2 - aside**2, 1e-12))
-        moved = np.mod(self._places @ along + path + half, 2.0 * half) - half
+        moved = np.mod(self._positions @ along + path + half, 2.0 * half) - half
         return moved[:, None] * along + aside[:, None] * across
 
-    def _trace(self, places: Float[np.ndarray, "d 2"]) -> DropMap:
+    def _trace(self, positions: Float[np.ndarray, "d 2"]) -> DropMap:
         droplets, lens = self._droplets, self._lens
-        centers, size = unflatten(places), self._radius / droplets.distance
+        centers, size = unflatten(positions), self._radius / droplets.distance
         blur = pupil_disk_radius(lens, droplets.distance) / droplets.distance
         lit = np.flatnonzero(self._lit)
         rays = self._rays.reshape(-1, 3)[lit]
@@ -219,15 +220,15 @@ class DropletsStage(Stage):
         start = pupil[0] * right + pupil[1] * down
         heading = unit(focus * rays - start)
         on_dome = start + droplets.distance * heading
-        place = unit(on_dome)
-        cosine = place @ centers.T
+        direction = unit(on_dome)
+        cosine = direction @ centers.T
         apart = np.arccos(np.clip(cosine, -1.0, 1.0))
         drop = (apart - self._radius / droplets.distance).argmin(axis=1)
         base = self._radius[drop]
         offset = droplets.distance * np.take_along_axis(apart, drop[:, None], 1)[:, 0]
         is_in = offset < base
         angle, transmittance = droplets.refract(offset, base)
-        outward = place - centers[drop] * np.take_along_axis(cosine, drop[:, None], 1)
+        outward = direction - centers[drop] * np.take_along_axis(cosine, drop[:, None], 1)
         bent = unit(heading * np.cos(angle)[:, None] - unit(outward) * np.sin(angle)[:, None])
         points = on_dome + max(focus - droplets.distance, 0.0) * bent
         return points, np.where(is_in, transmittance, 1.0), is_in
@@ -248,8 +249,7 @@ def _nearest_lit(lit: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
     """Index of the lit pixel nearest to each pixel."""
     from scipy.ndimage import distance_transform_edt  # slow to load
 
-    found = distance_transform_edt(~lit, return_distances=False, return_indices=True)
-    indices = np.asarray(found)
+    indices = np.asarray(distance_transform_edt(~lit, return_distances=False, return_indices=True))
     return indices[0] * lit.shape[1] + indices[1]
 
 

@@ -131,12 +131,12 @@ class AutoExposure(ImageEffect):
     )
 
     def __post_init__(self) -> None:
-        time, target, gain = self.time_constant, self.target, self.max_gain
+        time, gain = self.time_constant, self.max_gain
         require(0.0 <= time < math.inf, "AutoExposure's time_constant", time, "0 s or more")
-        require(0.0 < target < 1.0, "AutoExposure's target", target, "above 0 to below 1")
+        require(0.0 < self.target < 1.0, "AutoExposure's target", self.target, "above 0 to below 1")
         limits = (self.min_light, self.max_light)
         is_valid = 0.0 < self.min_light <= self.max_light < math.inf
-        require(is_valid, "AutoExposure's min_light, max_light", limits, "above 0 and rising")
+        require(is_valid, "AutoExposure's min_light, max_light", limits, "above 0 and ascending")
         require(1.0 <= gain < math.inf, "AutoExposure's max_gain", gain, "1 or more")
 
     @classmethod
@@ -233,9 +233,9 @@ class AdaptiveFrameRate(TimingEffect):
     def __post_init__(self) -> None:
         rates, speeds = (self.min_fps, self.max_fps), (self.low_motion, self.high_motion)
         is_valid = 0.0 < self.min_fps <= self.max_fps < math.inf
-        require(is_valid, "AdaptiveFrameRate's min_fps, max_fps", rates, "above 0 and rising")
+        require(is_valid, "AdaptiveFrameRate's min_fps, max_fps", rates, "above 0 and ascending")
         is_valid = 0.0 <= self.low_motion < self.high_motion < math.inf
-        allowed = "0 or more and rising"
+        allowed = "0 or more and ascending"
         require(is_valid, "AdaptiveFrameRate's low_motion, high_motion", speeds, allowed)
 
     @classmethod
@@ -252,8 +252,8 @@ class AdaptiveFrameRate(TimingEffect):
             if isinstance(error, InputError):
                 raise
             raise InputError(
-                f"Effect {cls.name} is {text!r}. Allowed: {cls.name}=MIN..MAX in frames a second, "
-                "such as 2..6."
+                f"Effect {cls.name} is {text!r}. Allowed: {cls.name}=MIN..MAX in frames per "
+                "second, such as 2..6."
             ) from error
 
     def frame_rate(self, speed: float) -> float:

@@ -52,11 +52,11 @@ class FieldOfView(CameraEffect):
 
     def on(self, camera: Camera) -> Camera:
         """Return the camera with this lens."""
-        lens, scale, circle = camera.lens, self.magnification, camera.image_circle_px
+        lens, circle = camera.lens, camera.image_circle_px
         return replace(
             camera,
-            lens=scaled_lens(lens, scale, (lens.cx, lens.cy)),
-            image_circle_px=None if circle is None else circle * scale,
+            lens=scaled_lens(lens, self.magnification, (lens.cx, lens.cy)),
+            image_circle_px=None if circle is None else circle * self.magnification,
         )
 
 

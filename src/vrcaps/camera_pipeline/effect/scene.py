@@ -49,7 +49,9 @@ class SpecularReflection(SceneEffect):
         """
         look = organ.appearance
         if look is None:
-            raise InputError(f"{organ.name} has no appearance, so no specular reflection.")
+            raise InputError(
+                f"{organ.name} has no appearance, so it cannot have a specular reflection."
+            )
         look = replace(
             look, clearcoat=self.clearcoat, clearcoat_gloss=self.clearcoat_gloss, ior=self.ior
         )

@@ -44,7 +44,7 @@ pub fn bloom<'py>(
     Ok(planes_array(py, out, (height, width)))
 }
 
-/// How much light is scattered, and how far [px].
+/// Fraction of the light that is scattered, and its distance [px].
 #[derive(Clone, Copy)]
 pub struct Bloom {
     /// Share of the light.

@@ -34,7 +34,7 @@ pub struct Padded {
     stride: usize,
     /// Neighbors of a block's rows, the nearest first.
     taps: Vec<Tap>,
-    /// How many of them are within a distance, by its square [px²].
+    /// Number of them within a distance, by its square [px²].
     within: Vec<usize>,
 }
 

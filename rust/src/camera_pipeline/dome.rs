@@ -48,7 +48,7 @@ impl Smears {
         Ok(Smears { left: left.as_slice()?.to_vec(), clear: clear.as_slice()?.to_vec(), lit: *lit })
     }
 
-    /// What the smears scatter into every pixel of each color, given the `totals` of all rows.
+    /// Light that the smears scatter into every pixel of each color, given the `totals` of all rows.
     pub fn veils(&self, rows: &[Vec3]) -> Vec3 {
         let sum = |k: usize| rows.iter().map(|row| f64::from(row[k])).sum::<f64>();
         [0, 1, 2].map(|k| (sum(k) / self.lit.max(1.0)) as f32)

@@ -1,6 +1,6 @@
-//! What JPEG (ITU-T T.81, baseline, color at half the resolution) leaves of an image, and how many
-//! bytes it takes. The file itself is not made: Huffman coding loses nothing, so only its length
-//! counts, to 2 %: bytes 255, which a file follows with a 0, are not counted twice.
+//! Loss and size of JPEG (ITU-T T.81, baseline, color at half the resolution). The file itself is
+//! not written: Huffman coding is lossless, so only its length is counted, to 2 %: bytes 255, which
+//! a file follows with a 0, are not counted twice.
 
 use super::dct::{Basis, Block, bases, transform_2d};
 use super::jpeg_tables::{AC_BITS_CHROMINANCE, AC_BITS_LUMINANCE, DC_BITS, STEPS};
@@ -78,7 +78,7 @@ fn planes_of(image: &[u8]) -> Vec<u8> {
     (0..3).flat_map(|k| image.iter().skip(k).step_by(3).copied()).collect()
 }
 
-/// How an image is compressed.
+/// Compression settings of an image.
 #[derive(Clone, Copy)]
 pub struct Compression {
     /// 1 to 100.

@@ -20,7 +20,7 @@ const MIN_SHIFT: f32 = 1e-3;
 /// A pixel is the mean over the time its row is open of what moves past it. `motion` is the motion of
 /// the image in one frame's time [px] at every `STEP`th pixel of every `STEP`th row [rows columns 2],
 /// the first in the middle of a square of so many. `shutter` has the times of `Shutter`, in its order.
-/// What is not `lit` stays black and is mixed into nothing.
+/// Pixels that are not `lit` stay black and contribute nothing.
 #[pyfunction]
 pub fn motion_blur<'py>(
     py: Python<'py>,
@@ -69,7 +69,7 @@ pub fn with_margin((height, width): (usize, usize)) -> (usize, usize) {
     (height + 2 * MARGIN, width.div_ceil(RUN) * RUN + 2 * MARGIN)
 }
 
-/// Where a row of the image is in a plane with a margin.
+/// Range of a row of the image in a plane with a margin.
 pub fn inside(y: usize, (height, width): (usize, usize)) -> Range<usize> {
     let start = (y + MARGIN) * with_margin((height, width)).1 + MARGIN;
     start..start + width
@@ -92,7 +92,7 @@ pub fn extend_edges(planes: &mut [f32], size: (usize, usize)) {
     });
 }
 
-/// Which pixels see anything.
+/// Mask of the pixels that have a ray.
 pub struct LitMask {
     /// 1 where they do, or else 0, with a margin.
     mask: Vec<f32>,
@@ -156,7 +156,7 @@ impl<'a> SharpImage<'a> {
         blur_row(self, y, motion, window, line);
     }
 
-    /// Where a pixel of the image or its margin is in a plane.
+    /// Index of a pixel of the image or its margin in a plane.
     #[inline(always)]
     fn index(&self, row: isize, column: isize) -> usize {
         MARGIN.wrapping_add_signed(row) * self.stride() + MARGIN.wrapping_add_signed(column)
@@ -284,7 +284,7 @@ fn mean_of_lit(sum: &[Run; 4], own: &[Run; 4]) -> [Run; 4] {
     mean
 }
 
-/// How far a run looks over the exposure, given its least and most motion.
+/// Range that a run covers during the exposure, given its minimum and maximum motion.
 #[inline(always)]
 fn swept([low, high]: [f32; 2], (shutter, late): (f32, f32)) -> [f32; 2] {
     let (first, last) = (late - 0.5 * shutter, late + 0.5 * shutter);
@@ -292,7 +292,8 @@ fn swept([low, high]: [f32; 2], (shutter, late): (f32, f32)) -> [f32; 2] {
     [min(0.0, min(early[0], late[0])), max(0.0, max(early[1], late[1]))]
 }
 
-/// How far apart the places of a run come over the exposure, given its least and most motion.
+/// Maximum distance between the pixels of a run during the exposure, given its minimum and
+/// maximum motion.
 #[inline(always)]
 fn spread([low, high]: [f32; 2], (shutter, late): (f32, f32)) -> f32 {
     (high - low) * (late.abs() + 0.5 * shutter)

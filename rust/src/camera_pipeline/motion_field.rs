@@ -1,4 +1,4 @@
-//! How the image moves, known at some of its pixels.
+//! Motion of the image, known at some of its pixels.
 
 use crate::render::channels::STEP;
 use crate::simd::f32x64::{clamp, max, min};
@@ -168,12 +168,12 @@ fn between(place: f32, count: usize) -> (usize, f32) {
 /// When rows of pixels are open and lit, in fractions of a frame's time.
 #[derive(Clone, Copy)]
 pub struct Shutter {
-    /// How long each row is open.
+    /// Exposure time of each row.
     pub open: f32,
     /// From the first row's middle of that time to the last one's; the row in the middle has its own
     /// about the instant of the image.
     pub readout: f32,
-    /// How long the LEDs are lit about that instant.
+    /// Duration of the LED pulse about that instant.
     pub pulse: f32,
 }
 

@@ -1,4 +1,4 @@
-//! Where points appear in an image, by the rays of its pixels alone: for any lens.
+//! Image positions of points, from the rays of the pixels alone: for any lens.
 
 use crate::pool::on_pool;
 use crate::poses::read_pose;
@@ -28,7 +28,7 @@ const TOUCHING: f32 = 1e-3;
 pub type GivenFront<'py> =
     (PyReadonlyArray2<'py, u8>, PyReadonlyArray2<'py, f32>, PyReadonlyArray2<'py, f64>, (f32, f32));
 
-/// What is in front of the wall, some of which may sit on the capsule.
+/// Objects in front of the wall, some of which may be attached to the capsule.
 struct Front<'a> {
     label: &'a [u8],
     depth: &'a [f32],
@@ -84,8 +84,8 @@ pub struct Points<'a> {
     front: Option<Front<'a>>,
 }
 
-/// How far from every `step`th pixel of every `step`th row, the first in the middle of a square of
-/// so many, points appear [rows columns 2], in pixels.
+/// Displacement of points from every `step`th pixel of every `step`th row [rows columns 2], in
+/// pixels; the first is in the middle of a square of `step` pixels.
 ///
 /// Between pixels rays are bilinear; beyond the last pixels that see anything they go on as there.
 /// NaN where a point is NaN or the pixel sees nothing; 0 where a bubble in front sits on the capsule.
@@ -127,7 +127,7 @@ impl<'a> Points<'a> {
         self.size
     }
 
-    /// How far from its pixel each appears [rows columns 2], in pixels.
+    /// Displacement of each point from its pixel [rows columns 2], in pixels.
     pub fn flow(&self) -> Vec<f32> {
         let (rows, columns) = self.size;
         let mut out = vec![f32::NAN; rows * columns * 2];
@@ -146,7 +146,7 @@ impl<'a> Points<'a> {
         [column, row].map(|k| k * self.step + self.step / 2)
     }
 
-    /// Where the point of a place is to the camera.
+    /// Direction from the camera to the point of a pixel.
     #[inline(always)]
     fn towards(&self, column: usize, row: usize) -> Vec3 {
         let place = &self.places[3 * (row * self.size.1 + column)..][..3];
@@ -266,7 +266,7 @@ impl Search {
 
 type Lanes3 = [[f32; RUN]; 3];
 
-/// How far from a pixel (column, row) the ray points in a direction, about as far as `guess`.
+/// Displacement from a pixel (column, row) to the ray in a direction, near `guess`.
 fn find(rays: &RayTable, pixel: [usize; 2], towards: Vec3, guess: [f32; 2]) -> Option<[f32; 2]> {
     let start = pixel.map(|x| x as f32);
     let mut at = [start[0] + guess[0], start[1] + guess[1]];

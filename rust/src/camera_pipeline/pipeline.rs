@@ -49,7 +49,7 @@ pub struct CameraPipeline {
     buffers: Mutex<Vec<Buffers>>,
 }
 
-/// How a sensor is read, and the response and offset of its sites.
+/// Readout of a sensor, and the response and offset of its sites.
 struct SensorOfCamera {
     readout: Readout,
     pattern: [Vec<f32>; 2],

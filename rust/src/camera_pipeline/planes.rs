@@ -105,7 +105,7 @@ pub fn vignetting<'py>(
 /// The first of four neighbors, and their weights.
 type Taps = (usize, [f32; 4]);
 
-/// Where a scaled axis takes its values from.
+/// Source samples of a scaled axis.
 fn cubic_taps(length: usize, center: f32, scale: f32) -> Vec<Taps> {
     let last = length as f32 - 1.0;
     (0..length)
@@ -188,7 +188,7 @@ fn scale_row(
     }
 }
 
-/// How planes are magnified, each by its own scale.
+/// Magnification of planes, each by its own scale.
 pub struct Scaling {
     /// Rows and columns of each plane; none where it stays.
     planes: [Option<(Vec<Taps>, Columns)>; 3],
@@ -229,7 +229,7 @@ impl Scaling {
 
 /// Magnifies each plane about a center (column, row) [px] by its own scale.
 ///
-/// What moves in from beyond the image is black. Interpolation is cubic along each axis.
+/// Pixels from beyond the image are black. Interpolation is cubic along each axis.
 #[pyfunction]
 pub fn chromatic_aberration<'py>(
     py: Python<'py>,

@@ -148,7 +148,7 @@ pub struct GivenSensor<'py> {
     pub pattern: [PyReadonlyArray2<'py, f32>; 2],
 }
 
-/// What turns light into numbers.
+/// Conversion of light to digital values.
 #[derive(Clone, Copy, FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct Readout {
@@ -241,7 +241,7 @@ pub fn streams(key: (u64, u64)) -> [Stream; 2] {
 pub struct Sensor<'a> {
     /// Response of each site relative to the mean, and its offset [electrons].
     pub pattern: [&'a [f32]; 2],
-    /// What turns light into numbers.
+    /// Conversion of light to digital values.
     pub readout: &'a Readout,
     /// Random numbers.
     pub streams: [Stream; 2],

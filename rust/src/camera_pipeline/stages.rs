@@ -37,7 +37,7 @@ macro_rules! stages {
 stages! {
     /// Parameters that no frame changes, by stage in their order.
     StageParams {
-        /// How long each row is open, and how long the LEDs are lit [frames].
+        /// Exposure time of each row, and duration of the LED pulse [frames].
         motion_blur: (f32, f32),
         /// From the first row's exposure to the last one's [frames].
         rolling_shutter: f32,
@@ -77,13 +77,13 @@ pub type Distance<'py> =
 /// The same in the order wall, depth, label.
 pub type Distances<'a> = (&'a [f32], &'a [f32], &'a [u8]);
 
-/// What changes from frame to frame.
+/// Parameters of one frame.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct FrameParams<'py> {
     /// From radiance to image values.
     pub exposure: f32,
-    /// What moves, if anything does, where it is in a neighboring frame.
+    /// Positions of moving points in a neighboring frame; None if nothing moves.
     pub points: Option<GivenPoints<'py>>,
     /// Whether that is the frame before.
     pub is_backward: bool,
@@ -114,7 +114,7 @@ impl FrameStageParams<'_> {
         Ok(Some((of_image(wall, size)?, of_image(depth, size)?, of_image(label, size)?)))
     }
 
-    /// How the sensor is read, if there is one, and gains after it, given what no frame changes.
+    /// Readout of the sensor, if there is one, and gains after it, from the constant parameters.
     pub fn readout(
         &self,
         sensor: Option<Readout>,
@@ -146,7 +146,7 @@ pub fn of_image<'a, T: Element>(
     Ok(array.as_slice()?)
 }
 
-/// What stages say that are not of one size.
+/// Error for stages and images of different sizes.
 pub fn size_mismatch() -> PyErr {
     PyValueError::new_err("Stages and images must be of one size.")
 }

@@ -229,7 +229,7 @@ fn slice<'a, T: Element>(
     array.as_mut().map(|a| a.as_slice_mut().map_err(PyErr::from)).transpose()
 }
 
-/// Where a tile lies in its band.
+/// Position of a tile in its band.
 #[derive(Clone, Copy)]
 pub struct Place {
     pub column: usize,

@@ -93,7 +93,7 @@ pub fn render_bands<T: TileRenderer + Sync>(
     });
 }
 
-/// Where a band of tiles lies in the image.
+/// Position of a band of tiles in the image.
 #[derive(Clone, Copy)]
 struct Area {
     /// First row of pixels.
@@ -114,7 +114,7 @@ impl Area {
     }
 }
 
-/// What paths of some tiles travel in.
+/// Media of the paths of some tiles.
 #[inline(always)]
 fn light_transport<'a>(
     wall: &'a Wall,
@@ -126,7 +126,7 @@ fn light_transport<'a>(
     LightTransport { wall, scene, leds, pixel_angle, settings }
 }
 
-/// Where the LEDs' light comes from, if paths are to be connected to that.
+/// Virtual lights of the LEDs, if paths are to be connected to them.
 fn virtual_lights(
     wall: &Wall,
     scene: &SceneData,

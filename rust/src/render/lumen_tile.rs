@@ -40,7 +40,7 @@ fn of_wall(triangles: &[u32; LANES], particles: &Particles) -> [u32; LANES] {
     std::array::from_fn(|i| if particles.owner[i] == MISS { triangles[i] } else { MISS })
 }
 
-/// What the rays of a tile see in the end.
+/// Surfaces that the rays of a tile finally see.
 struct VisibleSurfaces {
     rays: Pyramid,
     /// Distances along the whole way; the wall, also behind particles.

@@ -29,7 +29,7 @@ pub struct Led {
     pub exponent: f32,
 }
 
-/// What a tile's rays have hit, ready to be lit.
+/// Surfaces hit by a tile's rays, ready for shading.
 #[derive(Clone)]
 pub struct Surface {
     /// Points [m].
@@ -106,7 +106,7 @@ pub fn add_leaving(
     }
 }
 
-/// What the wall makes of one LED's light.
+/// Reflection of one LED's light by the wall.
 struct Reflection {
     /// Reflected radiance per radiant intensity [1/m²], the part colored by the base; holds the
     /// cosine at the surface and the inverse square of the distance, as does the next.

@@ -9,7 +9,7 @@ use numpy::{PyReadonlyArray1, PyReadonlyArray3};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use std::ops::Deref;
 
-/// What is drawn on one face; kept together, as they are read together.
+/// Data of one face; stored together, because they are read together.
 #[derive(Clone, Copy)]
 pub struct FaceData {
     /// Texture coordinates of each corner.
@@ -22,7 +22,7 @@ pub struct FaceData {
 
 /// Attributes of a wall's faces and vertices.
 pub struct SceneData {
-    /// What is drawn on each face.
+    /// Data of each face.
     pub faces: Vec<FaceData>,
     /// Distance along the centerline of each vertex [m].
     pub arc_length: Vec<f32>,
@@ -63,7 +63,7 @@ impl Deref for TextureHandle {
     }
 }
 
-/// What is drawn on a wall: labels, gut coordinates, textures and reflectance.
+/// Scene data of a wall: labels, gut coordinates, textures and reflectance.
 #[pyclass(frozen, module = "vrcaps._core")]
 pub struct Scene {
     /// The attributes.

@@ -11,7 +11,7 @@ use crate::wall::bvh::Triangle;
 use crate::wall::packet::{Hits, MISS};
 use crate::wall::visibility::visible_tile;
 
-/// What the wall is where each ray of a tile meets it.
+/// Attributes of the wall at the hit of each ray of a tile.
 pub struct Attributes {
     /// Lanes that met the wall.
     pub hit: [bool; LANES],
@@ -275,7 +275,7 @@ pub fn add_all_light(
     }
 }
 
-/// How shadows are found.
+/// Method of shadow computation.
 #[derive(Clone, Copy)]
 pub enum Shadows {
     /// Not at all.

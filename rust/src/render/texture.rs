@@ -56,7 +56,7 @@ pub struct Texture {
     slope_step: [f32; 2],
 }
 
-/// What a tile's rays find in the texture.
+/// Texture values of a tile's rays.
 pub struct Texels {
     /// Linear base color.
     pub albedo: Lane3,

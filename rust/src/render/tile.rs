@@ -25,7 +25,7 @@ pub struct Scratch {
 
 /// Renderer of the tiles of a view.
 pub trait TileRenderer {
-    /// What paths travel in besides air.
+    /// Media of paths besides air.
     fn media(&self) -> Option<LumenMedia<'_>>;
 
     /// The surfaces that paths of a tile start from.
@@ -52,7 +52,7 @@ pub trait TileRenderer {
 pub struct WallTiles<'a> {
     /// The wall.
     pub wall: &'a Wall,
-    /// What is drawn on it.
+    /// Labels, textures and reflectance of the wall.
     pub scene: &'a SceneData,
     /// The view.
     pub view: &'a View<'a>,

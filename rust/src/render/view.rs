@@ -15,7 +15,7 @@ use pyo3::{exceptions::PyValueError, prelude::*};
 
 /// Everything about a view but its rays.
 pub struct View<'a> {
-    /// Where the camera is, about the wall's center [m].
+    /// Position of the camera, relative to the wall's center [m].
     pub origin: Vec3,
     /// Rows of the rotation from the camera to the world, and back.
     pub to_world: [Vec3; 3],
@@ -28,11 +28,11 @@ pub struct View<'a> {
     pub exposure: f32,
     /// Whether things cast shadows.
     pub shadows: bool,
-    /// How light that is reflected more than once is found; None for direct light alone.
+    /// Settings of path tracing for indirect light; None for direct light only.
     pub paths: Option<Settings>,
     /// Irradiance by light that has bounced, if it is found as radiosity.
     pub irradiance: Option<Irradiance<'a>>,
-    /// Where the LEDs' light comes from, if paths are connected to that.
+    /// Virtual lights of the LEDs, if paths are connected to them.
     pub sources: Option<VirtualLights>,
 }
 
@@ -85,9 +85,9 @@ impl View<'_> {
         })
     }
 
-    /// What of surfaces the LEDs light directly, where light goes on through the tissue behind them,
-    /// and what that tissue makes of light, where that is not left to paths; `triangles` are `MISS`
-    /// where there is no wall.
+    /// Fraction of the surface reflection under the LEDs where light enters the tissue behind it,
+    /// and the subsurface light where paths do not compute it; `triangles` are `MISS` where there
+    /// is no wall.
     #[inline(always)]
     pub fn split_subsurface(
         &self,

@@ -1,4 +1,4 @@
-//! How a bubble changes what is seen behind it: a thin shell of liquid round gas.
+//! Bubble over the surfaces behind it: a thin shell of liquid around gas.
 //!
 //! Each crossing of the shell reflects a share of the surroundings' light and lets the rest
 //! through. The shares are Fresnel's for a film much thicker than light's coherence, so that its
@@ -11,7 +11,7 @@ use crate::simd::f32x64::*;
 use crate::wall::packet::Pyramid;
 use std::f32::consts::{LOG2_E, PI};
 
-/// What all bubbles have in common: `vrcaps.lumen.contents.Bubbles`.
+/// Parameters of all bubbles: `vrcaps.lumen.contents.Bubbles`.
 #[derive(Clone, Copy)]
 pub struct Film {
     /// Refractive index of the liquid.
@@ -26,7 +26,7 @@ pub struct Film {
     pub roughness: f32,
 }
 
-/// What a tile sees before a bubble is laid over it.
+/// Surfaces of a tile before a bubble is composited over them.
 pub struct Behind<'a> {
     /// Radiance [W/(sr·m²)].
     pub radiance: &'a mut Lane3,
@@ -34,11 +34,11 @@ pub struct Behind<'a> {
     pub distance: &'a Lane,
 }
 
-/// How the tile looks.
+/// Viewing rays of the tile.
 pub struct Eye<'a> {
-    /// Where the rays come from, on average.
+    /// Mean origin of the rays.
     pub origin: Vec3,
-    /// Where each ray starts.
+    /// Start of each ray.
     pub starts: &'a Lane3,
     /// Unit rays and the pyramid around them.
     pub rays: &'a Pyramid,
@@ -153,8 +153,8 @@ impl Film {
     }
 }
 
-/// Where a shell mirrors an LED: the direction from its center, and from there to the LED and to
-/// the eye. Found step by step from where it would be for both far away.
+/// Mirror image of an LED in a shell: the direction from its center, and from there to the LED and
+/// to the eye. Iterated from the solution for an infinitely distant LED and eye.
 #[inline(always)]
 fn mirror_place(sphere: &Sphere, eye: Vec3, led: &Led, front: bool) -> (Vec3, Vec3, Vec3) {
     let sign = if front { 1.0 } else { -1.0 };

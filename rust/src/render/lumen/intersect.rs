@@ -38,8 +38,8 @@ impl LumenRays<'_> {
         met
     }
 
-    /// What rays from the eye meet, in the lanes `used`, after a level surface has mirrored them.
-    /// Distances count along the whole way.
+    /// Hits of rays from the eye, in the lanes `used`, after reflection at a level surface.
+    /// Distances are along the whole path.
     #[inline(always)]
     pub fn intersect_reflected(
         &self,
@@ -91,8 +91,8 @@ impl LumenRays<'_> {
         (hits, particles)
     }
 
-    /// What rays that turn at a surface meet beyond it, in the lanes `used`. Distances count along the
-    /// whole way.
+    /// Hits beyond a surface of rays that turn there, in the lanes `used`. Distances are along the
+    /// whole path.
     #[inline(always)]
     pub fn intersect_refracted(
         &self,

@@ -12,7 +12,7 @@ use std::f32::consts::{LOG2_E, PI};
 /// `Pools::of_vertex` of a vertex in no pool.
 pub const DRY: u16 = 0;
 
-/// What the liquid is: `vrcaps.lumen.contents.Liquid`.
+/// Properties of the liquid: `vrcaps.lumen.contents.Liquid`.
 #[derive(Clone, Copy)]
 pub struct Optics {
     /// Refractive index.
@@ -39,11 +39,11 @@ pub struct Wet {
     pub is_wet: [bool; LANES],
     /// Pool of each lane.
     pub pool: [u16; LANES],
-    /// Where the liquid begins along the ray [m].
+    /// Start of the liquid along the ray [m].
     pub start: Lane,
     /// Whether the eye is under this lane's pool.
     pub under: [bool; LANES],
-    /// How the rays go on at its surface.
+    /// Continuation of the rays at its surface.
     pub turn: Turn,
     /// Level of the lane's pool [m].
     level: Lane,
@@ -62,8 +62,8 @@ impl Pools {
         self.levels[pool as usize - 1]
     }
 
-    /// What liquid lies on the way to the surfaces that straight rays meet at `position`, whose
-    /// pools are given; so is the eye's.
+    /// Liquid on the path to the surfaces that straight rays meet at `position`; their pools and
+    /// the eye's are given.
     ///
     /// A ray from above has crossed the surface if what it meets lies under it; one from below if
     /// it gets above it.
@@ -102,7 +102,7 @@ impl Pools {
 }
 
 impl Optics {
-    /// What is left of an LED's light after the liquid between it and each surface met.
+    /// Transmit an LED's light through the liquid between it and each surface.
     #[inline(always)]
     pub fn dim(&self, led: &Led, position: &Lane3, wet: &Wet, light: &mut Lane3) {
         for i in 0..LANES {
@@ -113,7 +113,7 @@ impl Optics {
         }
     }
 
-    /// What is left of even light from above after the liquid over each surface met.
+    /// Transmit diffuse light from above through the liquid over each surface.
     ///
     /// Even light loses as much as a beam on a way 1.66 times as long (Elsasser 1942).
     #[inline(always)]

@@ -22,9 +22,9 @@ const CHYME_ROUGHNESS: f32 = 0.6;
 struct Octave {
     /// Size [m].
     size: f32,
-    /// How much the normal changes.
+    /// Change of the normal.
     tilt: f32,
-    /// By what share the color changes.
+    /// Relative change of the color.
     contrast: f32,
 }
 

@@ -12,7 +12,7 @@ use crate::wall::packet::{Hits, Pyramid};
 pub struct PathSegment<'a> {
     /// Directions, and the pyramid around them.
     pub rays: &'a Pyramid,
-    /// Where each ray would start if its whole way were straight as this piece [m].
+    /// Virtual start of each ray if its whole path were a straight extension of this segment [m].
     pub starts: &'a Lane3,
     /// Their mean.
     pub origin: Vec3,
@@ -20,9 +20,9 @@ pub struct PathSegment<'a> {
     pub used: &'a [bool; LANES],
     /// Lanes where it lies in liquid.
     pub soaked: [bool; LANES],
-    /// Where it begins [m].
+    /// Start [m].
     pub from: &'a Lane,
-    /// Where it ends.
+    /// End.
     pub to: &'a Lane,
 }
 
@@ -116,15 +116,15 @@ impl PathSegment<'_> {
     }
 }
 
-/// Where the straight ways from the eye end [m].
+/// Ends of the straight paths from the eye [m].
 #[inline(always)]
 pub fn first_segment(wet: Option<&Wet>, hits: &Hits) -> Lane {
     let Some(wet) = wet else { return hits.distance };
     std::array::from_fn(|i| min(wet.turn.distance[i], hits.distance[i]))
 }
 
-/// Where rays that go on along `heading` after a turn would start if all of their way were
-/// straight, the mean of these places, and the box around the ways on to their `ends`.
+/// Virtual starts of rays that continue along `heading` after a turn, as if their whole path were
+/// straight; the mean of these points, and the box around the paths to their `ends`.
 #[inline(always)]
 pub fn unfolded(
     turn: &Turn,

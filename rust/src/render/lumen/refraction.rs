@@ -1,4 +1,4 @@
-//! Where a ray meets the level surface of a liquid, and how it goes on: by Snell's law or mirrored.
+//! Intersection of a ray with the level surface of a liquid; refraction (Snell's law) or reflection.
 
 use crate::render::material::fresnel;
 use crate::simd::f32x64::*;
@@ -12,11 +12,11 @@ pub const REFLECTED: u8 = 2;
 
 /// Turns of a tile's rays in level surfaces.
 pub struct Turn {
-    /// How each lane goes on.
+    /// Continuation of each lane.
     pub kind: [u8; LANES],
     /// Way to the surface [m]; infinite where none is met.
     pub distance: Lane,
-    /// Where it is met [m].
+    /// Intersection [m].
     pub place: Lane3,
     /// Unit direction in which the ray goes on.
     pub heading: Lane3,

@@ -26,13 +26,13 @@ pub struct LedEmitter {
 pub struct LightTransport<'a> {
     /// The wall.
     pub wall: &'a Wall,
-    /// What is drawn on it.
+    /// Labels, textures and reflectance of the wall.
     pub scene: &'a SceneData,
     /// LEDs about the wall's center.
     pub leds: &'a [Led],
     /// Angle between neighboring pixels [rad].
     pub pixel_angle: f32,
-    /// How paths are traced.
+    /// Settings of path tracing.
     pub settings: Settings,
 }
 
@@ -58,7 +58,7 @@ pub struct VirtualLight {
     pub face_normal: Vec3,
     /// Unit direction to where its light comes from.
     pub back: Vec3,
-    /// What a light path brings, over the density of its reflection [W/sr·…]: times reflectance and
+    /// Power of a light path over the density of its reflection [W/sr·…]: times reflectance and
     /// cosine it is radiant intensity [W/sr].
     pub carried: Vec3,
     /// Virtual lights of a light path at this place, about [1/m²].

@@ -20,14 +20,14 @@ use std::f32::consts::LOG2_E;
 pub struct LumenMedia<'a> {
     /// The wall around them.
     pub wall: &'a Wall,
-    /// What they are.
+    /// Contents of the lumen.
     pub contents: &'a Contents,
     /// Pool under whose level the LEDs are.
     pub of_leds: u16,
 }
 
 impl LumenMedia<'_> {
-    /// What a ray meets first, wall or particle, and the transmittance back along it.
+    /// First hit of a ray, wall or particle, and the transmittance back along it.
     #[inline(always)]
     pub fn intersect(&self, start: Vec3, heading: Vec3, from: u32, hit: Hit) -> (Hit, Vec3) {
         let (distance, met) = self.meet_particles::<false>((start, heading), hit.distance);
@@ -53,7 +53,7 @@ impl LumenMedia<'_> {
         self.transmittance((led, heading, distance), pool)
     }
 
-    /// Where a ray ends at the particle that it meets first, or else `until` [m]; what it meets.
+    /// Distance to the first particle on a ray, or else `until` [m], and the hit.
     #[inline(always)]
     fn meet_particles<const ANY: bool>(&self, ray: (Vec3, Vec3), until: f32) -> (f32, Met<1>) {
         let (chyme, mut near) = (&self.contents.chyme, Vec::new());

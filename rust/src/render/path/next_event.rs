@@ -85,7 +85,7 @@ struct ChosenLed {
     led: [u32; LANES],
     /// Radiance that the surface would leave of its light.
     radiance: Lane3,
-    /// What the choice went by: of this LED, and of all.
+    /// Weights of the choice: of this LED, and of all.
     weight: Lane,
     total: Lane,
 }

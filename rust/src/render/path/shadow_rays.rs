@@ -24,7 +24,7 @@ const MAX_TRIANGLES: u32 = 300;
 pub struct ShadowRay {
     /// Point on the wall [m].
     pub point: Vec3,
-    /// What the pixel gets if it is unoccluded.
+    /// Contribution to the pixel if it is unoccluded.
     pub light: Vec3,
     /// Number of the pixel among the sums.
     pub pixel: u32,
@@ -69,7 +69,7 @@ impl ShadowRays {
         self.pending.clear();
     }
 
-    /// Which of up to `LANES` rays from one LED are unoccluded.
+    /// Test which of up to `LANES` rays from one LED are unoccluded.
     #[inline(always)]
     fn unoccluded(&self, wall: &Wall, origin: Vec3, chunk: &[u32]) -> [bool; LANES] {
         let (mut points, mut used) = ([[0.0; LANES]; 3], [false; LANES]);

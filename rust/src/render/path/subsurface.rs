@@ -68,14 +68,14 @@ impl Tissue {
         Medium { albedo, extinction, ior: self.ior }
     }
 
-    /// How much more, as a share, a half-space under diffuse light sends to its interface per
-    /// cosine less than `mean_cosine`.
+    /// Relative excess of the light that a half-space under diffuse light sends to its interface,
+    /// per cosine below `mean_cosine`.
     pub fn slope(&self, color: Vec3) -> Vec3 {
         color.map(|c| between(&self.angular_slopes, c))
     }
 
-    /// How far along its first direction light is when it comes out of a half-space, on average
-    /// over what comes out [m].
+    /// Mean displacement along its first direction of the light that leaves a half-space, weighted by
+    /// the exiting light [m].
     ///
     /// In free paths: 0.94 − 0.56 √(1 − albedo), by walks in a half-space of index 1.4 from 20 to
     /// 45 degrees, within 7 % for albedos of 0.6 to 0.985.
@@ -112,23 +112,23 @@ pub struct TissueRay {
     pub from: u32,
 }
 
-/// Where a random walk leaves the tissue.
+/// Exit of a random walk from the tissue.
 pub struct SubsurfaceExit {
-    /// Where.
+    /// Hit.
     pub hit: Hit,
     /// Place [m].
     pub point: Vec3,
     /// The face's unit normal, away from the tissue.
     pub face_normal: Vec3,
-    /// What is left of red, green and blue.
+    /// Throughput of red, green and blue.
     pub throughput: Vec3,
 }
 
 /// The interface at which tissue ends.
 pub trait Interface {
-    /// How far a way starts from it [m].
+    /// Offset of a path's start from it [m].
     fn offset(&self) -> f32;
-    /// Where a way comes to it within `reach` [m], and its unit normal there, away from the tissue.
+    /// Intersection of a path within `reach` [m], and the unit normal there, away from the tissue.
     fn intersect(&self, ray: &TissueRay, reach: f32) -> Option<(Hit, Vec3)>;
 }
 
@@ -156,7 +156,7 @@ pub struct PlaneInterface {
     pub point: Vec3,
     /// Unit normal, away from the tissue.
     pub normal: Vec3,
-    /// How far a way starts from it [m].
+    /// Offset of a path's start from it [m].
     pub offset: f32,
 }
 

@@ -17,11 +17,11 @@ const RR_SURVIVAL: f32 = 3.0;
 
 /// Tracer of camera paths.
 pub struct Tracer<'a> {
-    /// What the LEDs' paths travel in, too.
+    /// Transport of light, shared with the LEDs' paths.
     pub transport: LightTransport<'a>,
-    /// What floats in the lumen, if anything does.
+    /// Lumen contents; None for an empty lumen.
     pub media: Option<LumenMedia<'a>>,
-    /// Where the LEDs' light comes from, if surfaces are connected to that.
+    /// Virtual lights of the LEDs, if surfaces are connected to them.
     pub sources: Option<&'a VirtualLights>,
     /// Light paths whose virtual lights are candidates at a time.
     pub candidate_paths: usize,
@@ -49,9 +49,9 @@ pub struct Path {
 }
 
 impl Path {
-    /// What is left for the path itself of light that base and gloss of the place it has come to
-    /// reflect, beside virtual lights of which each of so many light paths leaves so many there
-    /// [1/m²].
+    /// Weight of the path itself for the light that base and gloss of its current point reflect,
+    /// next to virtual lights, of which each of the given number of light paths leaves this many
+    /// there [1/m²].
     #[inline(always)]
     pub fn own(&self, density: f32, paths: usize) -> [Vec3; 2] {
         let MisWeights { base, gloss } = MisWeights::new(density, self.density, paths);

@@ -57,8 +57,8 @@ pub struct MisWeights {
 }
 
 impl MisWeights {
-    /// Where each of so many light paths leaves so many virtual lights, and the camera's comes with
-    /// a density of `own`; both in 1/m².
+    /// Weight where each of the given number of light paths leaves this many virtual lights, and the
+    /// camera's path arrives with a density of `own`; both in 1/m².
     #[inline(always)]
     pub fn new(sources: f32, own: f32, paths: usize) -> Self {
         let sources = max(paths as f32 * sources, 1e-20);

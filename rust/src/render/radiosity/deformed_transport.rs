@@ -14,7 +14,7 @@ const LEAST_COSINE: f32 = 0.1;
 /// Most by which a share grows or shrinks.
 const MOST: f32 = 8.0;
 
-/// Where a gather point is, seen by others.
+/// Position of a gather point, for other points.
 #[derive(Clone, Copy)]
 pub struct Patch {
     point: Vec3,
@@ -45,7 +45,7 @@ impl Patch {
 pub struct DeformedTransport<'a> {
     light: &'a Radiosity,
     rest: &'a Wall,
-    /// Where each gather point is now, and how much larger its area is if it gives light.
+    /// Current position of each gather point, and the growth of its area if it emits light.
     now: Vec<(Patch, f32)>,
 }
 
@@ -63,7 +63,7 @@ impl<'a> DeformedTransport<'a> {
         DeformedTransport { light, rest, now }
     }
 
-    /// How much larger the area of a gather point is than at rest.
+    /// Ratio of the area of a gather point to that at rest.
     pub fn area_ratio(&self, gather_point: usize) -> f32 {
         self.now[gather_point].1
     }

@@ -21,7 +21,7 @@ const LEAST_SIDE: usize = 8;
 /// throws their light on, away from both; measured against path tracing in three organs.
 const GLOSS: f32 = 0.5;
 
-/// Where a ray ends: a gather point, and how much is reflected there of its light of each color
+/// End of a ray: a gather point, and the fraction of its light of each color reflected there
 /// [W/m²].
 type End = (u32, Vec3);
 
@@ -51,7 +51,7 @@ pub fn direct_illumination(light: &Radiosity, wall: &Wall, leds: &[Led]) -> Vec<
     radiosity
 }
 
-/// What some of the rays of a lobe leave where they end.
+/// Light that some of the rays of a lobe leave at their ends.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",

@@ -11,7 +11,7 @@ use crate::wall::ray;
 const SIDE: usize = 12;
 /// Share of a row that one ray carries.
 const RAY: f32 = 1.0 / (SIDE * SIDE) as f32;
-/// How far in front of the wall rays start, in spacings of gather points.
+/// Distance of ray starts from the wall, in spacings of gather points.
 const LIFT: f32 = 0.02;
 
 /// Form factor from a gather point to another.

@@ -102,7 +102,7 @@ impl Radiosity {
             .get_or_init(|| Box::new(trace_row(rest, &self.gather_points, gather_point)))
     }
 
-    /// What a gather point reflects on a wall of such a shape, over what it would on a level one.
+    /// Light reflected by a gather point on a wall of this shape, relative to that on a level wall.
     fn kept(&self, rest: &Wall, gather_point: usize) -> Vec3 {
         let Some(tissue) = &self.tissue else { return [1.0; 3] };
         let kept = tissue.kept(rest, self.gather_points.vertex[gather_point] as usize);

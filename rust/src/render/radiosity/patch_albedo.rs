@@ -1,4 +1,4 @@
-//! What the wall looks like around each gather point, on average.
+//! Mean albedo of the wall around each gather point.
 
 use super::gather_points::GatherPoints;
 use crate::render::scene::SceneData;

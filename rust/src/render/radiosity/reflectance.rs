@@ -1,4 +1,4 @@
-//! How much light the wall throws back by the angle at which it comes or goes.
+//! Directional reflectance of the wall by the angle of incidence or exitance.
 
 use crate::render::material::{Led, Material, Surface, add_light};
 use crate::simd::f32x64::*;
@@ -89,8 +89,8 @@ impl Reflectance {
     }
 }
 
-/// What leaves towards a cosine under light of radiance 1 from everywhere: of a black base, and of
-/// a white one.
+/// Radiance towards a cosine under uniform light of radiance 1: of a black base, and of a white
+/// one.
 ///
 /// Half vectors on rings whose angle grows by the same factor find the narrow lobe of the
 /// clearcoat. An element of half vectors is an element of light of 4 (v·h) times its size.

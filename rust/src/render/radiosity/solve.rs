@@ -28,7 +28,7 @@ pub struct Irradiance<'a> {
     light: &'a Radiosity,
     rest: &'a Wall,
     wall: &'a Wall,
-    /// How the wall differs from itself at rest, if it does.
+    /// Deformation of the wall relative to rest; None at rest.
     deformed: Option<DeformedTransport<'a>>,
     /// Radiosity of each gather point [W/m²].
     radiosity: Vec<Color>,
@@ -82,7 +82,7 @@ impl Radiosity {
         }
     }
 
-    /// What each of the gather points keeps of the light that it reflects; `last` is made less by
+    /// Fraction of its reflected light that each gather point keeps; `last` is reduced by
     /// that.
     fn shape_factors(&self, rest: &Wall, gather_points: &[u32], last: &mut [Color]) -> Vec<Vec3> {
         let of_site = |&s: &u32| self.kept(rest, s as usize);
@@ -164,13 +164,13 @@ fn total(light: &[Color]) -> Vec3 {
     light.iter().fold([0.0; 3], |sum, c| add(sum, [c[0], c[1], c[2]]))
 }
 
-/// What a geometric series adds up to from its last known term on, over that term.
+/// Sum of a geometric series from its last known term on, relative to that term.
 fn series_factor(term: Vec3, before: Vec3) -> Vec3 {
     [0, 1, 2].map(|k| 1.0 / (1.0 - clamp(term[k] / max(before[k], 1e-30), 0.0, 0.95)))
 }
 
 impl Irradiance<'_> {
-    /// What the tissue behind surfaces makes of light, if it goes there.
+    /// Subsurface light of surfaces, if light enters the tissue behind them.
     #[inline(always)]
     pub fn subsurface(
         &self,
@@ -323,7 +323,7 @@ impl Irradiance<'_> {
     }
 }
 
-/// What the third corner of a triangle gets, after how much more the first two get.
+/// Irradiance of a triangle's third corner, after the excess of the first two.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -342,7 +342,7 @@ fn light_at_corners(light: &Irradiance<'_>, triangle: u32) -> [Light; 3] {
     [first, second, third]
 }
 
-/// What a gather point gets.
+/// Irradiance of a gather point.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",

@@ -11,7 +11,7 @@ pub struct Lobe {
     frame: [Vec3; 3],
     exponent: f32,
     side: usize,
-    /// Where in a cell its direction lies, across rings and around the axis.
+    /// Position of its direction in a cell, across rings and around the axis.
     shift: [f32; 2],
 }
 

@@ -24,11 +24,11 @@ pub type Lit = [Vec4; 3];
 struct Face {
     /// In leaf order; `MISS` for none.
     triangle: u32,
-    /// What leaves its third corner, and how much more leaves the first two.
+    /// Radiosity of its third corner, and the excess of the first two.
     radiosity: [Leaving; 3],
     /// All that leaves by LEDs and indirect light, in the same way [W/m²].
     all: [Vec4; 3],
-    /// How that grows along x, y and z [W/m³].
+    /// Its gradient along x, y and z [W/m³].
     slope: [Vec4; 3],
     /// Unit normal.
     normal: Vec3,
@@ -47,11 +47,11 @@ pub struct SubsurfaceFrame<'a> {
     wall: &'a Wall,
     leds: Vec<Led>,
     shadows: bool,
-    /// What falls on nodes and leaves vertices, computed when first needed.
+    /// Irradiance of nodes and radiosity of vertices, computed on first use.
     known: FrameCache<'a, Lit>,
 }
 
-/// What the tissue behind a tile's surfaces makes of light.
+/// Subsurface light of a tile's surfaces.
 pub struct SubsurfaceLight {
     /// Radiance towards the viewer over π and that of a white matt surface, by light on the place.
     weight: Lane3,
@@ -76,7 +76,7 @@ impl Transport {
 }
 
 impl SubsurfaceFrame<'_> {
-    /// What becomes of light at surfaces; `indirect` is irradiance of a vertex but for the LEDs'.
+    /// Subsurface light at surfaces; `indirect` is a vertex's irradiance without that of the LEDs.
     #[inline(always)]
     pub fn subsurface(
         &self,
@@ -145,7 +145,7 @@ impl SubsurfaceFrame<'_> {
         }
     }
 
-    /// What leaves a vertex.
+    /// Radiosity of a vertex.
     fn vertex(&self, v: usize, indirect: &impl Fn(usize) -> Vec4) -> Lit {
         if let Some(light) = self.known.vertex(v) {
             return light;
@@ -162,7 +162,7 @@ impl SubsurfaceFrame<'_> {
         sum
     }
 
-    /// What leaves a node.
+    /// Radiosity of a node.
     fn radiosity(&self, node: usize, indirect: &impl Fn(usize) -> Vec4) -> Lit {
         let place = self.transport.nodes.vertex.len() + node;
         if let Some(light) = self.known.gather_point(place) {
@@ -237,8 +237,8 @@ impl Face {
         }
     }
 
-    /// What comes out at a point, given by the weights of two corners, of light that sets out along
-    /// a direction, over what comes out of light from all directions.
+    /// Exiting light at a point, given by the weights of two corners, of light that starts along
+    /// a direction, relative to that of light from all directions.
     #[inline(always)]
     fn drifted(&self, [wa, wb]: [f32; 2], direction: Vec3) -> Vec4 {
         let [first, second, third] = self.all;

@@ -1,9 +1,9 @@
 //! Light through the tissue behind the wall, in real time.
 //!
-//! What comes out at a place of the wall has entered around it. Random walks from there, those of
-//! path tracing, say where: by reciprocity light takes the same ways back. They are traced once, at
-//! rest, from *nodes*, vertices no closer than a free path. In each frame LEDs and indirect light
-//! fall on the nodes that are needed, and each seen vertex takes their shares.
+//! Light that leaves a point of the wall has entered around it. Random walks from that point, as in
+//! path tracing, sample the entries: by reciprocity light takes the same paths back. They are
+//! traced once, at rest, from *nodes*, vertices no closer than a free path. In each frame LEDs and
+//! indirect light fall on the nodes that are needed, and each seen vertex takes their shares.
 
 mod frame;
 mod transport_row;
@@ -25,14 +25,14 @@ const SPACING: f32 = 0.8;
 /// Weight of a neighbor in what comes out at a node, if it faces the same way.
 const NEIGHBOR: f32 = 0.5;
 
-/// Where light that comes out of the wall has entered it.
+/// Transport of light from its entry into the wall to its exit.
 pub struct Transport {
     tissue: Tissue,
     nodes: GatherPoints,
     /// Mean base color of what each node stands for.
     color: Vec<Vec3>,
     rows: Vec<OnceBox<Row>>,
-    /// How much more of light comes out than by a node's own row, which is noisy.
+    /// Ratio of the exiting light to that of a node's own row, which is noisy.
     better: Vec<OnceBox<Vec3>>,
     cache: CachePool<frame::Lit>,
 }
@@ -50,7 +50,7 @@ impl Transport {
         Transport { tissue: tissue.clone(), nodes, color, rows, better, cache }
     }
 
-    /// What passes the interface at an angle of this cosine, over the mean of diffuse light.
+    /// Transmittance of the interface at this cosine, relative to the mean of diffuse light.
     pub fn transmittance(&self, cosine: f32) -> f32 {
         self.tissue.transmittance(cosine)
     }

@@ -52,17 +52,17 @@ impl Row {
     }
 }
 
-/// Where a walk sets out.
+/// Start of a walk.
 struct Start {
     place: Vec3,
     /// Unit normal of the face.
     face_normal: Vec3,
     direction: Vec3,
-    /// What passes the interface on the way in, over the mean.
+    /// Transmittance of the interface on entry, relative to the mean.
     passes: f32,
 }
 
-/// What walks bring together.
+/// Sums over walks.
 struct Sum {
     near: Vec3,
     far: Vec<Link>,

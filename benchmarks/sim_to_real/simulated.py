@@ -16,7 +16,7 @@ from vrcaps.core import rng
 from vrcaps.core.errors import InputError
 from vrcaps.learn.tasks.segmentation import LESION
 from vrcaps.recording.frame_sequence import FrameSequence
-from vrcaps.recording.image_class import image_class, lesion_instances
+from vrcaps.recording.image_classes import image_class, lesion_instances
 
 Urls = tuple[str, ...]
 """Folders or URLs of data sets."""

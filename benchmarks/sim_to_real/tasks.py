@@ -32,7 +32,7 @@ from vrcaps.learn.tasks.segmentation import LESION, SegmentationTask
 from vrcaps.learn.tasks.super_resolution import SuperResolutionTask, image_of
 from vrcaps.metrics.images import psnr, ssim
 from vrcaps.metrics.masks import dice
-from vrcaps.recording.image_class import NORMAL
+from vrcaps.recording.image_classes import NORMAL
 
 FRACTIONS = (0.1, 1.0, 0.25, 0.05, 0.5)
 """Of the real training images, the most telling first."""

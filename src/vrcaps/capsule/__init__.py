@@ -1,5 +1,10 @@
 """Capsule endoscopes as data: body, cameras, LEDs and magnets.
 
-`device.Device` is the data type, `body` its shape. `catalog.read_device` reads a device of the
-catalog in `devices/` or a custom TOML file as described in `device_file`.
+`device.Device` is the data type, `led_spectrum` the light of its LEDs. `device_file.read_device`
+reads a device of the catalog in `devices/` or a custom TOML file.
+The names in `__init__.pyi` are loaded on first use.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,6 +1,11 @@
 """Recordings: render a scenario to disk as an episode and read it back.
 
-`recorder.record` writes an episode, `episode.read_episode` reads it, `check` verifies it.
-`channels` defines the encoding of each image channel, `table` the columns of `frames.parquet`,
-`layout` the files; `checkpoint` resumes an interrupted recording.
+`recorder.record` writes an episode, `episode.read_episode` reads it, `check` verifies it. `layout`
+defines the files, `frame_files` those of a frame, `organ_files` those of the organ, `table` the
+columns of `frames.parquet`; `resume` continues an interrupted recording.
+The names in `__init__.pyi` are loaded on first use.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,5 +1,11 @@
 """Scenarios: everything that defines a recording, as one tree of dataclasses.
 
 `scenario.Scenario` is the tree, read from and written to TOML or JSON; `settings` changes it by
-path (`--set`); `build` creates the model of the world and the motion from it.
+path (`--set`). `build` resolves its open settings and creates the model of the world and the
+motion; `organ_source` loads the organ with its appearance and lesions.
+The names in `__init__.pyi` are loaded on first use.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

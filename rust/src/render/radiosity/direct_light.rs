@@ -21,7 +21,7 @@ const LEAST_SIDE: usize = 8;
 /// throws their light on, away from both; measured against path tracing in three organs.
 const GLOSS: f32 = 0.5;
 
-/// End of a ray: a gather point, and the fraction of its light of each color reflected there
+/// End of a ray: a gather point, and the light of the ray that it reflects, by color
 /// [W/m²].
 type End = (u32, Vec3);
 

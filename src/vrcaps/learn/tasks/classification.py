@@ -19,7 +19,7 @@ from vrcaps.learn.picture_border import Overlay, tissue_mask
 from vrcaps.learn.task import MAX_CLASSES, BackboneTask, Batch, Losses, Metric, Presets, Sample
 from vrcaps.metrics.classification import accuracy, confusion_matrix, f1_scores, matthews, roc_auc
 from vrcaps.recording.frame_sequence import FrameSequence
-from vrcaps.recording.image_class import NORMAL, image_class
+from vrcaps.recording.image_classes import NORMAL, image_class
 
 if TYPE_CHECKING:
     from jaxtyping import UInt8

@@ -1,0 +1,15 @@
+from .dynamics import Dynamics as Dynamics
+from .fly_through import FlyThrough as FlyThrough
+from .motion import Command as Command
+from .motion import Motion as Motion
+from .motion import MotionSettings as MotionSettings
+from .motion import MotionState as MotionState
+from .motion import Step as Step
+from .random_views import RandomViews as RandomViews
+from .replay import Replay as Replay
+from .replay import read_euroc_csv as read_euroc_csv
+from .replay import read_tum as read_tum
+from .replay import read_unity_csv as read_unity_csv
+from .rollout import Rollout as Rollout
+from .trajectory import Trajectory as Trajectory
+from .trajectory import trajectory_from_poses as trajectory_from_poses

@@ -1,0 +1,12 @@
+from .check import Problem as Problem
+from .check import check_episode as check_episode
+from .episode import Episode as Episode
+from .episode import read_episode as read_episode
+from .frame_sequence import FrameSequence as FrameSequence
+from .image_classes import image_class as image_class
+from .image_classes import lesion_instances as lesion_instances
+from .layout import EpisodeFiles as EpisodeFiles
+from .layout import LocalFiles as LocalFiles
+from .recorder import record as record
+from .table import FrameTable as FrameTable
+from .table import read_table as read_table

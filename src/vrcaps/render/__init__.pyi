@@ -1,0 +1,11 @@
+from .batch import BATCH_CHANNELS as BATCH_CHANNELS
+from .batch import render_batch as render_batch
+from .batch import renders_batches as renders_batches
+from .channels import CHANNELS as CHANNELS
+from .channels import Channel as Channel
+from .channels import Frame as Frame
+from .encoding import Encoding as Encoding
+from .imaging import Imaging as Imaging
+from .imaging import make_imaging as make_imaging
+from .renderer import Renderer as Renderer
+from .settings import RenderSettings as RenderSettings

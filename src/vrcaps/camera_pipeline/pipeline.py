@@ -137,7 +137,14 @@ class CameraPipeline:
         )
         self._needs = {name for effect in image_effects for name in effect.needs}
         self._needs |= _MOTION_CHANNELS if self._needs_motion else set()
-        rays = camera_rays(camera)
+        self._make_core()
+        self._exposed: tuple[Step, Exposure] | None = None
+        self._rendered: SceneRadiance | None = None
+        self._neighbor: tuple[SceneRadiance, tuple[Any, ...] | None] | None = None
+
+    def _make_core(self) -> None:
+        """Create the rays and the stages of the core."""
+        rays = camera_rays(self.camera)
         self._lit = np.asarray(np.isfinite(rays).all(axis=-1))
         self._table = _core.RayTable(rays)
         self._core = _core.CameraPipeline(
@@ -146,9 +153,6 @@ class CameraPipeline:
             np.ascontiguousarray(rays[..., 2]),
             {name: s.params for name, s in self._stages.items() if s.params is not None},
         )
-        self._exposed: tuple[Step, Exposure] | None = None
-        self._rendered: SceneRadiance | None = None
-        self._neighbor: tuple[SceneRadiance, tuple[Any, ...] | None] | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy the pipeline with its state, so that the copy gives the same frames."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from threading import Thread
 from types import TracebackType
 
 _WRITERS = 4  # threads that encode and write; they mostly wait for the disk
@@ -95,3 +96,28 @@ class FrameWriter:
         """Drop frames that no thread has started; finish those that have been started."""
         self._writers.shutdown(wait=True, cancel_futures=True)
         self._in_order.shutdown(wait=True, cancel_futures=True)
+
+
+class Background:
+    """Work in a thread that runs while the frames are rendered.
+
+    The compression of textures takes longer than the first frames, and needs one core. The thread
+    is a daemon, so that an error or an interruption of the recording does not wait for it.
+    """
+
+    def __init__(self, work: Callable[[], None]) -> None:
+        self._error: BaseException | None = None
+        self._thread = Thread(target=self._run, args=(work,), daemon=True)
+        self._thread.start()
+
+    def _run(self, work: Callable[[], None]) -> None:
+        try:
+            work()
+        except BaseException as error:
+            self._error = error
+
+    def wait(self) -> None:
+        """Wait until the work is done, and raise its error if it failed."""
+        self._thread.join()
+        if self._error is not None:
+            raise self._error

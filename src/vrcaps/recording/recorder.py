@@ -9,38 +9,36 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from vrcaps.camera_pipeline.capsule_cameras import CAPTURED, CapsuleCameras
-from vrcaps.core.errors import InputError, StorageError
-from vrcaps.core.files import is_temporary, remove_stale, sync_folder, write_bytes, write_json
+from vrcaps.core.errors import StorageError
+from vrcaps.core.files import remove_stale, sync_folder, write_bytes, write_json
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.frame_files import file_vertices, stored_wall, wall_path, write_images
-from vrcaps.recording.frame_writer import FrameWriter
+from vrcaps.recording.frame_writer import Background, FrameWriter
 from vrcaps.recording.layout import (
     COMPLETE,
     EPISODE_JSON,
     FRAMES_PARQUET,
     ORGAN_GLB,
     PREVIEW_MP4,
-    RECORDING,
     SHEET_PNG,
-    LocalFiles,
     make_head,
-    read_head,
 )
 from vrcaps.recording.organ_files import with_stored_organ
 from vrcaps.recording.pictures import Preview, contact_sheet
 from vrcaps.recording.resume import (
-    LOCK,
     Checkpoint,
+    begin_episode,
     read_checkpoint,
     recording_lock,
     remove_checkpoint,
     remove_damaged,
+    require_free,
+    require_same,
     write_checkpoint,
 )
 from vrcaps.recording.sensing import SensorReadings
@@ -48,7 +46,7 @@ from vrcaps.recording.table import TableRows, write_table
 from vrcaps.render.channels import CHANNELS
 from vrcaps.render.renderer import Renderer
 from vrcaps.scenario.build import ResolvedScenario, build, resolve
-from vrcaps.scenario.scenario import SOURCE_ORGAN, Scenario, scenario_to_plain
+from vrcaps.scenario.scenario import Scenario
 from vrcaps.world.model import MovingWall
 
 if TYPE_CHECKING:
@@ -91,19 +89,19 @@ def record(
         StorageError: If the files cannot be written; existing files are kept.
     """
     out = Path(out)
-    _require_free(out)
+    require_free(out)
     with recording_lock(out):
         resolved = resolve(with_stored_organ(scenario, out))
-        _require_same(out, resolved.scenario)
+        require_same(out, resolved.scenario)
         model, motion = build(resolved)
         try:
             organ_path = ORGAN_GLB if store_organ is None else store_organ(model.organ)
             head = make_head(resolved.scenario, model, motion.notes, organ_path)
-            _begin(out, head)
+            begin_episode(out, head)
             remove_damaged(read_episode(out, unfinished=True))
             run = _Recording(out, resolved, model, motion, progress or _silent, simulated)
             is_missing = store_organ is None and not (out / ORGAN_GLB).exists()
-            organ = _Background(partial(_write_organ, out, model)) if is_missing else None
+            organ = Background(partial(_write_organ, out, model)) if is_missing else None
             _write_frames(out, run)
             if organ is not None:
                 organ.wait()
@@ -171,102 +169,10 @@ def _silent(done: int, total: int) -> None:
     """Ignore progress."""
 
 
-def _require_free(out: Path) -> None:
-    """Check that a folder is new, empty or an episode.
-
-    Raises:
-        InputError: If it is not.
-    """
-    if not out.exists():
-        return
-    if not out.is_dir():
-        raise InputError(f"{out} is a file. Give a new or empty folder.")
-    leftovers = {SOURCE_ORGAN, LOCK}  # of a killed run
-    names = sorted({path.name for path in out.iterdir()} - leftovers)
-    names = [name for name in names if not is_temporary(name)]
-    if names and EPISODE_JSON not in names:
-        raise InputError(
-            f"{out} contains other files ({names[0]!r}, …). Give a new or empty folder."
-        )
-
-
-def _require_same(out: Path, scenario: Scenario) -> None:
-    """Check that an episode in a folder records a scenario.
-
-    Raises:
-        InputError: If it is not.
-    """
-    if not (out / EPISODE_JSON).exists():
-        return
-    if read_head(LocalFiles(out)).get("scenario") != scenario_to_plain(scenario):
-        raise InputError(
-            f"{out} contains an episode of a different scenario. Give a new or empty folder; "
-            f"to resume that episode, record {out / EPISODE_JSON}."
-        )
-
-
-def _begin(out: Path, head: dict[str, Any]) -> None:
-    """Initialize the episode in the folder, or check that it is the same one."""
-    path = out / EPISODE_JSON
-    if not path.exists():
-        write_json(path, {"status": RECORDING, **head})
-    before = read_head(LocalFiles(out))
-    before.pop("status", None)
-    changed = [key for key in head if before.get(key) != head[key]]
-    if changed or set(before) != set(head):
-        key = changed[0] if changed else "set of keys"
-        raise InputError(
-            f"{out} contains an episode of this scenario made with another {key}"
-            f"{_other_version(before, head)}. Give a new or empty folder."
-        )
-    for channel in head["channels"]:
-        for camera in head["cameras"]:
-            (out / camera["name"] / channel).mkdir(parents=True, exist_ok=True)
-    if "wall" in head:
-        (out / wall_path(0)).parent.mkdir(exist_ok=True)
-
-
-def _other_version(before: dict[str, Any], head: dict[str, Any]) -> str:
-    """Message with the versions of the episode's program and this one; empty if they are equal."""
-    made_with = before.get("made_with")
-    recorded = {"vrcaps": before.get("vrcaps_version")}
-    recorded |= made_with if isinstance(made_with, dict) else {}
-    for name, version in {"vrcaps": head["vrcaps_version"], **head["made_with"]}.items():
-        if recorded.get(name) != version:
-            known = recorded.get(name) or "unknown"
-            return f", {name} {known} (here {version}): bytes may differ"
-    return ""
-
-
 def _write_organ(out: Path, model: Model) -> None:
     from vrcaps.organ.organ_file import write_organ
 
     write_organ(out / ORGAN_GLB, model.organ, T_world_patient=model.T_world_patient, compact=True)
-
-
-class _Background:
-    """Work in a thread that runs while the frames are rendered.
-
-    The compression of textures takes longer than the first frames, and needs one core. The thread
-    is a daemon, so that an error or an interruption of the recording does not wait for it.
-    """
-
-    def __init__(self, work: Callable[[], None]) -> None:
-        self._error: BaseException | None = None
-        self._thread = Thread(target=self._run, args=(work,), daemon=True)
-        self._thread.start()
-
-    def _run(self, work: Callable[[], None]) -> None:
-        try:
-            work()
-        except BaseException as error:
-            self._error = error
-
-    def wait(self) -> None:
-        """Wait until the work is done, and raise its error if it failed."""
-        self._thread.join()
-        if self._error is not None:
-            raise self._error
 
 
 class _Timer:

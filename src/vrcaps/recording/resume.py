@@ -1,4 +1,4 @@
-"""Resumption of interrupted recordings: folder lock, checkpoint, removal of damaged files."""
+"""Folder of a recording: its lock, the check of earlier contents, checkpoint, damaged files."""
 
 from __future__ import annotations
 
@@ -10,19 +10,31 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from vrcaps.config.plain_files import decode_json
 from vrcaps.core.errors import InputError
-from vrcaps.core.files import read_arrays, sync_folder, write_arrays, write_json
+from vrcaps.core.files import is_temporary, read_arrays, sync_folder, write_arrays, write_json
 from vrcaps.core.locks import file_lock
 from vrcaps.motion.motion import MotionState
 from vrcaps.recording.episode import Episode
-from vrcaps.recording.frame_files import read_image
-from vrcaps.recording.layout import FRAMES_PARQUET, ORGAN_GLB, PREVIEW_MP4, SHEET_PNG, organ_name
+from vrcaps.recording.frame_files import read_image, wall_path
+from vrcaps.recording.layout import (
+    EPISODE_JSON,
+    FRAMES_PARQUET,
+    ORGAN_GLB,
+    PREVIEW_MP4,
+    RECORDING,
+    SHEET_PNG,
+    LocalFiles,
+    organ_name,
+    read_head,
+)
 from vrcaps.recording.pictures import require_preview
 from vrcaps.recording.table import FrameTable, read_table, write_table
+from vrcaps.scenario.scenario import SOURCE_ORGAN, Scenario, scenario_to_plain
 
-LOCK = ".recording.resume"
+LOCK = ".recording.lock"
 
 
 @contextmanager
@@ -41,6 +53,73 @@ def recording_lock(out: Path) -> Iterator[None]:
         with contextlib.suppress(OSError):  # it is not empty
             for path in new_folders:
                 path.rmdir()
+
+
+def require_free(out: Path) -> None:
+    """Check that a folder is new, empty or an episode.
+
+    Raises:
+        InputError: If it is not.
+    """
+    if not out.exists():
+        return
+    if not out.is_dir():
+        raise InputError(f"{out} is a file. Give a new or empty folder.")
+    leftovers = {SOURCE_ORGAN, LOCK}  # of a killed run
+    names = sorted({path.name for path in out.iterdir()} - leftovers)
+    names = [name for name in names if not is_temporary(name)]
+    if names and EPISODE_JSON not in names:
+        raise InputError(
+            f"{out} contains other files ({names[0]!r}, …). Give a new or empty folder."
+        )
+
+
+def require_same(out: Path, scenario: Scenario) -> None:
+    """Check that an episode in a folder records a scenario.
+
+    Raises:
+        InputError: If it is not.
+    """
+    if not (out / EPISODE_JSON).exists():
+        return
+    if read_head(LocalFiles(out)).get("scenario") != scenario_to_plain(scenario):
+        raise InputError(
+            f"{out} contains an episode of a different scenario. Give a new or empty folder; "
+            f"to resume that episode, record {out / EPISODE_JSON}."
+        )
+
+
+def begin_episode(out: Path, head: dict[str, Any]) -> None:
+    """Initialize the episode in the folder, or check that it is the same one."""
+    path = out / EPISODE_JSON
+    if not path.exists():
+        write_json(path, {"status": RECORDING, **head})
+    before = read_head(LocalFiles(out))
+    before.pop("status", None)
+    changed = [key for key in head if before.get(key) != head[key]]
+    if changed or set(before) != set(head):
+        key = changed[0] if changed else "set of keys"
+        raise InputError(
+            f"{out} contains an episode of this scenario made with another {key}"
+            f"{_other_version(before, head)}. Give a new or empty folder."
+        )
+    for channel in head["channels"]:
+        for camera in head["cameras"]:
+            (out / camera["name"] / channel).mkdir(parents=True, exist_ok=True)
+    if "wall" in head:
+        (out / wall_path(0)).parent.mkdir(exist_ok=True)
+
+
+def _other_version(before: dict[str, Any], head: dict[str, Any]) -> str:
+    """Message with the versions of the episode's program and this one; empty if they are equal."""
+    made_with = before.get("made_with")
+    recorded = {"vrcaps": before.get("vrcaps_version")}
+    recorded |= made_with if isinstance(made_with, dict) else {}
+    for name, version in {"vrcaps": head["vrcaps_version"], **head["made_with"]}.items():
+        if recorded.get(name) != version:
+            known = recorded.get(name) or "unknown"
+            return f", {name} {known} (here {version}): bytes may differ"
+    return ""
 
 
 _FOLDER = ".resume"

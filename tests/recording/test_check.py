@@ -102,7 +102,7 @@ def test_hall_sensors_beyond_their_range_are_no_problem(
 
 
 def test_no_episode(tmp_path):
-    _found(tmp_path, "episode.json", "is no episode")
+    _found(tmp_path, "episode.json", "is not an episode")
 
 
 @pytest.mark.slow
@@ -232,7 +232,7 @@ def test_images_of_another_frame(episode):
         ("capsule_qw", lambda v: v * 1.1 + 0.1, "capsule has no unit quaternion"),
         ("capsule_x_m", lambda v: v + 1e-3, "off that of the capsule and its mount"),
         ("rear_z_m", lambda v: v + 1e-3, "pose of rear is 0.001 off"),
-        ("segment", lambda v: np.full(len(v), "elbow", object), "no label name"),
+        ("segment", lambda v: np.full(len(v), "elbow", object), "not a label name"),
     ],
 )
 def test_wrong_table(episode, column, change, what):

@@ -103,9 +103,9 @@ def test_bad_batches_are_one_clear_line():
     renderer, poses = _renderer(), _poses()
     with pytest.raises(UnknownNameError, match="channel of a batch"):
         render_batch([renderer], poses, CAMERA, ("flow_forward",))
-    with pytest.raises(InputError, match="no renderer"):
+    with pytest.raises(InputError, match="renderers is empty"):
         render_batch([], poses, CAMERA)
-    with pytest.raises(InputError, match="light 'radiosity'"):
+    with pytest.raises(InputError, match="light is 'radiosity'"):
         render_batch([_renderer(settings=RenderSettings())], poses, CAMERA)
     with pytest.raises(InputError, match="different settings"):
         render_batch([renderer, _renderer(settings=DIRECT), renderer], poses, CAMERA)

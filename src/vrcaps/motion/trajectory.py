@@ -229,5 +229,5 @@ def start_pose(
         )
     arc_length = float(arc_lengths[fitting[0]])
     moved = abs(arc_length - wanted)
-    note = f"Moved the start position by {moved / MM:.1f} mm to where the capsule fits."
+    note = f"Set the capsule {moved / MM:.1f} mm further along, where it fits."
     return poses[fitting[0]], arc_length, (note,) if moved > 0.0 else ()

@@ -104,7 +104,7 @@ def table() -> str:
     lines = [
         "| severity | bubbles per cm² | per cm of a 24 mm wide gut | in a raft | radius [mm] "
         "| on each end of the capsule | particles per cm² | per cm | in a clump | radius [mm] "
-        "| liquid, share of the lumen |",
+        "| liquid, fraction of the lumen |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for grade, (bubbles, chyme, liquid) in enumerate(

@@ -104,7 +104,7 @@ def test_exact_parameters_take_the_place_of_a_severity() -> None:
     assert Effects(specular=2, resolution=3, dome_bubbles=1, distortion=1, field_of_view=4).is_ideal
     plain = to_plain(effects, Effects)
     assert from_plain(Effects, plain, at="effects") == effects
-    with pytest.raises(InputError, match="Call sample\(seed\) first"):
+    with pytest.raises(InputError, match=r"Call sample\(seed\) first"):
         Effects(sensor_noise=(0, 2)).resolve("sensor_noise")
 
 

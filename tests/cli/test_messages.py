@@ -138,7 +138,7 @@ def test_progress_is_told_in_lines_where_there_is_no_terminal(capsys) -> None:
     times = iter([0.0, 10.0, 30.0, 59.0, 61.0, 95.0])
     lines = console._Lines("recording", clock=lambda: next(times))
     for done in range(1, 6):
-        lines.tell(f"{done}/5")
+        lines.report(f"{done}/5")
     assert capsys.readouterr().err == (
         "recording: 2/5 after 30 s\nrecording: 4/5 after 61 s\nrecording: 5/5 after 95 s\n"
     )
@@ -148,10 +148,10 @@ def test_progress_is_told_while_nothing_is_driven(capsys, monkeypatch) -> None:
     """An organ is generated before the first frame: the lines come from a thread."""
     monkeypatch.setattr(console, "PERIOD", 0.0)
     monkeypatch.setattr(console, "_TICK", 1e-3)
-    told, tell = Event(), console._Lines.tell
-    monkeypatch.setattr(console._Lines, "tell", lambda *a: (tell(*a), told.set()))
+    reported, report = Event(), console._Lines.report
+    monkeypatch.setattr(console._Lines, "report", lambda *a: (report(*a), reported.set()))
     with console.progress_bar("recording"):
-        assert told.wait(WATCHDOG)
+        assert reported.wait(WATCHDOG)
     assert "recording: none done after 0 s\n" in capsys.readouterr().err
 
 
@@ -162,7 +162,7 @@ def test_a_plan_may_hold_its_scenario_in_a_table(tmp_path: Path) -> None:
     nested.write_text(f"{head}[scenario]\nframes = 3\n[scenario.motion]\nspeed = 0.01\n")
     assert read_plan(nested) == read_plan(flat)
     both.write_text(f"frames = 3\n{head}[scenario]\nframes = 4\n")
-    with pytest.raises(InputError, match=r"has frames beside \[scenario\] and in it"):
+    with pytest.raises(InputError, match=r"has frames both in \[scenario\] and outside it"):
         read_plan(both)
     both.write_text(f"scenario = 3\n{head}")
     with pytest.raises(InputError, match=r"scenario is 3\. Allowed: a table \[scenario\]"):

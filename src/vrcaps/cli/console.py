@@ -79,9 +79,9 @@ def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
 
         def advance(num_done: int, total: int) -> None:
             progress.update(task, completed=num_done, total=total)
-            lines.tell(f"{num_done}/{total}")
+            lines.report(f"{num_done}/{total}")
 
-        with lines.telling():
+        with lines.reporting():
             yield advance
 
 
@@ -105,14 +105,14 @@ def progress_bars(
         def count(num_done: int, total: int) -> None:
             done = f"{num_done}/{total}"
             progress.update(first, completed=num_done, total=total, done=done)
-            counts.tell(done)
+            counts.report(done)
 
         def pass_time(time: float, whole: float) -> None:
             done = f"{time:.1f}/{whole:.1f} s"
             progress.update(second, completed=time, total=whole, done=done, visible=True)
-            times.tell(done)
+            times.report(done)
 
-        with counts.telling():
+        with counts.reporting():
             yield count, pass_time
 
 
@@ -121,22 +121,22 @@ class _Lines:
 
     def __init__(self, title: str, clock: Callable[[], float] = time.monotonic) -> None:
         self._title, self._clock = title, clock
-        self._began = self._told = clock()
+        self._started = self._reported = clock()
         self._done = "none done"
 
     @contextmanager
-    def telling(self) -> Iterator[None]:
+    def reporting(self) -> Iterator[None]:
         """Write lines also while nothing is driven, such as while an organ is generated."""
         if sys.stderr.isatty():
             yield
             return
         ended = Event()
 
-        def tell_until_ended() -> None:
+        def report_until_ended() -> None:
             while not ended.wait(_TICK):
-                self.tell(self._done)
+                self.report(self._done)
 
-        thread = Thread(target=tell_until_ended, daemon=True)
+        thread = Thread(target=report_until_ended, daemon=True)
         thread.start()
         try:
             yield
@@ -144,14 +144,14 @@ class _Lines:
             ended.set()
             thread.join()
 
-    def tell(self, done: str) -> None:
+    def report(self, done: str) -> None:
         """Write a line if one is due."""
         self._done = done
         now = self._clock()
-        if now - self._told < PERIOD or sys.stderr.isatty():
+        if now - self._reported < PERIOD or sys.stderr.isatty():
             return
-        self._told = now
-        sys.stderr.write(f"{self._title}: {done} after {now - self._began:.0f} s\n")
+        self._reported = now
+        sys.stderr.write(f"{self._title}: {done} after {now - self._started:.0f} s\n")
         sys.stderr.flush()
 
 

@@ -119,19 +119,21 @@ def photos(tmp_path, originals):
 
 
 @pytest.mark.slow
-def test_command_says_what_it_does_not_learn_from(photos, tmp_path, capsys):
+def test_command_reports_dropped_images(photos, tmp_path, capsys):
     pytest.importorskip("torch", reason="PyTorch is not installed")
     task = ["train", "super-resolution", "--size", "32", "--blocks", "1", "--features", "8"]
     task += ["--data", f"images:{photos}", "--set", "steps=1", "--set", "batch=1"]
-    with pytest.raises(InputError, match=r"1 images to learn from .* train, frame 1 is val, fra"):
+    with pytest.raises(
+        InputError, match=r"1 training images are near-duplicates .* train, frame 1 is val, fra"
+    ):
         cli._parse([*task, "--out", str(tmp_path / "a"), "--duplicates", "refuse"]).run()
     assert not (tmp_path / "a").exists()
     cli.main([*task, "--out", str(tmp_path / "a")])
     said = capsys.readouterr().out
-    assert "Not learned from: train, frame 1, which is val, frame 0." in said
-    assert "2 frames to learn from, 2 to validate with" in said
+    assert "Dropped train, frame 1: duplicate of val, frame 0." in said
+    assert "2 training frames, 2 validation frames" in said
     cli.main([*task, "--out", str(tmp_path / "b"), "--duplicates", "keep"])
-    assert "3 frames to learn from, 2 to validate with" in capsys.readouterr().out
+    assert "3 training frames, 2 validation frames" in capsys.readouterr().out
 
 
 def test_training_leaves_out_what_it_is_tested_with(originals):

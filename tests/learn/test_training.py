@@ -139,7 +139,7 @@ def test_depth_is_learned(tmp_path):
     assert predict(trained, (sequence,), out) == {}
     assert len(list(out.glob("new/*.png"))) == len(sequence)
     assert (out / "sheet.png").stat().st_size > 0
-    with pytest.raises(InputError, match="Depth needs the lens of the camera"):
+    with pytest.raises(InputError, match="Depth requires the lens of the camera"):
         predict(trained, (replace(sequence, camera=None),), tmp_path / "none")
 
 
@@ -187,8 +187,8 @@ def test_weights_come_back(tmp_path):
 @pytest.mark.slow
 def test_bad_input_is_one_clear_line(tmp_path):
     write_weights(tmp_path / "w.safetensors", DEPTH, DEPTH.network(is_pretrained=False), {})
-    with pytest.raises(InputError, match=r"weights of the task 'depth'\. Asked for: 'masks'"):
-        read_weights(tmp_path / "w.safetensors", task="masks")
+    with pytest.raises(InputError, match=r"weights of the task 'depth'\. Required: 'segmentation'"):
+        read_weights(tmp_path / "w.safetensors", task="segmentation")
     (tmp_path / "bad.safetensors").write_bytes(b"nothing")
     with pytest.raises(InputError, match=r"Cannot read .*bad\.safetensors"):
         read_weights(tmp_path / "bad.safetensors")

@@ -77,7 +77,7 @@ def test_a_start_that_does_not_fit_is_one_line(run: Path, tmp_path: Path) -> Non
             train(other, tmp_path / "other", start=start)
         assert "\n" not in str(caught.value)
         assert not (tmp_path / "other").exists()
-    with pytest.raises(InputError, match=r"contains no checkpoint\.npz\. Give the folder of a train"):
+    with pytest.raises(InputError, match=r"contains no checkpoint\.npz\. Give the folder"):
         start_file(tmp_path)
     started = train(settings(), tmp_path / "started", start=run)
     assert started.step == 1

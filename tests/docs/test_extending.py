@@ -52,6 +52,21 @@ def test_a_format_is_written_and_accepted_by_the_command_line(
     assert next((tmp_path / "runs" / "again").rglob("positions.csv")).is_file()
 
 
+@pytest.mark.slow
+def test_a_task_on_images_is_trained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    run("A task on images")
+    assert (tmp_path / "runs" / "distance" / "best.safetensors").is_file()
+
+
+def test_parts_of_an_environment_are_named_in_settings() -> None:
+    names = run("A part of an environment")
+    assert names["observations"]["velocity"].shape == (2, 3)
+    np.testing.assert_allclose(
+        names["rewards"], -np.linalg.norm(names["observations"]["velocity"], axis=1), rtol=1e-6
+    )
+
+
 def test_a_policy_acts() -> None:
     spin = run("A policy")["Spin"]()
     env = CapsuleVectorEnv(env_settings(organs=("stomach",), actuation="wrench"), 2)

@@ -1,7 +1,7 @@
 """Every task with every actuation and every observation keeps the promises of the API."""
 
 import json
-from typing import Any, get_args
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -14,16 +14,16 @@ from vrcaps.config.convert import from_plain, to_plain
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.units import MM
 from vrcaps.env import CapsuleEnv, CapsuleVectorEnv
-from vrcaps.env.actuation.registry import AnyActuation
-from vrcaps.env.observations.registry import AnyObservation
+from vrcaps.env.actuation.registry import ACTUATIONS as ALL_ACTUATIONS
+from vrcaps.env.observations.registry import OBSERVATIONS as ALL_OBSERVATIONS
 from vrcaps.env.settings import EnvSettings, env_settings
 from vrcaps.env.start import Start
-from vrcaps.env.tasks.registry import AnyTask
+from vrcaps.env.tasks.registry import TASKS as ALL_TASKS
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.tissue import Tissue
 
 TASKS, ACTUATIONS, OBSERVATIONS = (
-    [cls.kind for cls in get_args(union)] for union in (AnyTask, AnyActuation, AnyObservation)
+    list(registry.built_in) for registry in (ALL_TASKS, ALL_ACTUATIONS, ALL_OBSERVATIONS)
 )
 ORGAN = textured(LESION_GUT)
 EACH_TASK_AND_ACTUATION = [(task, actuation) for task in TASKS for actuation in ACTUATIONS]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from tyro.conf import Positional
 
 from vrcaps.cli.console import console, progress_bar
+from vrcaps.cli.parts import with_env_parts
 from vrcaps.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -193,3 +194,8 @@ def _report(subjects: list[Subject]) -> None:
     for name in columns[0]:
         table.add_row(name, *(column[name] for column in columns))
     console.print(table)
+
+
+def command(*path: str) -> type:
+    """Command of the verb; its help lists the parts of environments."""
+    return with_env_parts(Evaluate)

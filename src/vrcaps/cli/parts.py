@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import inspect
+import sys
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Annotated, Any, get_type_hints
 
 from tyro.conf import OmitArgPrefixes
+
+from vrcaps.core.errors import MissingExtraError
 
 
 def command_of(base: type, part: type, examples: str) -> Any:
@@ -30,6 +33,31 @@ def command_of(base: type, part: type, examples: str) -> Any:
     }
     own["__annotations__"] = {f.name: Annotated[hints[f.name], OmitArgPrefixes] for f in inner}
     return dataclass(frozen=True, kw_only=True)(type(part.__name__, (base, part), own))
+
+
+def with_env_parts(command: type) -> type:
+    """Add the names of all tasks, observations, actuations and rewards to the help of a command.
+
+    Environments are imported only if the help is requested.
+    """
+    if not {"-h", "--help"} & {*sys.argv}:
+        return command
+    try:
+        from vrcaps.env import ACTUATIONS, OBSERVATIONS, TASKS
+        from vrcaps.env.rewards import reward_names
+    except MissingExtraError:
+        return command
+    names = {
+        "tasks": TASKS,
+        "observations": OBSERVATIONS,
+        "actuations": ACTUATIONS,
+        "rewards": reward_names(),
+    }
+    lists = "; ".join(f"{noun} {', '.join(parts)}" for noun, parts in names.items())
+    about, mark, examples = inspect.cleandoc(command.__doc__ or "").partition("For example:")
+    if "Parts of environments:" not in about:
+        command.__doc__ = f"{about}Parts of environments: {lists}.\n\n{mark}{examples}"
+    return command
 
 
 def part_of(command: Any) -> Any:

@@ -10,6 +10,7 @@ from tyro.conf import UseAppendAction
 
 from vrcaps.cli.arguments import require_existing
 from vrcaps.cli.console import console, progress_bar
+from vrcaps.cli.parts import with_env_parts
 
 if TYPE_CHECKING:
     from vrcaps.policy.training import TrainingSettings
@@ -142,3 +143,8 @@ def _line(progress: Progress) -> str:
         f"{100.0 * row['evaluation_coverage_frustum']:.1f} % in the frustum, "
         f"reward {row['evaluation_reward']:.2f} (best {progress.best or 0.0:.2f})"
     )
+
+
+def command(*path: str) -> type:
+    """Command of the verb; its help lists the parts of environments."""
+    return with_env_parts(Coverage)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar, Protocol
 
 import numpy as np
 
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.registry import Registry
 from vrcaps.metrics.coverage import CoverageLevel
 from vrcaps.metrics.point_coverage import POINT_LEVELS, require_point_level
 
@@ -22,12 +23,26 @@ _MIN_UNSEEN = 0.005
 """Unseen fraction below which the reward `log-gain` levels off."""
 
 
+class RewardTerm(Protocol):
+    """Term of the reward from a plug-in, registered with `REWARDS.register`."""
+
+    kind: ClassVar[str]
+
+    def __call__(self, simulation: Simulation, reward: Reward) -> Float[np.ndarray, " n"]:
+        """Value of each world for the last step, without the weight."""
+        ...
+
+
+REWARDS: Registry[RewardTerm] = Registry("reward", {})
+"""Terms of plug-ins by name; the built-in ones are in `TERMS`."""
+
+
 @dataclass(frozen=True)
 class Reward:
     """One term of the reward.
 
     Attributes:
-        term: Its name, one of `TERMS`.
+        term: Its name: one of `TERMS`, or of a term in `REWARDS`.
         weight: Factor of the term.
         level: Coverage level, for terms of coverage.
     """
@@ -38,8 +53,8 @@ class Reward:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if self.term not in TERMS:
-            raise UnknownNameError("reward", self.term, TERMS)
+        if self.term not in TERMS and self.term not in REWARDS:
+            raise UnknownNameError("reward", self.term, reward_names())
         require_point_level(self.level, "reward")
         if self.term == "total-variation" and self.level != "visible":
             raise InputError(
@@ -49,7 +64,8 @@ class Reward:
 
     def value(self, simulation: Simulation) -> Float[np.ndarray, " n"]:
         """Reward of each world for the last step."""
-        return self.weight * TERMS[self.term](simulation, self)
+        term = TERMS[self.term] if self.term in TERMS else REWARDS[self.term]()
+        return self.weight * term(simulation, self)
 
 
 def total_reward(
@@ -148,3 +164,8 @@ def frontier_length(
     along = np.zeros_like(maps)
     along[:, :-1] = np.diff(maps, axis=1) * (wall[:, 1:] & wall[:, :-1])
     return np.sqrt(along**2 + around**2).sum(axis=(1, 2)) / grid[1]
+
+
+def reward_names() -> tuple[str, ...]:
+    """Names of all terms, including those of plug-ins."""
+    return (*TERMS, *REWARDS)

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 from vrcaps.capsule.device import Device
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError, UnknownNameError, require
-from vrcaps.env.actuation.registry import AnyActuation
+from vrcaps.core.registry import Registry
+from vrcaps.env.actuation.actuation import Actuation
+from vrcaps.env.actuation.registry import ACTUATIONS
 from vrcaps.env.actuation.wrench import Wrench
-from vrcaps.env.observations.registry import AnyObservation
+from vrcaps.env.observations.observation import Observation
+from vrcaps.env.observations.registry import OBSERVATIONS
 from vrcaps.env.observations.state import StateObservation
 from vrcaps.env.organs import Organ, organs_of
 from vrcaps.env.randomization import Randomization
 from vrcaps.env.rewards import Reward
 from vrcaps.env.start import Start
 from vrcaps.env.tasks.coverage import CoverageTask
-from vrcaps.env.tasks.registry import AnyTask
+from vrcaps.env.tasks.registry import TASKS
+from vrcaps.env.tasks.task import Task
 from vrcaps.lesion import AnyLesion
 from vrcaps.lesion.library import parse_lesion
 from vrcaps.metrics.coverage import CoverageCriteria
@@ -65,9 +69,9 @@ class EnvSettings:
         grid: Number of cells of the map of the wall, along the gut and around it.
     """
 
-    task: AnyTask = field(default_factory=CoverageTask)
-    actuation: AnyActuation = field(default_factory=Wrench)
-    observations: tuple[AnyObservation, ...] = (StateObservation(),)
+    task: Task = field(default_factory=CoverageTask)
+    actuation: Actuation = field(default_factory=Wrench)
+    observations: tuple[Observation, ...] = (StateObservation(),)
     rewards: tuple[Reward, ...] = ()
     organs: tuple[Organ, ...] = (OrganGenerated("stomach"),)
     capsule: str | Device = "magnetic"
@@ -130,14 +134,14 @@ def env_settings(**keywords: Any) -> EnvSettings:
         if name not in known:
             raise UnknownNameError("setting", name, known)
     if "task" in keywords:
-        keywords["task"] = _part("task", AnyTask, keywords["task"])
+        keywords["task"] = _part(TASKS, keywords["task"])
         keywords = keywords["task"].defaults | keywords
     if "actuation" in keywords:
-        keywords["actuation"] = _part("actuation", AnyActuation, keywords["actuation"])
+        keywords["actuation"] = _part(ACTUATIONS, keywords["actuation"])
     if "observations" in keywords:
         given = keywords["observations"]
         given = (given,) if isinstance(given, str) else given
-        keywords["observations"] = tuple(_part("observation", AnyObservation, o) for o in given)
+        keywords["observations"] = tuple(_part(OBSERVATIONS, o) for o in given)
     if "rewards" in keywords:
         keywords["rewards"] = tuple(
             Reward(r) if isinstance(r, str) else r for r in keywords["rewards"]
@@ -154,11 +158,6 @@ def env_settings(**keywords: Any) -> EnvSettings:
     return EnvSettings(**values)
 
 
-def _part(noun: str, union: Any, given: Any) -> Any:
+def _part(registry: Registry[Any], given: Any) -> Any:
     """Create a part from its name, or return it unchanged."""
-    if not isinstance(given, str):
-        return given
-    kinds = {cls.kind: cls for cls in get_args(union)}
-    if given not in kinds:
-        raise UnknownNameError(noun, given, kinds)
-    return kinds[given]()
+    return registry[given]() if isinstance(given, str) else given

@@ -22,6 +22,7 @@ from vrcaps.actuation.steering_program import BASE_BELOW, base_beside, workspace
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError, require
 from vrcaps.core.units import CM
+from vrcaps.env.actuation.actuation import Actuation
 from vrcaps.env.actuation.magnet import supporting_pose
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.world.control import Control
@@ -38,7 +39,7 @@ _LIMITS = np.array(["", "joint", "collision"], object)
 
 
 @dataclass(frozen=True)
-class ArmActuation:
+class ArmActuation(Actuation):
     """A robot arm next to the patient that holds a magnet across its flange.
 
     An action has a value from −1 to 1 for each joint: its velocity, relative to `fraction` of its

@@ -13,6 +13,7 @@ from vrcaps.actuation.steering_program import workspace_above
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.transforms import rotation_from_vector
 from vrcaps.core.units import CM
+from vrcaps.env.actuation.actuation import Actuation
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.world.control import GRAVITY, Control
@@ -30,7 +31,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
-class MagnetActuation:
+class MagnetActuation(Actuation):
     """A magnet above the patient that follows velocity commands.
 
     An action has six values from −1 to 1: velocity along x, y and z of the world and angular
@@ -99,10 +100,6 @@ class MagnetActuation:
         moved[:, :3, :3] = turn @ moved[:, :3, :3]
         poses[numbers] = moved
         return [Control(Ts_world_magnet=pose[None]) for pose in moved]
-
-    def measures(self, simulation: Simulation) -> dict[str, np.ndarray]:
-        """Return no metrics."""
-        return {}
 
 
 def supporting_pose(

@@ -1,9 +1,18 @@
-"""Registry of all actuations: the type of the setting."""
+"""Registry of the actuations of an environment."""
 
-from typing import TypeAlias
+from vrcaps.config.convert import register_family
+from vrcaps.core.registry import Registry
+from vrcaps.env.actuation.actuation import Actuation
 
-from vrcaps.env.actuation.arm import ArmActuation
-from vrcaps.env.actuation.magnet import MagnetActuation
-from vrcaps.env.actuation.wrench import Wrench
+_FOLDER = "vrcaps.env.actuation"
+ACTUATIONS: Registry[Actuation] = Registry(
+    "actuation",
+    {
+        "wrench": (f"{_FOLDER}.wrench:Wrench", "force and torque on the capsule"),
+        "magnet": (f"{_FOLDER}.magnet:MagnetActuation", "external magnet that moves freely"),
+        "arm": (f"{_FOLDER}.arm:ArmActuation", "external magnet on a robot arm"),
+    },
+)
+"""Actuations by name, including those of plug-ins."""
 
-AnyActuation: TypeAlias = Wrench | MagnetActuation | ArmActuation
+register_family(Actuation, ACTUATIONS)

@@ -9,18 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 
 from vrcaps.config.limits import Range, check_fields
+from vrcaps.env.actuation.actuation import Actuation
 from vrcaps.world.control import GRAVITY, Control
 
 if TYPE_CHECKING:
     from vrcaps.env.simulation import Simulation
-    from vrcaps.magnet.sources import Source
-    from vrcaps.world.model import State
 
 _DIRECTIONS = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
 
 
 @dataclass(frozen=True)
-class Wrench:
+class Wrench(Actuation):
     """A force on the capsule's center of mass and a torque.
 
     `continuous` actions have six values from −1 to 1: force and torque, relative to their maxima.
@@ -54,13 +53,6 @@ class Wrench:
             return spaces.Discrete(len(_DIRECTIONS))
         return spaces.Box(-1.0, 1.0, (6,), np.float32)
 
-    def allocate(self, simulation: Simulation) -> None:
-        """Do nothing; no state is needed."""
-
-    def begin(self, simulation: Simulation, index: int, start: State) -> tuple[Source, ...]:
-        """Return no magnets."""
-        return ()
-
     def controls(
         self, simulation: Simulation, actions: np.ndarray, numbers: np.ndarray
     ) -> Sequence[Control]:
@@ -77,7 +69,3 @@ class Wrench:
         if self.is_weightless:
             forces = forces + np.array([0.0, 0.0, simulation.device.mass * GRAVITY])
         return [Control(force, torque) for force, torque in zip(forces, torques, strict=True)]
-
-    def measures(self, simulation: Simulation) -> dict[str, np.ndarray]:
-        """Return no metrics."""
-        return {}

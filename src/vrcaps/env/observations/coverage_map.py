@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 
 from vrcaps.config.limits import Range, check_fields
+from vrcaps.env.observations.observation import Observation
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class MapObservation:
+class MapObservation(Observation):
     """The unrolled wall: a row for each cell along the gut, a column for each around it.
 
     Two channels [2 rows columns]: the fraction of each cell's area that was visible so far, 1 for
@@ -55,12 +56,6 @@ class MapObservation:
         if self.egocentric:
             shape = (2 * self.scales, self.size, self.size)
         return spaces.Box(0.0, 1.0, shape, np.float32)
-
-    def allocate(self, simulation: Simulation) -> None:
-        """Do nothing; no further state is needed."""
-
-    def begin(self, simulation: Simulation, index: int, rng: np.random.Generator) -> None:
-        """Do nothing; the map holds the view at the start."""
 
     def observe(self, simulation: Simulation) -> Float[np.ndarray, "n c h w"]:
         """Return the maps of all worlds."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from vrcaps.core.errors import UnknownNameError, require
+from vrcaps.env.observations.observation import Observation
 from vrcaps.env.views import View
 from vrcaps.render.channels import CHANNELS
 from vrcaps.render.settings import RenderSettings
@@ -29,7 +30,7 @@ LIMITS: dict[str, tuple[float, float]] = {
 
 
 @dataclass(frozen=True)
-class ImageObservation:
+class ImageObservation(Observation):
     """One channel of a camera's image [h w c].
 
     Colors are uint8, as learning libraries expect images to be; other channels keep their units and
@@ -86,9 +87,6 @@ class ImageObservation:
     def allocate(self, simulation: Simulation) -> None:
         """Allocate the images."""
         simulation.views.want(self.view, self.channel)
-
-    def begin(self, simulation: Simulation, index: int, rng: np.random.Generator) -> None:
-        """Do nothing; the images are those at the start."""
 
     def observe(self, simulation: Simulation) -> np.ndarray:
         """Return the images of all worlds [n h w c]."""

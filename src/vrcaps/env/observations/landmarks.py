@@ -11,6 +11,7 @@ from vrcaps import _core
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.transforms import rotate_vectors, transform_points
 from vrcaps.core.units import CM, MM
+from vrcaps.env.observations.observation import Observation
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -36,7 +37,7 @@ RAYS = np.concatenate([np.eye(3), -np.eye(3), _CORNERS])
 
 
 @dataclass(frozen=True)
-class LandmarksObservation:
+class LandmarksObservation(Observation):
     """Navigation features with the same number and meaning in every organ.
 
     A distance d is encoded as d / (d + 20 mm), and other magnitudes likewise, so that all values
@@ -82,12 +83,6 @@ class LandmarksObservation:
         memory = simulation.memory
         count = 41 + 7 * self.regions + 6 * ("magnet/T" in memory) + ("navigate/goal" in memory)
         return spaces.Box(-1.0, 1.0, (count,), np.float32)
-
-    def allocate(self, simulation: Simulation) -> None:
-        """Do nothing; no further state is needed."""
-
-    def begin(self, simulation: Simulation, index: int, rng: np.random.Generator) -> None:
-        """Do nothing; the features are those at the start."""
 
     def observe(self, simulation: Simulation) -> Float[np.ndarray, "n k"]:
         """Return the features of all worlds."""

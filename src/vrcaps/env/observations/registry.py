@@ -1,12 +1,19 @@
-"""Registry of all observations: the type of the setting."""
+"""Registry of the observations of an environment."""
 
-from typing import TypeAlias
+from vrcaps.config.convert import register_family
+from vrcaps.core.registry import Registry
+from vrcaps.env.observations.observation import Observation
 
-from vrcaps.env.observations.coverage_map import MapObservation
-from vrcaps.env.observations.image import ImageObservation
-from vrcaps.env.observations.landmarks import LandmarksObservation
-from vrcaps.env.observations.state import StateObservation
-
-AnyObservation: TypeAlias = (
-    StateObservation | LandmarksObservation | MapObservation | ImageObservation
+_FOLDER = "vrcaps.env.observations"
+OBSERVATIONS: Registry[Observation] = Registry(
+    "observation",
+    {
+        "state": (f"{_FOLDER}.state:StateObservation", "pose, velocities and contact force"),
+        "landmarks": (f"{_FOLDER}.landmarks:LandmarksObservation", "navigation features"),
+        "map": (f"{_FOLDER}.coverage_map:MapObservation", "seen fraction in gut coordinates"),
+        "image": (f"{_FOLDER}.image:ImageObservation", "channel of a camera"),
+    },
 )
+"""Observations by name, including those of plug-ins."""
+
+register_family(Observation, OBSERVATIONS)

@@ -10,6 +10,7 @@ import numpy as np
 from vrcaps.config.limits import check_fields
 from vrcaps.core.units import CM, MM
 from vrcaps.env.located_capsules import LocatedCapsules
+from vrcaps.env.observations.observation import Observation
 from vrcaps.sensors.tracking import TrackingSensors
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ _FORCE = 0.1
 
 
 @dataclass(frozen=True)
-class StateObservation:
+class StateObservation(Observation):
     """Measurements of a tracker and a force sensor, in the world frame, as 19 values.
 
     - position of the capsule relative to the organ's center [0.1 m] (3)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.env.rewards import Reward
+from vrcaps.env.tasks.task import Task
 from vrcaps.metrics.coverage import CoverageLevel
 from vrcaps.metrics.point_coverage import POINT_LEVELS, require_point_level
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class CoverageTask:
+class CoverageTask(Task):
     """See the whole wall.
 
     Attributes:
@@ -39,20 +40,6 @@ class CoverageTask:
     def rewards(self) -> tuple[Reward, ...]:
         """Gain of area, in percent of the whole, with a small time penalty."""
         return (Reward("area-gain", 100.0, self.level), Reward("time", 0.1))
-
-    @property
-    def defaults(self) -> dict[str, Any]:
-        """Default settings: those of `EnvSettings`."""
-        return {}
-
-    def allocate(self, simulation: Simulation) -> None:
-        """Do nothing; no further state is needed."""
-
-    def begin(self, simulation: Simulation, index: int, rng: np.random.Generator) -> None:
-        """Do nothing; coverage includes the view at the start."""
-
-    def update(self, simulation: Simulation, numbers: np.ndarray) -> None:
-        """Do nothing; the simulation updates coverage."""
 
     def progress(self, simulation: Simulation) -> Float[np.ndarray, " n"]:
         """Seen fraction of the wall."""

@@ -10,6 +10,7 @@ import numpy as np
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError
 from vrcaps.env.rewards import Reward
+from vrcaps.env.tasks.task import Task
 from vrcaps.lesion import Angioectasia, Polyp, Ulcer
 from vrcaps.metrics.coverage import CoverageLevel
 from vrcaps.metrics.point_coverage import POINT_LEVELS, require_point_level
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class InspectTask:
+class InspectTask(Task):
     """Look at each lesion for some time without interruption.
 
     Lesions are the instances of the organ: those from the settings, or those of its file.

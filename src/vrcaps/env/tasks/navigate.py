@@ -13,6 +13,7 @@ from vrcaps.core.units import CM
 from vrcaps.env.actuation.magnet import MagnetActuation
 from vrcaps.env.rewards import Reward
 from vrcaps.env.start import Start
+from vrcaps.env.tasks.task import Task
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class NavigateTask:
+class NavigateTask(Task):
     """Reach a position along the gut from the start of the episode.
 
     The centerline leads from the oral to the anal end: in a colon from the caecum to the rectum.

@@ -1,9 +1,18 @@
-"""Registry of all tasks: the type of the setting."""
+"""Registry of the tasks of an environment."""
 
-from typing import TypeAlias
+from vrcaps.config.convert import register_family
+from vrcaps.core.registry import Registry
+from vrcaps.env.tasks.task import Task
 
-from vrcaps.env.tasks.coverage import CoverageTask
-from vrcaps.env.tasks.inspect import InspectTask
-from vrcaps.env.tasks.navigate import NavigateTask
+_FOLDER = "vrcaps.env.tasks"
+TASKS: Registry[Task] = Registry(
+    "task",
+    {
+        "coverage": (f"{_FOLDER}.coverage:CoverageTask", "see the whole wall"),
+        "navigate": (f"{_FOLDER}.navigate:NavigateTask", "reach a position along the gut"),
+        "inspect": (f"{_FOLDER}.inspect:InspectTask", "look at each lesion"),
+    },
+)
+"""Tasks by name, including those of plug-ins."""
 
-AnyTask: TypeAlias = CoverageTask | NavigateTask | InspectTask
+register_family(Task, TASKS)

@@ -1,0 +1,63 @@
+"""Extension of vrcaps: a reward, a task and an observation, a task on images, and a format."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from gymnasium.spaces import Box
+
+from vrcaps.env import OBSERVATIONS, REWARDS, TASKS, Observation, Reward, Task
+from vrcaps.formats import FORMATS, Needs
+from vrcaps.learn import TASKS as IMAGE_TASKS
+from vrcaps.learn import DepthTask
+
+
+@REWARDS.register
+class Slowness:
+    kind = "slowness"
+
+    def __call__(self, simulation, reward):
+        return -np.linalg.norm(simulation.velocity_world[:, 0], axis=1)
+
+
+@TASKS.register
+@dataclass(frozen=True)
+class RestTask(Task):
+    kind = "rest"
+    rewards = (Reward("slowness"),)
+
+    def progress(self, simulation):
+        return np.exp(-np.linalg.norm(simulation.velocity_world[:, 0], axis=1))
+
+
+@OBSERVATIONS.register
+@dataclass(frozen=True)
+class VelocityObservation(Observation):
+    kind = "velocity"
+
+    def space(self, simulation):
+        return Box(-np.inf, np.inf, (3,), np.float32)
+
+    def observe(self, simulation):
+        return simulation.velocity_world[:, 0].astype(np.float32)
+
+
+@IMAGE_TASKS.register
+@dataclass(frozen=True)
+class SharpDepthTask(DepthTask):
+    """Depth with sharper edges."""
+
+    gradient_weight: float = 2.0
+    kind = "sharp-depth"
+
+
+@FORMATS.register
+@dataclass(frozen=True)
+class Positions:
+    """Camera positions as NPY files."""
+
+    kind, needs = "positions", Needs()
+
+    def write(self, sequences, folder, advance):
+        for index, sequence in enumerate(sequences):
+            np.save(folder / f"{index}.npy", sequence.Ts_world_camera[:, :3, 3])
+            [advance() for _ in sequence.times]

@@ -9,9 +9,12 @@ from typing import ClassVar
 
 import pytest
 
+from tests.support.small_plugin import install, site
 from vrcaps.config.convert import from_plain, register_family, to_plain
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.core.registry import Registry, load_plugins
+from vrcaps.core.registry import Registry
+
+__all__ = ["site"]
 
 
 class Shape:
@@ -82,24 +85,6 @@ def test_an_unknown_name_lists_the_known_ones():
         UnknownNameError, match=r"No shape named 'disk'\. Known: disc\. Did you mean"
     ):
         shapes()["disk"]
-
-
-def install(folder: Path, code: str) -> None:
-    """Write a distribution with one plug-in."""
-    (folder / "the_plugin.py").write_text(code)
-    about = folder / "the_plugin-1.2.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: the-plugin\nVersion: 1.2\n")
-    (about / "entry_points.txt").write_text("[vrcaps.plugins]\nmine = the_plugin\n")
-
-
-@pytest.fixture
-def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delitem(sys.modules, "the_plugin", raising=False)
-    load_plugins.cache_clear()
-    yield tmp_path
-    load_plugins.cache_clear()
 
 
 def test_an_unknown_name_loads_plugins(site: Path, monkeypatch: pytest.MonkeyPatch):

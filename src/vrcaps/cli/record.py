@@ -192,14 +192,14 @@ class Record:
     def _lesions(self, scenario: Scenario) -> list[Any]:
         """Plain values of the scenario's lesions and those of the flags; empty without new ones."""
         from vrcaps.config.convert import to_plain
-        from vrcaps.lesion import AnyLesion
+        from vrcaps.lesion import Lesion
         from vrcaps.scenario.scenario import OrganGenerated
 
         organ = scenario.organ
         is_generated = isinstance(organ, OrganGenerated)
         seed, name = (organ.seed, organ.name) if is_generated else (scenario.seed, "")
         new = parse_lesions(self.organ.lesion, self.organ.lesions, seed, name)
-        return to_plain((*scenario.lesions, *new), tuple[AnyLesion, ...]) if new else []
+        return to_plain((*scenario.lesions, *new), tuple[Lesion, ...]) if new else []
 
 
 def _with_coverage_channels(scenario: Scenario) -> Scenario:

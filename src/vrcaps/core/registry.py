@@ -60,11 +60,14 @@ class Registry(Mapping[str, type[Member]], Generic[Member]):
                 f"kind of {cls.__name__} is {kind!r}. Allowed: letters, digits and hyphens, "
                 "such as 'my-kind'."
             )
-        known = self._added.get(kind)
-        is_same = known is not None and _path(known) == _path(cls)
-        if kind in self._built_in or (known is not None and not is_same):
+        if kind in self._built_in:
+            owner = self._built_in[kind][0]
+        else:
+            owner = _path(self._added.setdefault(kind, cls))
+        if owner != _path(cls):
             raise InputError(f"The {self.noun} {kind!r} exists already. Choose another kind.")
-        self._added[kind] = cls
+        if kind in self._added:
+            self._added[kind] = cls
         return cls
 
     @property
@@ -111,8 +114,8 @@ class Registry(Mapping[str, type[Member]], Generic[Member]):
         return len(self._built_in) + len(self._added)
 
 
-def _path(cls: type) -> tuple[str, str]:
-    return cls.__module__, cls.__qualname__
+def _path(cls: type) -> str:
+    return f"{cls.__module__}:{cls.__qualname__}"
 
 
 @cache

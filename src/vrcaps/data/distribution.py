@@ -172,10 +172,10 @@ class Prevalence:
     def draw(self, rng: np.random.Generator) -> list[Plain]:
         """Draw lesions in plain form."""
         from vrcaps.config.convert import to_plain
-        from vrcaps.lesion import AnyLesion, draw_lesions
+        from vrcaps.lesion import Lesion, draw_lesions
 
         lesions = draw_lesions(None, rng, exaggerate=float(self.prevalence))
-        return to_plain(lesions, tuple[AnyLesion, ...])
+        return to_plain(lesions, tuple[Lesion, ...])
 
     def extremes(self) -> Sequence[Plain]:
         """Return no values: only lesions are drawn."""

@@ -22,7 +22,7 @@ from vrcaps.env.start import Start
 from vrcaps.env.tasks.coverage import CoverageTask
 from vrcaps.env.tasks.registry import TASKS
 from vrcaps.env.tasks.task import Task
-from vrcaps.lesion import AnyLesion
+from vrcaps.lesion import Lesion
 from vrcaps.lesion.library import parse_lesion
 from vrcaps.metrics.coverage import CoverageCriteria
 from vrcaps.scenario.scenario import OrganGenerated
@@ -76,7 +76,7 @@ class EnvSettings:
     organs: tuple[Organ, ...] = (OrganGenerated("stomach"),)
     capsule: str | Device = "magnetic"
     posture: str = "supine"
-    lesions: tuple[AnyLesion, ...] = ()
+    lesions: tuple[Lesion, ...] = ()
     dynamics: Literal["quasi-static", "physics"] = "quasi-static"
     substep: Annotated[float, Range(above=0.0, max=1e-3, unit="s")] = 2e-4
     tissue: Tissue = field(default_factory=Tissue)

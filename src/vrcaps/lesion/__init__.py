@@ -1,12 +1,8 @@
 """Lesions: shapes and patterns added to an organ's wall, each an instance with a grade.
 
-A kind of lesion is a file that defines a subclass of `Lesion` with a `kind`, and one line here
-that imports it. The union of kinds, text forms, library, help and tables in the docs follow.
+A kind of lesion is a subclass of `Lesion` with a `kind`, in the table `LESIONS` or in a plug-in.
+Text forms, scenario files, library, help and tables in the docs follow.
 """
-
-from functools import reduce
-from operator import or_
-from typing import TYPE_CHECKING
 
 from vrcaps.lesion.add import LesionPair as LesionPair
 from vrcaps.lesion.add import add_lesions as add_lesions
@@ -19,20 +15,11 @@ from vrcaps.lesion.colitis import Colitis as Colitis
 from vrcaps.lesion.library import draw_lesions as draw_lesions
 from vrcaps.lesion.library import lesion_library as lesion_library
 from vrcaps.lesion.library import parse_lesion as parse_lesion
-from vrcaps.lesion.polyp import Polyp as Polyp
-from vrcaps.lesion.structural import Diverticulum as Diverticulum
-from vrcaps.lesion.structural import Stricture as Stricture
-from vrcaps.lesion.structural import Tumor as Tumor
-
-# isort: split
-# Imported last: the order of imports is the order of `LESIONS`, of which exports number classes.
 from vrcaps.lesion.mucosal import Angioectasia as Angioectasia
 from vrcaps.lesion.mucosal import Erosion as Erosion
 from vrcaps.lesion.mucosal import Lymphangiectasia as Lymphangiectasia
 from vrcaps.lesion.mucosal import Ulcer as Ulcer
-
-if TYPE_CHECKING:
-    AnyLesion = Lesion
-else:
-    AnyLesion = reduce(or_, LESIONS.values())
-    """Any of the kinds above, for the schema of scenarios."""
+from vrcaps.lesion.polyp import Polyp as Polyp
+from vrcaps.lesion.structural import Diverticulum as Diverticulum
+from vrcaps.lesion.structural import Stricture as Stricture
+from vrcaps.lesion.structural import Tumor as Tumor

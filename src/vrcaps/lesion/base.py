@@ -24,8 +24,10 @@ from typing import (
 
 import numpy as np
 
+from vrcaps.config.convert import register_family
 from vrcaps.config.limits import Range, range_of
 from vrcaps.core.errors import InputError
+from vrcaps.core.registry import Registry
 from vrcaps.core.units import DEG, MM, parse_length
 
 if TYPE_CHECKING:
@@ -264,8 +266,25 @@ class Form(Protocol):
         ...
 
 
-LESIONS: dict[str, type[Lesion]] = {}
-"""Kinds of lesions by name; each subclass of `Lesion` that declares its `kind` is registered."""
+LESIONS: Registry[Lesion] = Registry(
+    "lesion",
+    {
+        "bleeding": ("vrcaps.lesion.bleeding:Bleeding", "bleeding; blood runs with gravity"),
+        "colitis": ("vrcaps.lesion.colitis:Colitis", "ulcerative colitis"),
+        "polyp": ("vrcaps.lesion.polyp:Polyp", "polyp of a Paris type"),
+        "tumor": ("vrcaps.lesion.structural:Tumor", "ulcerated mass with a rolled edge"),
+        "diverticulum": ("vrcaps.lesion.structural:Diverticulum", "outward pouch of the lumen"),
+        "stricture": ("vrcaps.lesion.structural:Stricture", "scarred narrowing of the lumen"),
+        "erosion": ("vrcaps.lesion.mucosal:Erosion", "superficial break of the mucosa"),
+        "ulcer": ("vrcaps.lesion.mucosal:Ulcer", "aphthous or deep ulcer"),
+        "angioectasia": ("vrcaps.lesion.mucosal:Angioectasia", "dilated capillaries"),
+        "lymphangiectasia": ("vrcaps.lesion.mucosal:Lymphangiectasia", "dilated lymph vessels"),
+    },
+)
+"""Kinds of lesions by name, including those of plug-ins.
+
+Each subclass of `Lesion` that declares its `kind` registers itself.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -297,7 +316,7 @@ class Lesion:
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         if "kind" in cls.__dict__:
-            LESIONS[cls.kind] = cls
+            LESIONS.register(cls)
 
     def __post_init__(self) -> None:
         for name, setting in settings_of(type(self)).items():
@@ -366,6 +385,9 @@ class SizedLesion(Lesion):
     def footprint_radius(self) -> float:
         """Half the size [m]."""
         return 0.5 * self.size
+
+
+register_family(Lesion, LESIONS)
 
 
 def mix(

@@ -55,8 +55,11 @@ def parse_lesion(text: str) -> Lesion:
 
 def _named(name: str) -> tuple[type[Lesion], dict[str, Any]]:
     """Kind and values of a name."""
-    kind, _, grade = name.partition("-")
-    if kind not in LESIONS:
+    words = name.split("-")
+    kinds = ("-".join(words[:count]) for count in range(len(words), 0, -1))
+    kind = next((kind for kind in kinds if kind in LESIONS), "")
+    grade = name[len(kind) + 1 :]
+    if not kind:
         raise UnknownNameError("lesion", name, [*LESIONS, *_first_names()])
     cls = LESIONS[kind]
     library = cls.library()

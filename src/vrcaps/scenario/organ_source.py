@@ -14,7 +14,6 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.rng import stream
 from vrcaps.core.units import LENGTH_UNITS
 from vrcaps.lesion import (
-    AnyLesion,
     Lesion,
     add_lesions,
     draw_lesions,
@@ -46,7 +45,7 @@ class OrganSource:
     """
 
     given: Organ
-    lesions: tuple[AnyLesion, ...] = ()
+    lesions: tuple[Lesion, ...] = ()
     posture: str = "supine"
     seed: int = 0
 
@@ -67,7 +66,7 @@ class OrganSource:
         if isinstance(self.given, OrganSurface):
             return self._with_lesions(clean=clean)
         key = {
-            "lesions": to_plain(self.lesions, tuple[AnyLesion, ...]),
+            "lesions": to_plain(self.lesions, tuple[Lesion, ...]),
             "organ": asdict(self.given),
             "down": self._down.tolist(),
             "seed": self._lesion_seed,

@@ -14,7 +14,7 @@ from vrcaps.config.limits import Range, check_fields
 from vrcaps.config.plain_files import read_plain
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.units import parse_length
-from vrcaps.lesion import AnyLesion
+from vrcaps.lesion import Lesion
 from vrcaps.lumen.contents import Contents
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.motion.registry import AnyMotion
@@ -145,7 +145,7 @@ class Scenario:
     channels: tuple[str, ...] = DEFAULT_CHANNELS
     render: RenderSettings = field(default_factory=RenderSettings)
     wall: bool = False
-    lesions: tuple[AnyLesion, ...] = ()
+    lesions: tuple[Lesion, ...] = ()
     clean_twin: bool = False
     contents: Contents = field(default_factory=Contents)
     effects: Effects = field(default_factory=Effects)
@@ -216,7 +216,7 @@ def _with_former_defaults(plain: Any) -> Any:
     return plain
 
 
-def read_lesions(path: str | Path) -> tuple[AnyLesion, ...]:
+def read_lesions(path: str | Path) -> tuple[Lesion, ...]:
     """Read lesions from a JSON or TOML file: tables ``lesions``, as in a scenario.
 
     Raises:
@@ -225,7 +225,7 @@ def read_lesions(path: str | Path) -> tuple[AnyLesion, ...]:
     plain = read_plain(Path(path), "lesions")
     if not isinstance(plain, dict) or set(plain) != {"lesions"}:
         raise InputError(f"{path} is not a lesion file. Allowed: tables [[lesions]] only.")
-    return from_plain(tuple[AnyLesion, ...], plain["lesions"], at="lesions")
+    return from_plain(tuple[Lesion, ...], plain["lesions"], at="lesions")
 
 
 def scenario_to_plain(scenario: Scenario) -> dict[str, Any]:

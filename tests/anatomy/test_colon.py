@@ -330,7 +330,7 @@ def test_a_colon_that_does_not_fit_is_refused(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.undo()
     monkeypatch.setattr(generate_module, "self_intersections", lambda *_: np.zeros((1, 2)))
     monkeypatch.setattr(generate_module, "_NUM_TRIES", 1)
-    with pytest.raises(InputError, match="that does not cut itself"):
+    with pytest.raises(InputError, match="without self-intersection"):
         generate_colon(dataclasses.replace(ColonParameters(), triangles=SMALL), seed=0)
 
 

@@ -128,7 +128,7 @@ def test_a_tract_that_cuts_itself_is_refused(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(generate_module, "_NUM_TRIES", 0)
     patient = draw_patient_anatomy(SEED)
     colon = dataclasses.replace(patient.colon, triangles=20_000)
-    with pytest.raises(InputError, match="Found no tract of seed 4 that does not cut itself"):
+    with pytest.raises(InputError, match="Found no tract of seed 4 without self-intersection"):
         generate_full_tract(patient.stomach, patient.small_bowel, colon, seed=SEED)
 
 

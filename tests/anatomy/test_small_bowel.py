@@ -203,5 +203,5 @@ def test_impossible_bowels_are_refused(monkeypatch: pytest.MonkeyPatch, around: 
     monkeypatch.setattr(generate_module, "_NUM_TRIES", 1)
     monkeypatch.setattr(generate_module, "self_intersections", lambda *_: np.zeros((1, 2)))
     parameters = SmallBowelParameters(length=1.8, edge=5 * MM)
-    with pytest.raises(InputError, match="does not cut itself"):
+    with pytest.raises(InputError, match="without self-intersection"):
         generate_small_bowel(parameters, around, seed=0)

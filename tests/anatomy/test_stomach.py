@@ -127,5 +127,5 @@ def test_impossible_stomachs_are_refused(monkeypatch: pytest.MonkeyPatch):
     with pytest.raises(InputError, match=r"Distension is 'full'\. Allowed: inflated, normal"):
         StomachParameters().at("full")
     monkeypatch.setattr(generate_module, "self_intersections", lambda *_: np.zeros((1, 2)))
-    with pytest.raises(InputError, match="does not cut itself"):
+    with pytest.raises(InputError, match="without self-intersection"):
         generate_stomach(StomachParameters(edge=4.5 * MM), seed=0)

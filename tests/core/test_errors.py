@@ -46,7 +46,7 @@ def test_every_error_is_a_vrcaps_error_and_its_builtin_kind(
         (ValueError("one\n  two."), "Cannot read a.png: one two."),
         (
             UnidentifiedImageError("<0x7f>"),
-            "a.png: it is no image of a known type, or its header is damaged.",
+            "a.png: it is not an image of a known type, or its header is damaged.",
         ),
     ],
 )

@@ -98,7 +98,7 @@ def test_damaged_arrays_are_errors_of_reading(tmp_path):
             continue
         assert data in changed
     np.save(tmp_path / "b.npy", np.zeros(3))
-    with pytest.raises(ValueError, match="no whole NumPy archive"):
+    with pytest.raises(ValueError, match="not a complete NumPy archive"):
         read_arrays(tmp_path / "b.npy")
 
 
@@ -294,9 +294,9 @@ def _npy(shape: tuple[int, ...], data: bytes = b"", descr: str = "<f4") -> bytes
         (_npy((-1, -1), bytes(4)), "its header states"),
         (_npy((2,), bytes(7)), "its header states 8 bytes, and it has 7"),
         (_npy((1,), bytes(8), "|O"), "not numbers"),
-        (b"", "no whole NumPy array"),
-        (b"\x93NUMPY\x01\x00\x08\x00{'descr(", "no whole NumPy array"),
-        (b"\x93NUMPY\x09\x00\x08\x00{}", "no whole NumPy array"),
+        (b"", "not a complete NumPy array"),
+        (b"\x93NUMPY\x01\x00\x08\x00{'descr(", "not a complete NumPy array"),
+        (b"\x93NUMPY\x09\x00\x08\x00{}", "not a complete NumPy array"),
     ],
 )
 def test_an_array_is_as_large_as_its_bytes(data, message):

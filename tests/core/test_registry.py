@@ -99,7 +99,7 @@ def test_an_unknown_name_loads_plugins(site: Path, monkeypatch: pytest.MonkeyPat
 
 def test_a_broken_plugin_is_left_out_with_a_warning(site: Path):
     install(site, "raise RuntimeError('no license')\n")
-    with pytest.warns(UserWarning, match="plug-in 'mine' of the-plugin 1.2 was left out: no lic"):
+    with pytest.warns(UserWarning, match="plug-in 'mine' of the-plugin 1.2 was not loaded: no lic"):
         assert list(shapes()) == ["disc"]
 
 

@@ -135,5 +135,5 @@ def test_quaternions_of_files_have_unit_length():
 
 
 def test_a_matrix_of_another_shape_is_no_transform():
-    with pytest.raises(InputError, match="is no rigid transform: its shape is"):
+    with pytest.raises(InputError, match="is not a rigid transform: its shape is"):
         require_rigid(np.eye(3), "T")

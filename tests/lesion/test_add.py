@@ -287,7 +287,7 @@ def test_another_location_is_drawn_where_triangles_are_too_thin(tube, monkeypatc
 
 def test_thin_triangles_at_a_stated_location_are_one_line(tube, monkeypatch):
     def thin(*args, **settings):
-        raise ThinTrianglesError("the wall there has triangles too thin to lay a lesion on")
+        raise ThinTrianglesError("the wall there has triangles that are too thin for a lesion")
 
     monkeypatch.setattr(sites, "log_map", thin)
     with pytest.raises(InputError, match=r"No location for polyp Is .*too thin.*Choose another"):

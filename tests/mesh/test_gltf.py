@@ -322,9 +322,9 @@ def test_required_extensions(tmp_path: Path, name: str, is_read: bool) -> None:
         (lambda d: d["meshes"][0]["primitives"][0].update(mode=9), "the mode of a primitive is 9"),
         (lambda d: d["meshes"][0]["primitives"][0]["attributes"].update(_LABEL=1),
          "_LABEL has 36 values for 8 vertices"),
-        (lambda d: d["meshes"][0]["primitives"][0].update(indices=0), "indices are no whole"),
+        (lambda d: d["meshes"][0]["primitives"][0].update(indices=0), "indices are not whole"),
         (lambda d: d["accessors"][0].update(count=7),
-         "an index is out of range, allowed are 0 to 6"),
+         "an index is out of range, allowed: 0 to 6"),
         (lambda d: d["nodes"][0].update(skin=0) or d.update(skins=[{"joints": [7]}]),
          r"nodes\[7\] is a joint outside the scene"),
         (lambda d: d["nodes"][0].update(extensions={"EXT_mesh_gpu_instancing": {"attributes": {

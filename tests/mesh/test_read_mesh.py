@@ -226,12 +226,12 @@ def test_a_gltf_with_its_data_inside_is_read(tmp_path):
         (lambda d: d.update(images=[{"uri": "../a.png"}]), "outside its folder"),
         (
             lambda d: d["accessors"][0].update(count=10**15),
-            r"accessors\[0\]\.count is 1000000000000000, allowed are whole numbers from 0 to",
+            r"accessors\[0\]\.count is 1000000000000000, allowed: whole numbers from 0 to",
         ),
         (lambda d: d["accessors"][0].update(count=-3), r"accessors\[0\]\.count is -3"),
         (lambda d: d["buffers"][0].update(byteLength=10**12), r"buffers\[0\]\.byteLength is"),
         (lambda d: d["bufferViews"][0].update(byteLength=None), r"byteLength is None"),
-        (lambda d: d.update(nodes=[7]), "nodes is no list of objects"),
+        (lambda d: d.update(nodes=[7]), "nodes is not a list of objects"),
     ],
 )
 def test_a_gltf_that_reaches_out_is_refused(tmp_path, change, match):
@@ -272,7 +272,7 @@ def test_face_indices_out_of_range(tmp_path, index):
 
 def test_obj_counts_from_one(tmp_path):
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n")
-    with pytest.raises(InputError, match="OBJ counts from 1"):
+    with pytest.raises(InputError, match="OBJ indices start at 1"):
         read_mesh(tmp_path / "a.obj", unit="mm")
 
 

@@ -72,7 +72,7 @@ def test_text_stl_of_several_solids_and_with_polygons(tmp_path: Path) -> None:
 @pytest.mark.parametrize("end", ["vertex 0 0 0\n", "vertex 0 0 0\n  endl", "vertex 0 0"])
 def test_text_stl_that_is_cut_in_a_facet(tmp_path: Path, end: str) -> None:
     (tmp_path / "a.stl").write_text(stl(end=" facet normal 0 0 0\n  outer loop\n" + end))
-    with pytest.raises(InputError, match=r"cut short: the last facet has no end|out of range"):
+    with pytest.raises(InputError, match=r"truncated: the last facet has no end|out of range"):
         read(tmp_path / "a.stl")
 
 
@@ -94,7 +94,7 @@ def test_binary_stl(tmp_path: Path, data: bytes) -> None:
 @pytest.mark.parametrize("data", [binary_stl()[:-1], binary_stl(after=bytes(50))])
 def test_binary_stl_whose_count_is_wrong(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "a.stl").write_bytes(data)
-    with pytest.raises(InputError, match="neither ASCII nor binary STL, or cut short"):
+    with pytest.raises(InputError, match="neither ASCII nor binary STL, or truncated"):
         read(tmp_path / "a.stl")
 
 
@@ -249,9 +249,9 @@ def test_ply_labels_of_faces_out_of_range_of_the_vertices(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("row", "match"),
     [
-        ("-1 0 1 2", "a list says that it has -1 values"),
-        ("2.5 0 1 2", "a list says that it has 2.5 values"),
-        ("nan 0 1 2", "a list says that it has nan values"),
+        ("-1 0 1 2", "a list declares -1 values"),
+        ("2.5 0 1 2", "a list declares 2.5 values"),
+        ("nan 0 1 2", "a list declares nan values"),
         ("3 0 1.5 2", "face indices are not allowed, the first is 1.5"),
         ("1e9 0 1 2", "Cannot read"),
     ],
@@ -265,7 +265,7 @@ def test_ply_lists_that_cannot_be(tmp_path: Path, row: str, match: str) -> None:
 @pytest.mark.parametrize("text", ["ply\nformat", "plyx\nformat ascii 1.0\nend_header\n", "ply\n"])
 def test_ply_without_a_header(tmp_path: Path, text: str) -> None:
     (tmp_path / "a.ply").write_text(text)
-    with pytest.raises(InputError, match="no PLY header"):
+    with pytest.raises(InputError, match="the PLY header is missing"):
         read(tmp_path / "a.ply")
 
 

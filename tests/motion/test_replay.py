@@ -186,8 +186,8 @@ def test_replay_outside_the_lumen(tmp_path, model):
     [
         ({"format": "bvh"}, UnknownNameError, "No format named 'bvh'"),
         ({"start": 2.9}, InputError, "The recorded path covers 0 s to 2.9 s, but the frames need"),
-        ({"T_frame_recording": ((2.0, 0, 0, 0),) * 4}, InputError, "is no rigid transform"),
-        ({"T_frame_recording": ((1.0, 0, 0, 0),)}, InputError, "is no rigid transform"),
+        ({"T_frame_recording": ((2.0, 0, 0, 0),) * 4}, InputError, "is not a rigid transform"),
+        ({"T_frame_recording": ((1.0, 0, 0, 0),)}, InputError, "is not a rigid transform"),
     ],
 )
 def test_bad_replay_settings(tmp_path, model, change, error, match):

@@ -60,7 +60,7 @@ def test_poses_are_rigid(sequence, place, factor):
     def change(poses):
         poses[place] *= factor
 
-    with pytest.raises(InputError, match="is no rigid transform"):
+    with pytest.raises(InputError, match="is not a rigid transform"):
         replace(sequence, values=_poses(sequence, change))
 
 

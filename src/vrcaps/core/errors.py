@@ -81,7 +81,7 @@ def _reason(error: Exception) -> str:
     if isinstance(error, MemoryError):
         return "it does not fit into memory"
     if type(error).__name__ == "UnidentifiedImageError":  # Pillow's text is an address of memory
-        return "it is no image of a known type, or its header is damaged"
+        return "it is not an image of a known type, or its header is damaged"
     text = " ".join(str(error).split()).rstrip(".")
     return text[:200] if text else type(error).__name__
 
@@ -192,5 +192,5 @@ def require_one_shape(estimate: NDArray, truth: NDArray) -> None:
     if np.shape(estimate) != np.shape(truth):
         raise InputError(
             f"The estimate has the shape {np.shape(estimate)}, the truth {np.shape(truth)}. "
-            "Allowed: one shape."
+            "Allowed: equal shapes."
         )

@@ -241,7 +241,7 @@ def read_arrays(path: Path, most_bytes: int = MAX_BYTES) -> dict[str, np.ndarray
     except OSError:
         raise
     except Exception as error:  # errors of zipfile and NumPy for damaged data have no common base
-        raise ValueError(f"no whole NumPy archive: {error}") from error
+        raise ValueError(f"not a complete NumPy archive: {error}") from error
 
 
 def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
@@ -265,12 +265,12 @@ def decode_array(data: bytes) -> np.ndarray:
         }[major]
         shape, is_fortran, dtype = read_header(file)
     except Exception as error:  # NumPy raises SyntaxError, TokenError and others
-        raise ValueError(f"no whole NumPy array: {error}") from error
+        raise ValueError(f"not a complete NumPy array: {error}") from error
     if dtype.hasobject or dtype.itemsize == 0:
-        raise ValueError(f"it holds {dtype}, not numbers")
+        raise ValueError(f"it contains {dtype}, not numbers")
     size, rest = math.prod(shape) * dtype.itemsize, len(data) - file.tell()
     if min(shape, default=0) < 0 or size > rest:
-        raise ValueError(f"its header states {size} bytes, and it has {rest}")
+        raise ValueError(f"its header states {size} bytes, but it has {rest}")
     values = np.frombuffer(data, dtype, math.prod(shape), file.tell())
     return values.reshape(shape, order="F" if is_fortran else "C").copy(order="K")
 

@@ -67,7 +67,7 @@ def _acquire(path: Path, what: str) -> int:
             if error.errno not in _HELD:
                 raise
             raise FolderInUseError(
-                f"{_holder(path)} is writing {what}. Wait until it ends, or give another folder."
+                f"{_holder(path)} is writing {what}. Wait until it finishes or give another folder."
             ) from error
         if is_own:
             break

@@ -130,6 +130,6 @@ def load_plugins() -> None:
         except Exception as error:  # code of others
             owner = "" if point.dist is None else f" of {point.dist.name} {point.dist.version}"
             warnings.warn(
-                f"The plug-in {point.name!r}{owner} was left out: {reason_of(error)}",
+                f"The plug-in {point.name!r}{owner} was not loaded: {reason_of(error)}",
                 stacklevel=2,
             )

@@ -69,7 +69,9 @@ def matrix_from_quaternion(
     wxyz = np.asarray(wxyz, float)
     norm = np.sqrt((wxyz * wxyz).sum(axis=-1, keepdims=True))
     if not ((norm > 0.0) & (norm < np.inf)).all():
-        raise InputError("A quaternion is zero or not finite. Allowed: any other wxyz.")
+        raise InputError(
+            "A quaternion is zero or not finite. Allowed: a finite wxyz of nonzero length."
+        )
     unit = wxyz / norm
     # A single one is computed with Python floats, which are many times as fast as NumPy's.
     w, x, y, z = unit.tolist() if unit.ndim == 1 else np.moveaxis(unit, -1, 0)
@@ -120,7 +122,9 @@ def require_rigid(
     """
     matrices = np.asarray(transforms, float)
     if matrices.shape[-2:] != (4, 4):
-        raise InputError(f"{what} is no rigid transform: its shape is {matrices.shape}, not 4×4.")
+        raise InputError(
+            f"{what} is not a rigid transform: its shape is {matrices.shape}, not 4×4."
+        )
     matrices = matrices.reshape(-1, 4, 4)
     finite = np.all(np.abs(matrices) < _FARTHEST, axis=(1, 2))  # not of NaN
     safe = np.where(finite[:, None, None], matrices, np.eye(4))
@@ -130,7 +134,9 @@ def require_rigid(
     rigid &= np.abs(safe[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1, initial=0.0) <= tolerance
     wrong = np.flatnonzero(~rigid)
     if len(wrong):
-        problem = "is no rigid transform" if finite[wrong[0]] else "is not finite or beyond 1e9 m"
+        problem = (
+            "is not a rigid transform" if finite[wrong[0]] else "is not finite or beyond 1e9 m"
+        )
         raise InputError(
             f"{what} {problem} (matrix {wrong[0]}). Allowed: a rotation with determinant 1, a "
             "position in finite numbers, and a last row 0 0 0 1."

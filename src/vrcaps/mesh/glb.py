@@ -103,10 +103,10 @@ def read_document(path: Path) -> dict[str, Any]:
         magic, version, _ = _HEADER.unpack(file.read(_HEADER.size))
         size, kind = _CHUNK.unpack(file.read(_CHUNK.size))
         if (magic, version, kind) != (b"glTF", 2, b"JSON"):
-            raise ValueError("no GLB of version 2")
+            raise ValueError("not a GLB file of version 2")
         document = json.loads(file.read(size).decode())
     if not isinstance(document, dict):
-        raise ValueError("its document is no object")
+        raise ValueError("its document is not an object")
     return document
 
 
@@ -118,7 +118,7 @@ def read_glb(path: Path) -> tuple[dict[str, Any], memoryview]:
     """
     document, binary = read_chunks(path)
     if binary is None:
-        raise ValueError("it has no whole binary chunk")
+        raise ValueError("its binary chunk is missing or truncated")
     return document, binary
 
 
@@ -138,7 +138,7 @@ def read_chunks(path: Path) -> tuple[dict[str, Any], memoryview | None]:
         return document, None
     size, kind = _CHUNK.unpack_from(data, start)
     if kind != b"BIN\0" or start + _CHUNK.size + size > total:
-        raise ValueError("it has no whole binary chunk")
+        raise ValueError("its binary chunk is missing or truncated")
     return document, data[start + _CHUNK.size :][:size]
 
 
@@ -223,7 +223,7 @@ class GltfFile:
         """Copy of an array with some rows replaced."""
         count, indices = sparse["count"], sparse["indices"]
         if type(count) is not int or not 0 <= count <= len(values):
-            raise ValueError(f"sparse.count is {count!r}, allowed are 0 to {len(values)}")
+            raise ValueError(f"sparse.count is {count!r}, allowed: 0 to {len(values)}")
         rows = self._rows(indices, count, np.dtype(_DTYPES[indices["componentType"]]), 1)[:, 0]
         if rows.dtype.kind != "u" or (rows >= len(values)).any():
             raise ValueError("an index of a sparse accessor is out of range")

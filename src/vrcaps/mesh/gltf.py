@@ -46,11 +46,11 @@ def require_safe_gltf(path: Path) -> None:
     is_binary = path.suffix.lower() == ".glb"
     document = read_document(path) if is_binary else json.loads(path.read_text("utf-8-sig"))
     if not isinstance(document, dict):
-        raise ValueError("its document is no object")
+        raise ValueError("its document is not an object")
     for name in _LISTS:
         entries = document.get(name, [])
         if not (isinstance(entries, list) and all(isinstance(entry, dict) for entry in entries)):
-            raise ValueError(f"{name} is no list of objects")
+            raise ValueError(f"{name} is not a list of objects")
     _require_extensions(document.get("extensionsRequired", []))
     size = path.stat().st_size
     for entry in [*document.get("buffers", []), *document.get("images", [])]:
@@ -87,7 +87,7 @@ def _external_size(uri: Any, folder: Path) -> int:
 
 def _require_number(value: Any, most: int, name: str) -> None:
     if type(value) is not int or not 0 <= value <= most:
-        raise ValueError(f"{name} is {value!r}, allowed are whole numbers from 0 to {most}")
+        raise ValueError(f"{name} is {value!r}, allowed: whole numbers from 0 to {most}")
 
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
@@ -174,7 +174,7 @@ def _parts(
     points = _morphed(file, node, mesh, primitive)
     faces = _faces(file, primitive, len(points))
     if len(faces) and not 0 <= faces.min() <= faces.max() < len(points):
-        raise ValueError(f"an index is out of range, allowed are 0 to {len(points) - 1}")
+        raise ValueError(f"an index is out of range, allowed: 0 to {len(points) - 1}")
     uv = _attribute(file, attributes, "TEXCOORD_0", len(points))
     if uv is not None:
         uv[:, 1] = 1.0 - uv[:, 1]  # glTF counts texture rows from the top
@@ -216,7 +216,7 @@ def _faces(file: GltfFile, primitive: dict[str, Any], count: int) -> Int[np.ndar
     if "indices" in primitive:
         corners = file.array(primitive["indices"])
         if corners.ndim != 1 or corners.dtype.kind != "u":
-            raise ValueError("indices are no whole numbers")
+            raise ValueError("indices are not whole numbers")
         corners = corners.astype(np.int64)
     mode = primitive.get("mode", _TRIANGLES)
     if mode == _TRIANGLES:
@@ -225,7 +225,7 @@ def _faces(file: GltfFile, primitive: dict[str, Any], count: int) -> Int[np.ndar
         return corners[triangulate_strips(np.array([len(corners)]))]
     if mode == _FAN:
         return corners[triangulate_fans(np.array([len(corners)]))]
-    raise ValueError(f"the mode of a primitive is {mode!r}, allowed are 0 to 6")
+    raise ValueError(f"the mode of a primitive is {mode!r}, allowed: 0 to 6")
 
 
 def _attribute(

@@ -270,7 +270,7 @@ def _vector_heat(
             return solver, xy
     x, y, z = patch.moved[center] / MM
     raise ThinTrianglesError(
-        f"the wall at ({x:.1f}, {y:.1f}, {z:.1f}) mm has triangles too thin to lay a lesion on"
+        f"the wall at ({x:.1f}, {y:.1f}, {z:.1f}) mm has triangles that are too thin for a lesion"
     )
 
 

@@ -114,11 +114,11 @@ def _read_elements(data: bytes) -> dict[str, dict]:
     first = _FIRST_LINE.match(data)
     end = re.search(_END % first[1], data) if first else None
     if end is None:
-        raise ValueError("no PLY header")
+        raise ValueError("the PLY header is missing")
     lines = [line.split() for line in data[: end.start()].decode("ascii", "replace").splitlines()]
     header = [line for line in lines[1:] if line and line[0] not in ("comment", "obj_info")]
     if not header or header[0][0] != "format":
-        raise ValueError("no PLY header")
+        raise ValueError("the PLY header is missing")
     is_ascii, order = header[0][1] == "ascii", _BYTE_ORDERS[header[0][1]]
     stream = data[end.end() :]
     if is_ascii:  # continue as with a binary file of doubles
@@ -195,7 +195,7 @@ def _first_row_sizes(stream: bytes, position: int, properties: list[_Property]) 
 def _list_size(stream: bytes, position: int, dtype: np.dtype) -> int:
     size = float(np.frombuffer(stream, dtype, 1, position)[0])
     if not (size.is_integer() and size >= 0.0):
-        raise ValueError(f"a list says that it has {size:g} values")
+        raise ValueError(f"a list declares {size:g} values")
     return int(size)
 
 
@@ -262,7 +262,7 @@ def _index(word: str, count: int) -> int:
     """Zero-based index of a one-based or, if negative, relative OBJ index."""
     index = int(word)
     if index == 0:
-        raise ValueError("index 0, but OBJ counts from 1")
+        raise ValueError("index 0 is not allowed: OBJ indices start at 1")
     return index - 1 if index > 0 else count + index
 
 
@@ -286,7 +286,7 @@ def read_stl(path: Path) -> Mesh:
         if text.lstrip().lower().startswith("solid") and "facet" in text.lower():
             return _from_text(text)
     if len(data) < _HEAD or not size <= len(data) < size + _FACET.itemsize:
-        raise ValueError("neither ASCII nor binary STL, or cut short")
+        raise ValueError("neither ASCII nor binary STL, or truncated")
     points = np.frombuffer(data[_HEAD:size], _FACET)["corners"].reshape(-1, 3).astype(float)
     return Mesh(points, np.arange(len(points)).reshape(-1, 3))
 
@@ -301,7 +301,7 @@ def _from_text(text: str) -> Mesh:
         elif words[:1] == ["endloop"]:
             ends.append(len(rows))
     if ends[-1] != len(rows):
-        raise ValueError("it is cut short: the last facet has no end")
+        raise ValueError("it is truncated: the last facet has no end")
     points = np.array(rows, float).reshape(-1, 3)
     return Mesh(points, triangulate_fans(np.diff(ends)))
 

@@ -93,7 +93,7 @@ def mean_depth_errors(errors: Iterable[DepthErrors]) -> DepthErrors:
     """
     rows = [list(asdict(one).values()) for one in errors]
     if not rows:
-        raise InputError("There is no image to take a mean of.")
+        raise InputError("The mean of no images is undefined. Give at least one image.")
     return DepthErrors(*np.mean(rows, axis=0).tolist())
 
 

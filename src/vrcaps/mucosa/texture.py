@@ -90,7 +90,7 @@ def check_free(folder: Path) -> None:
         InputError: If it is a file, or a folder that contains anything but a texture.
     """
     if not (folder / HEAD).is_file() and not is_new_folder(folder):
-        raise InputError(f"{folder} exists and is no texture. Give a new or an empty folder.")
+        raise InputError(f"{folder} exists and is not a texture. Give a new or an empty folder.")
 
 
 def read_texture(path: str | Path) -> MucosaTexture:
@@ -114,15 +114,15 @@ def read_texture(path: str | Path) -> MucosaTexture:
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{head_path} lacks {error}. Make the texture again.") from error
+        raise InputError(f"{head_path} lacks {error}. Create the texture again.") from error
     if step != HEIGHT_STEP or not (0.0 < texel < 1.0 and 0.0 <= gloss <= 1.0):
-        raise InputError(f"{head_path} has values out of range. Make the texture again.")
+        raise InputError(f"{head_path} has values out of range. Create the texture again.")
     for name in _PICTURES:
         file = head_path.with_name(f"{name}.png")
         if not file.is_file() or file_sha256(file) != expected.get(file.name):
             raise InputError(
                 f"{file} is missing or not the picture that {HEAD} was written with. "
-                "Make the texture again."
+                "Create the texture again."
             )
     paths = {name: str(head_path.with_name(f"{name}.png")) for name in _PICTURES}
     try:
@@ -142,7 +142,7 @@ def texture_head(path: str | Path) -> Path:
     head = path / HEAD if path.is_dir() else path
     if head.name != HEAD or not head.is_file():
         raise InputError(
-            f"{path} is no texture of a mucosa. Allowed: a folder that `vrcaps organ texture` "
+            f"{path} is not a mucosa texture. Allowed: a folder that `vrcaps organ texture` "
             f"wrote, or the {HEAD} in it."
         )
     return head

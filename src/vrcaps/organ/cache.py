@@ -130,8 +130,8 @@ def _cached(
         _forget_unused(path.parent, _MAX_PASSING_BYTES if _is_passing.get() else _MAX_BYTES)
     except OSError as error:
         warnings.warn(
-            f"Cannot write to the cache folder {path.parent}: {error.strerror}. The organ is made "
-            "again each time; set VRCAPS_CACHE to a folder that can be written to.",
+            f"Cannot write to the cache folder {path.parent}: {error.strerror}. The organ is "
+            "generated again each time; set VRCAPS_CACHE to a writable folder.",
             stacklevel=3,
         )
     return made

@@ -90,7 +90,7 @@ def _check_clear(
         at = points[blocked[0]]
         raise InputError(
             f"The centerline touches the wall at {at.round(6).tolist()} m and in "
-            f"{len(blocked) - 1} other places. The lumen must be open from end to end."
+            f"{len(blocked) - 1} other positions. The lumen must be open from end to end."
         )
 
 
@@ -216,7 +216,7 @@ def compute_centerline(
     """
     vertices, faces = np.asarray(mesh.vertices, float), mesh.faces
     if reverse and (start is not None or end is not None):
-        raise InputError("A centerline takes either start and end points or reverse, not both.")
+        raise InputError("Give a centerline either start and end points or reverse, not both.")
     if voxel is not None and not (np.isfinite(voxel) and voxel > 0.0):
         raise InputError(f"The voxel is {voxel} m. Give a positive length in meters.")
     radius = mean_radius(vertices, faces)
@@ -263,7 +263,7 @@ def _trace(
         if path is None and is_last:  # search all voxels, including those of the tissue
             path = find_path(grid, start, end, cross_gaps=True)
         if path is None and (pieces := num_pieces(closed[1])) > 1:
-            raise InputError(f"The wall is in {pieces} pieces. Give that of one lumen, repaired.")
+            raise InputError(f"The wall has {pieces} components. Give the wall of one lumen.")
         if path is None:
             _log.info("lumen is in parts at voxels of %.2g m", size)
             continue
@@ -279,7 +279,7 @@ def _trace(
         except InputError:
             if is_last:
                 raise
-    raise InputError("The lumen is in parts that no path connects. Repair the mesh first.")
+    raise InputError("The lumen has unconnected parts. Repair the mesh first.")
 
 
 def _warn(grid: LumenGrid, centerline: Centerline, handles: int, num_cut: int) -> None:

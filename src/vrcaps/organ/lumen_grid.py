@@ -159,8 +159,8 @@ def grid_crossings(
     count = np.maximum(span, 0).prod(axis=1)
     if count.sum() > _MAX_CROSSINGS:
         raise InputError(
-            f"The triangles lie over {count.sum():.1g} grid lines, more than those of a wall do. "
-            "Their vertices are in disorder: export the mesh again."
+            f"The triangles lie over {count.sum():.1g} grid lines, more than those of a wall. "
+            "Their vertices are out of order. Export the mesh again."
         )
     face = np.repeat(np.arange(len(faces)), count)
     rank = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)

@@ -159,7 +159,7 @@ def find_path(
     if np.linalg.norm(last - first) < _MIN_SPAN:
         where = grid.points(np.stack([first, last])).round(5).tolist()
         raise InputError(
-            f"The centerline would go from {where[0]} to {where[1]} m, which is one place. "
+            f"The centerline starts at {where[0]} and ends at {where[1]} m, the same position. "
             "Give its start and end, at opposite sides of the lumen."
         )
     cost = np.where(grid.inside, clear**-_CENTERING, outside * 0.25**-_CENTERING)

@@ -293,7 +293,7 @@ def _read(document: dict[str, Any], binary: memoryview) -> OrganSurface:
     index = np.frombuffer(view_of(document, binary, view), "<u4").reshape(-1, 3)
     values["faces"], values["uv"] = values["faces"][index], values["uv"][index]
     if values["faces"].min() < 0 or values["faces"].max() >= len(values["vertices"]):
-        raise ValueError("a triangle has a vertex that is not there")
+        raise ValueError("a triangle refers to a missing vertex")
     return organ_from_arrays(values | own["plain"])
 
 

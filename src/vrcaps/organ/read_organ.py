@@ -87,7 +87,7 @@ def _organ_of_mesh_file(
 
     mesh = read_mesh(path, unit=unit)
     if keep_uv and (mesh.uv is None or not np.isfinite(mesh.uv).all()):
-        raise InputError(f"{path} has no finite texture coordinates to keep. Leave keep_uv off.")
+        raise InputError(f"{path} has no finite texture coordinates to keep. Omit keep_uv.")
     if not keep_uv:
         mesh = replace(mesh, uv=None)
     mesh, report = repair(mesh, open_ends=open_ends)

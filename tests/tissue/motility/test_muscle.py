@@ -229,7 +229,7 @@ def test_a_muscle_that_is_asleep_rests_until_its_first_front() -> None:
 
 def test_no_front_begins_where_none_passes() -> None:
     colon = Muscle(straight_gut({"sigmoid": 0.2}), Motility(), np.random.default_rng(0))
-    with pytest.raises(InputError, match="Phase III begins only where the migrating motor complex"):
+    with pytest.raises(InputError, match="Phase III starts only where the migrating motor complex"):
         colon.with_fronts((Front(1.0, 0.1),))
     with pytest.raises(InputError, match="A front's arc_length is -1"):
         Front(0.0, -1.0)

@@ -62,8 +62,8 @@ def generate_colon(parameters: ColonParameters, *, seed: int) -> OrganSurface:
         if not len(self_intersections(organ.vertices, organ.faces)):
             return organ
     raise InputError(
-        f"Found no colon {parameters.length:.2f} m long with {parameters.flexures} flexures that "
-        "does not cut itself. Allowed: fewer flexures, smaller diameters, or another seed."
+        f"Found no colon {parameters.length:.2f} m long with {parameters.flexures} flexures "
+        "without self-intersection. Allowed: fewer flexures, smaller diameters, or another seed."
     )
 
 

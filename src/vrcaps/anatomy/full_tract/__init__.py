@@ -178,7 +178,7 @@ def generate_full_tract(
         if not len(self_intersections(organ.vertices, organ.faces)):
             return organ
     raise InputError(
-        f"Found no tract of seed {seed} that does not cut itself. Allowed: a shorter or narrower "
+        f"Found no tract of seed {seed} without self-intersection. Allowed: a shorter or narrower "
         "small bowel, or another seed."
     )
 

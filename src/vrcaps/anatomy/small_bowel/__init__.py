@@ -59,7 +59,7 @@ def generate_small_bowel(
         if not len(self_intersections(organ.vertices, organ.faces)):
             return organ
     raise InputError(
-        f"Found no small bowel {parameters.length:.2f} m long that does not cut itself. "
+        f"Found no small bowel {parameters.length:.2f} m long without self-intersection. "
         "Allowed: a shorter one, smaller diameters, or another seed."
     )
 

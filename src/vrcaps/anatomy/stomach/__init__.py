@@ -68,7 +68,7 @@ def generate_stomach(
             return organ
     raise InputError(
         f"Found no stomach {parameters.length:.3f} m long and {parameters.body_diameter:.3f} m "
-        "wide that does not cut itself. Allowed: a smaller diameter, lower rugae or another seed."
+        "wide without self-intersection. Allowed: a smaller diameter, lower rugae or another seed."
     )
 
 

@@ -148,6 +148,6 @@ def _check_result(mesh: Mesh, *, num_ends: int) -> None:
         wrong = pairs[is_wrong][:, 0] if is_wrong.any() else edges.with_count(1)[:, 0]
         place = mesh.vertices[edges.ends[wrong[0]]].mean(axis=0)
         raise InputError(
-            f"{len(wrong)} edges are still open or wrongly wound after repair, the first at "
-            f"{format_point(place)}. Repair the mesh there by hand."
+            f"{len(wrong)} edges are still open or inconsistently oriented after repair, the first "
+            f"at {format_point(place)}. Repair the mesh there by hand."
         )

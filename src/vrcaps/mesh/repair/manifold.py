@@ -163,8 +163,8 @@ def orient_consistently(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
     if side[0] == side[size]:
         place = _conflict_place(mesh, edges, disagrees)
         raise InputError(
-            f"The surface has only one side (like a Möbius band), found near {place}. "
-            "Cut it there or export it again; a gut wall has an inside."
+            f"The surface has only one side (like a Möbius strip) near {place}. "
+            "Cut it there, or export a surface with an inside."
         )
     is_flipped = side[:size] != side[0]
     if 2 * is_flipped.sum() > size:
@@ -216,8 +216,8 @@ def _pair_faces(
             work += 1 if is_same else 10 + (len(halves) // 3) ** 2
             if work > _MAX_WORK:
                 raise InputError(
-                    f"{len(nonmanifold)} edges join more than two triangles, too many to part. "
-                    "Remove doubled and stray triangles, or make a new mesh of the surface."
+                    f"{len(nonmanifold)} edges join more than two triangles, too many to separate. "
+                    "Remove duplicate and stray triangles, or make a new mesh of the surface."
                 )
             if is_same:
                 later.append((halves, corners, before))

@@ -171,7 +171,7 @@ def _fixed_nodes(
 
 def _check_fixed(is_fixed: Bool[np.ndarray, " nodes"], deformation: FemDeformation) -> None:
     if is_fixed.all():
-        raise InputError("fixed holds the whole wall. Give shorter stretches.")
+        raise InputError("fixed covers the whole wall. Give shorter intervals.")
     if deformation.support == 0.0 and is_fixed.sum() < 2:
         raise InputError(
             "Nothing holds the wall: support is 0 and no node is fixed. Give a support above 0, "

@@ -96,10 +96,10 @@ class ComplexStatistics:
                 all(0.0 <= fraction <= 1.0 for fraction in fractions),
                 name,
                 fractions,
-                "shares, 0 to 1",
+                "fractions, 0 to 1",
             )
         whole = math.fsum(self.origins)
-        require(abs(whole - 1.0) < 1e-9, "origins", self.origins, "four shares whose sum is 1")
+        require(abs(whole - 1.0) < 1e-9, "origins", self.origins, "four fractions with sum 1")
         self._check_speeds()
 
     def _check_speeds(self) -> None:
@@ -212,7 +212,8 @@ class MigratingMotorComplex:
         passes = np.flatnonzero((self.first <= arc_length) & (self.last >= arc_length))
         if len(passes) == 0:
             raise InputError(
-                f"No front passes at {arc_length:g} m. Allowed: places in stomach and small bowel."
+                f"No front passes at {arc_length:g} m. Allowed: positions in stomach and "
+                "small bowel."
             )
         delay = float(np.interp(arc_length, self.places, self.delays))
         return replace(self, offset=float(self.starts[passes[0]]) + delay - ahead)
@@ -234,7 +235,7 @@ def draw_complex(
         InputError: If the organ has none of the zones.
     """
     if not zones:
-        raise InputError("The migrating motor complex needs a stomach or small bowel to pass.")
+        raise InputError("The migrating motor complex requires a stomach or small bowel.")
     s, n = statistics, _CYCLES
     mean = rng.uniform(*s.cycle_means)
     low, high = s.shortest_cycle, 2.0 * mean - s.shortest_cycle

@@ -140,7 +140,7 @@ class Muscle:
         for front in motility.fronts:
             if self.clock is None:
                 raise InputError(
-                    "Phase III begins only where the migrating motor complex passes: in stomach "
+                    "Phase III starts only where the migrating motor complex passes: in stomach "
                     "and small bowel, unless motility is steady."
                 )
             clock = self.clock.at_front(front.arc_length, ahead=front.time)

@@ -120,7 +120,7 @@ def phase_rows(clocks: list[MigratingMotorComplex]) -> list[tuple[str, ...]]:
 def phase_shares(clock: MigratingMotorComplex, place: float) -> np.ndarray:
     """Shares of phases I to IV in each of ten cycles at a place."""
     moment = replace(clock, offset=0.0)
-    delay = float(np.interp(place, clock.places, clock.delays))
+    delay = float(np.interp(place, clock.positions, clock.delays))
     shares = np.empty((10, 4))
     for k, (start, end) in enumerate(zip(clock.starts[:10], clock.starts[1:11], strict=True)):
         at = np.arange(start, end, SAMPLE) + delay
@@ -160,7 +160,7 @@ def front_speed(clock: MigratingMotorComplex, oral: float, anal: float) -> float
     for cycle in passes[:10]:
         times = []
         for place in (oral, anal):
-            about = clock.starts[cycle] + np.interp(place, clock.places, clock.delays)
+            about = clock.starts[cycle] + np.interp(place, clock.positions, clock.delays)
             at = about + np.arange(-60.0, 60.0, 0.1)
             phase = replace(clock, offset=0.0).phase(np.full(at.shape, place), at)[0]
             times.append(at[np.argmax(phase == 3)])

@@ -99,7 +99,7 @@ def test_open_tube_is_capped_with_good_triangles(wave):
     mesh = tube(wave=wave)
     repaired, report = repair(mesh)
     assert kinds(report) == {"open end": 2}
-    places = report.repairs[0].places
+    places = report.repairs[0].positions
     expected = [[0, 0, 0], [0, 0, LENGTH]]
     assert np.allclose(places[np.argsort(places[:, 2])], expected, atol=1e-12)
     judge = check_wall(repaired)
@@ -256,7 +256,7 @@ def test_stray_components_go_and_are_measured():
     strays = [sphere(0.002, 1, (0, 0, 0.01)), sphere(0.004, 1, (0.1, 0, 0))]
     repaired, report = repair(join(strays[0], sphere(), strays[1]))
     assert kinds(report) == {"stray component": 2}
-    assert np.allclose(report.repairs[0].places, [[0.1, 0, 0], [0, 0, 0.01]], atol=1e-9)
+    assert np.allclose(report.repairs[0].positions, [[0.1, 0, 0], [0, 0, 0.01]], atol=1e-9)
     assert "removed (areas 3.6 %, 0.89 % of the whole)" in report.lines()[0]
     assert np.array_equal(repaired.faces, sphere().faces)
 
@@ -268,7 +268,7 @@ def test_flipped_faces_are_found_one_by_one():
     repaired, report = repair(flip_faces(mesh, chosen))
     assert kinds(report) == {"flipped triangle": 200, "open end": 2}
     middles = mesh.vertices[mesh.faces[chosen]].mean(axis=1)
-    assert np.allclose(report.repairs[0].places, middles)
+    assert np.allclose(report.repairs[0].positions, middles)
     check_wall(repaired)
     assert np.array_equal(repaired.faces[: len(mesh.faces)], mesh.faces)
     assert np.array_equal(repaired.uv[: len(mesh.faces)], mesh.uv)
@@ -285,7 +285,7 @@ def test_fin_on_the_wall_goes():
     )
     repaired, report = repair(fin)
     assert kinds(report) == {"non-manifold edge": 1, "stray component": 1}
-    assert np.allclose(report.repairs[0].places, mesh.vertices[[a, b]].mean(axis=0))
+    assert np.allclose(report.repairs[0].positions, mesh.vertices[[a, b]].mean(axis=0))
     assert np.array_equal(repaired.vertices, mesh.vertices)
     check_wall(repaired)
 

@@ -274,12 +274,12 @@ def test_organs_used_longest_ago_make_room(folder: Path, monkeypatch: pytest.Mon
     assert {path.stem for path in (folder / "organs").iterdir()} == {"e"}
 
 
-def test_passing_organs_are_few_and_drive_out_no_others(folder: Path, monkeypatch):
+def test_short_lived_organs_are_few_and_drive_out_no_others(folder: Path, monkeypatch):
     cached_organ("mine", make_organ)
     size = (folder / "organs" / "mine.npz").stat().st_size
-    monkeypatch.setattr(cache, "_MAX_PASSING_BYTES", 2.5 * size)
+    monkeypatch.setattr(cache, "_MAX_SHORT_LIVED_BYTES", 2.5 * size)
     made = []
-    with cache.passing_organs():
+    with cache.short_lived_organs():
         for age, name in enumerate(("a", "b", "c", "mine")):
             cached_organ(name, lambda name=name: made.append(name) or make_organ())
             path = folder / "organs" / "passing" / f"{name}.npz"

@@ -143,20 +143,20 @@ def _converter(units: bool) -> Converter:
 
 def _structure_scalar(plain: Any, declared: Any) -> Any:
     if not _fits(declared, plain):
-        raise _NotAllowedError(_shown(plain), _allowed(declared))
+        raise _NotAllowedError(_abbreviated(plain), _allowed(declared))
     return float(plain) if declared is float else plain
 
 
 def _metadata(plain: Any) -> dict[str, Any]:
     if not isinstance(plain, Mapping):
-        raise _NotAllowedError(_shown(plain), "a table")
+        raise _NotAllowedError(_abbreviated(plain), "a table")
     return as_floats(plain)
 
 
 def _tuple_hook(converter: Converter, declared: Any, units: bool) -> Callable[[Any, Any], tuple]:
     def structure(plain: Any, _: Any) -> tuple:
         if not isinstance(plain, list | tuple):
-            raise _NotAllowedError(_shown(plain), _allowed(declared))
+            raise _NotAllowedError(_abbreviated(plain), _allowed(declared))
         items = get_args(declared)
         if items[-1] is not ... and len(items) != len(plain):
             raise _NotAllowedError(f"{len(plain)} values", str(len(items)), verb="has")
@@ -194,7 +194,7 @@ def _union_hook(converter: Converter, declared: Any, units: bool) -> Callable[[A
         for member in _members(declared):
             if _fits(member, plain):
                 return converter.structure(plain, member)
-        raise _NotAllowedError(_shown(plain), _allowed(declared))
+        raise _NotAllowedError(_abbreviated(plain), _allowed(declared))
 
     return structure
 
@@ -203,7 +203,7 @@ class _UnknownKindError(_NotAllowedError):
     """A table of unknown kind."""
 
     def __init__(self, kind: Any, known: Mapping[str, type]) -> None:
-        given = "missing" if kind is None else _shown(kind)
+        given = "missing" if kind is None else _abbreviated(kind)
         super().__init__(given, ", ".join(sorted(known)), verb=".kind is")
 
 
@@ -222,7 +222,7 @@ def _table_hook(converter: Converter, cls: Any, units: bool) -> Callable[[Any, A
         if isinstance(plain, cls):
             return plain
         if not isinstance(plain, Mapping):
-            raise _NotAllowedError(_shown(plain), "a table")
+            raise _NotAllowedError(_abbreviated(plain), "a table")
         if units and cls in _SHORTHANDS:
             plain = _SHORTHANDS[cls](dict(plain))
         whole = {
@@ -278,8 +278,8 @@ def _explained(error: BaseException, at: str, units: bool) -> InputError:
     if isinstance(error, _NotAllowedError):
         space = "" if str(error).startswith(".") else " "
         return InputError(f"{at}{space}{error}")
-    place = at.removesuffix(":")
-    return InputError(f"{place}: {error}" if place else str(error))
+    location = at.removesuffix(":")
+    return InputError(f"{location}: {error}" if location else str(error))
 
 
 def _explained_table(error: ClassValidationError, at: str, units: bool) -> InputError:
@@ -291,24 +291,24 @@ def _explained_table(error: ClassValidationError, at: str, units: bool) -> Input
             allowed = ", ".join(_key(f, units) for f in known.values())
             given = sorted(other.extra_fields)[0]
             meant = nearest(given, [_key(f, units) for f in known.values()])
-            place = _titled("Unknown key", _place(at, given))
-            return InputError(f"{place}. Allowed: {allowed}.{meant}")
+            location = _titled("Unknown key", _located(at, given))
+            return InputError(f"{location}. Allowed: {allowed}.{meant}")
     for other, note in fields_:
         if isinstance(other, KeyError):
-            place = _place(at, _key(known[note.name], units))
-            return InputError(f"{_titled('Missing key', place)}: {_allowed(hints[note.name])}.")
+            location = _located(at, _key(known[note.name], units))
+            return InputError(f"{_titled('Missing key', location)}: {_allowed(hints[note.name])}.")
     for other, note in fields_:
-        return _explained(other, _place(at, _key(known[note.name], units)), units)
+        return _explained(other, _located(at, _key(known[note.name], units)), units)
     return _explained(others[0], at, units)
 
 
-def _titled(what: str, place: str) -> str:
+def _titled(what: str, location: str) -> str:
     """Description of a problem with a key, after the file name if the location has one."""
-    file, _, key = place.rpartition(": ")
+    file, _, key = location.rpartition(": ")
     return f"{file}: {what[0].lower()}{what[1:]} {key}" if file else f"{what} {key}"
 
 
-def _place(at: str, key: str) -> str:
+def _located(at: str, key: str) -> str:
     if not at:
         return key
     return f"{at} {key}" if at.endswith(":") else f"{at}.{key}"
@@ -394,6 +394,6 @@ def _allowed(declared: Any) -> str:
     return " or ".join(words)
 
 
-def _shown(plain: Any) -> str:
+def _abbreviated(plain: Any) -> str:
     text = repr(as_floats(plain))
     return text if len(text) <= 60 else f"{text[:57]}..."

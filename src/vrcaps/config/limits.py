@@ -73,15 +73,15 @@ def check_fields(instance: Any, of: str = "") -> None:
 @cache
 def _limits(cls: type) -> tuple[tuple[str, Range | None, tuple[str, ...]], ...]:
     hints = get_type_hints(cls, include_extras=True)
-    found = []
+    limits = []
     for name in (f.name for f in fields(cls)):
         ranges = [
             item for item in getattr(hints[name], "__metadata__", ()) if isinstance(item, Range)
         ]
         known = _literals(hints[name])
         if ranges or known:
-            found.append((name, ranges[0] if ranges else None, known))
-    return tuple(found)
+            limits.append((name, ranges[0] if ranges else None, known))
+    return tuple(limits)
 
 
 def _literals(hint: Any) -> tuple[str, ...]:

@@ -36,10 +36,12 @@ class VrcapsError(Exception):
     """
 
     def __init__(self, *args: object) -> None:
-        super().__init__(*(_shown(reason_of(one)) if isinstance(one, str) else one for one in args))
+        super().__init__(
+            *(_escaped(reason_of(one)) if isinstance(one, str) else one for one in args)
+        )
 
 
-def _shown(text: str) -> str:
+def _escaped(text: str) -> str:
     return _UNSEEN.sub(lambda found: repr(found[0])[1:-1], text)
 
 

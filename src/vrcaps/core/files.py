@@ -218,12 +218,12 @@ def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
         np.savez_compressed(file, **arrays)  # pyright: ignore[reportArgumentType]
 
 
-def read_arrays(path: Path, most_bytes: int = MAX_BYTES) -> dict[str, np.ndarray]:
+def read_arrays(path: Path, max_bytes: int = MAX_BYTES) -> dict[str, np.ndarray]:
     """Read the arrays of a NumPy archive.
 
     Args:
         path: The file.
-        most_bytes: Maximum total size of the arrays.
+        max_bytes: Maximum total size of the arrays.
 
     Raises:
         OSError: If the file cannot be read.
@@ -232,8 +232,8 @@ def read_arrays(path: Path, most_bytes: int = MAX_BYTES) -> dict[str, np.ndarray
     try:
         with path.open("rb") as file, zipfile.ZipFile(file) as archive:
             total = sum(member.file_size for member in archive.infolist())
-            if total > most_bytes:
-                raise ValueError(f"its arrays take {total} bytes, more than {most_bytes}")
+            if total > max_bytes:
+                raise ValueError(f"its arrays take {total} bytes, more than {max_bytes}")
             return {
                 member.filename.removesuffix(".npy"): decode_array(_member(archive, member))
                 for member in archive.infolist()

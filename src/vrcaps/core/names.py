@@ -37,10 +37,10 @@ def require_name(noun: str, name: Any) -> str:
         InputError: If it is not text, empty, absolute, leads upwards, or has control characters.
     """
     if not (isinstance(name, str) and _is_relative(name)):
-        shown = repr(name)
-        shown = shown if len(shown) <= 80 else f"{shown[:77]}..."
+        text = repr(name)
+        text = text if len(text) <= 80 else f"{text[:77]}..."
         raise InputError(
-            f"The name of a {noun} is {shown}. Allowed: a relative path of at most {_LONGEST} "
+            f"The name of a {noun} is {text}. Allowed: a relative path of at most {_LONGEST} "
             "bytes without '..', backslashes and control characters."
         )
     return name

@@ -10,7 +10,7 @@ from statistics import fmean
 
 from vrcaps.core.files import files_in, scratch_folder
 from vrcaps.data.units import Unit, Units
-from vrcaps.organ.cache import cache_in, passing_organs
+from vrcaps.organ.cache import cache_in, short_lived_organs
 from vrcaps.scenario.scenario import OrganGenerated, Scenario
 
 _FRAMES = 6
@@ -71,7 +71,7 @@ def estimate(units: Units, numbers: Sequence[int]) -> Estimate:
     for unit in sample:
         kinds.setdefault(_kind(unit.scenario), []).append(unit)
     chosen = sorted(kinds, key=lambda kind: (-len(kinds[kind]), kind))[:_MAX_KINDS]
-    with scratch_folder() as scratch, passing_organs():
+    with scratch_folder() as scratch, short_lived_organs():
         costs = _measured({kind: kinds[kind][0] for kind in chosen}, scratch)
     scale = len(numbers) / sum(len(kinds[kind]) for kind in chosen)
     seconds = num_bytes = 0.0

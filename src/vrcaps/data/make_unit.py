@@ -18,7 +18,7 @@ from vrcaps.data.organs import organ_entry, store_organ
 from vrcaps.data.plan import Plan
 from vrcaps.data.store import Store, open_store
 from vrcaps.data.units import Unit, Units
-from vrcaps.organ.cache import passing_organs
+from vrcaps.organ.cache import short_lived_organs
 
 _WAIT = 0.2
 """Interval between checks of a unit that another process is making [s]."""
@@ -133,7 +133,7 @@ def _make_alone(unit: Unit, store: Store) -> None:
     folder = store.staging(unit.name)
     if folder.exists() and not (folder / EPISODE_JSON).exists():
         shutil.rmtree(folder)  # a recording without a head cannot be resumed
-    with passing_organs():  # an interrupted recording resumes
+    with short_lived_organs():  # an interrupted recording resumes
         record(unit.scenario, folder, store_organ=partial(store_organ, store))
     entry = entry_of(unit, folder) | {"organ": organ_entry(store, folder)}
     store.put(folder, f"{EPISODES}/{unit.name}")

@@ -116,17 +116,17 @@ class _Work:
         reason = f"in {_NUM_TRIES} tries it cuts into the wall beside it"
         for _ in range(_NUM_TRIES):
             try:
-                found = SITES[lesion.extent](lesion, context, rng)
+                placed = SITES[lesion.extent](lesion, context, rng)
             except ThinTrianglesError as error:
                 reason = str(error)
                 continue
-            form = lesion.form(found.site, rng)
-            patch = _formed(found.patch, form, is_focal=lesion.extent == "focal")
+            form = lesion.form(placed.site, rng)
+            patch = _formed(placed.patch, form, is_focal=lesion.extent == "focal")
             wall = samples(patch)
-            shown = paint.FormSamples(form, wall, form.displaced(wall) - found.site.center)
+            form_samples = paint.FormSamples(form, wall, form.displaced(wall) - placed.site.center)
             if lesion.extent == "focal":
-                patch = _charted(patch, shown, instance)
-            joined = _with_lesion(self.wall, found.piece, patch, shown, instance)
+                patch = _charted(patch, form_samples, instance)
+            joined = _with_lesion(self.wall, placed.piece, patch, form_samples, instance)
             if not _cuts_wall(joined, instance):
                 break
         else:
@@ -135,24 +135,28 @@ class _Work:
                 "smaller one."
             )
         if self.clean is not None and self.lesioned is not None:
-            self._paint(lesion, instance, patch, shown)
+            self._paint(lesion, instance, patch, form_samples)
         if lesion.extent == "focal":
-            self.focal.append(PlacedLesion(lesion, found.vertex, found.site.center))
+            self.focal.append(PlacedLesion(lesion, placed.vertex, placed.site.center))
         self.wall = joined
-        self._record(lesion, instance, organ, found.vertex)
+        self._record(lesion, instance, organ, placed.vertex)
 
-    def _paint(self, lesion: Lesion, instance: int, patch: Patch, shown: paint.FormSamples) -> None:
+    def _paint(
+        self, lesion: Lesion, instance: int, patch: Patch, form_samples: paint.FormSamples
+    ) -> None:
         """Paint on a separate chart, or in place."""
         assert self.clean is not None and self.lesioned is not None
         if lesion.extent == "focal":
-            self.charts.append(paint.paint_chart(self.clean, self.lesioned, patch, shown, instance))
+            self.charts.append(
+                paint.paint_chart(self.clean, self.lesioned, patch, form_samples, instance)
+            )
             return
-        inside = shown.form.signed_distance(shown.wall) > 0.0
+        inside = form_samples.form.signed_distance(form_samples.wall) > 0.0
         faces = np.flatnonzero(inside[patch.faces].any(axis=1))
         if len(faces):
             if self.lesioned is self.clean:
                 self.lesioned = self.clean.copy()
-            paint.paint_in_place(self.lesioned, patch, shown, faces)
+            paint.paint_in_place(self.lesioned, patch, form_samples, faces)
 
     def _record(self, lesion: Lesion, instance: int, organ: OrganSurface, vertex: int) -> None:
         self.records[instance] = {
@@ -216,12 +220,12 @@ def _formed(patch: Patch, form: Form, *, is_focal: bool) -> Patch:
 
 
 def _with_lesion(
-    wall: Patch, piece: ExtractedPatch, patch: Patch, shown: paint.FormSamples, instance: int
+    wall: Patch, piece: ExtractedPatch, patch: Patch, form_samples: paint.FormSamples, instance: int
 ) -> Patch:
     """Wall with the patch inserted and its vertices displaced."""
-    inside = shown.form.signed_distance(shown.wall) > 0.0
+    inside = form_samples.form.signed_distance(form_samples.wall) > 0.0
     label = np.where(inside, instance, patch.instance).astype(np.uint16)
-    moved = shown.form.displaced(shown.wall)
+    moved = form_samples.form.displaced(form_samples.wall)
     return insert(wall, piece, renewed_normals(replace(patch, moved=moved, instance=label)))
 
 
@@ -236,16 +240,16 @@ def _cuts_wall(wall: Patch, instance: int) -> bool:
     near = ((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)).all(axis=1)
     faces = wall.faces[near]
     is_own = own[faces].any(axis=1)
-    found = self_intersections(wall.moved, faces)
-    if not is_own[found].any():
+    placed = self_intersections(wall.moved, faces)
+    if not is_own[placed].any():
         return False
     before = self_intersections(wall.clean, faces)
-    return is_own[found].any(axis=1).sum() > is_own[before].any(axis=1).sum()
+    return is_own[placed].any(axis=1).sum() > is_own[before].any(axis=1).sum()
 
 
-def _charted(patch: Patch, shown: paint.FormSamples, instance: int) -> Patch:
+def _charted(patch: Patch, form_samples: paint.FormSamples, instance: int) -> Patch:
     """Patch with the footprint's faces on a separate chart."""
-    own = (shown.form.signed_distance(shown.wall) > 0.0)[patch.faces].any(axis=1)
+    own = (form_samples.form.signed_distance(form_samples.wall) > 0.0)[patch.faces].any(axis=1)
     uv = patch.uv.copy()
-    uv[own, :, 2:] = shown.form.chart(shown.wall)[patch.faces[own]]
+    uv[own, :, 2:] = form_samples.form.chart(form_samples.wall)[patch.faces[own]]
     return replace(patch, uv=uv, chart_id=np.where(own, instance, patch.chart_id))

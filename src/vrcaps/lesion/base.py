@@ -120,15 +120,15 @@ class Setting:
 def settings_of(cls: type) -> dict[str, Setting]:
     """Settings of a dataclass by name, except fields that hold another dataclass."""
     hints = get_type_hints(cls, include_extras=True)
-    found = {}
+    settings = {}
     for name in (f.name for f in fields(cls)):
         parts = _parts(hints[name])
         limits = next((r for r in map(range_of, (hints[name], *parts)) if r is not None), None)
         words = [w for part in parts if get_origin(part) is Literal for w in get_args(part)]
         bare = {get_args(p)[0] if hasattr(p, "__metadata__") else p for p in parts}
         if words or bare & {float, int, str}:
-            found[name] = Setting(name, tuple(words), limits, str in bare, int in bare)
-    return found
+            settings[name] = Setting(name, tuple(words), limits, str in bare, int in bare)
+    return settings
 
 
 def _parts(hint: Any) -> tuple[Any, ...]:

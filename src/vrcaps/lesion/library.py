@@ -64,8 +64,8 @@ def _named(name: str) -> tuple[type[Lesion], dict[str, Any]]:
     cls = LESIONS[kind]
     library = cls.library()
     if name in library:
-        found = library[name]
-        return cls, {f.name: getattr(found, f.name) for f in fields(found) if f.name != "location"}
+        named = library[name]
+        return cls, {f.name: getattr(named, f.name) for f in fields(named) if f.name != "location"}
     if not grade:
         return cls, {}
     if not cls.grade_field:

@@ -116,14 +116,14 @@ def smoothed(appearance: Appearance) -> Textures:
 
 
 def paint_in_place(
-    textures: Textures, patch: Patch, shown: FormSamples, faces: Int[np.ndarray, " k"]
+    textures: Textures, patch: Patch, samples: FormSamples, faces: Int[np.ndarray, " k"]
 ) -> None:
     """Paint a lesion on the texels of some faces of the wall's own texture.
 
     Args:
         textures: Textures to paint on.
         patch: Wall around the lesion.
-        shown: The lesion's form on it.
+        samples: The lesion's form on it.
         faces: Faces of the patch to paint on.
     """
     look = textures.appearance
@@ -133,7 +133,7 @@ def paint_in_place(
     texels = covered_texels(
         np.stack([uv[..., 0], 1.0 - uv[..., 1]], axis=-1) * sides - 0.5, margin=_SPILL
     )
-    corners = _corner_values(patch, shown, faces)
+    corners = _corner_values(patch, samples, faces)
     rows, columns = texels.row % sides[1], texels.column % sides[0]
     # Read before painting: where coordinates wrap, a texel may occur twice.
     albedo = look.albedo[rows, columns]
@@ -149,14 +149,14 @@ def paint_in_place(
             height=sample(height, own, None),
             plain=sample(textures.plain, own, None),
         )
-        _store(images, _painted(before, shown, corners, part), rows[chosen], columns[chosen])
+        _store(images, _painted(before, samples, corners, part), rows[chosen], columns[chosen])
 
 
 def paint_chart(
     clean: Textures,
     lesioned: Textures,
     patch: Patch,
-    shown: FormSamples,
+    samples: FormSamples,
     instance: int,
 ) -> Chart:
     """Separate chart of a lesion, from the textures of its surroundings.
@@ -165,7 +165,7 @@ def paint_chart(
         clean: Textures without lesions.
         lesioned: Textures with the previous lesions.
         patch: Wall around the lesion.
-        shown: The lesion's form on it.
+        samples: The lesion's form on it.
         instance: Lesion ID.
     """
     faces = np.flatnonzero(patch.chart_id == instance)
@@ -175,12 +175,12 @@ def paint_chart(
     width, height = np.ceil((high - low) * density).astype(int) + 2 * _MARGIN + 1
     origin = np.array([low[0], high[1]]) + np.array([-_MARGIN, _MARGIN]) / density
     texels = covered_texels((corners - origin) * (density, -density))
-    values = _corner_values(patch, shown, faces)
+    values = _corner_values(patch, samples, faces)
     images = []
     for textures, is_lesioned in ((clean, False), (lesioned, True)):
         image = _blank(height, width)
         before = textures.look(texels.blend_corners(patch.uv[faces, :, :2]))
-        painted = _painted(before, shown, values, texels) if is_lesioned else before
+        painted = _painted(before, samples, values, texels) if is_lesioned else before
         _store(image, painted, texels.row, texels.column)
         covered = np.zeros((height, width), bool)
         covered[texels.row, texels.column] = True
@@ -191,10 +191,10 @@ def paint_chart(
 
 def _nearest(covered: Bool[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
     """Row and column of the nearest covered texel to each texel."""
-    found = scipy.ndimage.distance_transform_edt(
+    nearest = scipy.ndimage.distance_transform_edt(
         ~covered, return_distances=False, return_indices=True
     )
-    rows, columns = np.asarray(found)
+    rows, columns = np.asarray(nearest)
     return rows, columns
 
 
@@ -207,17 +207,17 @@ def _blank(height: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def _corner_values(
-    patch: Patch, shown: FormSamples, faces: Int[np.ndarray, " k"]
+    patch: Patch, samples: FormSamples, faces: Int[np.ndarray, " k"]
 ) -> Float[np.ndarray, "k 3 c"]:
     """Wall data required by a form's painting, at the corners of faces."""
-    wall = shown.wall
-    columns = (wall.rest, wall.normal, wall.inward, shown.points, wall.xy)
+    wall = samples.wall
+    columns = (wall.rest, wall.normal, wall.inward, samples.points, wall.xy)
     return np.concatenate(columns, axis=1)[patch.faces[faces]]
 
 
 def _painted(
     before: AppearanceSample,
-    shown: FormSamples,
+    samples: FormSamples,
     corners: Float[np.ndarray, "m 3 c"],
     texels: Texels,
 ) -> AppearanceSample:
@@ -225,7 +225,7 @@ def _painted(
 
     Args:
         before: Appearance without it.
-        shown: The lesion's form.
+        samples: The lesion's form.
         corners: Result of `_corner_values`.
         texels: Texels to paint.
     """
@@ -233,7 +233,7 @@ def _painted(
         texels.blend_corners(corners), (3, 6, 9, 12), axis=1
     )
     wall = WallSamples(xy=xy, rest=rest, normal=normal, inward=inward)
-    return shown.form.paint(wall, points, before)
+    return samples.form.paint(wall, points, before)
 
 
 def _store(images, look: AppearanceSample, row: np.ndarray, column: np.ndarray) -> None:

@@ -178,20 +178,20 @@ def _along_path(
     wall, organ = context.wall, context.organ
     reach = 8.0 * flow.width + 2.0 * flow.source
     along = np.asarray(scipy.spatial.KDTree(organ.vertices).query(path)[1])
-    beside = within(wall, np.unique(along), reach + _MARGIN)
-    beyond = np.full(len(beside), np.inf)
+    distance = within(wall, np.unique(along), reach + _MARGIN)
+    beyond = np.full(len(distance), np.inf)
     if flow.pool > 0.0:
         beyond = within(wall, _hollow(context, along[-1], flow.pool), _MARGIN)
-    is_pool = np.isfinite(beyond) & ~np.isfinite(beside)
-    piece = extract(wall, np.where(is_pool, reach, beside))
-    far = np.column_stack([beside, beyond])[piece.vertices]
+    is_pool = np.isfinite(beyond) & ~np.isfinite(distance)
+    piece = extract(wall, np.where(is_pool, reach, distance))
+    far = np.column_stack([distance, beyond])[piece.vertices]
     patch = _with_columns(piece.patch, np.minimum(far, [reach + _MARGIN, _MARGIN]))
     patch = _evenly_refined(patch, 3.0 * flow.width, min(0.8 * MM, 0.6 * flow.width))
     dense = np.linspace(0.0, len(path) - 1.0, 8 * len(path))
     line = np.stack([np.interp(dense, np.arange(len(path)), p) for p in path.T], axis=1)
     away, nearest = scipy.spatial.KDTree(line).query(patch.moved)
-    beside, beyond = patch.fields[:, NUM_FIELDS:].T
-    away = np.where(beside < 0.95 * reach, away, np.maximum(away, reach))
+    distance, beyond = patch.fields[:, NUM_FIELDS:].T
+    away = np.where(distance < 0.95 * reach, away, np.maximum(away, reach))
     xy = np.stack([nearest / 8.0 * _STEP, away, beyond], axis=1)
     patch = _with_columns(replace(patch, fields=patch.fields[:, :NUM_FIELDS]), xy)
     site = LesionSite(

@@ -314,7 +314,7 @@ def translation_rotation_scale(
     """Transforms [n 4 4] of translations [n 3], quaternions x, y, z, w [n 4] and scales [n 3]."""
     from scipy.spatial.transform import Rotation
 
-    found = np.tile(np.eye(4), (len(translation), 1, 1))
-    found[:, :3, :3] = Rotation.from_quat(rotation).as_matrix() * scale[:, None, :]
-    found[:, :3, 3] = translation
-    return found
+    transforms = np.tile(np.eye(4), (len(translation), 1, 1))
+    transforms[:, :3, :3] = Rotation.from_quat(rotation).as_matrix() * scale[:, None, :]
+    transforms[:, :3, 3] = translation
+    return transforms

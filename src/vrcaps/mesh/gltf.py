@@ -112,15 +112,15 @@ def read_gltf(path: Path) -> Mesh:
 
 def _all_parts(file: GltfFile) -> list[Mesh]:
     """Each primitive of the default scene, once per occurrence."""
-    places = dict(_world_transforms(file))
+    scene_transforms = dict(_world_transforms(file))
     parts, count = [], 0
-    for node, transform in places.items():
+    for node, transform in scene_transforms.items():
         entry = file.entry("nodes", node)
         if "mesh" not in entry:
             continue
         mesh = file.entry("meshes", entry["mesh"])
         for primitive in mesh["primitives"]:
-            for part in _parts(file, entry, mesh, primitive, (transform, places)):
+            for part in _parts(file, entry, mesh, primitive, (transform, scene_transforms)):
                 count += len(part.vertices) + len(part.faces)
                 if count > _MAX_VALUES:
                     raise ValueError(
@@ -156,7 +156,7 @@ def _parts(
     node: dict[str, Any],
     mesh: dict[str, Any],
     primitive: dict[str, Any],
-    places: tuple[np.ndarray, dict[int, np.ndarray]],
+    scene_transforms: tuple[np.ndarray, dict[int, np.ndarray]],
 ) -> Iterator[Mesh]:
     """Copies of one primitive in the scene: one, or one per instance of the node.
 
@@ -165,7 +165,7 @@ def _parts(
         node: Node with the mesh.
         mesh: Mesh of the node.
         primitive: Primitive of the mesh.
-        places: Transform of the node into the scene, and those of all nodes by index.
+        scene_transforms: Transform of the node into the scene, and those of all nodes by index.
     """
     if primitive.get("mode", _TRIANGLES) in _NO_SURFACE:
         return
@@ -185,7 +185,7 @@ def _parts(
         label = narrow(label.reshape(-1), np.uint8, "labels (_LABEL)")
     if instance is not None:
         instance = narrow(instance.reshape(-1), np.uint16, "lesion numbers (_INSTANCE)")
-    for moved, is_mirrored in _moved(file, node, attributes, points, places):
+    for moved, is_mirrored in _moved(file, node, attributes, points, scene_transforms):
         turn = slice(None, None, -1 if is_mirrored else 1)
         yield Mesh(moved, faces[:, turn], None if uv is None else uv[:, turn], label, instance)
 
@@ -245,13 +245,15 @@ def _moved(
     node: dict[str, Any],
     attributes: dict[str, Any],
     points: Float[np.ndarray, "n 3"],
-    places: tuple[np.ndarray, dict[int, np.ndarray]],
+    scene_transforms: tuple[np.ndarray, dict[int, np.ndarray]],
 ) -> Iterator[tuple[Float[np.ndarray, "n 3"], bool]]:
     """Positions in the scene, and whether they are mirrored; one item per instance."""
     if "skin" in node:  # the transform of its own node is ignored
-        yield _skinned(file, file.entry("skins", node["skin"]), attributes, points, places[1])
+        yield _skinned(
+            file, file.entry("skins", node["skin"]), attributes, points, scene_transforms[1]
+        )
         return
-    for transform in places[0] @ _instances(file, node):
+    for transform in scene_transforms[0] @ _instances(file, node):
         matrix = transform[:3, :3]
         yield points @ matrix.T + transform[:3, 3], bool(np.linalg.det(matrix) < 0.0)
 
@@ -261,15 +263,15 @@ def _instances(file: GltfFile, node: dict[str, Any]) -> Float[np.ndarray, "n 4 4
     extension = node.get("extensions", {}).get(_INSTANCING)
     if extension is None:
         return np.eye(4)[None]
-    found = {key: file.array(number) for key, number in extension["attributes"].items()}
-    lengths = {len(values) for values in found.values()}
+    components = {key: file.array(number) for key, number in extension["attributes"].items()}
+    lengths = {len(values) for values in components.values()}
     if len(lengths) != 1:
         raise ValueError(f"the attributes of {_INSTANCING} differ in length")
     (count,) = lengths
     return translation_rotation_scale(
-        found.get("TRANSLATION", np.zeros((count, 3))),
-        found.get("ROTATION", np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))),
-        found.get("SCALE", np.ones((count, 3))),
+        components.get("TRANSLATION", np.zeros((count, 3))),
+        components.get("ROTATION", np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))),
+        components.get("SCALE", np.ones((count, 3))),
     )
 
 
@@ -278,14 +280,14 @@ def _skinned(
     skin: dict[str, Any],
     attributes: dict[str, Any],
     points: Float[np.ndarray, "n 3"],
-    places: dict[int, np.ndarray],
+    scene_transforms: dict[int, np.ndarray],
 ) -> tuple[Float[np.ndarray, "n 3"], bool]:
     """Positions in the scene by linear blend skinning, and whether they are mirrored."""
     joints = skin["joints"]
-    outside = [number for number in joints if number not in places]
+    outside = [number for number in joints if number not in scene_transforms]
     if outside:
         raise ValueError(f"nodes[{outside[0]}] is a joint outside the scene")
-    transforms = np.array([places[number] for number in joints])
+    transforms = np.array([scene_transforms[number] for number in joints])
     if "inverseBindMatrices" in skin:
         inverse = file.array(skin["inverseBindMatrices"]).reshape(-1, 4, 4).transpose(0, 2, 1)
         transforms = transforms @ inverse[: len(joints)]

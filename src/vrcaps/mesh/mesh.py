@@ -240,8 +240,8 @@ def wall_distance(
                 np.linalg.norm(chunk - middle[face], axis=1) < distance[rows][owner] + reach[face]
             )
             owner, face = owner[close], face[close]
-            found = triangle_distance(points[rows][owner], corners[face])
-            np.minimum.at(distance, first + owner, found)
+            nearer = triangle_distance(points[rows][owner], corners[face])
+            np.minimum.at(distance, first + owner, nearer)
     return distance
 
 

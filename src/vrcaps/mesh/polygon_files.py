@@ -91,10 +91,10 @@ def _vertex_labels(
         return np.zeros(count, np.uint8)  # rejected with the faces, see `read_mesh`
     size = int(label.max(initial=0)) + 1
     of_corner = np.repeat(label, polygons.counts).astype(np.int64)
-    found, times = np.unique(indices * size + of_corner, return_counts=True)
+    keys, times = np.unique(indices * size + of_corner, return_counts=True)
     order = np.argsort(times, kind="stable")
     most = np.zeros(count, np.uint8)
-    most[found[order] // size] = found[order] % size  # the last one wins: the most frequent
+    most[keys[order] // size] = keys[order] % size  # the last one wins: the most frequent
     return most
 
 

@@ -50,8 +50,8 @@ def covered_texels(corners: Float[np.ndarray, "m 3 2"], *, margin: float = 1.0) 
         corners: Column and row of each face's corners; integers are texel centers.
         margin: Margin [texels]. A texel near several faces is assigned to the one it is deepest in.
     """
-    found = _core.covered_texels(np.ascontiguousarray(corners, np.float64), margin)
-    return Texels(*found)
+    arrays = _core.covered_texels(np.ascontiguousarray(corners, np.float64), margin)
+    return Texels(*arrays)
 
 
 def sample(
@@ -73,8 +73,8 @@ def sample(
     total = 0.0
     for row, wy in zip(rows, (1.0 - t, t), strict=True):
         for column, wx in zip(columns, (1.0 - s, s), strict=True):
-            found = texels[row * width + column]
-            found = found if decode is None else decode[found]
+            values = texels[row * width + column]
+            values = values if decode is None else decode[values]
             weight = wx * wy
-            total = total + (found * weight[:, None] if found.ndim > 1 else found * weight)
+            total = total + (values * weight[:, None] if values.ndim > 1 else values * weight)
     return np.asarray(total)

@@ -35,7 +35,7 @@ def self_intersections(
     """
     if not len(faces):
         return np.zeros((0, 2), int)
-    faces = _same_places(vertices)[faces]
+    faces = _position_ids(vertices)[faces]
     size = float(np.linalg.norm(np.ptp(vertices[faces], axis=(0, 1))))
     corners = vertices[faces]
     normals = triangle_normals(corners)
@@ -48,8 +48,8 @@ def self_intersections(
         return chunk[_is_cut(corners, normals, chunk, shared, _FLAT * size)]
 
     with ThreadPoolExecutor(_core.num_threads()) as threads:
-        found = list(threads.map(cut, np.array_split(pairs, len(pairs) // _CHUNK + 1)))
-    pairs = np.concatenate(found)
+        parts = list(threads.map(cut, np.array_split(pairs, len(pairs) // _CHUNK + 1)))
+    pairs = np.concatenate(parts)
     return pairs[np.lexsort(pairs.T[::-1])]
 
 
@@ -76,17 +76,19 @@ def cluster_intersections(
     ends = np.repeat(joined[:, :1], 5, axis=1).ravel(), joined[:, 1:].ravel()
     num = len(vertices)
     graph = coo_array((np.ones(len(ends[0])), ends), shape=(num, num))
-    place = connected_components(graph, directed=False)[1][joined[:, 0]]
-    _, place, count = np.unique(place, return_inverse=True, return_counts=True)
+    cluster = connected_components(graph, directed=False)[1][joined[:, 0]]
+    _, cluster, count = np.unique(cluster, return_inverse=True, return_counts=True)
     # The smaller triangle of each pair locates the intersection better.
     corners = vertices[faces[pairs]]
     extent = np.ptp(corners, axis=2).max(axis=2)
     middle = corners[np.arange(len(pairs)), extent.argmin(axis=1)].mean(axis=1)
-    places = np.stack([np.bincount(place, middle[:, k]) for k in range(3)], axis=1) / count[:, None]
-    return places[np.argsort(-count, kind="stable")]
+    centers = (
+        np.stack([np.bincount(cluster, middle[:, k]) for k in range(3)], axis=1) / count[:, None]
+    )
+    return centers[np.argsort(-count, kind="stable")]
 
 
-def _same_places(vertices: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"]:
+def _position_ids(vertices: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"]:
     """Index of the first vertex at the same position, for each vertex."""
     order = np.lexsort(vertices.T)
     is_new = np.append(True, (np.diff(vertices[order], axis=0) != 0.0).any(axis=1))

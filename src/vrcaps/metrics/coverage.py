@@ -190,14 +190,14 @@ def seen_faces(
     Raises:
         InputError: If the image contains a triangle that the wall does not have.
     """
-    shown = face if counts is None else face[counts]
-    if shown.size and int(shown.max()) >= num_faces:
+    visible = face if counts is None else face[counts]
+    if visible.size and int(visible.max()) >= num_faces:
         raise InputError(
-            f"The image shows triangle {shown.max()} of a wall of {num_faces}. Give the wall that "
-            "was rendered."
+            f"The image shows triangle {visible.max()} of a wall of {num_faces}. Give the wall "
+            "that was rendered."
         )
     seen = np.zeros(num_faces, bool)
-    seen[shown[shown >= 0]] = True
+    seen[visible[visible >= 0]] = True
     return seen
 
 
@@ -240,9 +240,9 @@ class CoverageMap:
             seen: Vertices at `frustum`, triangles at the other levels.
             index: Index of the view, from 0, in order of time.
         """
-        for level, shown in seen.items():
+        for level, visible in seen.items():
             first = self.first_seen[level]
-            first[shown & (first < 0)] = index
+            first[visible & (first < 0)] = index
 
     def seen(self, level: CoverageLevel) -> Bool[np.ndarray, " k"]:
         """Vertices or triangles seen so far."""

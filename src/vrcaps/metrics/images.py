@@ -70,7 +70,7 @@ def ssim(
     require(
         min(d.shape[:2]) >= _WINDOW_PX, "size of the image", d.shape[:2], f"{_WINDOW_PX} px or more"
     )
-    found: Any = structural_similarity(
+    similarity: Any = structural_similarity(
         d,
         t,
         data_range=data_range,
@@ -79,7 +79,7 @@ def ssim(
         sigma=1.5,
         use_sample_covariance=False,
     )
-    return float(found)
+    return float(similarity)
 
 
 def _cropped(

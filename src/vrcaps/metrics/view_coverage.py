@@ -156,10 +156,10 @@ def capsule_poses(
     ratio, turn = np.sqrt((k + 0.5) / num_offsets), k * _GOLDEN_ANGLE
     disk = np.stack([ratio * np.cos(turn), ratio * np.sin(turn), np.zeros(num_offsets)], -1)
     local = np.concatenate([np.zeros((1, 3)), disk])[None] * np.maximum(room, 0.0)[:, None, None]
-    places = np.concatenate([transform_points(T, p) for T, p in zip(frames, local, strict=True)])
+    points = np.concatenate([transform_points(T, p) for T, p in zip(frames, local, strict=True)])
     rotations = _rotations(num_directions)
     poses = transform_from(
-        np.tile(rotations, (len(places), 1, 1)), np.repeat(places, len(rotations), axis=0)
+        np.tile(rotations, (len(points), 1, 1)), np.repeat(points, len(rotations), axis=0)
     )
     return poses[_fits(model, poses)]
 

@@ -192,8 +192,8 @@ def _segment_factors(organ: OrganSurface) -> Float[np.ndarray, "n 3"]:
     own[organ.faces] = True
     start, span = organ.arc_length[own].min(), max(float(np.ptp(organ.arc_length[own])), 1e-9)
     num_bins = 400
-    place = np.clip((organ.arc_length - start) / span * num_bins, 0.0, num_bins - 1e-6)
-    bins = place.astype(int)[own]
+    position = np.clip((organ.arc_length - start) / span * num_bins, 0.0, num_bins - 1e-6)
+    bins = position.astype(int)[own]
     factors = table[organ.label]
     # A Gaussian over a wall extended by its end values.
     offset = np.arange(-num_bins, num_bins + 1) / num_bins
@@ -205,7 +205,7 @@ def _segment_factors(organ: OrganSurface) -> Float[np.ndarray, "n 3"]:
         for k in range(3)
     ]
     middle = np.arange(num_bins) + 0.5
-    return np.stack([np.interp(place, middle, values) for values in smooth], axis=1)
+    return np.stack([np.interp(position, middle, values) for values in smooth], axis=1)
 
 
 def _mean_curvature(

@@ -41,10 +41,10 @@ _MAX_BYTES = 10 * 10**9
 These include organs of older versions, which no other version reads.
 """
 
-_MAX_PASSING_BYTES = 4 * 10**9
-"""Maximum size for organs that are needed only briefly (`passing_organs`)."""
+_MAX_SHORT_LIVED_BYTES = 4 * 10**9
+"""Maximum size for organs that are needed only briefly (`short_lived_organs`)."""
 
-_is_passing: ContextVar[bool] = ContextVar("is_passing", default=False)
+_is_short_lived: ContextVar[bool] = ContextVar("is_passing", default=False)
 
 _other_folder: ContextVar[Path | None] = ContextVar("other_folder", default=None)
 
@@ -88,7 +88,7 @@ def cached_organ(name: str, make: Callable[[], OrganSurface]) -> OrganSurface:
     """Load the organ stored under a name, or make it and store it.
 
     An unreadable file is replaced. A folder that is not writable causes a warning. The most
-    recently used organs are kept, up to 10 GB, and up to 4 GB of `passing_organs`.
+    recently used organs are kept, up to 10 GB, and up to 4 GB of `short_lived_organs`.
 
     Args:
         name: Identifies the organ, all its parameters and the code that makes it.
@@ -114,20 +114,20 @@ def _cached(
     write: Callable[[Path, Stored], None],
 ) -> Stored:
     kept = cache_folder() / "organs" / f"{name}.npz"
-    passing = kept.parent / "passing" / kept.name
-    for path in (kept, passing):
+    short_lived = kept.parent / "passing" / kept.name
+    for path in (kept, short_lived):
         try:
             if path.is_file():
-                found = read(path)
+                entries = read(path)
                 _mark_used(path)
-                return found
+                return entries
         except _BROKEN:
             pass  # Regenerated and overwritten below.
-    made, path = make(), passing if _is_passing.get() else kept
+    made, path = make(), short_lived if _is_short_lived.get() else kept
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write(path, made)
-        _forget_unused(path.parent, _MAX_PASSING_BYTES if _is_passing.get() else _MAX_BYTES)
+        _remove_unused(path.parent, _MAX_SHORT_LIVED_BYTES if _is_short_lived.get() else _MAX_BYTES)
     except OSError as error:
         warnings.warn(
             f"Cannot write to the cache folder {path.parent}: {error.strerror}. The organ is "
@@ -138,17 +138,17 @@ def _cached(
 
 
 @contextlib.contextmanager
-def passing_organs() -> Iterator[None]:
+def short_lived_organs() -> Iterator[None]:
     """Store organs made in this block in a separate, smaller part of the cache.
 
     A data set of many patients needs each organ only for the recordings of one patient, and would
     otherwise evict the organs that the user needs again.
     """
-    token = _is_passing.set(True)
+    token = _is_short_lived.set(True)
     try:
         yield
     finally:
-        _is_passing.reset(token)
+        _is_short_lived.reset(token)
 
 
 @contextlib.contextmanager
@@ -222,19 +222,19 @@ def _mark_used(path: Path) -> None:
         os.utime(path)
 
 
-def _forget_unused(folder: Path, most_bytes: float) -> None:
+def _remove_unused(folder: Path, max_bytes: float) -> None:
     """Remove the least recently used organs if the total size exceeds the limit."""
-    found, total = [], 0
+    entries, total = [], 0
     for path in folder.iterdir():
         with contextlib.suppress(OSError):  # removed by another process meanwhile
             stat = path.stat()
             if path.suffix == ".npz":
-                found.append((stat.st_mtime_ns, stat.st_size, path))
+                entries.append((stat.st_mtime_ns, stat.st_size, path))
             elif is_temporary(path.name):  # another process is writing it
                 total += stat.st_size
-    for rank, (_, size, path) in enumerate(sorted(found, reverse=True)):
+    for rank, (_, size, path) in enumerate(sorted(entries, reverse=True)):
         total += size
-        if rank > 0 and total > most_bytes:
+        if rank > 0 and total > max_bytes:
             with contextlib.suppress(OSError):  # open in another process, on Windows
                 path.unlink()
 

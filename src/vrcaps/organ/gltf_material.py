@@ -56,7 +56,7 @@ def relief_scale(
 
 
 def texture_images(
-    appearance: Appearance, scale: tuple[float, float], most_normals: int | None = None
+    appearance: Appearance, scale: tuple[float, float], max_normals: int | None = None
 ) -> list[np.ndarray]:
     """Images of base color, roughness and normals, in the order of `material_json`.
 
@@ -65,9 +65,9 @@ def texture_images(
     Args:
         appearance: The textures.
         scale: Length on the wall of one unit of u and v [m], see `relief_scale`.
-        most_normals: Maximum number of texels of the normals.
+        max_normals: Maximum number of texels of the normals.
     """
-    relief, most = appearance.height, most_normals or _MAX_NORMALS
+    relief, most = appearance.height, max_normals or _MAX_NORMALS
     while relief.size > most and not any(size % 2 for size in relief.shape):
         relief = _halved(relief)
     return [appearance.albedo, appearance.roughness, normal_texture(relief, scale)]

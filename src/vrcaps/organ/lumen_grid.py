@@ -269,15 +269,15 @@ def _contacts(
     label, clear = chamber.ravel(), clearance.ravel()
     ids = np.flatnonzero(label)
     _, ny, nz = chamber.shape
-    found = []
+    contacts = []
     for i, j, k in _OFFSETS:
-        beside = ids + (i * ny + j) * nz + k  # the grid's margin is outside
-        other = label[beside]
+        neighbor = ids + (i * ny + j) * nz + k  # the grid's margin is outside
+        other = label[neighbor]
         at = np.flatnonzero((other > 0) & (other != label[ids]))
-        one, two = ids[at], beside[at]
+        one, two = ids[at], neighbor[at]
         is_first = label[one] < label[two]
         low, high = np.where(is_first, one, two), np.where(is_first, two, one)
         key = label[low].astype(np.int64) * (num + 1) + label[high]
-        found.append((low, key, np.minimum(clear[low], clear[high]).astype(float)))
-    voxels, key, width = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        contacts.append((low, key, np.minimum(clear[low], clear[high]).astype(float)))
+    voxels, key, width = (np.concatenate(parts) for parts in zip(*contacts, strict=True))
     return voxels, key, width

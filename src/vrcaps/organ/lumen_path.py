@@ -91,9 +91,9 @@ def _depth(
     return np.where(counted, walked[counted].max() - walked, np.inf)
 
 
-def nearest_voxel(place: Float[np.ndarray, " 3"]) -> tuple[int, int, int]:
+def nearest_voxel(point: Float[np.ndarray, " 3"]) -> tuple[int, int, int]:
     """Index of the voxel at a position [voxels]."""
-    x, y, z = np.rint(place).astype(int).tolist()
+    x, y, z = np.rint(point).astype(int).tolist()
     return x, y, z
 
 
@@ -157,9 +157,9 @@ def find_path(
     if first is None or last is None:
         return None
     if np.linalg.norm(last - first) < _MIN_SPAN:
-        where = grid.points(np.stack([first, last])).round(5).tolist()
+        ends = grid.points(np.stack([first, last])).round(5).tolist()
         raise InputError(
-            f"The centerline starts at {where[0]} and ends at {where[1]} m, the same position. "
+            f"The centerline starts at {ends[0]} and ends at {ends[1]} m, the same position. "
             "Give its start and end, at opposite sides of the lumen."
         )
     cost = np.where(grid.inside, clear**-_CENTERING, outside * 0.25**-_CENTERING)
@@ -170,8 +170,8 @@ def find_path(
     ids = np.array(costs.traceback(nearest_voxel(last)))
     gap = np.count_nonzero(~grid.inside[tuple(ids.T)])
     if gap:
-        where = grid.points(ids[~grid.inside[tuple(ids.T)]][:1])[0]
-        _log.warning("centerline crosses a closed place of %.2g m at %s m", gap * grid.voxel, where)
+        crossing = grid.points(ids[~grid.inside[tuple(ids.T)]][:1])[0]
+        _log.warning("centerline crosses a gap of %.2g m at %s m", gap * grid.voxel, crossing)
     return grid.points(np.vstack([first, ids[1:-1], last]))
 
 

@@ -168,14 +168,14 @@ def _find_defects(mesh: Mesh, quality: Float[np.ndarray, " m"]) -> list[str]:
     num_handles = (2 - len(loops) - characteriztic) // 2
     num_thin = int((quality < _THIN_QUALITY).sum())
     cuts = self_intersections(mesh.vertices, mesh.faces)
-    places = cluster_intersections(mesh.vertices, mesh.faces, cuts)
+    centers = cluster_intersections(mesh.vertices, mesh.faces, cuts)
     cut = f"self-intersections of the wall ({len(cuts)} pairs of triangles)"
     defects = [
         (len(nonmanifold), "edges of more than two triangles"),
         (num_wrong, "edges whose triangles are wound against each other"),
         (len(loops), "open ends or holes"),
         (0 if nonmanifold else num_handles, "handles (the wall joins itself around a gap)"),
-        (len(places), f"{cut}, {format_points(places)}"),
+        (len(centers), f"{cut}, {format_points(centers)}"),
         (num_thin, f"thin triangles (quality below {_THIN_QUALITY:g})"),
     ]
     return [f"{count} {text}" for count, text in defects if count > 0]

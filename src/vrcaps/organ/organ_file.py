@@ -203,7 +203,7 @@ def _add_own(
     """
     arrays, plain = organ_to_arrays(organ)
     arrays |= {"faces": source.astype(organ.faces.dtype), "uv": uv}
-    images = {name: place for name, place in TEXTURES.items() if name in arrays}
+    images = {name: texture for name, texture in TEXTURES.items() if name in arrays}
     # Vertices without triangles are not in the file.
     is_all_there = len(np.unique(source)) == len(organ.vertices)
     attributes = dict(ATTRIBUTES) if compact and is_all_there else {}
@@ -308,9 +308,9 @@ def _of_vertices(
         source: Index in the organ of each vertex of the file.
     """
     own = document["asset"]["extras"]
-    places = document["meshes"][0]["primitives"][0]["attributes"]
+    attributes_of_file = document["meshes"][0]["primitives"][0]["attributes"]
     found = {
-        name: vertices_of(document, binary, places[attribute])
+        name: vertices_of(document, binary, attributes_of_file[attribute])
         for name, attribute in own.get("attributes", {}).items()
     }
     if not found:

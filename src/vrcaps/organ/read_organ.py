@@ -117,16 +117,16 @@ def _check_width(path: Path, unit: str, centerline: Centerline) -> None:
 
     diameter = lumen_diameters(centerline)[1]
     question = unit_question(unit, diameter)
-    found = f"the lumen is {diameter / MM:.3g} mm wide"
+    width = f"the lumen is {diameter / MM:.3g} mm wide"
     if diameter > _WIDEST:
-        raise InputError(f"{path}: {found}. Allowed: at most {_WIDEST / MM:.0f} mm.{question}")
+        raise InputError(f"{path}: {width}. Allowed: at most {_WIDEST / MM:.0f} mm.{question}")
     if question:
-        _log.warning("%s: %s.%s", path, found, question)
+        _log.warning("%s: %s.%s", path, width, question)
 
 
 def _warn_of_openings(path: Path, report: RepairReport) -> None:
     """Warn of a lumen with more than two ends."""
-    ends = next((r.places for r in report.repairs if r.kind == "open end"), report.open_ends)
+    ends = next((r.positions for r in report.repairs if r.kind == "open end"), report.open_ends)
     if len(ends) > 2:
         _log.warning(
             "%s has %d openings as wide as a lumen, %s: a gut has two. The centerline joins the "

@@ -56,12 +56,12 @@ def chart_coordinates(tube: TubeChart) -> Float[np.ndarray, "m 3 2"]:
     is flattened again with a larger target, so that few texels are wider than the mean.
     """
     chart, circumference = _cut(tube)
-    index, place = _unroll(tube, chart, circumference)
-    flat = _relax_groups(_flat_faces(tube.corners), index, place, chart)
+    index, chart_uv = _unroll(tube, chart, circumference)
+    flat = _relax_groups(_flat_faces(tube.corners), index, chart_uv, chart)
     # A chart with a mirrored face keeps its unrolled shape.
     is_mirrored = texture_stretch(tube.corners, flat[index])[:, 0] <= 0.0
     stays = np.isin(chart, chart[is_mirrored])
-    flat[index[stays]] = place[index[stays]]
+    flat[index[stays]] = chart_uv[index[stays]]
     owner = np.zeros(len(flat), int)
     owner[index] = chart[:, None]
     uv = _pack(flat, owner)[index]
@@ -89,10 +89,10 @@ def _unroll(
     key = chart[:, None] * (int(tube.faces.max()) + 1) + tube.faces
     keys, index = np.unique(key, return_inverse=True)
     index = index.reshape(-1, 3)
-    place = np.empty((len(keys), 2))
-    place[index, 0] = tube.turn * circumference[:, None]
-    place[index, 1] = tube.along
-    return index, place
+    chart_uv = np.empty((len(keys), 2))
+    chart_uv[index, 0] = tube.turn * circumference[:, None]
+    chart_uv[index, 1] = tube.along
+    return index, chart_uv
 
 
 def _flat_faces(corners: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "m 3 2"]:
@@ -109,16 +109,16 @@ def _flat_faces(corners: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "m 3 2
 def _relax_groups(
     shape: Float[np.ndarray, "m 3 2"],
     index: Int[np.ndarray, "m 3"],
-    place: Float[np.ndarray, "k 2"],
+    chart_uv: Float[np.ndarray, "k 2"],
     chart: Int[np.ndarray, " m"],
 ) -> Float[np.ndarray, "k 2"]:
     """Apply `_relax` to fixed-size groups of charts, independent of the number of threads."""
-    flat = place.copy()
+    flat = chart_uv.copy()
 
     def relax(faces: Int[np.ndarray, " l"]) -> None:
         used, own = np.unique(index[faces], return_inverse=True)
         own = own.reshape(-1, 3)
-        flat[used] = _relax(shape[faces], own, place[used], chart[faces][:, None])
+        flat[used] = _relax(shape[faces], own, chart_uv[used], chart[faces][:, None])
 
     order = np.argsort(chart, kind="stable")
     starts = np.searchsorted(chart[order], np.arange(0, chart.max() + 1, _GROUP))
@@ -130,7 +130,7 @@ def _relax_groups(
 def _relax(
     shape: Float[np.ndarray, "m 3 2"],
     index: Int[np.ndarray, "m 3"],
-    place: Float[np.ndarray, "k 2"],
+    chart_uv: Float[np.ndarray, "k 2"],
     chart: Int[np.ndarray, "m 1"],
 ) -> Float[np.ndarray, "k 2"]:
     """Flatten charts as rigidly as possible, starting from given positions.
@@ -140,11 +140,11 @@ def _relax(
     and Gortler, "A local/global approach to mesh parameterization", SGP 2008).
     """
     weight = _cotangents(shape)
-    solve, pin = _factored(weight, index, len(place), chart)
+    solve, pin = _factored(weight, index, len(chart_uv), chart)
     edges = _opposite_edges(shape)
     start, end = index[:, [1, 2, 0]].ravel(), index[:, [2, 0, 1]].ravel()
     for number in range(_NUM_ROUNDS):
-        flat = _opposite_edges(place[index])
+        flat = _opposite_edges(chart_uv[index])
         if number in _GROWTH_ROUNDS:
             least = np.abs(_least_stretch(edges, flat))
             growth = np.clip(1.0 / np.maximum(least, 0.1), 1.0, _MAX_GROWTH)
@@ -161,9 +161,11 @@ def _relax(
             ]
         )
         pull = (turned * weight).reshape(2, -1)
-        sums = [np.bincount(end, p, len(place)) - np.bincount(start, p, len(place)) for p in pull]
-        place = solve(np.stack(sums, axis=1) + pin[:, None] * place)
-    return place
+        sums = [
+            np.bincount(end, p, len(chart_uv)) - np.bincount(start, p, len(chart_uv)) for p in pull
+        ]
+        chart_uv = solve(np.stack(sums, axis=1) + pin[:, None] * chart_uv)
+    return chart_uv
 
 
 def _factored(
@@ -216,16 +218,18 @@ def _least_stretch(
 
 
 def _pack(
-    place: Float[np.ndarray, "k 2"], chart: Int[np.ndarray, " k"]
+    chart_uv: Float[np.ndarray, "k 2"], chart: Int[np.ndarray, " k"]
 ) -> Float[np.ndarray, "k 2"]:
     """Rotate charts into small boxes and pack them on shelves in the unit square."""
     num = int(chart.max()) + 1
     order = np.argsort(chart, kind="stable")
     first = np.searchsorted(chart[order], np.arange(num))
-    turned, box = place.copy(), np.full((num, 2), np.inf)
+    turned, box = chart_uv.copy(), np.full((num, 2), np.inf)
     for angle in _ANGLES:
         c, s = np.cos(angle), np.sin(angle)
-        trial = np.stack([c * place[:, 0] - s * place[:, 1], s * place[:, 0] + c * place[:, 1]], 1)
+        trial = np.stack(
+            [c * chart_uv[:, 0] - s * chart_uv[:, 1], s * chart_uv[:, 0] + c * chart_uv[:, 1]], 1
+        )
         low = np.minimum.reduceat(trial[order], first)
         size = np.maximum.reduceat(trial[order], first) - low + GAP
         is_better = size.prod(axis=1) < box.prod(axis=1)

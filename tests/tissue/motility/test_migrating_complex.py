@@ -41,7 +41,7 @@ def test_phases_come_in_order_and_fill_the_cycle() -> None:
 
 def test_front_arrives_after_the_way_at_its_speeds() -> None:
     clock = patient(1)
-    speed = np.diff(clock.places) / np.diff(clock.delays)
+    speed = np.diff(clock.positions) / np.diff(clock.delays)
     assert (np.diff(speed[1:]) <= 0.0).all()  # falls from the duodenum on
     clock = clock.at_front(1.0)
     for ahead in (1.0, 1e-3):
@@ -101,7 +101,7 @@ def test_without_deviation_all_patients_are_the_mean() -> None:
     }
     clock = patient(0, cycle_means=(6000.0, 6000.0), cycle_deviation=0.0, front_speeds=speeds)
     np.testing.assert_allclose(np.diff(clock.starts), 6000.0)
-    np.testing.assert_allclose(np.diff(clock.places) / np.diff(clock.delays), 1 * CM)
+    np.testing.assert_allclose(np.diff(clock.positions) / np.diff(clock.delays), 1 * CM)
 
 
 def test_rejects_a_place_without_fronts() -> None:

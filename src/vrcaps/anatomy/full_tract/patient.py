@@ -218,11 +218,11 @@ def draw_patient_anatomy(seed: int, distension: str | None = None) -> PatientAna
 def widest_diameter(patient: PatientAnatomy, organ: str) -> float:
     """Maximum diameter of an organ of `ORGANS` between its folds [m]."""
     colon = [getattr(patient.colon, name).diameter for name in SEGMENTS]
-    found = {"colon": max(colon)}
+    diameters = {"colon": max(colon)}
     for name, part in (("stomach", patient.stomach), ("small-bowel", patient.small_bowel)):
         names = [field.name for field in fields(part) if field.name.endswith("_diameter")]
-        found[name] = max(getattr(part, name) for name in names)
-    return found.get(organ, max(found.values()))
+        diameters[name] = max(getattr(part, name) for name in names)
+    return diameters.get(organ, max(diameters.values()))
 
 
 def colon_at(parameters: ColonParameters, distension: str) -> ColonParameters:

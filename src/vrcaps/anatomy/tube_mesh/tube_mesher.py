@@ -58,8 +58,8 @@ def flip_edges(
     for _ in range(num_rounds):
         halves = find_edges(faces)
         pair = halves.with_count(2)
-        edges, beside = np.sort(halves.ends[pair[:, 0]], axis=1), pair // 3
-        apex = faces.ravel()[3 * beside + (pair + 2) % 3]
+        edges, pair_faces = np.sort(halves.ends[pair[:, 0]], axis=1), pair // 3
+        apex = faces.ravel()[3 * pair_faces + (pair + 2) % 3]
         a, b = vertices[edges[:, 0]], vertices[edges[:, 1]]
         is_seam, is_pole = pinned > 0, pinned > 1
         one, other = (_cotangent(a, vertices[apex[:, k]], b) for k in range(2))
@@ -72,25 +72,25 @@ def flip_edges(
             want &= ~is_pole[end]
         normals = area_vectors(Mesh(vertices, faces))
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        one, other = normals[beside[want].T]
+        one, other = normals[pair_faces[want].T]
         want[want] = np.sum(one * other, axis=1) > 0.7
         want[want] = ~_is_in(np.sort(apex[want], axis=1), edges, len(vertices))
-        chosen = _independent_flips(np.flatnonzero(want), excess, beside, len(faces))
+        chosen = _independent_flips(np.flatnonzero(want), excess, pair_faces, len(faces))
         chosen = _distinct_flips(chosen, apex)
         if not len(chosen):
             break
-        _flip(vertices, chart, faces, (edges[chosen], beside[chosen], apex[chosen]))
+        _flip(vertices, chart, faces, (edges[chosen], pair_faces[chosen], apex[chosen]))
     return faces
 
 
 def _independent_flips(
-    candidates: np.ndarray, excess: np.ndarray, beside: np.ndarray, num_faces: int
+    candidates: np.ndarray, excess: np.ndarray, pair_faces: np.ndarray, num_faces: int
 ) -> Int[np.ndarray, " k"]:
     """Candidates that share no face, worst edges first."""
     order = candidates[np.argsort(-excess[candidates], kind="stable")]
     rank = np.full(num_faces, len(order))
-    np.minimum.at(rank, beside[order].ravel(), np.repeat(np.arange(len(order)), 2))
-    return order[(rank[beside[order]] == np.arange(len(order))[:, None]).all(axis=1)]
+    np.minimum.at(rank, pair_faces[order].ravel(), np.repeat(np.arange(len(order)), 2))
+    return order[(rank[pair_faces[order]] == np.arange(len(order))[:, None]).all(axis=1)]
 
 
 def _distinct_flips(chosen: Int[np.ndarray, " k"], apex: np.ndarray) -> Int[np.ndarray, " l"]:
@@ -106,8 +106,8 @@ def _flip(
     flips: tuple[np.ndarray, np.ndarray, np.ndarray],
 ) -> None:
     """Replace the two faces of each edge by those of the other diagonal, where valid."""
-    edges, beside, apex = flips
-    first = faces[beside[:, 0]]
+    edges, pair_faces, apex = flips
+    first = faces[pair_faces[:, 0]]
     # Direction in which the first face traverses the edge.
     is_forward = (np.roll(first, -1, axis=1) == edges[:, 1:]) & (first == edges[:, :1])
     start = np.where(is_forward.any(axis=1), edges[:, 0], edges[:, 1])
@@ -119,8 +119,8 @@ def _flip(
     for new in (one, two):
         is_sound &= chart_area(chart, new) > 0.0
         is_sound &= np.sum(area_vectors(Mesh(vertices, new)) * before, axis=1) > 0.0
-    faces[beside[is_sound, 0]] = one[is_sound]
-    faces[beside[is_sound, 1]] = two[is_sound]
+    faces[pair_faces[is_sound, 0]] = one[is_sound]
+    faces[pair_faces[is_sound, 1]] = two[is_sound]
 
 
 def _is_in(pairs: np.ndarray, edges: np.ndarray, num_vertices: int) -> Bool[np.ndarray, " n"]:
@@ -202,8 +202,8 @@ def _place_rows(
     shift = np.empty((num_rows, len(angles)))
     for k in range(len(angles)):
         own = np.concatenate([[0.0], np.cumsum(relative[:, k])])
-        wanted = np.linspace(0.0, own[-1], num_rows + 2)[1:-1]
-        shift[:, k] = np.interp(wanted, own, along) - base
+        density = np.linspace(0.0, own[-1], num_rows + 2)[1:-1]
+        shift[:, k] = np.interp(density, own, along) - base
     shift -= scipy.ndimage.uniform_filter1d(shift, max(3, round(_DRIFT / end * num_rows)), axis=0)
     shift = _smooth_around(_smooth_around(shift))
     if surface.crests is not None:
@@ -276,8 +276,8 @@ def _place_columns(
     fraction = np.pad(np.cumsum(fraction, axis=1), ((0, 0), (1, 0)))
     plain = 2.0 * np.pi * np.maximum(surface.envelope(meridian.to_arc_length(middle)), 0.1 * MM)
     ratio = scipy.ndimage.uniform_filter1d(np.clip(girth / plain, 0.5, 3.0), 25)
-    wanted = plain * ratio / surface.edge(meridian.to_arc_length(middle))
-    num_columns = _steady(np.maximum(wanted, _FEWEST))
+    density = plain * ratio / surface.edge(meridian.to_arc_length(middle))
+    num_columns = _steady(np.maximum(density, _FEWEST))
     all_along, all_theta = [], []
     ring = np.append(angles, np.pi)
     for i, columns in enumerate(num_columns):
@@ -301,10 +301,10 @@ def _steps_around(
     return np.hypot(np.diff(radius, axis=1), across)
 
 
-def _steady(wanted: Float[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+def _steady(density: Float[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
     """Integers near the given values that change only when they are off by more than 4 %."""
-    steady, current = np.empty(len(wanted), int), round(wanted[0])
-    for i, value in enumerate(wanted):
+    steady, current = np.empty(len(density), int), round(density[0])
+    for i, value in enumerate(density):
         if abs(value - current) > 0.5 + 0.04 * value:
             current = round(value)
         steady[i] = current

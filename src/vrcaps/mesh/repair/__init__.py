@@ -63,8 +63,8 @@ def repair(mesh: Mesh, *, open_ends: Literal["cap", "keep"] = "cap") -> tuple[Me
         mesh = flip_faces(mesh, np.ones(len(mesh.faces), bool))
         repairs.append(Repair("outward surface", 1, "turned to face into the lumen"))
     _check_result(mesh, num_ends=len(ends))
-    places = np.array([end.center for end in ends]).reshape(-1, 3)
-    return mesh, RepairReport(tuple(repairs), places)
+    positions = np.array([end.center for end in ends]).reshape(-1, 3)
+    return mesh, RepairReport(tuple(repairs), positions)
 
 
 def _make_manifold(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
@@ -117,17 +117,17 @@ def _close_loops(
     ends = [loop for loop in loops if loop.diameter > end_diameter]
     holes = [loop for loop in loops if loop.diameter <= end_diameter]
     repairs = []
-    for kind, action, found in (
+    for kind, action, closed in (
         ("hole", "filled", holes),
         ("open end", "capped", [] if keep_ends else ends),
     ):
-        mesh = close_loops(mesh, found)
-        if found:
-            widths = ", ".join(f"{loop.diameter / MM:.1f}" for loop in found[:4])
-            more = ", …" if len(found) > 4 else ""
-            places = np.array([loop.center for loop in found])
+        mesh = close_loops(mesh, closed)
+        if closed:
+            widths = ", ".join(f"{loop.diameter / MM:.1f}" for loop in closed[:4])
+            more = ", …" if len(closed) > 4 else ""
+            positions = np.array([loop.center for loop in closed])
             text = f"{action} ({widths}{more} mm across)"
-            repairs.append(Repair(kind, len(found), text, places))
+            repairs.append(Repair(kind, len(closed), text, positions))
     return mesh, ends if keep_ends else [], repairs
 
 
@@ -136,18 +136,18 @@ def _check_result(mesh: Mesh, *, num_ends: int) -> None:
     edges = find_edges(mesh.faces)
     nonmanifold = edges.nonmanifold()
     if nonmanifold:
-        place = mesh.vertices[edges.ends[nonmanifold[0][0]]].mean(axis=0)
+        position = mesh.vertices[edges.ends[nonmanifold[0][0]]].mean(axis=0)
         raise InputError(
             f"{len(nonmanifold)} edges still join more than two triangles after repair, the first "
-            f"at {format_point(place)}. Repair the mesh there by hand."
+            f"at {format_point(position)}. Repair the mesh there by hand."
         )
     pairs = edges.with_count(2)
     is_wrong = edges.ends[pairs[:, 0], 0] == edges.ends[pairs[:, 1], 0]
     num_loops = len(find_loops(mesh))
     if is_wrong.any() or num_loops != num_ends:
         wrong = pairs[is_wrong][:, 0] if is_wrong.any() else edges.with_count(1)[:, 0]
-        place = mesh.vertices[edges.ends[wrong[0]]].mean(axis=0)
+        position = mesh.vertices[edges.ends[wrong[0]]].mean(axis=0)
         raise InputError(
             f"{len(wrong)} edges are still open or inconsistently oriented after repair, the first "
-            f"at {format_point(place)}. Repair the mesh there by hand."
+            f"at {format_point(position)}. Repair the mesh there by hand."
         )

@@ -55,8 +55,8 @@ def split_nonmanifold(mesh: Mesh) -> tuple[Mesh, Int[np.ndarray, " n"], list[Rep
     values, counts = np.unique(origin, return_counts=True)
     lone = np.setdiff1d(values[counts > 1], on_edge)
     if len(lone):
-        places = mesh.vertices[lone]
-        repairs.append(Repair("non-manifold vertex", len(lone), "cut apart", places))
+        positions = mesh.vertices[lone]
+        repairs.append(Repair("non-manifold vertex", len(lone), "cut apart", positions))
     return cut, origin, repairs
 
 
@@ -161,9 +161,9 @@ def orient_consistently(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
     )
     side = scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
     if side[0] == side[size]:
-        place = _conflict_place(mesh, edges, disagrees)
+        position = _conflict_position(mesh, edges, disagrees)
         raise InputError(
-            f"The surface has only one side (like a Möbius strip) near {place}. "
+            f"The surface has only one side (like a Möbius strip) near {position}. "
             "Cut it there, or export a surface with an inside."
         )
     is_flipped = side[:size] != side[0]
@@ -172,8 +172,8 @@ def orient_consistently(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
     count = int(is_flipped.sum())
     if count == 0:
         return mesh, []
-    places = mesh.vertices[mesh.faces[is_flipped]].mean(axis=1)
-    repair = Repair("flipped triangle", count, "turned to agree with its neighbors", places)
+    positions = mesh.vertices[mesh.faces[is_flipped]].mean(axis=1)
+    repair = Repair("flipped triangle", count, "turned to agree with its neighbors", positions)
     return flip_faces(mesh, is_flipped), [repair]
 
 
@@ -244,8 +244,8 @@ class _Fans:
 
     def of(self, corners: Int[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
         """Fan index of each corner."""
-        found = [self._root(fan) for fan in self._fan[corners].ravel().tolist()]
-        return np.array(found).reshape(corners.shape)
+        roots = [self._root(fan) for fan in self._fan[corners].ravel().tolist()]
+        return np.array(roots).reshape(corners.shape)
 
     def join(self, one: int, other: int) -> None:
         """Merge the fans of two corners."""
@@ -327,7 +327,7 @@ def _join_corners(
     return scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
 
 
-def _conflict_place(mesh: Mesh, edges: Edges, disagrees: Bool[np.ndarray, " k"]) -> str:
+def _conflict_position(mesh: Mesh, edges: Edges, disagrees: Bool[np.ndarray, " k"]) -> str:
     """Position where a walk over the surface first returns to a face in opposite orientation."""
     pairs = edges.with_count(2)
     left, right = pairs.T // 3

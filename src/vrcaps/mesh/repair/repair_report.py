@@ -12,7 +12,7 @@ from vrcaps.core.units import MM
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-_MAX_PLACES = 4
+_MAX_POSITIONS = 4
 
 
 @dataclass(frozen=True)
@@ -23,18 +23,18 @@ class Repair:
         kind: Kind of defect, e.g. `hole`.
         count: Number of defects.
         action: Description of the repair.
-        places: Positions [m], in the mesh's frame; one row each, or empty for the whole mesh.
+        positions: Positions [m], in the mesh's frame; one row each, or empty for the whole mesh.
     """
 
     kind: str
     count: int
     action: str
-    places: Float[np.ndarray, "k 3"] = field(default_factory=lambda: np.zeros((0, 3)))
+    positions: Float[np.ndarray, "k 3"] = field(default_factory=lambda: np.zeros((0, 3)))
 
     def line(self) -> str:
         """One-line summary, with the first few positions."""
         text = f"{self.count} × {self.kind}: {self.action}"
-        return text if len(self.places) == 0 else f"{text}, {format_points(self.places)}"
+        return text if len(self.positions) == 0 else f"{text}, {format_points(self.places)}"
 
 
 @dataclass(frozen=True)
@@ -70,5 +70,5 @@ def format_point(point: Float[np.ndarray, " 3"]) -> str:
 
 def format_points(points: Float[np.ndarray, "k 3"]) -> str:
     """Human-readable list of the first few positions [m]: ``at (1.2, -3.4, 5.6) mm, …``."""
-    places = ", ".join(format_point(point) for point in points[:_MAX_PLACES])
-    return f"at {places}" + (", …" if len(points) > _MAX_PLACES else "")
+    positions = ", ".join(format_point(point) for point in points[:_MAX_POSITIONS])
+    return f"at {positions}" + (", …" if len(points) > _MAX_POSITIONS else "")

@@ -78,11 +78,11 @@ def remove_degenerate_faces(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
     A needle's short edge is collapsed; a triangle whose apex lies on its longest edge is
     merged into the neighbor across that edge, which is split at the apex.
     """
-    count, places = 0, []
+    count, positions = 0, []
     for _ in range(_MAX_PASSES):
         is_collapsed = _has_repeated_corner(mesh.faces)
         count += int(is_collapsed.sum())
-        places.append(mesh.vertices[mesh.faces[is_collapsed]].mean(axis=1))
+        positions.append(mesh.vertices[mesh.faces[is_collapsed]].mean(axis=1))
         mesh = keep_faces(mesh, ~is_collapsed)
         lengths, heights = _edge_lengths(mesh)
         longest, shortest = lengths.max(axis=1), lengths.min(axis=1)
@@ -98,11 +98,11 @@ def remove_degenerate_faces(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
             thin = np.nonzero(is_thin)[0]
             mesh, split_points = _split_neighbors(mesh, thin, lengths[thin].argmax(axis=1))
             count += len(split_points)
-            places.append(split_points)
+            positions.append(split_points)
     mesh = drop_unused_vertices(mesh)
     if count == 0:
         return mesh, []
-    return mesh, [Repair("degenerate triangle", count, "removed", np.concatenate(places))]
+    return mesh, [Repair("degenerate triangle", count, "removed", np.concatenate(positions))]
 
 
 def remove_duplicate_faces(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
@@ -113,9 +113,9 @@ def remove_duplicate_faces(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
     is_first[first] = True
     if is_first.all():
         return mesh, []
-    places = mesh.vertices[mesh.faces[~is_first]].mean(axis=1)
+    positions = mesh.vertices[mesh.faces[~is_first]].mean(axis=1)
     kept = drop_unused_vertices(keep_faces(mesh, is_first))
-    return kept, [Repair("duplicate triangle", len(places), "removed", places)]
+    return kept, [Repair("duplicate triangle", len(positions), "removed", positions)]
 
 
 def _group(pairs: Int[np.ndarray, "k 2"], count: int) -> Int[np.ndarray, " n"]:
@@ -160,7 +160,7 @@ def _split_neighbors(
     edge_of[edges.order] = np.repeat(np.arange(len(edges.first)), edges.counts)
     keep = np.ones(len(mesh.faces), bool)
     is_busy = np.zeros(len(mesh.faces), bool)
-    new_faces, new_uvs, places = [], [], []
+    new_faces, new_uvs, positions = [], [], []
     for face, side in zip(thin, longest, strict=True):
         edge = edge_of[3 * face + side]
         start = edges.first[edge]
@@ -171,7 +171,7 @@ def _split_neighbors(
         is_busy[face] = True
         keep[face] = False
         apex = int(mesh.faces[face, (side + 2) % 3])
-        places.append(mesh.vertices[apex])
+        positions.append(mesh.vertices[apex])
         for half in others:
             is_busy[half // 3], keep[half // 3] = True, False
             share = _share_along(mesh, half, apex)
@@ -181,7 +181,7 @@ def _split_neighbors(
     kept = keep_faces(mesh, keep)
     faces = np.concatenate([kept.faces, *new_faces])
     uv = None if kept.uv is None else np.concatenate([kept.uv, *new_uvs])
-    return replace(kept, faces=faces, uv=uv), np.array(places)
+    return replace(kept, faces=faces, uv=uv), np.array(positions)
 
 
 def _share_along(mesh: Mesh, half: int, vertex: int) -> float:

@@ -71,12 +71,12 @@ def prism_modes(
     integration points. Because the functions are linear, bending and the patch test keep their full
     stress (mean dilatation: Hughes, The Finite Element Method, 1987, 4.5, here of first order).
     """
-    place = np.einsum("qa,eai->eqi", points.values, nodes[tetrahedra])
-    place = place.reshape(-1, 3 * len(points.values), 3)
-    weights = points.weights.reshape(len(place), -1, 1)
-    place = place - (weights * place).sum(1, keepdims=True) / weights.sum(1, keepdims=True)
-    size = np.sqrt((place**2).sum(axis=2).max(axis=1))[:, None, None]
-    linear = np.concatenate([np.ones_like(weights), place / size], axis=2)
+    position = np.einsum("qa,eai->eqi", points.values, nodes[tetrahedra])
+    position = position.reshape(-1, 3 * len(points.values), 3)
+    weights = points.weights.reshape(len(position), -1, 1)
+    position = position - (weights * position).sum(1, keepdims=True) / weights.sum(1, keepdims=True)
+    size = np.sqrt((position**2).sum(axis=2).max(axis=1))[:, None, None]
+    linear = np.concatenate([np.ones_like(weights), position / size], axis=2)
     orthogonal, _ = np.linalg.qr(np.sqrt(weights) * linear)
     return orthogonal / np.sqrt(weights)
 
@@ -118,8 +118,8 @@ def surface_mass(
     nodes: Float[np.ndarray, "n 3"], triangles: Int[np.ndarray, "m 6"]
 ) -> Float[np.ndarray, "m 6 6"]:
     """∫ NₐNᵦ dA over curved triangles [m²]."""
-    places, point_weights = quadrature(2, 3)
-    values, slopes = shapes(places)
+    abscissas, point_weights = quadrature(2, 3)
+    values, slopes = shapes(abscissas)
     tangents = np.einsum("eai,qaj->eqji", nodes[triangles], slopes)
     area = (
         np.linalg.norm(np.cross(tangents[..., 0, :], tangents[..., 1, :]), axis=-1) * point_weights
@@ -145,8 +145,8 @@ def assemble(
 
     def add(key: Int[np.ndarray, " k"], values: np.ndarray) -> Float[np.ndarray, "pairs c"]:
         columns = values.reshape(len(values), -1).T
-        place = np.searchsorted(keys, key)
-        return np.stack([np.bincount(place, column, len(keys)) for column in columns], axis=1)
+        position = np.searchsorted(keys, key)
+        return np.stack([np.bincount(position, column, len(keys)) for column in columns], axis=1)
 
     outer = surface_mass(layer.nodes, layer.outer_triangles) * deformation.support
     support = add(shell_key, outer[shell_kept])

@@ -165,8 +165,10 @@ def _outward(
 ) -> Float[np.ndarray, "n 3"]:
     """Unit directions away from the lumen: area-weighted means over the adjacent triangles."""
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    places = np.concatenate([corners, [(corners[a] + corners[b]) / 2.0 for a, b in EDGES[:3]]])
-    tangents = np.einsum("eai,qaj->eqji", nodes[triangles], shapes(places)[1])
+    barycentric_nodes = np.concatenate(
+        [corners, [(corners[a] + corners[b]) / 2.0 for a, b in EDGES[:3]]]
+    )
+    tangents = np.einsum("eai,qaj->eqji", nodes[triangles], shapes(barycentric_nodes)[1])
     inward = np.cross(tangents[:, :, 0], tangents[:, :, 1])
     total = np.stack(
         [np.bincount(triangles.ravel(), inward[..., k].ravel(), len(nodes)) for k in range(3)], 1
@@ -312,9 +314,9 @@ def _dual(cell: Int[np.ndarray, " n"], faces: Int[np.ndarray, "m 3"]) -> Int[np.
     first = np.argmin(met, axis=1)
     met = np.take_along_axis(met, (first[:, None] + np.arange(3)) % 3, axis=1)
     met, times = np.unique(met, axis=0, return_counts=True)
-    back, place = np.unique(met[:, [0, 2, 1]], axis=0, return_index=True)
+    back, index = np.unique(met[:, [0, 2, 1]], axis=0, return_index=True)
     both, here, there = np.intersect1d(_keys(met), _keys(back), return_indices=True)
-    times[here] -= np.minimum(times[here], times[place[there]]) if len(both) else 0
+    times[here] -= np.minimum(times[here], times[index[there]]) if len(both) else 0
     return met[times > 0]
 
 

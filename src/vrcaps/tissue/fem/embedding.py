@@ -42,13 +42,13 @@ def embed(vertices: Float[np.ndarray, "n 3"], coarsened: Coarsened, layer: Layer
     """
     inner = coarsened.surface.triangles
     outer = layer.outer_triangles
-    triangle, place = _locate(coarsened, layer)
-    place = _covered(place)
-    values, slopes = shapes(place[:, :2])
+    triangle, position = _locate(coarsened, layer)
+    position = _covered(position)
+    values, slopes = shapes(position[:, :2])
     low, high = layer.nodes[inner[triangle]], layer.nodes[outer[triangle]]
-    jacobian, there = _map(values, slopes, low, high, place[:, 2])
+    jacobian, there = _map(values, slopes, low, high, position[:, 2])
     offset = np.linalg.solve(jacobian, (vertices - there)[..., None])[..., 0]
-    height = place[:, 2:]
+    height = position[:, 2:]
     along = np.einsum("naj,nj->na", slopes, offset[:, :2])
     moved = values + along
     weights = np.concatenate(
@@ -78,11 +78,11 @@ def _least_change(
     return weights + (rows @ correction)[..., 0]
 
 
-def _covered(place: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+def _covered(position: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
     """Nearest coordinates within the prism."""
-    corner = np.column_stack([1.0 - place[:, :2].sum(axis=1), place[:, :2]]).clip(0.0)
+    corner = np.column_stack([1.0 - position[:, :2].sum(axis=1), position[:, :2]]).clip(0.0)
     corner /= corner.sum(axis=1, keepdims=True)
-    return np.column_stack([corner[:, 1:], place[:, 2].clip(0.0, 1.0)])
+    return np.column_stack([corner[:, 1:], position[:, 2].clip(0.0, 1.0)])
 
 
 def _map(
@@ -112,19 +112,23 @@ def _locate(
     first, count = start[coarsened.cell], np.diff(start)[coarsened.cell]
     best = np.full(len(coarsened.cell), -np.inf)
     triangle = np.zeros(len(best), int)
-    place = np.zeros((len(best), 3))
+    position = np.zeros((len(best), 3))
     for k in range(int(count.max())):
         rows = np.flatnonzero(count > k)
         candidate = order[first[rows] + k] // 3
         low, high = layer.nodes[inner[candidate]], layer.nodes[outer[candidate]]
-        found = _invert(coarsened.smooth[rows], low, high)
-        depth = np.minimum(found[:, :2].min(axis=1), 1.0 - found[:, :2].sum(axis=1))
+        inverse = _invert(coarsened.smooth[rows], low, high)
+        depth = np.minimum(inverse[:, :2].min(axis=1), 1.0 - inverse[:, :2].sum(axis=1))
         # Far outside, the inverse of the curved map may lie on another branch.
-        depth = np.where(np.abs(found).max(axis=1) < 10.0, depth, -1e9)
+        depth = np.where(np.abs(inverse).max(axis=1) < 10.0, depth, -1e9)
         better = depth > best[rows]
         rows = rows[better]
-        best[rows], triangle[rows], place[rows] = depth[better], candidate[better], found[better]
-    return triangle, place
+        best[rows], triangle[rows], position[rows] = (
+            depth[better],
+            candidate[better],
+            inverse[better],
+        )
+    return triangle, position
 
 
 def _invert(
@@ -133,10 +137,10 @@ def _invert(
     high: Float[np.ndarray, "n 6 3"],
 ) -> Float[np.ndarray, "n 3"]:
     """Newton iterations for the coordinates (ξ, η, height) of points, kept near the triangle."""
-    place = np.tile([1.0 / 3.0, 1.0 / 3.0, 0.0], (len(points), 1))
+    position = np.tile([1.0 / 3.0, 1.0 / 3.0, 0.0], (len(points), 1))
     for _ in range(_ROUNDS):
-        values, slopes = shapes(place[:, :2])
-        jacobian, there = _map(values, slopes, low, high, place[:, 2])
+        values, slopes = shapes(position[:, :2])
+        jacobian, there = _map(values, slopes, low, high, position[:, 2])
         offset = np.linalg.solve(jacobian, (points - there)[..., None])[..., 0]
-        place = np.clip(place + offset, -2.0, 3.0)
-    return place
+        position = np.clip(position + offset, -2.0, 3.0)
+    return position

@@ -34,9 +34,9 @@ def quadrature(
     """
     rules = [scipy.special.roots_jacobi(num, float(k), 0.0) for k in reversed(range(dim))]
     points, weights = [], []
-    for places in product(range(num), repeat=dim):
+    for abscissas in product(range(num), repeat=dim):
         left, point, weight = 1.0, [], 1.0
-        for k, place in enumerate(places):
+        for k, place in enumerate(abscissas):
             fraction = 0.5 * (1.0 + rules[k][0][place])
             point.append(left * fraction)
             left *= 1.0 - fraction
@@ -84,8 +84,8 @@ def integration_points(
     nodes: Float[np.ndarray, "n 3"], tetrahedra: Int[np.ndarray, "m 10"], num: int
 ) -> Points:
     """Integration points of curved (isoparametric) tetrahedra, `num` per side."""
-    places, point_weights = quadrature(3, num)
-    values, slopes = shapes(places)
+    abscissas, point_weights = quadrature(3, num)
+    values, slopes = shapes(abscissas)
     jacobian = np.einsum("eai,qaj->eqij", nodes[tetrahedra], slopes)
     determinant = np.linalg.det(jacobian)
     flat = determinant == 0.0
@@ -175,7 +175,7 @@ def _prism_tetrahedra(triangles: Int[np.ndarray, "m 6"], count: int) -> Int[np.n
     for k, (a, b) in enumerate(EDGES[:3]):
         middle[:, a, b] = middle[:, b, a] = triangles[:, 3 + k]
     rows = np.arange(len(triangles))
-    found = []
+    tetrahedra_of_prism = []
     for cut in _CUTS:
         columns = [corner[:, c % 3] + 2 * (c // 3) * count for c in cut]
         for a, b in EDGES:
@@ -187,11 +187,11 @@ def _prism_tetrahedra(triangles: Int[np.ndarray, "m 6"], count: int) -> Int[np.n
                 else middle[rows, order[:, p % 3], order[:, q % 3]]
             )
             columns.append(flat + level * count)
-        found.append(np.stack(columns, axis=1))
+        tetrahedra_of_prism.append(np.stack(columns, axis=1))
     # Sorting reversed the orientation of some triangles.
     turned = np.linalg.det(np.eye(3)[order]) > 0.0
     flip = [1, 0, 2, 3, 4, 6, 5, 8, 7, 9]
-    tetrahedra = np.stack(found, axis=1)
+    tetrahedra = np.stack(tetrahedra_of_prism, axis=1)
     tetrahedra[turned] = tetrahedra[turned][:, :, flip]
     return tetrahedra.reshape(-1, 10)
 

@@ -36,8 +36,8 @@ def sample_coordinates(
     """Offset of each vertex to the centerline [m], and its position in samples [spacings]."""
     curve = organ.centerline
     nearest = polyline_points(curve, organ.arc_length)
-    place = organ.arc_length / arc_length_samples(curve)[1]
-    return nearest - organ.vertices, np.ascontiguousarray(place, float)
+    node_position = organ.arc_length / arc_length_samples(curve)[1]
+    return nearest - organ.vertices, np.ascontiguousarray(node_position, float)
 
 
 _BLEND = 2.0 * CM
@@ -103,8 +103,8 @@ def lay_out(organ: OrganSurface, motility: Motility) -> Layout:
         if segment.zone is not None:
             cycles[start:end] = True
             ends = samples[[start, end - 1]]
-            begin = zones.get(segment.zone, ends)[0]
-            zones[segment.zone] = (float(begin), float(ends[1]))
+            start_row = zones.get(segment.zone, ends)[0]
+            zones[segment.zone] = (float(start_row), float(ends[1]))
     pace = _paces(rates, cycles)
     return Layout(
         arc_length=samples,
@@ -207,7 +207,7 @@ class Rows:
         start: Time at which wave 0 is, or would be, at the start of the organ [s].
         duty: Fraction of the slow-wave period that a contraction lasts.
         amplitude: Fraction of the radius that a full contraction takes.
-        place: Position in nodes of irregular contractions.
+        node_position: Position in nodes of irregular contractions.
         low: Minimum draw for which a wave is of this kind somewhere nearby.
         high: Maximum such draw.
     """
@@ -221,7 +221,7 @@ class Rows:
     start: Float[np.ndarray, " r"]
     duty: Float[np.ndarray, " r"]
     amplitude: Float[np.ndarray, " r"]
-    place: Float[np.ndarray, " r"]
+    node_position: Float[np.ndarray, " r"]
     low: Float[np.ndarray, " r"]
     high: Float[np.ndarray, " r"]
 
@@ -237,29 +237,29 @@ class Table:
     Attributes:
         rows: All rows.
         order: Row indices sorted by sample.
-        begin: First entry of each sample in that order, then the number of rows.
+        start_row: First entry of each sample in that order, then the number of rows.
         delay: Travel time of waves from the oral end to each sample [s].
-        place: Position of each sample in nodes of irregular contractions.
+        node_position: Position of each sample in nodes of irregular contractions.
     """
 
     rows: Rows
     order: Int[np.ndarray, " r"]
-    begin: Int[np.ndarray, " k+1"]
+    start_row: Int[np.ndarray, " k+1"]
     delay: Float[np.ndarray, " k"]
-    place: Float[np.ndarray, " k"]
+    node_position: Float[np.ndarray, " k"]
 
     def near(self, first: int, last: int) -> Rows:
         """Rows of the samples from `first` to before `last`."""
         if (first, last) == (0, len(self.delay)):
             return self.rows
-        return self.rows.take(np.sort(self.order[self.begin[first] : self.begin[last]]))
+        return self.rows.take(np.sort(self.order[self.start_row[first] : self.start_row[last]]))
 
 
 def make_table(layout: Layout, rng: np.random.Generator) -> Table:
     """Build the rows of an organ; each pacemaker starts at a random phase."""
     spacing = layout.arc_length[1]
     amplitude, speed, duration, extent, _, back, stand = layout.parameters
-    delay, place = (
+    delay, node_position = (
         np.concatenate([[0.0], np.cumsum(0.5 * spacing * (1.0 / f[1:] + 1.0 / f[:-1]))])
         for f in (speed, extent)
     )
@@ -287,7 +287,7 @@ def make_table(layout: Layout, rng: np.random.Generator) -> Table:
                 "start": turn / rate - kind * origin,
                 "duty": np.minimum(rate * duration[at], 1.0),
                 "amplitude": (weight * amplitude)[at],
-                "place": place[at],
+                "place": node_position[at],
                 "low": low,
                 "high": high,
             }
@@ -297,8 +297,8 @@ def make_table(layout: Layout, rng: np.random.Generator) -> Table:
     rows = Rows(**{name: np.concatenate([[], *values]) for name, values in parts.items()})
     rows = replace(rows, sample=rows.sample.astype(int))
     order = np.argsort(rows.sample, kind="stable")
-    begin = np.searchsorted(rows.sample[order], np.arange(len(layout.arc_length) + 1))
-    return Table(rows, order, begin, delay, place)
+    start_row = np.searchsorted(rows.sample[order], np.arange(len(layout.arc_length) + 1))
+    return Table(rows, order, start_row, delay, node_position)
 
 
 def _weight(layout: Layout, pace: int) -> Float[np.ndarray, " k"]:

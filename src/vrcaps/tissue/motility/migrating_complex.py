@@ -145,7 +145,7 @@ class MigratingMotorComplex:
 
     Attributes:
         starts: Start times of the cycles [s], from 0; the last entry is when the first repeats.
-        places: Arc lengths [m] of `delays`, rising.
+        positions: Arc lengths [m] of `delays`, rising.
         delays: Time at which the front passes these positions, after the start of the cycle [s].
         first: Arc length at which the front of each cycle starts [m].
         last: Arc length at which it dies out [m].
@@ -159,7 +159,7 @@ class MigratingMotorComplex:
     """
 
     starts: Float[np.ndarray, " n+1"]
-    places: Float[np.ndarray, " p"]
+    positions: Float[np.ndarray, " p"]
     delays: Float[np.ndarray, " p"]
     first: Float[np.ndarray, " n"]
     last: Float[np.ndarray, " n"]
@@ -180,7 +180,7 @@ class MigratingMotorComplex:
             arc_length: Positions along the centerline [m].
             time: World time [s].
         """
-        local = time + self.offset - np.interp(arc_length, self.places, self.delays)
+        local = time + self.offset - np.interp(arc_length, self.positions, self.delays)
         local = np.mod(local, self.starts[-1])
         cycle = np.searchsorted(self.starts, local, side="right") - 1
         since = local - self.starts[cycle]
@@ -215,7 +215,7 @@ class MigratingMotorComplex:
                 f"No front passes at {arc_length:g} m. Allowed: positions in stomach and "
                 "small bowel."
             )
-        delay = float(np.interp(arc_length, self.places, self.delays))
+        delay = float(np.interp(arc_length, self.positions, self.delays))
         return replace(self, offset=float(self.starts[passes[0]]) + delay - ahead)
 
 
@@ -240,7 +240,7 @@ def draw_complex(
     mean = rng.uniform(*s.cycle_means)
     low, high = s.shortest_cycle, 2.0 * mean - s.shortest_cycle
     lengths = _truncated_normal(rng, (mean, s.cycle_deviation), (low, high), n)
-    places, delays = _delays(s, zones, rng)
+    positions, delays = _delays(s, zones, rng)
     base, growth = s.third_phase[0], 0.5 * (s.third_phase[1] - s.third_phase[0])
     third = base + rng.uniform(0.0, growth, n)
     fourth = rng.uniform(*s.fourth_phase, n)
@@ -248,13 +248,13 @@ def draw_complex(
     second = _truncated_normal(rng, (fraction, s.second_phase_deviation), (0.0, 1.0), n)
     gastric = _truncated_normal(rng, s.gastric_first_phase, (0.0, 1.0), n)
     bowel = [ends for zone, ends in zones.items() if zone != "stomach"]
-    begin = bowel[0][0] if bowel else places[-1]
-    span = max(places[-1] - begin, 1e-6)
+    begin = bowel[0][0] if bowel else positions[-1]
+    span = max(positions[-1] - begin, 1e-6)
     first, last = _reach(s, zones, (begin, span), rng)
     shortened = third + 0.5 * growth + fourth
     return MigratingMotorComplex(
         starts=np.append(0.0, np.cumsum(lengths)),
-        places=places,
+        positions=positions,
         delays=delays,
         first=first,
         last=last,
@@ -275,15 +275,15 @@ def _delays(
 ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
     """Positions at which the front's speed changes [m], and its arrival times there [s]."""
     speeds = _front_speeds(statistics, rng)
-    places, delays = [next(iter(zones.values()))[0]], [0.0]
+    positions, delays = [next(iter(zones.values()))[0]], [0.0]
     for zone, (_, end) in zones.items():
         parts = [(end, speeds[zone])]
         if zone == "ileum":
-            parts = [(max(places[-1], end - _TERMINAL), speeds[zone]), (end, speeds["terminal"])]
+            parts = [(max(positions[-1], end - _TERMINAL), speeds[zone]), (end, speeds["terminal"])]
         for to, speed in parts:
-            delays.append(delays[-1] + (to - places[-1]) / speed)
-            places.append(to)
-    return np.array(places), np.array(delays)
+            delays.append(delays[-1] + (to - positions[-1]) / speed)
+            positions.append(to)
+    return np.array(positions), np.array(delays)
 
 
 def _front_speeds(statistics: ComplexStatistics, rng: np.random.Generator) -> dict[str, float]:
@@ -312,8 +312,8 @@ def _reach(
     half, end = statistics.reaching
     # Fraction of fronts that get beyond a fraction of the bowel: piecewise linear, falling from 1.
     survivors = [1.0, max(half, 1e-9), min(end, half), 0.0]
-    place = np.interp(rng.uniform(size=_CYCLES), survivors[::-1], [2.0, 1.0, 0.5, 0.0])
-    return first, np.maximum(begin + span * place, np.where(np.isfinite(first), first, begin))
+    position = np.interp(rng.uniform(size=_CYCLES), survivors[::-1], [2.0, 1.0, 0.5, 0.0])
+    return first, np.maximum(begin + span * position, np.where(np.isfinite(first), first, begin))
 
 
 def _truncated_normal(

@@ -256,8 +256,8 @@ class Muscle:
         likely = ((drawn >= rows.low[head]) & (drawn <= rows.high[head]))[run]
         at, run = at[likely], run[likely]
         shift = uniform(self._key, 2, rows.pace[head], wave[head])
-        place = rows.place[at] + shift[run]
-        node = np.floor(place)
+        node_position = rows.node_position[at] + shift[run]
+        node = np.floor(node_position)
         part, starts = _runs(run, node)
         first, waves = at[starts], run[starts]
         before, after = self._contracts(
@@ -268,7 +268,7 @@ class Muscle:
             node[starts] + [[0.0], [1.0]],
             shift[waves],
         )
-        between = place - node
+        between = node_position - node
         smooth = between * between * (3.0 - 2.0 * between)
         return at, before[part] + smooth * (after - before)[part]
 
@@ -282,7 +282,7 @@ class Muscle:
         shift: Float[np.ndarray, " r"],
     ) -> Float[np.ndarray, "2 r"]:
         """Strength of contraction of waves at nodes, 0 to 1."""
-        arc_length = np.interp(node - shift, self._table.place, self.layout.arc_length)
+        arc_length = np.interp(node - shift, self._table.node_position, self.layout.arc_length)
         nearest = self._nearest(arc_length)
         when = wave / rows.rate + rows.start + rows.kind * self._table.delay[nearest]
         activity, strength, stands = self._activity(rule, arc_length, when)

@@ -169,7 +169,7 @@ MOTILITIES = MappingProxyType(
 
 def segment_motilities() -> dict[str, SegmentMotility]:
     """Motility of each declared segment by label, and of organs with uniform motility."""
-    found = {
+    presets = {
         segment.label: MOTILITIES[segment.motility]
         for organ in ORGANS.values()
         for segment in organ.segments
@@ -177,8 +177,8 @@ def segment_motilities() -> dict[str, SegmentMotility]:
     for organ in ORGANS.values():
         names = {segment.motility for segment in organ.segments}
         if len(names) == 1:
-            found[organ.label] = MOTILITIES[names.pop()]
-    return found
+            presets[organ.label] = MOTILITIES[names.pop()]
+    return presets
 
 
 def organ_divisions() -> dict[str, tuple[tuple[str, float], ...]]:

@@ -34,7 +34,7 @@ class Repair:
     def line(self) -> str:
         """One-line summary, with the first few positions."""
         text = f"{self.count} × {self.kind}: {self.action}"
-        return text if len(self.positions) == 0 else f"{text}, {format_points(self.places)}"
+        return text if len(self.positions) == 0 else f"{text}, {format_points(self.positions)}"
 
 
 @dataclass(frozen=True)

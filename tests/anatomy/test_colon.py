@@ -15,6 +15,7 @@ from vrcaps.anatomy.colon.course import colon_rng, count_flexures, generate_cour
 from vrcaps.anatomy.colon.parameters import SEGMENTS
 from vrcaps.anatomy.colon.shape import draw_colon_wall, wall_radius
 from vrcaps.anatomy.full_tract.patient import colon_at
+from vrcaps.anatomy.tube_mesh import surface_to_organ
 from vrcaps.anatomy.tube_mesh.tube import Course, make_tube
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import MM
@@ -328,7 +329,7 @@ def test_a_colon_that_does_not_fit_is_refused(monkeypatch: pytest.MonkeyPatch):
     with pytest.raises(InputError, match=r"Found no course 0\.92 m long with 20 flexures"):
         generate_course(crowded, np.random.default_rng(0))
     monkeypatch.undo()
-    monkeypatch.setattr(generate_module, "self_intersections", lambda *_: np.zeros((1, 2)))
+    monkeypatch.setattr(surface_to_organ, "self_intersections", lambda *_: np.zeros((1, 2)))
     monkeypatch.setattr(generate_module, "_NUM_TRIES", 1)
     with pytest.raises(InputError, match="without self-intersection"):
         generate_colon(dataclasses.replace(ColonParameters(), triangles=SMALL), seed=0)

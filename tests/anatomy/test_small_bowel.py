@@ -15,6 +15,7 @@ from vrcaps.anatomy.small_bowel import course as course_module
 from vrcaps.anatomy.small_bowel.course import NeighboringOrgans
 from vrcaps.anatomy.small_bowel.distance_routing import make_routing_grid, route_around
 from vrcaps.anatomy.small_bowel.parameters import DISTENSIONS, SEGMENTS
+from vrcaps.anatomy.tube_mesh import surface_to_organ
 from vrcaps.anatomy.tube_mesh.tube import ObstacleSpheres
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import CM, MM
@@ -201,7 +202,7 @@ def test_impossible_bowels_are_refused(monkeypatch: pytest.MonkeyPatch, around: 
         generate_small_bowel(SmallBowelParameters(length=2.0), full, seed=0)
     monkeypatch.undo()
     monkeypatch.setattr(generate_module, "_NUM_TRIES", 1)
-    monkeypatch.setattr(generate_module, "self_intersections", lambda *_: np.zeros((1, 2)))
+    monkeypatch.setattr(surface_to_organ, "self_intersections", lambda *_: np.zeros((1, 2)))
     parameters = SmallBowelParameters(length=1.8, edge=5 * MM)
     with pytest.raises(InputError, match="without self-intersection"):
         generate_small_bowel(parameters, around, seed=0)

@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from vrcaps.anatomy import stomach as generate_module
 from vrcaps.anatomy.stomach import StomachParameters, generate_stomach
 from vrcaps.anatomy.stomach.parameters import DISTENSIONS, SEGMENTS
 from vrcaps.anatomy.stomach.shape import curvatures, draw_stomach_wall, stomach_course
+from vrcaps.anatomy.tube_mesh import surface_to_organ
 from vrcaps.anatomy.tube_mesh.tube import make_tube
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import CM, MM
@@ -126,6 +126,6 @@ def test_impossible_stomachs_are_refused(monkeypatch: pytest.MonkeyPatch):
         StomachParameters(body_diameter=0.05)
     with pytest.raises(InputError, match=r"Distension is 'full'\. Allowed: inflated, normal"):
         StomachParameters().at("full")
-    monkeypatch.setattr(generate_module, "self_intersections", lambda *_: np.zeros((1, 2)))
+    monkeypatch.setattr(surface_to_organ, "self_intersections", lambda *_: np.zeros((1, 2)))
     with pytest.raises(InputError, match="without self-intersection"):
         generate_stomach(StomachParameters(edge=4.5 * MM), seed=0)

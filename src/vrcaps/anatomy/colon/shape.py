@@ -17,6 +17,7 @@ from vrcaps.anatomy.colon.course import blend, lumen_radius
 from vrcaps.anatomy.tube_mesh.swept_surface import (
     Crests,
     Folds,
+    dome,
     draw_waves,
     sum_waves,
     within_bend,
@@ -119,7 +120,7 @@ def envelope_radius(
         (arc_length, 0.45 * parameters.caecum.diameter),
         (from_anus, _ANAL_RADIUS),
     ):
-        full = full * np.sqrt(1.0 - np.clip(1.0 - distance / depth, 0.0, 1.0) ** 2)
+        full = full * dome(distance, depth)
     return full
 
 

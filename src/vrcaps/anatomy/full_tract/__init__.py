@@ -28,13 +28,12 @@ from vrcaps.anatomy.tube_mesh.surface_to_organ import (
     TubeMesh,
     angle_and_radius,
     arc_length_of_sections,
+    first_sound,
     mesh_tube,
 )
 from vrcaps.anatomy.tube_mesh.tube import Course, make_tube
-from vrcaps.core.errors import InputError
 from vrcaps.core.units import CM, MM
 from vrcaps.mesh.mesh import Mesh, directed_edges, face_areas, vertex_normals
-from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.centerline import centerline_from_points
 from vrcaps.organ.surface import Centerline, OrganSurface
 
@@ -170,16 +169,17 @@ def generate_full_tract(
     line = lower.centerline
     placement = place_colon(colon, Course(line.points, line.arc_length))
     rng = small_bowel_rng(seed)
-    for attempt in range(_NUM_TRIES):
+
+    def draw(attempt: int) -> OrganSurface:
         # A fundus that bulges to one side can extend beyond its mean outline into the colon.
         gap = GAP + attempt * _GAP_STEP
         tract = lay_upper_tract(stomach, bowel, placement, seed=seed, rng=rng, gap=gap)
-        organ = _join(tract, lower, placement, seed)
-        if not len(self_intersections(organ.vertices, organ.faces)):
-            return organ
-    raise InputError(
-        f"Found no tract of seed {seed} without self-intersection. Allowed: a shorter or narrower "
-        "small bowel, or another seed."
+        return _join(tract, lower, placement, seed)
+
+    return first_sound(
+        map(draw, range(_NUM_TRIES)),
+        f"tract of seed {seed} without self-intersection. Allowed: a shorter or narrower "
+        "small bowel, or another seed",
     )
 
 

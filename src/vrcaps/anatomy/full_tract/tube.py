@@ -23,7 +23,7 @@ from vrcaps.anatomy.stomach.shape import (
     stomach_radius,
     stomach_wall_rng,
 )
-from vrcaps.anatomy.tube_mesh.swept_surface import SweptSurface
+from vrcaps.anatomy.tube_mesh.swept_surface import SweptSurface, dome
 from vrcaps.anatomy.tube_mesh.tube import Course, Tube, make_tube
 from vrcaps.core.geometry import smoothstep
 from vrcaps.core.units import MM
@@ -103,7 +103,7 @@ class UpperTract:
         return smoothstep((s - (self.end - CAP - _TAPER)) / (_TAPER - 4 * MM))
 
     def _closed(self, s: np.ndarray) -> np.ndarray:
-        return np.sqrt(1.0 - np.clip(1.0 - (self.end - s) / CAP, 0.0, 1.0) ** 2)
+        return dome(self.end - s, CAP)
 
     def _edge(self, s: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         below = wanted_edge(self.bowel, np.maximum(s - self.pylorus, 0.0))

@@ -13,13 +13,11 @@ from vrcaps.anatomy.small_bowel.course import generate_course
 from vrcaps.anatomy.small_bowel.parameters import BULB_LENGTH, SEGMENTS
 from vrcaps.anatomy.small_bowel.parameters import SmallBowelParameters as SmallBowelParameters
 from vrcaps.anatomy.small_bowel.shape import draw_small_bowel_wall, outer_radius, small_bowel_radius
-from vrcaps.anatomy.tube_mesh.surface_to_organ import surface_to_organ
-from vrcaps.anatomy.tube_mesh.swept_surface import SweptSurface
+from vrcaps.anatomy.tube_mesh.surface_to_organ import first_sound, surface_to_organ
+from vrcaps.anatomy.tube_mesh.swept_surface import SweptSurface, dome
 from vrcaps.anatomy.tube_mesh.tube import make_tube
-from vrcaps.core.errors import InputError
 from vrcaps.core.rng import stream
 from vrcaps.core.units import MM
-from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.surface import OrganSurface
 
 if TYPE_CHECKING:
@@ -53,14 +51,10 @@ def generate_small_bowel(
         InputError: If it does not fit between the organs.
     """
     rng = small_bowel_rng(seed)
-    for _ in range(_NUM_TRIES):
-        wall, tube = lay_small_bowel(parameters, around, rng)
-        organ = _as_organ(wall, tube, seed)
-        if not len(self_intersections(organ.vertices, organ.faces)):
-            return organ
-    raise InputError(
-        f"Found no small bowel {parameters.length:.2f} m long without self-intersection. "
-        "Allowed: a shorter one, smaller diameters, or another seed."
+    return first_sound(
+        (_as_organ(*lay_small_bowel(parameters, around, rng), seed) for _ in range(_NUM_TRIES)),
+        f"small bowel {parameters.length:.2f} m long without self-intersection. "
+        "Allowed: a shorter one, smaller diameters, or another seed",
     )
 
 
@@ -119,8 +113,7 @@ def _as_organ(wall: SmallBowelWall, tube: Tube, seed: int) -> OrganSurface:
     end = float(tube.arc_length[-1])
 
     def closed(s: np.ndarray) -> np.ndarray:
-        from_end = np.minimum(s, end - s)
-        return np.sqrt(1.0 - np.clip(1.0 - from_end / _DOME, 0.0, 1.0) ** 2)
+        return dome(np.minimum(s, end - s), _DOME)
 
     surface = SweptSurface(
         tube,

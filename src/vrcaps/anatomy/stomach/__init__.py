@@ -21,12 +21,10 @@ from vrcaps.anatomy.stomach.shape import (
     stomach_radius,
     stomach_wall_rng,
 )
-from vrcaps.anatomy.tube_mesh.surface_to_organ import surface_to_organ
-from vrcaps.anatomy.tube_mesh.swept_surface import SweptSurface, wrap
+from vrcaps.anatomy.tube_mesh.surface_to_organ import first_sound, surface_to_organ
+from vrcaps.anatomy.tube_mesh.swept_surface import SweptSurface, dome, wrap
 from vrcaps.anatomy.tube_mesh.tube import make_tube
-from vrcaps.core.errors import InputError
 from vrcaps.core.units import MM
-from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.surface import OrganSurface
 
 if TYPE_CHECKING:
@@ -61,14 +59,10 @@ def generate_stomach(
     """
     course = course or stomach_course(parameters, stomach_course_rng(seed))
     tube, rng = make_tube(course), stomach_wall_rng(seed)
-    for _ in range(_NUM_TRIES):
-        wall = draw_stomach_wall(parameters, tube, rng)
-        organ = _as_organ(wall, seed)
-        if not len(self_intersections(organ.vertices, organ.faces)):
-            return organ
-    raise InputError(
-        f"Found no stomach {parameters.length:.3f} m long and {parameters.body_diameter:.3f} m "
-        "wide without self-intersection. Allowed: a smaller diameter, lower rugae or another seed."
+    return first_sound(
+        (_as_organ(draw_stomach_wall(parameters, tube, rng), seed) for _ in range(_NUM_TRIES)),
+        f"stomach {parameters.length:.3f} m long and {parameters.body_diameter:.3f} m wide without "
+        "self-intersection. Allowed: a smaller diameter, lower rugae or another seed",
     )
 
 
@@ -109,7 +103,7 @@ def _surface(wall: StomachWall) -> SweptSurface:
     end = wall.parameters.length + STUB
 
     def closed(s: np.ndarray) -> np.ndarray:
-        return np.sqrt(1.0 - np.clip(1.0 - (end - s) / _BULB_DEPTH, 0.0, 1.0) ** 2)
+        return dome(end - s, _BULB_DEPTH)
 
     return SweptSurface(
         wall.tube,

@@ -10,14 +10,16 @@ import scipy
 
 from vrcaps.anatomy.tube_mesh.swept_surface import make_meridian, turn_fractions
 from vrcaps.anatomy.tube_mesh.tube_mesher import mesh_swept_surface
+from vrcaps.core.errors import InputError
 from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import vertex_normals
+from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.centerline import centerline_from_points, interpolate
 from vrcaps.organ.surface import Centerline, OrganSurface
 from vrcaps.organ.uv_charts import TubeChart, chart_coordinates
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from jaxtyping import Float, Int, UInt8
 
@@ -72,6 +74,22 @@ def tube_centerline(tube: Tube, vertices: Float[np.ndarray, "n 3"]) -> Centerlin
 
 CENTERLINE_STEP = 1.5 * MM
 """Sample spacing of a centerline that deviates from the course [m]."""
+
+
+def first_sound(organs: Iterable[OrganSurface], problem: str) -> OrganSurface:
+    """First organ without self-intersections.
+
+    Args:
+        organs: Organs, drawn one after another.
+        problem: Description of the patient, and the remedy, for the message.
+
+    Raises:
+        InputError: If there is none.
+    """
+    for organ in organs:
+        if not len(self_intersections(organ.vertices, organ.faces)):
+            return organ
+    raise InputError(f"Found no {problem}.")
 
 
 @dataclass(frozen=True)

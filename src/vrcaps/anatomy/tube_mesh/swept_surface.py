@@ -199,6 +199,11 @@ def within_bend(
     return radius * (1.0 + ratio**8) ** -0.125
 
 
+def dome(distance: Float[np.ndarray, " n"], depth: float) -> Float[np.ndarray, " n"]:
+    """Radius at a distance [m] from an elliptically closed end, as a fraction of the open one."""
+    return np.sqrt(1.0 - np.clip(1.0 - distance / depth, 0.0, 1.0) ** 2)
+
+
 @dataclass(frozen=True)
 class Folds:
     """Folds sorted by arc length.

@@ -292,7 +292,7 @@ def _npy(shape: tuple[int, ...], data: bytes = b"", descr: str = "<f4") -> bytes
     [
         (_npy((1 << 30, 1 << 30)), "its header states"),
         (_npy((-1, -1), bytes(4)), "its header states"),
-        (_npy((2,), bytes(7)), "its header states 8 bytes, and it has 7"),
+        (_npy((2,), bytes(7)), "its header states 8 bytes, but it has 7"),
         (_npy((1,), bytes(8), "|O"), "not numbers"),
         (b"", "not a complete NumPy array"),
         (b"\x93NUMPY\x01\x00\x08\x00{'descr(", "not a complete NumPy array"),

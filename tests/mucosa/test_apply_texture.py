@@ -144,5 +144,5 @@ def test_names_and_paths_of_mucosae(tmp_path) -> None:
     assert len(mucosa_fingerprint(str(tmp_path / "mine"))["mucosa"]) == 64
     with pytest.raises(UnknownNameError, match="No mucosa named 'collon'"):
         is_texture_path("collon")
-    with pytest.raises(InputError, match="is no texture of a mucosa"):
+    with pytest.raises(InputError, match="is not a mucosa texture"):
         mucosa_fingerprint(str(tmp_path / "other"))

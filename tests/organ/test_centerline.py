@@ -367,7 +367,7 @@ def test_vertices_in_disorder_are_refused_before_memory_is_taken():
     """Triangles that each reach across the whole grid."""
     rng = np.random.default_rng(0)
     vertices, faces = rng.random((3000, 3)) * 200.0, rng.integers(0, 3000, (9000, 3))
-    with pytest.raises(InputError, match="vertices are in disorder"):
+    with pytest.raises(InputError, match="vertices are out of order"):
         grid_crossings(vertices, faces, np.array([200, 200, 200]))
 
 

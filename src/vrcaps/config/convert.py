@@ -130,10 +130,10 @@ def _converter(units: bool) -> Converter:
     converter.register_structure_hook(Any, lambda plain, _: as_floats(plain))
     converter.register_structure_hook_func(lambda t: t is dict, lambda p, _: _metadata(p))
     for predicate, factory in (
-        (lambda t: t in _FAMILIES, _union_hook),
         (is_dataclass, _table_hook),
         (lambda t: get_origin(t) is tuple, _tuple_hook),
         (lambda t: get_origin(t) in (Union, types.UnionType), _union_hook),
+        (lambda t: t in _FAMILIES, _union_hook),  # the last one that fits is used
     ):
         converter.register_structure_hook_factory(
             predicate, lambda declared, make=factory: make(converter, declared, units)

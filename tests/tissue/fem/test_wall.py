@@ -216,7 +216,7 @@ def test_stretches_and_ends_are_held(tube: OrganSurface) -> None:
 def test_what_nothing_holds_is_refused(tube: OrganSurface) -> None:
     with pytest.raises(InputError, match="Nothing holds the wall: support is 0"):
         FemWall(tube, replace(LINEAR, support=0.0, fix_ends=False))
-    with pytest.raises(InputError, match="fixed holds the whole wall"):
+    with pytest.raises(InputError, match="fixed covers the whole wall"):
         FemWall(tube, replace(LINEAR, fixed=((-1.0, 1.0),)))
     FemWall(tube, replace(LINEAR, support=0.0)).step(poke(tube, 0.1), 0.01)
 

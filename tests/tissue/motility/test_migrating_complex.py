@@ -111,7 +111,7 @@ def test_rejects_a_place_without_fronts() -> None:
 
 
 def test_rejects_an_organ_without_zones() -> None:
-    with pytest.raises(InputError, match="needs a stomach or small bowel"):
+    with pytest.raises(InputError, match="requires a stomach or small bowel"):
         draw_complex(ComplexStatistics(), {}, np.random.default_rng(0))
 
 
@@ -127,7 +127,7 @@ def test_rejects_an_organ_without_zones() -> None:
         ("gastric_first_phase", (0.5, 2.0), "gastric_first_phase is"),
         ("second_phase", (-0.1, 0.5), "second_phase is"),
         ("reaching", (2.0, 0.0), "reaching is"),
-        ("origins", (0.5, 0.1, 0.1, 0.1), "origins is .* sum is 1"),
+        ("origins", (0.5, 0.1, 0.1, 0.1), "origins is .* with sum 1"),
         ("front_speeds", {"jejunum": (1.0, 0.0)}, "front_speeds is .* terminal"),
     ],
 )

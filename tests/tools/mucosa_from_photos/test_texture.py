@@ -176,7 +176,7 @@ def test_what_cannot_be_read(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_textures_that_cannot_be_read_or_written(work, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="is no texture of a mucosa"):
+    with pytest.raises(InputError, match="is not a mucosa texture"):
         read_texture(tmp_path)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.tex").write_text("mine")

@@ -287,7 +287,7 @@ def make_table(layout: Layout, rng: np.random.Generator) -> Table:
                 "start": turn / rate - kind * origin,
                 "duty": np.minimum(rate * duration[at], 1.0),
                 "amplitude": (weight * amplitude)[at],
-                "place": node_position[at],
+                "node_position": node_position[at],
                 "low": low,
                 "high": high,
             }

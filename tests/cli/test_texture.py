@@ -69,7 +69,7 @@ def test_mistakes_end_in_one_line(frames, tmp_path, capsys) -> None:
     small = [str(tmp_path / "small.png"), *rest]
     assert "too few to make a texture from" in fail(small, capsys)
     assert "does not say its scale" in fail([str(frames), "--out", str(out)], capsys)
-    assert "is not a mucosa texture" in fail([str(frames), *rest[:2], "--out", str(other)], capsys)
+    assert "is not a texture" in fail([str(frames), *rest[:2], "--out", str(other)], capsys)
     assert "Allowed: " in fail([str(frames), *rest, "--flat", "--size", "20"], capsys)
     assert not out.exists()
     assert (other / "notes.txt").read_text() == "no picture"

@@ -180,7 +180,7 @@ def test_textures_that_cannot_be_read_or_written(work, tmp_path: Path) -> None:
         read_texture(tmp_path)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.tex").write_text("mine")
-    with pytest.raises(InputError, match="is no texture"):
+    with pytest.raises(InputError, match="is not a texture"):
         write_texture(tmp_path / "other", work.texture)
     folder = tmp_path / "t"
     write_texture(folder, work.texture)

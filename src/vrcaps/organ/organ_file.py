@@ -86,7 +86,7 @@ def organ_glb(
     returned in pieces.
 
     A compact file takes a fifth of the space. Its textures are coded with a small loss
-    (`compact_textures`), and vertex attributes in single precision are not stored again exactly.
+    (`gltf_material`), and vertex attributes in single precision are not stored again exactly.
     Vertices, triangles, labels and lesions keep their order.
 
     Args:

@@ -15,10 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from vrcaps.env import CapsuleVectorEnv
-from vrcaps.env.settings import env_settings
-from vrcaps.policy.catalog import read_policy
-from vrcaps.policy.policy import Requirements
+from vrcaps.env import CapsuleVectorEnv, env_settings
+from vrcaps.policy import Requirements, read_policy
 
 
 class Frontier:

@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
-from vrcaps.env.rewards import Reward
-from vrcaps.policy.catalog import read_policy
+import vrcaps
+from vrcaps.env import Reward
+from vrcaps.policy import Score, TrainingSettings, read_policy, train
 from vrcaps.policy.presets import ci, default
-from vrcaps.policy.training import BEST, Score, TrainingSettings, train
-from vrcaps.scenario.scenario import OrganGenerated
+from vrcaps.policy.training import BEST
 from vrcaps.training.checkpoint import Progress
 
 
@@ -27,7 +27,7 @@ def main(out: Path, preset: TrainingSettings, actions: int) -> None:
     """Train, evaluate, print."""
     env = replace(
         preset.env,
-        organs=(OrganGenerated("stomach", seed=0),),
+        organs=(vrcaps.OrganGenerated("stomach", seed=0),),
         rewards=(Reward("log-gain", level="resolved"), Reward("force", 0.1)),
     )
     learner = replace(preset.learner, num_actions=actions)

@@ -20,8 +20,7 @@ def test_every_public_name_is_on_the_page_of_its_area(area: str) -> None:
     package = import_module(f"vrcaps.{area}" if area else "vrcaps")
     exported = getattr(package, "__all__", None)
     names = {name for name, _ in SITE["public_names"](area)}
-    if not names:
-        pytest.skip("no exports yet")
+    assert names
     if exported is not None:
         assert {*exported} <= names | {"__version__"}
     page = SITE["api_reference"](area)

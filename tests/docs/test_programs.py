@@ -59,9 +59,11 @@ import vrcaps
 model = vrcaps.Model(vrcaps.generate_organ("stomach", seed=0), vrcaps.read_device("mirocam"))
 renderer, camera, step = vrcaps.Renderer(model), "front", vrcaps.Step(0, model.place())
 """,
-    "concepts/learning.md": """
-from pathlib import Path
+    "concepts/learning.md": episode("stomach", frames=12, channels=("rgb", "depth"))
+    + """
 import numpy as np
+import vrcaps
+sequence = vrcaps.read_episode("runs/stomach").sequence("front")
 rng = np.random.default_rng(0)
 test_images = train_images = [rng.integers(0, 256, (64, 64, 3), dtype=np.uint8) for _ in range(3)]
 pairs = [(t + 0.001, t) for t in 0.02 + 0.02 * rng.random((4, 32, 32))]
@@ -101,6 +103,11 @@ SHORTER = (
     ),
     ("num_envs=16", "num_envs=2"),
     ("{000000..000004}", "000000"),
+    ('read_sources(["runs/cohort"])', 'read_sources(["runs/stomach"])'),
+    (
+        "TrainSettings(task)",
+        'TrainSettings(task, start="scratch", steps=1, batch=1, evaluate_every=1)',
+    ),
     ('PPO("MultiInputPolicy", envs)', 'PPO("MultiInputPolicy", envs, n_steps=16)'),
 )
 PAGES = sorted(

@@ -224,7 +224,7 @@ def start_pose(
     if len(fitting) == 0:
         raise InputError(
             f"{model.device.name} in {model.organ.name}: the capsule fits nowhere beyond start "
-            f"{start:g} on: {fit_text(model)} Change start, inflate the gut, or use a smaller "
+            f"{start:g}: {fit_text(model)} Change start, inflate the gut, or use a smaller "
             "capsule."
         )
     arc_length = float(arc_lengths[fitting[0]])

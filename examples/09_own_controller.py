@@ -29,18 +29,18 @@ class Frontier:
 
     def act(self, observations: dict[str, np.ndarray], env: CapsuleVectorEnv) -> np.ndarray:
         """Full force along the centerline, and a slow turn to look around."""
-        simulation = env.episode.simulation
+        view = env.view
         unseen = 1.0 - observations["map"][:, 0].mean(axis=2)  # by position along the gut
         rows = (np.arange(unseen.shape[1]) + 0.5) / unseen.shape[1]
         actions = np.zeros((len(unseen), 6), np.float32)
         for k, row in enumerate(unseen):
-            line = simulation.patient(k).model.organ.centerline
-            here = simulation.arc_length[k]
+            line = view.patient(k).model.organ.centerline
+            here = view.arc_length[k]
             ahead = row[rows > here / line.length].sum() > row[rows <= here / line.length].sum()
             frame = line.frames[np.abs(line.arc_length - here).argmin()]
-            tangent = simulation.patient(k).model.T_world_patient[:3, :3] @ frame[:, 2]
+            tangent = view.patient(k).model.T_world_patient[:3, :3] @ frame[:, 2]
             actions[k, :3] = tangent if ahead else -tangent
-            actions[k, 3:] = 0.3 * simulation.T_world_capsule[k, :3, 1]
+            actions[k, 3:] = 0.3 * view.T_world_capsule[k, :3, 1]
         return actions.clip(-1.0, 1.0)
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import vrcaps
-from vrcaps.env import Reward
+from vrcaps.env import ForcePenalty, LogGain
 from vrcaps.policy import Score, TrainingSettings, read_policy, train
 from vrcaps.policy.presets import ci, default
 from vrcaps.policy.training import BEST
@@ -28,7 +28,7 @@ def main(out: Path, preset: TrainingSettings, actions: int) -> None:
     env = replace(
         preset.env,
         organs=(vrcaps.OrganGenerated("stomach", seed=0),),
-        rewards=(Reward("log-gain", level="resolved"), Reward("force", 0.1)),
+        rewards=(LogGain(level="resolved"), ForcePenalty(0.1)),
     )
     learner = replace(preset.learner, num_actions=actions)
     train(TrainingSettings(env, learner), out, report=print_progress)

@@ -51,6 +51,8 @@ HEAVY = {
 }
 ALLOWED = {"env": {"gymnasium"}, "learn": {"torch"}}
 """Heavy packages that a layer may load; no layer below imports it."""
+CYCLIC = {"tools"}
+"""Packages with files that import each other; it may only shrink."""
 MAX_FILE_LINES = 400
 MAX_FUNCTION_LINES = 60
 MAX_MODULES = 10
@@ -202,3 +204,63 @@ def test_help_loads_nothing_heavy() -> None:
     )
     loaded = run_python(code).splitlines()[-1]
     assert not {name.split(".")[0] for name in loaded.split()} & HEAVY
+
+
+def file_cycles() -> dict[str, list[list[str]]]:
+    """Groups of files in each package that import each other, type imports included."""
+    modules = {module_name(path) for path in FILES}
+    arrows: dict[str, set[str]] = {}
+    for path in FILES:
+        own = module_name(path)
+        arrows[own] = set()
+        for node in ast.walk(tree(path)):
+            if isinstance(node, ast.Import | ast.ImportFrom):
+                arrows[own] |= imported_files(node, own, path, modules) - {own}
+    cycles: dict[str, list[list[str]]] = {}
+    reached = {module: reachable(module, arrows) for module in modules}
+    for module in sorted(modules):
+        group = sorted(m for m in reached[module] if module in reached[m])
+        package = str(layer(module))
+        if group and group not in cycles.setdefault(package, []):
+            cycles[package].append(group)
+    return {package: groups for package, groups in cycles.items() if groups}
+
+
+def imported_files(
+    node: ast.Import | ast.ImportFrom, module: str, path: Path, modules: set[str]
+) -> set[str]:
+    """Modules that a statement imports; a package only if it imports a name of its own."""
+    dotted = imports_of(node, module, path.name == "__init__.py")
+    if isinstance(node, ast.ImportFrom):
+        full = {name for name in dotted if name in modules}
+        base = min(dotted, key=len)
+        names = {f"{base}.{alias.name}" for alias in node.names}
+        return full - {base} if names <= modules else full
+    return dotted & modules
+
+
+def reachable(start: str, arrows: dict[str, set[str]]) -> set[str]:
+    """Modules that are reached along one or more arrows."""
+    reached: set[str] = set()
+    left = list(arrows[start])
+    while left:
+        module = left.pop()
+        if module not in reached:
+            reached.add(module)
+            left += arrows[module]
+    return reached
+
+
+def test_files_of_a_package_do_not_import_each_other_in_cycles() -> None:
+    cycles = {name: groups for name, groups in file_cycles().items() if name not in CYCLIC}
+    assert not cycles
+
+
+def test_packages_listed_as_cyclic_are() -> None:
+    assert set(file_cycles()) >= CYCLIC
+
+
+def test_cycle_of_type_imports_is_found() -> None:
+    """The search itself: an arrow back closes a cycle."""
+    arrows = {"a": {"b"}, "b": {"c"}, "c": {"b"}}
+    assert "b" in reachable("b", arrows) and "a" not in reachable("a", arrows)

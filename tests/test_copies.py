@@ -14,13 +14,13 @@ from tests.support.tubes import straight_gut, textured
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.camera_pipeline.pipeline import CameraPipeline
 from vrcaps.capsule.device_file import read_device
+from vrcaps.env.cameras import resized_camera
 from vrcaps.env.env import CapsuleEnv
 from vrcaps.env.observations.image import ImageObservation
 from vrcaps.env.parallel_env import CapsuleParallelEnv
+from vrcaps.env.randomization import Start
 from vrcaps.env.settings import EnvSettings
-from vrcaps.env.start import Start
 from vrcaps.env.vector_env import CapsuleVectorEnv
-from vrcaps.env.views import resized_camera
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import magnet_pose
 from vrcaps.motion.motion import Step

@@ -23,8 +23,7 @@ from benchmarks.common.scripts import parser, table, write_section
 from vrcaps import _core
 from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.env import CapsuleEnv, CapsuleVectorEnv, EnvSettings
-from vrcaps.env.actuation.magnet import MagnetActuation
-from vrcaps.env.actuation.wrench import Wrench
+from vrcaps.env.actuation import MagnetActuation, Wrench
 from vrcaps.env.settings import env_settings
 
 STEPS_PER_ACTION = 5

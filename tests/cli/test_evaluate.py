@@ -11,7 +11,7 @@ from tests.support.small_envs import SHORT_GUT, small_settings
 from vrcaps.cli import main
 from vrcaps.cli.evaluate import Evaluate
 from vrcaps.core.errors import InputError, VrcapsError
-from vrcaps.env.actuation.wrench import Wrench
+from vrcaps.env.actuation import Wrench
 from vrcaps.env.settings import EnvSettings
 from vrcaps.policy.catalog import read_policy
 from vrcaps.tools.reports.evaluation import PAGE, PICTURE, TABLE

@@ -11,7 +11,7 @@ from tests.support.small_envs import SHORT_GUT, small_settings
 from vrcaps.cli import main
 from vrcaps.cli.train import Coverage
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.env.organs import parse_organs
+from vrcaps.env.patients import parse_organs
 from vrcaps.policy import presets
 from vrcaps.policy.training import TrainingSettings
 from vrcaps.scenario.scenario import OrganFile, OrganGenerated

@@ -9,9 +9,7 @@ from tests.support.small_envs import simulation_of, small_settings
 from vrcaps.actuation.arm.arm_with_payload import clearances, magnet_pose_at
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.transforms import rotation_from_vector
-from vrcaps.env.actuation.arm import ArmActuation
-from vrcaps.env.actuation.magnet import MagnetActuation
-from vrcaps.env.actuation.wrench import Wrench
+from vrcaps.env.actuation import ArmActuation, MagnetActuation, Wrench
 from vrcaps.env.episode import Episode
 from vrcaps.env.simulation import Simulation
 from vrcaps.magnet.field import wrench
@@ -32,7 +30,7 @@ def moved(simulation: Simulation, action: np.ndarray, times: int = 1) -> np.ndar
     """Pose of the magnet after an action was given some times, without stepping worlds."""
     numbers = np.array([0])
     for _ in range(times):
-        controls = simulation.settings.actuation.controls(simulation, action[None], numbers)
+        controls = simulation.settings.actuation.controls(simulation.view, action[None], numbers)
     pose = simulation.memory["magnet/T"][0]
     assert (controls[0].Ts_world_magnet[0] == pose).all()
     return pose
@@ -41,10 +39,10 @@ def moved(simulation: Simulation, action: np.ndarray, times: int = 1) -> np.ndar
 @pytest.mark.parametrize("actuation", [MagnetActuation(), ArmActuation()])
 def test_the_magnet_begins_where_it_carries_the_capsule_but_does_not_lift_it(actuation) -> None:
     simulation = Simulation(small_settings(actuation=actuation), 1)
-    simulation._patient[0] = 0
-    start, _ = simulation.settings.start.draw(simulation.patient(0).model, np.random.default_rng(0))
-    (source,) = actuation.begin(simulation, 0, start)
-    device = simulation.device
+    model = simulation.worlds.enter(0, 0)
+    start, _ = simulation.settings.start.draw(model, np.random.default_rng(0))
+    (source,) = actuation.begin(simulation.view, 0, start)
+    device = simulation.worlds.device
     force, torque = wrench([source], device.magnets, start.T_world_capsule)
     assert 0.3 < force[2] / (device.mass * GRAVITY) < 1.0
     assert np.linalg.norm(force[:2]) < 0.01
@@ -66,7 +64,7 @@ def test_a_twist_moves_the_magnet_at_its_speed_and_turns_it_about_the_worlds_axe
 def test_the_magnet_stays_in_its_box_and_off_the_skin() -> None:
     actuation = MagnetActuation(speed=0.5, reach=0.1)
     simulation = started(actuation).simulation
-    top = simulation.patient(0).model.vertices_world.max(axis=0)
+    top = simulation.worlds.patient(0).model.vertices_world.max(axis=0)
     down = moved(simulation, np.array([1.0, 1.0, -1.0, 1.0, 1.0, 1.0]), 20)
     assert down[2, 3] == pytest.approx(top[2] + 0.04 + 0.5 * read_magnet(actuation.magnet).diameter)
     assert down[:2, 3] == pytest.approx(top[:2] + 0.1)
@@ -144,7 +142,7 @@ def test_momentum_lasts_as_long_under_both_dynamics() -> None:
         simulation = simulation_of(1, dynamics=dynamics, actuation=actuation)
         for _ in range(6):
             simulation.step(np.array([[1.0, 0, 0, 0, 1.0, 0]]), np.ones(1, bool))
-        speed, spin = np.linalg.norm(simulation.velocity_world[0], axis=1)
-        body = simulation.worlds[0].body
+        speed, spin = np.linalg.norm(simulation.worlds.velocity_world[0], axis=1)
+        body = simulation.worlds.batch.worlds[0].body
         assert speed == pytest.approx(1e-3 * 0.1 / body.mass, rel=1e-3)
         assert spin == pytest.approx(2e-8 * 0.1 / body.inertia[1, 1], rel=0.01)

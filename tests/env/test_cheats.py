@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from tests.support.small_envs import GUT, LESION_GUT, SHORT_GUT, simulation_of, small_settings
-from vrcaps.env.actuation.wrench import Wrench
+from vrcaps.env.actuation import Wrench
 from vrcaps.env.episode import Episode
-from vrcaps.env.start import Start
-from vrcaps.env.tasks.inspect import InspectTask
+from vrcaps.env.randomization import Start
+from vrcaps.env.tasks import InspectTask
 from vrcaps.metrics.point_coverage import POINT_LEVELS
 from vrcaps.organ.surface import OrganSurface
 
@@ -72,14 +72,14 @@ def test_no_push_leads_through_the_wall() -> None:
     action = np.concatenate([EVERYWHERE, np.zeros_like(EVERYWHERE)], axis=1)
     for _ in range(5):
         episode.step(action, np.ones(26, bool))
-        assert not episode.simulation.is_outside.any()
-        assert np.isfinite(episode.simulation.T_world_capsule).all()
+        assert not episode.simulation.worlds.is_outside.any()
+        assert np.isfinite(episode.simulation.worlds.T_world_capsule).all()
         assert not any(episode.simulation.failure)
 
 
 def test_a_throw_through_the_lumen_earns_nothing_and_ends_the_episode() -> None:
     episode = episode_of(1, actuation=Wrench(force=1.0, is_weightless=True), control_period=0.03)
-    before, ends = episode.simulation.fraction.copy(), False
+    before, ends = episode.simulation.coverage.fraction.copy(), False
     for _ in range(10):
         step = episode.step(np.array([[1.0, 0, 0, 0, 0, 0]]), np.ones(1, bool))
         if step.measures["is_too_fast"][0]:
@@ -88,19 +88,19 @@ def test_a_throw_through_the_lumen_earns_nothing_and_ends_the_episode() -> None:
             assert step.reward[0] == 0.0
             break
     assert ends
-    assert (episode.simulation.fraction >= before).all()
+    assert (episode.simulation.coverage.fraction >= before).all()
 
 
 def test_jitter_is_paid_for_each_part_of_the_wall_once() -> None:
     """All area that shaking ever earns is the area it saw; the time is paid for."""
     episode = episode_of(1, organs=(GUT,), control_period=0.02)
-    at_start = episode.simulation.seen("visible")[0]
+    at_start = episode.simulation.coverage.seen("visible")[0]
     shake = np.zeros((12, 1, 6))
     shake[::2, 0, 3:], shake[1::2, 0, 3:] = 1.0, -1.0
     total, _ = run(episode, shake)
-    seen = 100.0 * (episode.simulation.seen("visible")[0] - at_start)
+    seen = 100.0 * (episode.simulation.coverage.seen("visible")[0] - at_start)
     assert total[0] == pytest.approx(seen - 0.1 * 12 * 0.02, abs=1e-9)
-    assert episode.simulation.fraction.max() <= 1.0 + 1e-9
+    assert episode.simulation.coverage.fraction.max() <= 1.0 + 1e-9
 
 
 def test_hovering_costs_time_and_ends_as_stuck() -> None:
@@ -121,8 +121,8 @@ def test_violence_does_not_break_the_physics() -> None:
     blows = np.sign(np.random.default_rng(0).normal(size=(3, 2, 6)))
     for blow in blows:
         step = episode.step(blow, np.ones(2, bool))
-        s = episode.simulation
-        assert not s.is_outside.any()
+        s = episode.view
+        assert not episode.simulation.worlds.is_outside.any()
         for values in (s.T_world_capsule, s.velocity_world, s.normal_force_total, step.reward):
             assert np.isfinite(values).all()
 
@@ -131,14 +131,14 @@ def test_what_a_fault_shows_earns_nothing() -> None:
     """Were a capsule outside, it would see much, and be paid nothing."""
     episode = episode_of(1)
     simulation = episode.simulation
-    read = simulation._read
+    update = simulation._update
 
     def outside(numbers: np.ndarray) -> None:
-        read(numbers)
-        simulation.is_outside[numbers] = True
-        simulation.gain[numbers] = 0.5
+        update(numbers)
+        simulation.worlds.is_outside[numbers] = True
+        simulation.coverage.gain[numbers] = 0.5
 
-    simulation._read = outside
+    simulation._update = outside
     step = episode.step(np.zeros((1, 6)), np.ones(1, bool))
     assert (step.reward[0], step.truncated[0], step.terminated[0]) == (0.0, True, False)
 
@@ -152,8 +152,8 @@ def test_a_lesion_behind_a_fold_is_not_looked_at() -> None:
         for level in ("frustum", "visible"):
             given = {"task": replace(task, level=level), "lesions": (), "organs": (organ,)}
             simulation = simulation_of(actuation="wrench", start=start, **given)
-            points = simulation.patient(0).points.first_of_lesions
-            simulation._look(np.array([0]))
-            flags = simulation.flags[0][points:]
+            points = simulation.worlds.patient(0).points.first_of_lesions
+            simulation.coverage.update(np.array([0]))
+            flags = simulation.coverage.flags[0][points:]
             told.append(bool(((flags & (1 << POINT_LEVELS.index(level))) != 0).any()))
     assert told == [True, False, True, True]

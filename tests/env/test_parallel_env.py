@@ -32,7 +32,7 @@ def test_pettingzoo_accepts_it() -> None:
 def test_each_capsule_is_in_its_own_organ() -> None:
     env = CapsuleParallelEnv(short_settings(organs=ORGANS))
     env.reset(seed=0)
-    found = [env.episode.simulation.patient(k).model.organ for k in range(2)]
+    found = [env.episode.simulation.worlds.patient(k).model.organ for k in range(2)]
     assert found == list(ORGANS)
 
 
@@ -52,7 +52,7 @@ def test_who_is_done_leaves_the_others_behind() -> None:
     settings = short_settings(organs=ORGANS)
     env = CapsuleParallelEnv(replace(settings, episode_time=1.0))
     env.reset(seed=0)
-    env.episode.simulation.time[1] = 1.0
+    env.episode.simulation.worlds.time[1] = 1.0
     actions = {name: np.zeros(6, np.float32) for name in env.agents}
     *_, truncated, _ = env.step(actions)
     assert truncated == {"capsule_0": False, "capsule_1": True}

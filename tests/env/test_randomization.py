@@ -8,7 +8,7 @@ from tests.support.tubes import textured
 from vrcaps.camera.derive import focal_length_px
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.core.errors import InputError
-from vrcaps.env.actuation.wrench import Wrench
+from vrcaps.env.actuation import Wrench
 from vrcaps.env.env import CapsuleEnv
 from vrcaps.env.observations.image import ImageObservation
 from vrcaps.env.randomization import Randomization, varied_tissue
@@ -27,7 +27,7 @@ def test_nothing_varies_by_default_and_nothing_is_drawn():
     assert generator.bit_generator.state == before and seed == 0
     assert factors.tolist() == [1.0, 0.7, 1.0, 1.0, 1.0, 1.0]
     simulation = simulation_of()
-    world, patient = simulation.worlds[0], simulation.patient(0)
+    world, patient = simulation.worlds.batch.worlds[0], simulation.worlds.patient(0)
     assert world.model is patient.model and world.tissue is simulation.settings.tissue
 
 
@@ -44,7 +44,7 @@ def test_factors_are_drawn_evenly_from_their_ranges():
 def test_factors_act_on_tissue_and_capsule():
     simulation = simulation_of(1, randomization=_VARIED)
     stiffness, friction, drag, mass, magnet, focal = simulation.memory["randomization/factors"][0]
-    world, known = simulation.worlds[0], simulation.device
+    world, known = simulation.worlds.batch.worlds[0], simulation.worlds.device
     settings = simulation.settings.tissue
     modulus = settings.foundation.youngs_modulus
     assert world.tissue.foundation.youngs_modulus == pytest.approx(stiffness * modulus)
@@ -53,14 +53,14 @@ def test_factors_act_on_tissue_and_capsule():
     assert world.tissue.drag.constant == pytest.approx(drag * settings.drag.constant)
     assert world.tissue.drag.relaxation_time == pytest.approx(0.1 / drag)
     assert world.body.mass == pytest.approx(mass * known.mass)
-    device = simulation.devices[0]
+    device = simulation.worlds.devices[0]
     assert device is world.model.device
     moment = np.array(device.magnets[0].moment_capsule)
     np.testing.assert_allclose(moment, magnet * np.array(known.magnets[0].moment_capsule))
     one, other = (focal_length_px(d.cameras[0].lens) for d in (device, known))
     assert one == pytest.approx(focal * other, rel=1e-6)
     # What was made of the organ is made once.
-    assert world.model.wall_in_patient is simulation.patient(0).model.wall_in_patient
+    assert world.model.wall_in_patient is simulation.worlds.patient(0).model.wall_in_patient
     tissue = Tissue(deformation=FemDeformation(), drag=Drag(viscosity=2.0))
     varied = varied_tissue(tissue, np.array([2.0, 1.0, 3.0, 1.0, 1.0, 1.0]))
     assert varied.deformation.youngs_modulus == 2.0 * tissue.deformation.youngs_modulus
@@ -70,15 +70,15 @@ def test_factors_act_on_tissue_and_capsule():
 @pytest.mark.slow
 def test_longer_lens_sees_less_but_finer_and_the_same_beside_others():
     wide, long = (simulation_of(randomization=Randomization(focal=f)) for f in (0.8, 1.3))
-    frustum, visible, resolved = wide.fraction[0] / long.fraction[0]
+    frustum, visible, resolved = wide.coverage.fraction[0] / long.coverage.fraction[0]
     assert frustum > 1.05 and visible > 1.05 and resolved < 0.95
     varied = Randomization(focal=(0.8, 1.3))
     many = simulation_of(2, randomization=varied)
-    assert len({id(device.cameras) for device in many.devices}) > 1
+    assert len({id(device.cameras) for device in many.worlds.devices}) > 1
     for index in range(2):
         alone = simulation_of(1, randomization=varied)
         alone.reset(0, np.random.default_rng(index))
-        np.testing.assert_array_equal(alone.fraction[0], many.fraction[index])
+        np.testing.assert_array_equal(alone.coverage.fraction[0], many.coverage.fraction[index])
 
 
 def test_effects_are_drawn_for_each_episode_and_come_back_with_a_snapshot():
@@ -92,7 +92,7 @@ def test_effects_are_drawn_for_each_episode_and_come_back_with_a_snapshot():
     env, still = CapsuleEnv(settings), np.zeros(6)
     first = env.reset(seed=0)[0]["rgb"]
     ideal = simulation_of(1, organs=settings.organs, observations=settings.observations)
-    plain = settings.observations[0].observe(ideal)[0]
+    plain = settings.observations[0].observe(ideal.view)[0]
     assert np.abs(first.astype(int) - plain).mean() > 1.0
     assert (env.reset(seed=1)[0]["rgb"] != first).any()
     np.testing.assert_array_equal(env.reset(seed=0)[0]["rgb"], first)

@@ -5,7 +5,7 @@ import pytest
 
 from tests.support.small_envs import simulation_of, small_env
 from vrcaps.core.errors import InputError
-from vrcaps.env.rewards import Reward, frontier_length, total_reward
+from vrcaps.env.rewards import AreaGain, LogGain, TotalVariation, frontier_length, total_reward
 
 _GRID = (10, 8)
 
@@ -42,13 +42,14 @@ def test_cells_without_wall_are_no_frontier():
 
 
 def test_total_variation_pays_minus_the_frontiers_growth():
-    env = small_env(rewards=(Reward("total-variation", 2.0),))
+    env = small_env(rewards=(TotalVariation(2.0),))
     s = env.episode.simulation
 
     def length():
-        return frontier_length(s.cell_fraction, s.cell_area > 0.0, s.settings.grid)[0]
+        coverage = s.coverage
+        return frontier_length(coverage.cell_fraction, coverage.cell_area > 0.0, s.settings.grid)[0]
 
-    s.cells[0, 30] = 0.0  # what the next look sees makes no hole smaller than this
+    s.coverage.cells[0, 30] = 0.0  # what the next look sees makes no hole smaller than this
     before = env.episode.simulation.memory["frontier/length"][0]
     *_, info = env.step(np.zeros(6))
     assert info["reward_total-variation"] == pytest.approx(2.0 * (before - length()))
@@ -58,23 +59,23 @@ def test_total_variation_pays_minus_the_frontiers_growth():
 
 def test_total_variation_is_of_the_map():
     with pytest.raises(InputError, match=r"has the level 'resolved'\. Allowed: 'visible'"):
-        Reward("total-variation", level="resolved")
+        TotalVariation(level="resolved")
 
 
 def test_rewards_of_one_term_at_two_levels_both_count() -> None:
     simulation = simulation_of()
-    both = (Reward("area-gain", 2.0, "visible"), Reward("area-gain", 3.0, "resolved"))
-    total, terms = total_reward(both, simulation)
+    both = (AreaGain(2.0, "visible"), AreaGain(3.0, "resolved"))
+    total, terms = total_reward(both, simulation.view)
     assert total > 0.0  # what the start shows
-    assert total == pytest.approx(sum(reward.value(simulation) for reward in both))
+    assert total == pytest.approx(sum(reward.value(simulation.view) for reward in both))
     assert terms["area-gain"] == pytest.approx(total)
 
 
 def test_log_gain_of_an_episode_is_the_log_of_what_is_left():
-    env = small_env(rewards=(Reward("log-gain", level="resolved"),))
+    env = small_env(rewards=(LogGain(level="resolved"),))
     simulation = env.episode.simulation
-    began = 1.0 - simulation.seen("resolved")[0]
+    began = 1.0 - simulation.coverage.seen("resolved")[0]
     earned = sum(env.step(np.full(6, 0.5))[1] for _ in range(5))
-    ended = 1.0 - simulation.seen("resolved")[0]
+    ended = 1.0 - simulation.coverage.seen("resolved")[0]
     assert ended < began
     assert earned == pytest.approx(np.log((began + 0.005) / (ended + 0.005)))

@@ -10,7 +10,7 @@ import pytest
 
 from tests.support.small_envs import short_settings
 from vrcaps.core.errors import InputError
-from vrcaps.env.actuation.wrench import Wrench
+from vrcaps.env.actuation import Wrench
 from vrcaps.env.env import CapsuleEnv
 from vrcaps.env.vector_env import CapsuleVectorEnv
 

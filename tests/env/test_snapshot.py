@@ -8,13 +8,13 @@ import pytest
 from tests.support.small_envs import GUT, SHORT_GUT, small_settings
 from tests.support.tubes import textured
 from vrcaps.core.errors import InputError
-from vrcaps.env.actuation.wrench import Wrench
+from vrcaps.env.actuation import Wrench
 from vrcaps.env.env import CapsuleEnv
 from vrcaps.env.observations.image import ImageObservation
-from vrcaps.env.rewards import Reward
+from vrcaps.env.randomization import Start
+from vrcaps.env.rewards import AreaGain, ProgressGain, TotalVariation
 from vrcaps.env.settings import EnvSettings
 from vrcaps.env.snapshot import read_env_snapshot, write_env_snapshot
-from vrcaps.env.start import Start
 from vrcaps.env.vector_env import CapsuleVectorEnv
 
 _GENTLE = Wrench(force=2e-3, torque=0.0)
@@ -22,7 +22,7 @@ _GENTLE = Wrench(force=2e-3, torque=0.0)
 
 
 def _settings(**more) -> EnvSettings:
-    rewards = (Reward("area-gain"), Reward("total-variation"), Reward("progress"))
+    rewards = (AreaGain(), TotalVariation(), ProgressGain())
     observations = ("state", "landmarks", "map", ImageObservation(size=(16, 16)))
     own = {"observations": observations, "rewards": rewards, "start": Start(settle=0.0)}
     own["actuation"] = _GENTLE

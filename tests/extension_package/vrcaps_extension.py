@@ -12,21 +12,22 @@ from vrcaps.learn import DepthTask
 
 
 @REWARDS.register
-class Slowness:
+@dataclass(frozen=True)
+class Slowness(Reward):
     kind = "slowness"
 
-    def __call__(self, simulation, reward):
-        return -np.linalg.norm(simulation.velocity_world[:, 0], axis=1)
+    def term(self, view):
+        return -np.linalg.norm(view.velocity_world[:, 0], axis=1)
 
 
 @TASKS.register
 @dataclass(frozen=True)
 class RestTask(Task):
     kind = "rest"
-    rewards = (Reward("slowness"),)
+    rewards = (Slowness(),)
 
-    def progress(self, simulation):
-        return np.exp(-np.linalg.norm(simulation.velocity_world[:, 0], axis=1))
+    def progress(self, view):
+        return np.exp(-np.linalg.norm(view.velocity_world[:, 0], axis=1))
 
 
 @OBSERVATIONS.register
@@ -34,11 +35,11 @@ class RestTask(Task):
 class VelocityObservation(Observation):
     kind = "velocity"
 
-    def space(self, simulation):
+    def space(self, view):
         return Box(-np.inf, np.inf, (3,), np.float32)
 
-    def observe(self, simulation):
-        return simulation.velocity_world[:, 0].astype(np.float32)
+    def observe(self, view):
+        return view.velocity_world[:, 0].astype(np.float32)
 
 
 @IMAGE_TASKS.register

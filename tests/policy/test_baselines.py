@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.support.small_envs import small_settings
-from vrcaps.env.actuation.wrench import Wrench
-from vrcaps.env.start import Start
+from vrcaps.env.actuation import Wrench
+from vrcaps.env.randomization import Start
 from vrcaps.env.vector_env import CapsuleVectorEnv
 from vrcaps.policy.baselines import Walk
 from vrcaps.policy.catalog import BASELINES, read_policy
@@ -25,14 +25,14 @@ def tube_env(num_worlds: int = 2) -> CapsuleVectorEnv:
 def test_a_baseline_sees_more_of_a_tube_as_it_goes(name: str) -> None:
     env, policy = tube_env(), read_policy(name)
     policy.reset(np.arange(2), [0, 1])
-    before = env.episode.simulation.seen("visible").copy()
+    before = env.view.coverage.seen("visible").copy()
     for _ in range(6):
         actions = policy.act({}, env)
         assert env.action_space.contains(actions)
         env.step(actions)
     simulation = env.episode.simulation
-    assert (simulation.seen("visible") > before).all()
-    assert not simulation.is_outside.any()
+    assert (simulation.coverage.seen("visible") > before).all()
+    assert not simulation.worlds.is_outside.any()
 
 
 @pytest.mark.slow
@@ -47,15 +47,15 @@ def test_a_magnet_leads_the_capsule_along_the_centerline() -> None:
     )
     env.reset(seed=0)
     policy.reset(np.arange(1), [0])
-    start = env.episode.simulation.arc_length[0]
+    start = env.view.arc_length[0]
     for _ in range(15):
         actions = policy.act({}, env)
         assert env.action_space.contains(actions)
         env.step(actions)
     simulation = env.episode.simulation
-    assert simulation.arc_length[0] > start + 0.02
-    assert 0.0 < simulation.normal_force_total[0] < 0.2
-    assert not simulation.is_outside.any()
+    assert simulation.worlds.arc_length[0] > start + 0.02
+    assert 0.0 < simulation.worlds.normal_force_total[0] < 0.2
+    assert not simulation.worlds.is_outside.any()
 
 
 def test_next_best_view_looks_both_ways_at_once() -> None:
@@ -66,11 +66,11 @@ def test_next_best_view_looks_both_ways_at_once() -> None:
         step = env.step(policy.act({}, env))
         if step[2].any():
             break
-    assert env.episode.simulation.seen("visible")[0] > 0.95
+    assert env.view.coverage.seen("visible")[0] > 0.95
 
 
 def test_a_walk_turns_at_the_ends_and_where_it_is_held_up() -> None:
-    route = make_route(tube_env(1).episode.simulation.patient(0).model)
+    route = make_route(tube_env(1).view.patient(0).model)
     low, high = route.ends
     assert 0.0 < low < 0.03
     assert 0.15 < high < 0.18
@@ -88,7 +88,7 @@ def test_a_walk_turns_at_the_ends_and_where_it_is_held_up() -> None:
 
 def test_a_route_knows_where_the_capsule_fits() -> None:
     """The tube is 4 cm wide, the capsule 29 mm long and 12 mm thick."""
-    route = make_route(tube_env(1).episode.simulation.patient(0).model)
+    route = make_route(tube_env(1).view.patient(0).model)
     middle = route.poses(np.array([0.09]))[0]
     across, along = middle[:3, 0], middle[:3, 2]
     point = middle[:3, 3] + 0.008 * across

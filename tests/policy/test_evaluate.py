@@ -10,10 +10,10 @@ import pytest
 
 from tests.support.small_envs import GUT, SHORT_GUT, small_settings
 from vrcaps.core.errors import InputError
-from vrcaps.env.actuation.wrench import Wrench
+from vrcaps.env.actuation import Wrench
+from vrcaps.env.randomization import Start
 from vrcaps.env.settings import EnvSettings
-from vrcaps.env.start import Start
-from vrcaps.env.tasks.navigate import NavigateTask
+from vrcaps.env.tasks import NavigateTask
 from vrcaps.policy.catalog import read_policy
 from vrcaps.policy.evaluate import Plan, evaluate
 from vrcaps.policy.evaluation import (

@@ -11,9 +11,8 @@ import pytest
 
 from tests.support.small_envs import GUT, small_settings
 from vrcaps.core.errors import InputError
-from vrcaps.env.start import Start
-from vrcaps.env.tasks.coverage import CoverageTask
-from vrcaps.env.tasks.navigate import NavigateTask
+from vrcaps.env.randomization import Start
+from vrcaps.env.tasks import CoverageTask, NavigateTask
 from vrcaps.env.vector_env import CapsuleVectorEnv
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.policy.catalog import read_policy
@@ -42,7 +41,7 @@ def led(seconds: float, **keywords: Any) -> tuple[CapsuleVectorEnv, np.ndarray, 
         actions = policy.act(observations, envs)
         assert np.abs(actions).max() <= 1.0
         observations, _, terminated, truncated, _ = envs.step(actions)
-        assert not envs.episode.simulation.is_outside.any()
+        assert not envs.episode.simulation.worlds.is_outside.any()
         done |= terminated
         if (terminated | truncated).all():
             break
@@ -54,8 +53,8 @@ def test_it_reaches_a_goal_along_a_tube(dynamics: Any) -> None:
     """6 cm at about 2 cm/s."""
     envs, done, _ = led(8.0, dynamics=dynamics)
     assert done.all()
-    assert envs.episode.simulation.time[0] < 6.0
-    assert envs.episode.simulation.normal_force_total[0] < 0.15
+    assert envs.view.time[0] < 6.0
+    assert envs.view.normal_force_total[0] < 0.15
 
 
 def test_it_hops_over_a_fold() -> None:
@@ -73,7 +72,7 @@ def test_it_needs_a_magnet() -> None:
     settings = small_settings(actuation="wrench")
     with pytest.raises(InputError, match="navigator acts by magnet; the environment's actuation"):
         read_policy("navigator").requires.check(settings, "navigator")
-    rope = SimpleNamespace(settings=SimpleNamespace(actuation=SimpleNamespace(kind="rope")))
+    rope = SimpleNamespace(actuation=SimpleNamespace(kind="rope"))
     rope.patient, rope.memory = lambda _: SimpleNamespace(model=None), {}
     with pytest.raises(InputError, match="navigator cannot drive 'rope'"):
         Guide(rope, 0)  # type: ignore[arg-type]

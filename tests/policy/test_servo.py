@@ -13,8 +13,7 @@ from vrcaps.capsule.device import homogeneous_body
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import rotation_from_vector, transform_from
-from vrcaps.env.actuation.magnet import MagnetActuation
-from vrcaps.env.actuation.wrench import Wrench
+from vrcaps.env.actuation import MagnetActuation, Wrench
 from vrcaps.env.settings import EnvSettings
 from vrcaps.policy.servo import Goal, heading_error, magnet_action, servo_actions
 
@@ -27,6 +26,10 @@ def free_body(settings: EnvSettings) -> Any:
     """Two capsules at rest in empty space."""
     return SimpleNamespace(
         settings=settings,
+        actuation=settings.actuation,
+        control_period=settings.control_period,
+        dynamics=settings.dynamics,
+        relaxation_time=settings.relaxation_time,
         device=DEVICE,
         T_world_capsule=np.tile(np.eye(4), (2, 1, 1)),
         velocity_world=np.zeros((2, 2, 3)),

@@ -17,7 +17,7 @@ pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 
 from vrcaps.core.errors import InputError
-from vrcaps.env.actuation.wrench import Wrench
+from vrcaps.env.actuation import Wrench
 from vrcaps.env.vector_env import CapsuleVectorEnv
 from vrcaps.policy.catalog import read_policy
 from vrcaps.policy.mlp_policy import MlpPolicy, read_mlp_policy

@@ -12,7 +12,7 @@ import numpy as np
 
 from vrcaps.actuation.steering_program import workspace_above
 from vrcaps.core.transforms import invert, transform_points
-from vrcaps.env.actuation.magnet import MagnetActuation
+from vrcaps.env.actuation import MagnetActuation
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.policy.navigator import Guide
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from tests.support.tubes import straight_gut
 from vrcaps.env.env import CapsuleEnv
+from vrcaps.env.randomization import Start
 from vrcaps.env.settings import EnvSettings, env_settings
 from vrcaps.env.simulation import Simulation
-from vrcaps.env.start import Start
 
 GUT = straight_gut({"upper": 0.10, "lower": 0.08}, radius=0.02, edge=4e-3)
 """A tube about x in the patient frame, 18 cm long and 4 cm wide."""

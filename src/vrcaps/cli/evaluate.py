@@ -133,8 +133,8 @@ class Evaluate:
 
     def _settings(self, policy: Policy, capsule: str) -> EnvSettings:
         """Environment settings for the evaluation of one policy: up to the end of the time."""
-        from vrcaps.env.actuation.wrench import Wrench
-        from vrcaps.env.organs import check_names
+        from vrcaps.env.actuation import Wrench
+        from vrcaps.env.patients import check_names
         from vrcaps.env.settings import env_settings
 
         keywords: dict[str, Any] = dict(policy.requires.settings)
@@ -156,7 +156,7 @@ class Evaluate:
             episode_time=time,
             stuck_time=2.0 * time,
         )
-        check_names(settings)
+        check_names(settings.organs, settings.capsule)
         if hasattr(settings.task, "target"):
             settings = replace(settings, task=replace(settings.task, target=1.0))
         return settings

@@ -43,15 +43,14 @@ def with_env_parts(command: type) -> type:
     if not {"-h", "--help"} & {*sys.argv}:
         return command
     try:
-        from vrcaps.env import ACTUATIONS, OBSERVATIONS, TASKS
-        from vrcaps.env.rewards import reward_names
+        from vrcaps.env import ACTUATIONS, OBSERVATIONS, REWARDS, TASKS
     except MissingExtraError:
         return command
     names = {
         "tasks": TASKS,
         "observations": OBSERVATIONS,
         "actuations": ACTUATIONS,
-        "rewards": reward_names(),
+        "rewards": REWARDS,
     }
     lists = "; ".join(f"{noun} {', '.join(parts)}" for noun, parts in names.items())
     about, mark, examples = inspect.cleandoc(command.__doc__ or "").partition("For example:")

@@ -20,7 +20,7 @@ _SAMPLES = 512
 
 
 @dataclass(frozen=True)
-class CoursePlace:
+class CoursePoint:
     """A position on the centerline in each world, in the world frame.
 
     Attributes:
@@ -56,37 +56,37 @@ class Course:
         self._samples[index, :, 12] = radius
         self.length[index] = line.length
 
-    def at(self, arc_length: Float[np.ndarray, " n"]) -> CoursePlace:
+    def at(self, arc_length: Float[np.ndarray, " n"]) -> CoursePoint:
         """Evaluate the centerline at arc lengths [m], one per world, clamped to its ends.
 
         Points and radii are interpolated linearly; axes are those of the nearest sample.
         """
-        place = (arc_length / self.length).clip(0.0, 1.0) * (_SAMPLES - 1)
-        below = np.minimum(place.astype(int), _SAMPLES - 2)
-        worlds, fraction = np.arange(len(below)), (place - below)[:, None]
+        position = (arc_length / self.length).clip(0.0, 1.0) * (_SAMPLES - 1)
+        below = np.minimum(position.astype(int), _SAMPLES - 2)
+        worlds, fraction = np.arange(len(below)), (position - below)[:, None]
         start, end = self._samples[worlds, below], self._samples[worlds, below + 1]
-        here = start + fraction * (end - start)
+        point = start + fraction * (end - start)
         axes = np.where(fraction < 0.5, start, end)[:, 3:12]
-        return CoursePlace(here[:, :3], axes.reshape(-1, 3, 3), here[:, 12])
+        return CoursePoint(point[:, :3], axes.reshape(-1, 3, 3), point[:, 12])
 
     def nearest(
         self,
-        numbers: Int[np.ndarray, " m"],
-        places: Float[np.ndarray, "m 3"],
+        indices: Int[np.ndarray, " m"],
+        positions: Float[np.ndarray, "m 3"],
         arc_length: Float[np.ndarray, " m"],
         reach: float,
     ) -> Float[np.ndarray, " m"]:
         """Arc lengths [m] of the points on centerlines that are nearest to positions in the world.
 
         Args:
-            numbers: Indices of the worlds.
-            places: Position in each world [m].
+            indices: Indices of the worlds.
+            positions: Position in each world [m].
             arc_length: Center of the search [m], since a neighboring loop of gut may be nearer.
             reach: Search distance along the gut [m].
         """
-        points, length = self._samples[numbers, :, :3], self.length[numbers]
-        step, worlds = length / (_SAMPLES - 1), np.arange(len(numbers))
-        offsets = places[:, None] - points
+        points, length = self._samples[indices, :, :3], self.length[indices]
+        step, worlds = length / (_SAMPLES - 1), np.arange(len(indices))
+        offsets = positions[:, None] - points
         squares = np.einsum("nki,nki->nk", offsets, offsets)
         away = np.abs(step[:, None] * np.arange(_SAMPLES) - arc_length[:, None])
         best = np.where(away <= np.maximum(reach, step)[:, None], squares, np.inf).argmin(axis=1)

@@ -9,8 +9,10 @@ import numpy as np
 
 from vrcaps.core.errors import require
 from vrcaps.env.episode import Episode
+from vrcaps.env.parts import EnvView
 from vrcaps.env.settings import EnvSettings
-from vrcaps.env.snapshot import EnvSnapshot, restore_snapshot, take_snapshot
+from vrcaps.env.simulation import restore_snapshot, take_snapshot
+from vrcaps.env.snapshot import EnvSnapshot
 
 
 class CapsuleEnv(gymnasium.Env):
@@ -36,6 +38,11 @@ class CapsuleEnv(gymnasium.Env):
         self.episode = Episode(self.settings, 1, render_mode=render_mode)
         self.action_space = self.episode.action_space
         self.observation_space = self.episode.observation_space
+
+    @property
+    def view(self) -> EnvView:
+        """Read-only view of the world, which is not available to a real capsule."""
+        return self.episode.view
 
     def reset(
         self, *, seed: int | None = None, options: dict | None = None
@@ -84,7 +91,7 @@ class CapsuleEnv(gymnasium.Env):
             InputError: If there was no reset.
         """
         self._check_reset()
-        return take_snapshot(self.episode, [0], [self.np_random], np.zeros(1, bool))
+        return take_snapshot(self.episode.simulation, [0], [self.np_random], np.zeros(1, bool))
 
     def restore(self, snapshot: EnvSnapshot) -> dict[str, np.ndarray]:
         """Restore a snapshot; the same actions then give the same bytes.
@@ -95,11 +102,11 @@ class CapsuleEnv(gymnasium.Env):
         Raises:
             InputError: If it is of other settings.
         """
-        restore_snapshot(self.episode, snapshot, [0], [self.np_random])
+        restore_snapshot(self.episode.simulation, snapshot, [0], [self.np_random])
         return self._first(self.episode.observe())
 
     def _check_reset(self) -> None:
-        worlds = self.episode.simulation.worlds
+        worlds = self.view.batch.worlds
         require(bool(worlds), "The world", "none", "a reset before the first step")
 
     @staticmethod

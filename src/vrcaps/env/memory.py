@@ -19,10 +19,13 @@ class Memory:
     Example:
         >>> best = memory.allocate("coverage/best")
         >>> row = memory.row(3)
+
+    Attributes:
+        num_worlds: Number of worlds.
     """
 
     def __init__(self, num_worlds: int) -> None:
-        self._num_worlds = num_worlds
+        self.num_worlds = num_worlds
         self._arrays: dict[str, np.ndarray] = {}
 
     def allocate(
@@ -30,8 +33,8 @@ class Memory:
     ) -> np.ndarray:
         """Allocate an array [num_worlds, *shape] filled with one value."""
         if name in self._arrays:
-            raise InputError(f"Memory {name!r} is taken. Allowed: a name of its own.")
-        self._arrays[name] = np.full((self._num_worlds, *shape), fill, dtype)
+            raise InputError(f"Buffer {name!r} exists already. Choose another name.")
+        self._arrays[name] = np.full((self.num_worlds, *shape), fill, dtype)
         return self._arrays[name]
 
     def __getitem__(self, name: str) -> np.ndarray:

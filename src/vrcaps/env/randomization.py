@@ -1,19 +1,22 @@
-"""Domain randomization of tissue, capsule and camera from episode to episode."""
+"""Distributions that are sampled at each reset: initial pose, and tissue, capsule and camera."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
 from vrcaps.camera.derive import scaled_lens
 from vrcaps.camera_pipeline.effects import Effects, parse_effects
+from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError
+from vrcaps.motion.trajectory import start_pose
 from vrcaps.tissue.contact_laws import SpringWall
 from vrcaps.tissue.fem.deformation import FemDeformation
+from vrcaps.world.model import Model, State
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -28,9 +31,9 @@ Factor = float | tuple[float, float]
 FACTORS = ("stiffness", "friction", "drag", "mass", "magnet", "focal")
 """Randomized quantities, in the order of `Randomization.draw`."""
 
-_MOST = 100.0
-_LENSES = 9
-_UNFIT = (
+_MAX_FACTOR = 100.0
+_NUM_FOCALS = 9
+_REFUSED = (
     "specular",
     "dome_bubbles",
     "resolution",
@@ -78,17 +81,17 @@ class Randomization:
         for name in FACTORS:
             value = getattr(self, name)
             ends = np.array(value, float).ravel()
-            is_range = len(ends) in (1, 2) and bool(np.all((ends > 0.0) & (ends <= _MOST)))
+            is_range = len(ends) in (1, 2) and bool(np.all((ends > 0.0) & (ends <= _MAX_FACTOR)))
             if not is_range or ends[0] > ends[-1]:
                 raise InputError(
-                    f"Randomization's {name} is {value}. Allowed: a factor above 0 to {_MOST:g}, "
-                    "or a rising range of these."
+                    f"Randomization's {name} is {value}. Allowed: a factor above 0 to "
+                    f"{_MAX_FACTOR:g}, or a rising range of these."
                 )
-        for name in _UNFIT:
+        for name in _REFUSED:
             if getattr(self.effects, name) not in (0, None):
                 raise InputError(
                     f"Randomization's effects hold {name}, which needs a recording. Allowed in an "
-                    f"environment: all but {', '.join(_UNFIT)}."
+                    f"environment: all but {', '.join(_REFUSED)}."
                 )
 
     def sample_effects(self, seed: int) -> Effects:
@@ -111,10 +114,10 @@ class Randomization:
             value = getattr(self, name)
             if isinstance(value, tuple | list):
                 low, high = value
-                share = rng.random()
+                part = rng.random()
                 if name == "focal":
-                    share = math.floor(share * _LENSES) / (_LENSES - 1)
-                value = low + share * (high - low)
+                    part = math.floor(part * _NUM_FOCALS) / (_NUM_FOCALS - 1)
+                value = low + part * (high - low)
             factors.append(float(value))
         return np.array(factors), int(rng.integers(2**31)) if self.has_effects else 0
 
@@ -161,3 +164,36 @@ def _magnified(cameras: tuple[Camera, ...], focal: float) -> tuple[Camera, ...]:
     return tuple(
         replace(c, lens=scaled_lens(c.lens, focal, (c.lens.cx, c.lens.cy))) for c in cameras
     )
+
+
+@dataclass(frozen=True)
+class Start:
+    """Initial pose of an episode; each value is drawn uniformly between its two limits.
+
+    Attributes:
+        fraction: Position along the centerline, as a fraction; moved to where the capsule fits.
+        angle: Angle between the capsule's front and the direction to the anal end [rad].
+        settle: Time for the capsule to come to rest before the first observation [s].
+    """
+
+    fraction: tuple[float, float] = (0.1, 0.9)
+    angle: tuple[float, float] = (0.0, 0.0)
+    settle: Annotated[float, Range(min=0.0, max=10.0, unit="s")] = 0.5
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        low, high = self.fraction
+        if not 0.0 <= low <= high <= 1.0:
+            raise InputError(f"Start's fraction is {self.fraction}. Allowed: 0 to 1, rising.")
+        if not all(map(math.isfinite, self.angle)) or self.angle[0] > self.angle[1]:
+            raise InputError(f"Start's angle is {self.angle}. Allowed: finite [rad], rising.")
+
+    def draw(self, model: Model, rng: np.random.Generator) -> tuple[State, float]:
+        """Draw a state at rest; returns it and its arc length [m].
+
+        Raises:
+            InputError: If the capsule does not fit in the organ.
+        """
+        place, angle = (float(rng.uniform(*limits)) for limits in (self.fraction, self.angle))
+        T_world_capsule, arc_length, _ = start_pose(model, place, angle)
+        return State(0.0, T_world_capsule), arc_length

@@ -6,13 +6,13 @@ from typing import Any
 
 from vrcaps.env.settings import EnvSettings, env_settings
 
-TASKS = {"Coverage-v0": "coverage", "Navigate-v0": "navigate", "Inspect-v0": "inspect"}
+ENVIRONMENTS = {"Coverage-v0": "coverage", "Navigate-v0": "navigate", "Inspect-v0": "inspect"}
 """Tasks by the name of their environment."""
 
 
 def register(gymnasium: Any) -> None:
     """Register an environment for each task."""
-    for name, task in TASKS.items():
+    for name, task in ENVIRONMENTS.items():
         if name not in gymnasium.registry:
             gymnasium.register(
                 name,

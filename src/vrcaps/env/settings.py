@@ -6,22 +6,25 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Annotated, Any, Literal
 
 from vrcaps.capsule.device import Device
+from vrcaps.capsule.device_file import device_of
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.core.registry import Registry
-from vrcaps.env.actuation.actuation import Actuation
-from vrcaps.env.actuation.registry import ACTUATIONS
-from vrcaps.env.actuation.wrench import Wrench
-from vrcaps.env.observations.observation import Observation
-from vrcaps.env.observations.registry import OBSERVATIONS
+from vrcaps.env.actuation import Wrench
 from vrcaps.env.observations.state import StateObservation
-from vrcaps.env.organs import Organ, organs_of
-from vrcaps.env.randomization import Randomization
-from vrcaps.env.rewards import Reward
-from vrcaps.env.start import Start
-from vrcaps.env.tasks.coverage import CoverageTask
-from vrcaps.env.tasks.registry import TASKS
-from vrcaps.env.tasks.task import Task
+from vrcaps.env.parts import (
+    ACTUATIONS,
+    OBSERVATIONS,
+    REWARDS,
+    TASKS,
+    Actuation,
+    Observation,
+    Reward,
+    Task,
+)
+from vrcaps.env.patients import Organ, Patients, organs_of
+from vrcaps.env.randomization import Randomization, Start
+from vrcaps.env.tasks import CoverageTask
 from vrcaps.lesion import Lesion
 from vrcaps.lesion.library import parse_lesion
 from vrcaps.metrics.coverage import CoverageCriteria
@@ -30,7 +33,7 @@ from vrcaps.tissue.tissue import Tissue
 from vrcaps.world.mechanics import RELAXATION_TIME
 from vrcaps.world.model import posture_transform
 
-_LONGEST = 7 * 86400.0
+_MAX_TIME = 7 * 86400.0
 """Maximum duration of an episode [s], a week, since files of policies may state any."""
 _MAX_CELLS = 1024
 
@@ -83,8 +86,8 @@ class EnvSettings:
     randomization: Randomization = field(default_factory=Randomization)
     start: Start = field(default_factory=Start)
     control_period: Annotated[float, Range(above=0.0, max=1.0, unit="s")] = 5.0 / 30.0
-    episode_time: Annotated[float, Range(above=0.0, max=_LONGEST, unit="s")] = 60.0
-    stuck_time: Annotated[float, Range(above=0.0, max=_LONGEST, unit="s")] = 20.0
+    episode_time: Annotated[float, Range(above=0.0, max=_MAX_TIME, unit="s")] = 60.0
+    stuck_time: Annotated[float, Range(above=0.0, max=_MAX_TIME, unit="s")] = 20.0
     max_speed: Annotated[float, Range(above=0.0, max=1e3, unit="m/s")] = 1.5
     criteria: CoverageCriteria = field(default_factory=CoverageCriteria)
     num_points: Annotated[int, Range(min=64, max=2**20)] = 4096
@@ -110,6 +113,22 @@ class EnvSettings:
     def __deepcopy__(self, memo: object) -> EnvSettings:
         """Return itself, since it is immutable and organs in memory are large."""
         return self
+
+    def patients(self, *, with_textures: bool = False) -> Patients:
+        """Patients, which are created on first use.
+
+        Args:
+            with_textures: Whether their walls will be rendered.
+        """
+        return Patients(
+            self.organs,
+            device_of(self.capsule),
+            posture=self.posture,
+            lesions=self.lesions,
+            num_points=self.num_points,
+            grid=self.grid,
+            with_textures=with_textures,
+        )
 
     @property
     def relaxation_time(self) -> float:
@@ -138,14 +157,11 @@ def env_settings(**keywords: Any) -> EnvSettings:
         keywords = keywords["task"].defaults | keywords
     if "actuation" in keywords:
         keywords["actuation"] = _part(ACTUATIONS, keywords["actuation"])
-    if "observations" in keywords:
-        given = keywords["observations"]
-        given = (given,) if isinstance(given, str) else given
-        keywords["observations"] = tuple(_part(OBSERVATIONS, o) for o in given)
-    if "rewards" in keywords:
-        keywords["rewards"] = tuple(
-            Reward(r) if isinstance(r, str) else r for r in keywords["rewards"]
-        )
+    for name, registry in (("observations", OBSERVATIONS), ("rewards", REWARDS)):
+        if name in keywords:
+            given = keywords[name]
+            parts = (given,) if isinstance(given, str) else given
+            keywords[name] = tuple(_part(registry, part) for part in parts)
     if "lesions" in keywords:
         given = keywords["lesions"]
         given = (given,) if isinstance(given, str) else given

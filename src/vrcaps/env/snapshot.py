@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import hashlib
-import json
-from collections.abc import Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps._core import __version__
-from vrcaps.core.errors import InputError, reading, require
+from vrcaps.core.errors import reading
 from vrcaps.core.files import read_arrays, write_arrays
 from vrcaps.world.snapshot import Snapshot, snapshot_arrays, snapshot_from_arrays
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, UInt8
+    from jaxtyping import UInt8
 
-    from vrcaps.env.episode import Episode
 
 _TEXTS = ("failure", "generator")
 
@@ -65,62 +61,6 @@ class EnvSnapshot:
     settings: str
     version: str
     worlds: tuple[WorldSnapshot, ...]
-
-
-def take_snapshot(
-    episode: Episode,
-    numbers: Sequence[int],
-    generators: Sequence[np.random.Generator],
-    is_over: Bool[np.ndarray, " n"],
-) -> EnvSnapshot:
-    """Take a snapshot of some worlds of an environment after its first reset.
-
-    Args:
-        episode: The worlds.
-        numbers: Indices of the worlds in the snapshot.
-        generators: Random generators of all worlds.
-        is_over: Whether the episode of each of all worlds is over.
-    """
-
-    def taken(k: int) -> WorldSnapshot:
-        generator = json.dumps(generators[k].bit_generator.state)
-        return episode.simulation.snapshot(k, generator, bool(is_over[k]))
-
-    worlds = tuple(taken(k) for k in numbers)
-    return EnvSnapshot(fingerprint(episode.settings), __version__, worlds)
-
-
-def restore_snapshot(
-    episode: Episode,
-    snapshot: EnvSnapshot,
-    numbers: Sequence[int],
-    generators: Sequence[np.random.Generator],
-) -> None:
-    """Restore worlds from a snapshot.
-
-    Args:
-        episode: All worlds.
-        snapshot: Snapshot of as many worlds as there are indices.
-        numbers: Indices of the worlds to restore.
-        generators: Random generators of all worlds; their state is restored as well.
-
-    Raises:
-        InputError: If the snapshot is of other settings, another version or another number of
-            worlds, or damaged.
-    """
-    if snapshot.settings != fingerprint(episode.settings):
-        raise InputError(
-            "The snapshot is of an environment with other settings. Give one of an environment "
-            "with the same settings."
-        )
-    version = __version__
-    require(snapshot.version == version, "The snapshot's version", snapshot.version, version)
-    given = len(snapshot.worlds)
-    require(given == len(numbers), "The snapshot's number of worlds", given, f"{len(numbers)}")
-    for k, saved in zip(numbers, snapshot.worlds, strict=True):
-        with reading(f"the random generator of world {k} of the snapshot"):
-            generators[k].bit_generator.state = json.loads(saved.generator)
-        episode.simulation.restore(k, saved)
 
 
 def write_env_snapshot(path: Path, snapshot: EnvSnapshot) -> None:

@@ -14,8 +14,10 @@ from gymnasium.vector.utils import batch_space
 
 from vrcaps.core.errors import InputError, require
 from vrcaps.env.episode import Episode, EpisodeStep
+from vrcaps.env.parts import EnvView
 from vrcaps.env.settings import EnvSettings
-from vrcaps.env.snapshot import EnvSnapshot, restore_snapshot, take_snapshot
+from vrcaps.env.simulation import restore_snapshot, take_snapshot
+from vrcaps.env.snapshot import EnvSnapshot
 
 
 class CapsuleVectorEnv(gymnasium.vector.VectorEnv):
@@ -63,6 +65,11 @@ class CapsuleVectorEnv(gymnasium.vector.VectorEnv):
         self._generators = [seeding.np_random(None)[0] for _ in range(num_envs)]
         self._is_over = np.ones(num_envs, bool)
         self._was_reset = False
+
+    @property
+    def view(self) -> EnvView:
+        """Read-only view of the worlds, which is not available to a real capsule."""
+        return self.episode.view
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict | None = None
@@ -150,7 +157,9 @@ class CapsuleVectorEnv(gymnasium.vector.VectorEnv):
             InputError: If there was no reset, or there is no such world.
         """
         require(self._was_reset, "The environment's state", "none", "a reset before a snapshot")
-        return take_snapshot(self.episode, self._chosen(index), self._generators, self._is_over)
+        return take_snapshot(
+            self.episode.simulation, self._chosen(index), self._generators, self._is_over
+        )
 
     def restore(self, snapshot: EnvSnapshot, index: int | None = None) -> dict[str, np.ndarray]:
         """Restore one world or all from a snapshot, which may be of another environment.
@@ -166,7 +175,7 @@ class CapsuleVectorEnv(gymnasium.vector.VectorEnv):
         is_allowed = self._was_reset or index is None
         require(is_allowed, "Worlds to put back", given, "all before the first reset")
         numbers = self._chosen(index)
-        restore_snapshot(self.episode, snapshot, numbers, self._generators)
+        restore_snapshot(self.episode.simulation, snapshot, numbers, self._generators)
         self._is_over[numbers] = [world.is_over for world in snapshot.worlds]
         self._was_reset = True
         return self.episode.observe()

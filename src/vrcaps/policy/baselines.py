@@ -19,7 +19,7 @@ from vrcaps.policy.servo import SERVO_ACTUATIONS, Goal, servo_actions
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-    from vrcaps.env.simulation import Simulation
+    from vrcaps.env.parts import EnvView
     from vrcaps.env.vector_env import CapsuleVectorEnv
 
 _HELD = 6
@@ -75,9 +75,9 @@ class RandomPolicy:
         held = np.stack([self._held[k] for k in range(env.num_envs)])
         if not is_walk:
             return held.astype(space.dtype)
-        simulation = env.episode.simulation
-        position = simulation.T_world_capsule[:, :3, 3] + _FAR * held[:, 0]
-        return servo_actions(simulation, Goal(position, held[:, 1]))
+        view = env.view
+        position = view.T_world_capsule[:, :3, 3] + _FAR * held[:, 0]
+        return servo_actions(view, Goal(position, held[:, 1]))
 
 
 def _action(space: object, draw: np.random.Generator) -> np.ndarray:
@@ -141,15 +141,15 @@ class CenterlinePolicy:
 
     def act(self, observations: dict[str, np.ndarray], env: CapsuleVectorEnv) -> np.ndarray:
         """Return actions towards the next position on the centerline."""
-        simulation = env.episode.simulation
-        goals = [self._goal(simulation, k) for k in range(env.num_envs)]
+        view = env.view
+        goals = [self._goal(view, k) for k in range(env.num_envs)]
         position, heading = (np.stack(part) for part in zip(*goals, strict=True))
-        return servo_actions(simulation, Goal(position, heading, self.speed))
+        return servo_actions(view, Goal(position, heading, self.speed))
 
-    def _goal(self, simulation: Simulation, index: int) -> tuple[np.ndarray, np.ndarray]:
+    def _goal(self, view: EnvView, index: int) -> tuple[np.ndarray, np.ndarray]:
         """Position and heading of one capsule's goal."""
-        route, walk = self._routes.of(simulation, index), self._walks[index]
-        now, time = float(simulation.arc_length[index]), float(simulation.time[index])
+        route, walk = self._routes.of(view, index), self._walks[index]
+        now, time = float(view.arc_length[index]), float(view.time[index])
         walk.follow(route, now, time)
         pose = route.poses(np.array([now + walk.sign * self.ahead]))[0]
         return pose[:3, 3], self.heading(pose[:3, :3], walk.sign, time)

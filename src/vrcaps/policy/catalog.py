@@ -7,16 +7,24 @@ from pathlib import Path
 from typing import Any
 
 from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.registry import Registry
 from vrcaps.policy.policy import Policy
 
-BASELINES = {
-    "random": "vrcaps.policy.baselines:RandomPolicy",
-    "centerline": "vrcaps.policy.baselines:CenterlinePolicy",
-    "look-around": "vrcaps.policy.baselines:LookAroundPolicy",
-    "next-best-view": "vrcaps.policy.next_best_view:NextBestViewPolicy",
-    "navigator": "vrcaps.policy.navigator:NavigatorPolicy",
-}
-"""Import path of each baseline by its name."""
+BASELINES: Registry[Policy] = Registry(
+    "policy",
+    {
+        "random": ("vrcaps.policy.baselines:RandomPolicy", "random targets or actions"),
+        "centerline": ("vrcaps.policy.baselines:CenterlinePolicy", "along the centerline"),
+        "look-around": ("vrcaps.policy.baselines:LookAroundPolicy", "with views on a cone"),
+        "next-best-view": (
+            "vrcaps.policy.next_best_view:NextBestViewPolicy",
+            "to the view with the most unseen wall per time",
+        ),
+        "navigator": ("vrcaps.policy.navigator:NavigatorPolicy", "by a magnet to a goal"),
+    },
+)
+"""Policies without training by name; they are created without arguments."""
+
 _NO_POLICY = (
     "is no policy. Allowed: a class with `requires`, `reset` and `act`, see "
     "vrcaps.policy.policy.Policy."
@@ -40,7 +48,7 @@ def read_policy(name: str | Path) -> Policy:
     """
     text = str(name)
     if text in BASELINES:
-        return _imported(BASELINES[text])
+        return BASELINES[text]()
     shipped = _shipped()
     path = shipped.get(text, Path(name))
     if path.is_file():

@@ -20,8 +20,8 @@ from vrcaps.policy.evaluation import (
 
 if TYPE_CHECKING:
     from vrcaps.env.episode import EpisodeStep
+    from vrcaps.env.parts import EnvView
     from vrcaps.env.settings import EnvSettings
-    from vrcaps.env.simulation import Simulation
     from vrcaps.policy.policy import Policy
 
 _SEEDS_APART = 1000
@@ -101,24 +101,24 @@ def _run(
     policy: Policy, envs: CapsuleVectorEnv, trials: Sequence[tuple[int, int]]
 ) -> tuple[list[dict[str, Any]], list[EpisodeCurves]]:
     """Run episodes in parallel; worlds without one are not stepped."""
-    count, simulation = len(trials), envs.episode.simulation
+    count, view = len(trials), envs.view
     seeds = [_SEEDS_APART * seed + episode for seed, episode in trials]
     seeds += seeds[-1:] * (envs.num_envs - count)
     observations, _ = envs.reset(seed=seeds)
     policy.reset(np.arange(envs.num_envs), seeds)
     active = np.arange(envs.num_envs) < count
-    samples, sampled, ends = [_sample(simulation)], [active.copy()], [""] * envs.num_envs
+    samples, sampled, ends = [_sample(view)], [active.copy()], [""] * envs.num_envs
     while active.any():
         actions = envs.episode.check_actions(policy.act(observations, envs))
         step = envs.episode.step(actions, active)
-        samples.append(_sample(simulation))
+        samples.append(_sample(view))
         sampled.append(active.copy())
         for index in np.flatnonzero(active & (step.terminated | step.truncated)):
             ends[index] = _end(step, int(index))
             active[index] = False
         observations = envs.episode.observe()
     whole, were_active = np.stack(samples), np.stack(sampled)
-    progress = envs.settings.task.progress(simulation)
+    progress = envs.settings.task.progress(view)
     rows, curves = [], []
     for index, (seed, episode) in enumerate(trials):
         curve = _curves(whole[were_active[:, index], index])
@@ -137,15 +137,15 @@ def _run(
     return rows, curves
 
 
-def _sample(simulation: Simulation) -> np.ndarray:
+def _sample(view: EnvView) -> np.ndarray:
     """Values of all curves, a row for each world."""
-    T = simulation.T_world_capsule
+    T = view.T_world_capsule
     return np.column_stack(
         [
-            simulation.time,
-            simulation.fraction,
-            simulation.arc_length,
-            simulation.normal_force_total,
+            view.time,
+            view.coverage.fraction,
+            view.arc_length,
+            view.normal_force_total,
             T[:, :3, 3],
             quaternion_from_matrix(T[:, :3, :3]),
         ]

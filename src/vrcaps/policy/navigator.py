@@ -25,7 +25,7 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import clamp_norm, unit
 from vrcaps.core.transforms import rotation_from_vector
 from vrcaps.core.units import CM, MM
-from vrcaps.env.actuation.magnet import MagnetActuation
+from vrcaps.env.actuation import MagnetActuation
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.policy.policy import Requirements
@@ -35,7 +35,7 @@ from vrcaps.world.control import GRAVITY
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-    from vrcaps.env.simulation import Simulation
+    from vrcaps.env.parts import EnvView
     from vrcaps.env.vector_env import CapsuleVectorEnv
 
 _SPEED = 2.0 * CM
@@ -95,11 +95,11 @@ class NavigatorPolicy:
 
     def act(self, observations: dict[str, np.ndarray], env: CapsuleVectorEnv) -> np.ndarray:
         """Return the magnets' twists for the next control period."""
-        simulation = env.episode.simulation
+        view = env.view
         for index in range(env.num_envs):
             if index not in self._guides:
-                self._guides[index] = Guide(simulation, index)
-        twists = [self._guides[index].twist(simulation) for index in range(env.num_envs)]
+                self._guides[index] = Guide(view, index)
+        twists = [self._guides[index].twist(view) for index in range(env.num_envs)]
         return np.array(twists, np.float32)
 
 
@@ -111,43 +111,43 @@ class Guide:
         place: Arc length of the capsule along it [m].
     """
 
-    def __init__(self, simulation: Simulation, index: int) -> None:
+    def __init__(self, view: EnvView, index: int) -> None:
         """Plan the path.
 
         Args:
-            simulation: Simulation at the start of an episode.
+            view: EnvView at the start of an episode.
             index: Index of the world.
         """
-        model, memory = simulation.patient(index).model, simulation.memory
-        self._actuation = _magnet_of(simulation)
+        model, memory = view.patient(index).model, view.memory
+        self._actuation = _magnet_of(view)
         magnet = read_magnet(self._actuation.magnet)
         low, high = memory["magnet/box"][index].tolist()
         workspace = Workspace(tuple(low), tuple(high), 0.5 * magnet.diameter + 3.0 * CM)
         self._solver = MagnetPoseSolver(SourceSet([magnet]), model.device.magnets, workspace)
         self._index, self._weight = index, model.device.mass * GRAVITY
-        self.path, self.place = _path(simulation, index), 0.0
-        T = simulation.T_world_capsule[index]
+        self.path, self.place = _path(view, index), 0.0
+        T = view.T_world_capsule[index]
         self._position, self._velocity = T[:3, 3].copy(), np.zeros(3)
         self._heading = T[:3, :3].copy()
         self._integral, self._force = 0.0, np.array([0.0, 0.0, self._weight - _REST])
         self._best, self._since, self._hops = 0.0, 0.0, 0
 
-    def twist(self, simulation: Simulation) -> Float[np.ndarray, " 6"]:
+    def twist(self, view: EnvView) -> Float[np.ndarray, " 6"]:
         """Return the magnet's action for the next control period."""
-        dt, T = simulation.settings.control_period, simulation.T_world_capsule[self._index]
+        dt, T = view.control_period, view.T_world_capsule[self._index]
         self._velocity += min(dt / _SMOOTHING, 1.0) * (
             (T[:3, 3] - self._position) / dt - self._velocity
         )
         self._position = T[:3, 3].copy()
         here, ahead = self._places(self._position)
         way = unit(ahead - self._position)
-        pull, lift, pitch = self._pull(way, dt, float(simulation.time[self._index]))
+        pull, lift, pitch = self._pull(way, dt, float(view.time[self._index]))
         sink = min(_HEIGHT_GAIN * max(self._position[2] - here[2] - _HEIGHT, 0.0), _SINK)
         wanted = pull * way + np.array([0.0, 0.0, self._weight + lift - sink])
         self._force = self._force + clamp_norm(wanted - self._force, _FORCE_RATE * dt)
         T_led = T.copy()
         T_led[:3, :3] = self._led(T[:3, :3], unit(way + np.array([0.0, 0.0, pitch])), dt)
-        return self._towards(simulation, T_led, dt)
+        return self._towards(view, T_led, dt)
 
     def _places(
         self, position: Float[np.ndarray, " 3"]
@@ -189,19 +189,19 @@ class Guide:
         return self._heading
 
     def _towards(
-        self, simulation: Simulation, T_world_capsule: Float[np.ndarray, "4 4"], dt: float
+        self, view: EnvView, T_world_capsule: Float[np.ndarray, "4 4"], dt: float
     ) -> Float[np.ndarray, " 6"]:
         """Action that moves the magnet towards where it exerts the force on a capsule at a pose."""
-        now = simulation.memory["magnet/T"][self._index]
+        now = view.memory["magnet/T"][self._index]
         target = WrenchTarget(self._force.tolist(), motion_weight=_MOTION_WEIGHT)
         solution = self._solver.solve(target, T_world_capsule, now, max_iterations=_ITERATIONS)
         return magnet_action(self._actuation, now, solution.T_world_magnet, dt)
 
 
-def _path(simulation: Simulation, index: int) -> WallPath:
+def _path(view: EnvView, index: int) -> WallPath:
     """Path along the lower wall from the capsule to its goal."""
-    model, start = simulation.patient(index).model, float(simulation.arc_length[index])
-    length, memory = float(simulation.course.length[index]), simulation.memory
+    model, start = view.patient(index).model, float(view.arc_length[index])
+    length, memory = float(view.course.length[index]), view.memory
     goal = length if start < 0.5 * length else 0.0
     if "navigate/goal" in memory:
         goal = float(memory["navigate/goal"][index])
@@ -210,13 +210,13 @@ def _path(simulation: Simulation, index: int) -> WallPath:
     return centerline_wall_path(model, start, goal, wall="lower")
 
 
-def _magnet_of(simulation: Simulation) -> MagnetActuation:
+def _magnet_of(view: EnvView) -> MagnetActuation:
     """Return the actuation, which must be a magnet.
 
     Raises:
         InputError: If it is another.
     """
-    actuation = simulation.settings.actuation
+    actuation = view.actuation
     if not isinstance(actuation, MagnetActuation):
         raise InputError(f"The navigator cannot drive {actuation.kind!r}. Allowed: magnet.")
     return actuation

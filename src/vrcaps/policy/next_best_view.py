@@ -20,7 +20,7 @@ from vrcaps.policy.servo import SERVO_ACTUATIONS, Goal, heading_error, servo_act
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-    from vrcaps.env.simulation import Simulation
+    from vrcaps.env.parts import EnvView
     from vrcaps.env.vector_env import CapsuleVectorEnv
 
 _NUM_NEAR, _NUM_HEADINGS = 24, 4
@@ -82,28 +82,28 @@ class NextBestViewPolicy:
 
     def act(self, observations: dict[str, np.ndarray], env: CapsuleVectorEnv) -> np.ndarray:
         """Return actions towards the planned view, or towards a new one when it is reached."""
-        simulation = env.episode.simulation
+        view = env.view
         places = []
         for index in range(env.num_envs):
             plan = self._plans[index]
-            if plan is None or _is_over(simulation, index, plan):
-                plan = self._plans[index] = self._best(simulation, index)
-            places.append((self._next(simulation, index, plan), plan.heading))
+            if plan is None or _is_over(view, index, plan):
+                plan = self._plans[index] = self._best(view, index)
+            places.append((self._next(view, index, plan), plan.heading))
         position, heading = (np.stack(part) for part in zip(*places, strict=True))
-        return servo_actions(simulation, Goal(position, heading, _SPEED, _TURN))
+        return servo_actions(view, Goal(position, heading, _SPEED, _TURN))
 
-    def _next(self, simulation: Simulation, index: int, plan: _Plan) -> np.ndarray:
+    def _next(self, view: EnvView, index: int, plan: _Plan) -> np.ndarray:
         """Next position: the view itself, or a point on the centerline until the view is near."""
         if np.isnan(plan.arc_length):
             return plan.position
-        left = plan.arc_length - simulation.arc_length[index]
-        step = simulation.arc_length[index] + np.clip(left, -2.0 * CM, 2.0 * CM)
-        return self._routes.of(simulation, index).poses(np.array([step]))[0, :3, 3]
+        left = plan.arc_length - view.arc_length[index]
+        step = view.arc_length[index] + np.clip(left, -2.0 * CM, 2.0 * CM)
+        return self._routes.of(view, index).poses(np.array([step]))[0, :3, 3]
 
-    def _best(self, simulation: Simulation, index: int) -> _Plan:
+    def _best(self, view: EnvView, index: int) -> _Plan:
         """Candidate with the most gain over time."""
-        draw, route = self._draws[index], self._routes.of(simulation, index)
-        T, now = simulation.T_world_capsule[index], float(simulation.arc_length[index])
+        draw, route = self._draws[index], self._routes.of(view, index)
+        T, now = view.T_world_capsule[index], float(view.arc_length[index])
         points, arc_length, way = _proposals(draw, route, T[:3, 3], now)
         points, arc_length, way = (
             np.repeat(part, _NUM_HEADINGS, axis=0) for part in (points, arc_length, way)
@@ -113,17 +113,17 @@ class NextBestViewPolicy:
         turning = np.arccos(np.clip(headings @ T[:3, 2], -1.0, 1.0)) / _TURN
         # The capsule turns on the way.
         time = np.maximum(way / _SPEED, turning) + _PAUSE
-        gain = _gains(simulation, index, draw, points, headings)
+        gain = _gains(view, index, draw, points, headings)
         best = int(np.argmax(np.where(is_free, gain / time, -1.0)))
-        began = float(simulation.time[index])
+        began = float(view.time[index])
         until = began + 1.5 * float(time[best]) + _PAUSE
         return _Plan(points[best], headings[best], float(arc_length[best]), began, until)
 
 
-def _is_over(simulation: Simulation, index: int, plan: _Plan) -> bool:
+def _is_over(view: EnvView, index: int, plan: _Plan) -> bool:
     """Return whether a view is reached, takes too long, or the capsule is stuck on the way."""
-    T, now = simulation.T_world_capsule[index], simulation.time[index]
-    speeds = np.linalg.norm(simulation.velocity_world[index], axis=1)
+    T, now = view.T_world_capsule[index], view.time[index]
+    speeds = np.linalg.norm(view.velocity_world[index], axis=1)
     is_held = now > plan.began + _PAUSE and bool((speeds < _STILL).all())
     off = heading_error(T[None, :3, :3], plan.heading[None])[0]
     is_there = np.linalg.norm(T[:3, 3] - plan.position) < _AT and np.linalg.norm(off) < _ALIGNED
@@ -151,7 +151,7 @@ def _proposals(
 
 
 def _gains(
-    simulation: Simulation,
+    view: EnvView,
     index: int,
     draw: np.random.Generator,
     points: Float[np.ndarray, "n 3"],
@@ -160,20 +160,20 @@ def _gains(
     """Fraction of the wall that each view would newly show, estimated on a subset of its points.
 
     Args:
-        simulation: Simulation of the worlds.
+        view: EnvView of the worlds.
         index: Index of the world.
         draw: Random generator for the subset of the wall's points.
         points: Positions of the capsule.
         headings: Directions of its front.
     """
-    patient, settings = simulation.patient(index), simulation.settings
+    patient = view.patient(index)
     up = np.eye(3)[np.abs(headings).argmin(axis=1)]
     Ts_world_capsule = transform_from(look_along(headings, up), points)
     left_out = draw.random(len(patient.points)) > _SHARE
-    flags = np.where(left_out, _ALL_SEEN, simulation.flags[index]).astype(np.uint8)
+    flags = np.where(left_out, _ALL_SEEN, view.coverage.flags[index]).astype(np.uint8)
     copies, cells = [flags.copy() for _ in points], np.zeros((len(points), patient.num_cells))
     gain = np.zeros((len(points), len(POINT_LEVELS)))
-    for camera in simulation.device.cameras:
+    for camera in view.device.cameras:
         gain += mark_points(
             [patient.model.wall] * len(points),
             [patient.points] * len(points),
@@ -181,7 +181,7 @@ def _gains(
             Ts_world_capsule @ camera.T_capsule_camera,
             copies,
             cells,
-            settings.criteria,
+            view.criteria,
         )
-    level = getattr(settings.task, "level", "visible")
+    level = getattr(view.task, "level", "visible")
     return gain[:, POINT_LEVELS.index(level)]

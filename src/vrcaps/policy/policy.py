@@ -59,9 +59,9 @@ class Requirements:
 class Policy(Protocol):
     """Policy that chooses an action for each world of a vector environment.
 
-    It may use observations only, or `env.episode.simulation`, which is not available to a real
-    capsule. Its randomness depends on the seeds of its episodes alone, so that an episode does not
-    depend on the other worlds.
+    It may use observations only, or `env.view`, which is not available to a real capsule. Its
+    randomness depends on the seeds of its episodes alone, so that an episode does not depend on the
+    other worlds.
     """
 
     @property

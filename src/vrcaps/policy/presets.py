@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from vrcaps.env.actuation.wrench import Wrench
+from vrcaps.env.actuation import Wrench
 from vrcaps.env.observations.landmarks import LandmarksObservation
 from vrcaps.env.observations.state import StateObservation
-from vrcaps.env.rewards import Reward
+from vrcaps.env.randomization import Start
+from vrcaps.env.rewards import LogGain, PaperGain
 from vrcaps.env.settings import EnvSettings
-from vrcaps.env.start import Start
-from vrcaps.env.tasks.coverage import CoverageTask
+from vrcaps.env.tasks import CoverageTask
 from vrcaps.policy.ppo import PpoSettings
 from vrcaps.policy.training import TrainingSettings
 from vrcaps.scenario.scenario import OrganGenerated
@@ -27,7 +27,7 @@ def paper() -> TrainingSettings:
         task=CoverageTask(level="frustum"),
         actuation=Wrench("discrete", is_weightless=True),
         observations=(StateObservation(),),
-        rewards=(Reward("paper", level="frustum"),),
+        rewards=(PaperGain(level="frustum"),),
         organs=_stomachs(3),
         episode_time=250.0,
         stuck_time=250.0,
@@ -54,7 +54,7 @@ def default() -> TrainingSettings:
     """
     env = EnvSettings(
         task=CoverageTask(target=1.0),
-        rewards=(Reward("log-gain"),),
+        rewards=(LogGain(),),
         actuation=Wrench(force=5e-3, torque=1e-5, is_weightless=True, frame="capsule"),
         observations=(LandmarksObservation(),),
         organs=_stomachs(16),

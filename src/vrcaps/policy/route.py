@@ -12,8 +12,8 @@ from vrcaps.core.units import MM
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-    from vrcaps.env.patient import Patient
-    from vrcaps.env.simulation import Simulation
+    from vrcaps.env.parts import EnvView
+    from vrcaps.env.patients import Patient
     from vrcaps.world.model import Model
 
 _SPACING = 2.0 * MM
@@ -75,9 +75,9 @@ class Routes:
     def __init__(self) -> None:
         self._made: dict[int, tuple[Patient, Route]] = {}
 
-    def of(self, simulation: Simulation, index: int) -> Route:
+    def of(self, view: EnvView, index: int) -> Route:
         """Return the route of the patient of one world."""
-        patient = simulation.patient(index)
+        patient = view.patient(index)
         if id(patient) not in self._made:
             self._made[id(patient)] = (patient, make_route(patient.model))
         return self._made[id(patient)][1]

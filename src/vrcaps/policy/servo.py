@@ -13,8 +13,7 @@ from vrcaps.capsule.device import homogeneous_body
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import rotation_from_vector, vector_from_rotation
 from vrcaps.core.units import MM
-from vrcaps.env.actuation.magnet import MagnetActuation
-from vrcaps.env.actuation.wrench import Wrench
+from vrcaps.env.actuation import MagnetActuation, Wrench
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.world.control import GRAVITY
@@ -22,7 +21,7 @@ from vrcaps.world.control import GRAVITY
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-    from vrcaps.env.simulation import Simulation
+    from vrcaps.env.parts import EnvView
 
 SERVO_ACTUATIONS = ("wrench", "magnet")
 """Supported kinds of actuation."""
@@ -60,28 +59,28 @@ class Goal:
     turn: float = 1.5
 
 
-def servo_actions(simulation: Simulation, goal: Goal) -> np.ndarray:
+def servo_actions(view: EnvView, goal: Goal) -> np.ndarray:
     """Return the actions of all worlds for the next control period.
 
     Raises:
         InputError: If it cannot drive the environment's actuation.
     """
-    actuation = simulation.settings.actuation
-    twist = wanted_twist(simulation, goal)
+    actuation = view.actuation
+    twist = wanted_twist(view, goal)
     if isinstance(actuation, Wrench):
-        return _wrench(simulation, actuation, *twist)
+        return _wrench(view, actuation, *twist)
     if isinstance(actuation, MagnetActuation):
-        return _magnet(simulation, actuation, *twist)
+        return _magnet(view, actuation, *twist)
     raise InputError(
         f"The servo cannot drive {actuation.kind!r}. Allowed: {', '.join(SERVO_ACTUATIONS)}."
     )
 
 
 def wanted_twist(
-    simulation: Simulation, goal: Goal
+    view: EnvView, goal: Goal
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
     """Velocities [m/s] and angular velocities [rad/s] that lead to a goal without overshoot."""
-    T = simulation.T_world_capsule
+    T = view.T_world_capsule
     velocity = _limited(_RATE * (goal.position - T[:, :3, 3]), goal.speed)
     turn = heading_error(T[:, :3, :3], goal.heading)
     return velocity, _limited(_RATE * turn, goal.turn)
@@ -107,38 +106,38 @@ def _limited(vectors: Float[np.ndarray, "n 3"], most: float) -> Float[np.ndarray
 
 
 def _loads(
-    simulation: Simulation, velocity: Float[np.ndarray, "n 3"], spin: Float[np.ndarray, "n 3"]
+    view: EnvView, velocity: Float[np.ndarray, "n 3"], spin: Float[np.ndarray, "n 3"]
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
     """Forces [N] and torques [N·m] that give a twist at the end of a control period Δt.
 
     With inertia and drag, v = v₀ a + (1 − a) F τ/m with a = exp(−Δt/τ); in quasi-static motion,
     a = 0. Torques are analogous.
     """
-    settings, body = simulation.settings, homogeneous_body(simulation.device)
-    linear, angular = simulation.velocity_world[:, 0], simulation.velocity_world[:, 1]
-    tau = settings.relaxation_time
+    body = homogeneous_body(view.device)
+    linear, angular = view.velocity_world[:, 0], view.velocity_world[:, 1]
+    tau = view.relaxation_time
     lasting, time = 0.0, tau
-    if settings.dynamics == "physics":
-        lasting = math.exp(-settings.control_period / tau)
-        time = (1.0 - lasting) * tau if math.isfinite(tau) else settings.control_period
-    R = simulation.T_world_capsule[:, :3, :3]
+    if view.dynamics == "physics":
+        lasting = math.exp(-view.control_period / tau)
+        time = (1.0 - lasting) * tau if math.isfinite(tau) else view.control_period
+    R = view.T_world_capsule[:, :3, :3]
     inertia = R @ body.inertia @ np.swapaxes(R, 1, 2)
     torque = np.einsum("nij,nj->ni", inertia, spin - lasting * angular) / time
     return body.mass * (velocity - lasting * linear) / time, torque
 
 
 def _wrench(
-    simulation: Simulation,
+    view: EnvView,
     actuation: Wrench,
     velocity: Float[np.ndarray, "n 3"],
     spin: Float[np.ndarray, "n 3"],
 ) -> np.ndarray:
     """Wrench that gives the twist and balances gravity, within the limits."""
-    force, torque = _loads(simulation, velocity, spin)
+    force, torque = _loads(view, velocity, spin)
     if not actuation.is_weightless:
-        force[:, 2] += simulation.device.mass * GRAVITY
+        force[:, 2] += view.device.mass * GRAVITY
     if actuation.frame == "capsule":
-        R = simulation.T_world_capsule[:, :3, :3]
+        R = view.T_world_capsule[:, :3, :3]
         force, torque = (np.einsum("nji,nj->ni", R, load) for load in (force, torque))
     if actuation.mode == "discrete":
         return _choices(force, actuation.force)
@@ -147,7 +146,7 @@ def _wrench(
 
 
 def _magnet(
-    simulation: Simulation,
+    view: EnvView,
     actuation: MagnetActuation,
     velocity: Float[np.ndarray, "n 3"],
     spin: Float[np.ndarray, "n 3"],
@@ -157,7 +156,7 @@ def _magnet(
     It supports all but a small part of the weight, so that the capsule rests on the wall below it:
     a capsule that hangs freely under a magnet has no stable position.
     """
-    force, _ = _loads(simulation, velocity, spin)
+    force, _ = _loads(view, velocity, spin)
     force += (
         _WALL_RESISTANCE
         * velocity
@@ -166,14 +165,14 @@ def _magnet(
     )
     force[:, 2] = 0.0
     force = _limited(force, _MAGNET_FORCE)
-    force[:, 2] = max(simulation.device.mass * GRAVITY - _REST, 0.0)
+    force[:, 2] = max(view.device.mass * GRAVITY - _REST, 0.0)
     sources = SourceSet([read_magnet(actuation.magnet)])
-    dt, memory = simulation.settings.control_period, simulation.memory
-    actions = np.zeros((simulation.num_worlds, 6), np.float32)
-    for index, T_world_capsule in enumerate(simulation.T_world_capsule):
+    dt, memory = view.control_period, view.memory
+    actions = np.zeros((view.num_worlds, 6), np.float32)
+    for index, T_world_capsule in enumerate(view.T_world_capsule):
         (x0, y0, z0), (x1, y1, z1) = memory["magnet/box"][index].tolist()
         solver = MagnetPoseSolver(
-            sources, simulation.device.magnets, Workspace((x0, y0, z0), (x1, y1, z1))
+            sources, view.device.magnets, Workspace((x0, y0, z0), (x1, y1, z1))
         )
         ahead = T_world_capsule.copy()
         ahead[:3, :3] = rotation_from_vector(_LEAD * spin[index]) @ ahead[:3, :3]

@@ -18,7 +18,7 @@ from vrcaps.config.limits import Range, check_fields
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import file_sha256, read_arrays, write_arrays, write_csv
-from vrcaps.env.organs import check_names
+from vrcaps.env.patients import check_names
 from vrcaps.env.settings import EnvSettings
 from vrcaps.env.vector_env import CapsuleVectorEnv
 from vrcaps.organ.surface import OrganSurface
@@ -89,7 +89,7 @@ def train(
         UnknownNameError: If there is no organ or no capsule of a name.
         MissingExtraError: If a package of the learner is not installed.
     """
-    check_names(settings.env)
+    check_names(settings.env.organs, settings.env.capsule)
     stated = plain_settings(settings)
     if start is not None:
         stated["start"] = file_sha256(start_file(start))

@@ -8,15 +8,15 @@ from vrcaps import _core
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import transform_from
 from vrcaps.env.observations.landmarks import RAYS, LandmarksObservation
-from vrcaps.env.start import Start
-from vrcaps.env.tasks.navigate import NavigateTask
+from vrcaps.env.randomization import Start
+from vrcaps.env.tasks import NavigateTask
 from vrcaps.mesh.mesh import wall_of
 
 _SCALE = 0.02
 
 
-def _told(simulation, **options):
-    return LandmarksObservation(**options).observe(simulation)
+def _told(view, **options):
+    return LandmarksObservation(**options).observe(view)
 
 
 def _distance(told):
@@ -26,8 +26,9 @@ def _distance(told):
 
 def test_distances_to_a_tubes_wall_are_its_radius_and_where_its_ends_are():
     simulation = simulation_of()
-    told = _told(simulation)[0].astype(float)
-    place, axes = simulation.T_world_capsule[0, :3, 3], simulation.T_world_capsule[0, :3, :3]
+    told = _told(simulation.view)[0].astype(float)
+    pose = simulation.worlds.T_world_capsule[0]
+    place, axes = pose[:3, 3], pose[:3, :3]
     rays = _distance(told[27:41])
     assert rays[:2] == pytest.approx(0.02, rel=0.03)  # a polygon of 31 corners
     assert rays[2] == pytest.approx(0.09, rel=1e-3)
@@ -38,8 +39,8 @@ def test_distances_to_a_tubes_wall_are_its_radius_and_where_its_ends_are():
 
 
 def test_guides_in_the_capsules_frame_do_not_depend_on_how_it_lies_in_the_world():
-    one = _told(simulation_of(posture="supine"))[0]
-    other = _told(simulation_of(posture="left-lateral"))[0]
+    one = _told(simulation_of(posture="supine").view)[0]
+    other = _told(simulation_of(posture="left-lateral").view)[0]
     is_gravity = np.zeros(len(one), bool)
     is_gravity[15:18] = True
     # What hangs on gravity: its direction alone, before the first step.
@@ -50,73 +51,74 @@ def test_guides_in_the_capsules_frame_do_not_depend_on_how_it_lies_in_the_world(
 def test_centerline_tangent_and_way_on_are_told_beside_it():
     simulation = simulation_of()
     down = np.array([0.0, 0.0, -1.0])
-    simulation.T_world_capsule[0, :3, 3] += 5e-3 * down
-    told = _told(simulation, frame="world")[0].astype(float)
+    simulation.worlds.T_world_capsule[0, :3, 3] += 5e-3 * down
+    told = _told(simulation.view, frame="world")[0].astype(float)
     np.testing.assert_allclose(told[5:8], -down * 5e-3 / 25e-3, atol=1e-5)
     np.testing.assert_allclose(told[8:11], [1.0, 0.0, 0.0], atol=1e-6)
     ahead = np.array([40e-3, 0.0, 5e-3])
     np.testing.assert_allclose(told[11:14], ahead / np.linalg.norm(ahead), atol=1e-5)
     assert told[0] == pytest.approx(0.5, abs=0.01)
-    np.testing.assert_allclose(told[15:18], simulation.T_world_capsule[0, :3, 2], atol=1e-6)
+    np.testing.assert_allclose(told[15:18], simulation.worlds.T_world_capsule[0, :3, 2], atol=1e-6)
 
 
 def test_most_attractive_region_is_where_nothing_was_seen():
     simulation = simulation_of(start=Start(fraction=(0.2, 0.2), settle=0.0))
-    simulation.cells[:] = simulation.cell_area
-    left = simulation.cell_center[0, :, 0] > 0.14
-    simulation.cells[0, left] = 0.0
-    first, second = _told(simulation, frame="world", regions=6)[0, 41:55].reshape(2, 7)
+    simulation.coverage.cells[:] = simulation.coverage.cell_area
+    left = simulation.coverage.cell_center[0, :, 0] > 0.14
+    simulation.coverage.cells[0, left] = 0.0
+    first, second = _told(simulation.view, frame="world", regions=6)[0, 41:55].reshape(2, 7)
     assert first[0] > 0.9 and first[4] > 0.0  # towards the anal end
     assert 0.14 - 0.036 < _distance(first[3]) < 0.18 - 0.03
     assert first[6] == 1.0  # nothing is in between
-    unseen = simulation.unseen_cells.sum()
+    unseen = simulation.coverage.unseen_cells.sum()
     assert 0.0 < 0.01 * first[5] / (1.0 - first[5]) < unseen
     assert second[5] > 0.0
 
 
 def test_nothing_left_to_see_is_zeros():
     simulation = simulation_of()
-    simulation.cells[:] = simulation.cell_area
-    assert not _told(simulation)[0, 41:].any()
-    assert _told(simulation, regions=64).shape == (1, 41 + 7 * 64)
+    simulation.coverage.cells[:] = simulation.coverage.cell_area
+    assert not _told(simulation.view)[0, 41:].any()
+    assert _told(simulation.view, regions=64).shape == (1, 41 + 7 * 64)
 
 
 def test_region_behind_a_wall_is_not_free():
     simulation = simulation_of()
-    simulation.cells[:] = simulation.cell_area
-    cell = np.argmax(simulation.cell_area[0])
-    simulation.cells[0, cell] = 0.0
-    simulation.cell_center[0, cell] = simulation.T_world_capsule[0, :3, 3] + [0.0, 0.05, 0.0]
-    assert _told(simulation, regions=1)[0, -1] == 0.0
-    simulation.cell_center[0, cell] = simulation.T_world_capsule[0, :3, 3] + [0.0, 0.015, 0.0]
-    assert _told(simulation, regions=1)[0, -1] == 1.0
+    simulation.coverage.cells[:] = simulation.coverage.cell_area
+    cell = np.argmax(simulation.coverage.cell_area[0])
+    simulation.coverage.cells[0, cell] = 0.0
+    place, center = simulation.worlds.T_world_capsule[0, :3, 3], simulation.coverage.cell_center[0]
+    center[cell] = place + np.array([0.0, 0.05, 0.0])
+    assert _told(simulation.view, regions=1)[0, -1] == 0.0
+    center[cell] = place + np.array([0.0, 0.015, 0.0])
+    assert _told(simulation.view, regions=1)[0, -1] == 1.0
 
 
 def test_worlds_side_by_side_are_told_what_each_is_told_alone():
     many = simulation_of(3, organs=(GUT, SHORT_GUT), start=Start(settle=0.0))
-    told = _told(many)
+    told = _told(many.view)
     assert told.dtype == np.float32 and np.abs(told).max() <= 1.0
-    assert LandmarksObservation().space(many).contains(told[0])
+    assert LandmarksObservation().space(many.view).contains(told[0])
     for index in range(3):
         alone = simulation_of(1, organs=(GUT, SHORT_GUT), start=Start(settle=0.0))
         alone.reset(0, np.random.default_rng(index))
-        np.testing.assert_array_equal(_told(alone)[0], told[index])
+        np.testing.assert_array_equal(_told(alone.view)[0], told[index])
 
 
 def test_magnet_is_told_from_the_capsule():
     simulation = simulation_of()
     T_magnet = simulation.memory.allocate("magnet/T", (4, 4))
-    place = simulation.T_world_capsule[0, :3, 3]
+    place = simulation.worlds.T_world_capsule[0, :3, 3]
     T_magnet[0] = transform_from(np.eye(3), place + np.array([0.0, 0.0, 0.1]))
-    told = _told(simulation, frame="world")[0]
+    told = _told(simulation.view, frame="world")[0]
     np.testing.assert_allclose(told[-6:], [0.0, 0.0, 0.5, 0.0, 0.0, 1.0], atol=1e-6)
-    assert LandmarksObservation().space(simulation).shape == told.shape
+    assert LandmarksObservation().space(simulation.view).shape == told.shape
 
 
 def test_way_to_the_goal_is_told_where_there_is_one():
     simulation = simulation_of(task=NavigateTask(goal=0.25))
-    told = _told(simulation)[0]
-    assert LandmarksObservation().space(simulation).contains(told) and len(told) == 83 + 6 + 1
+    told = _told(simulation.view)[0]
+    assert LandmarksObservation().space(simulation.view).contains(told) and len(told) == 83 + 6 + 1
     assert told[-1] == pytest.approx(-0.045 / 0.145, abs=1e-3)
 
 

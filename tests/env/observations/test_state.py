@@ -21,9 +21,9 @@ def test_located_pose_is_off_by_what_sensors_do_not_know_and_gets_nearer():
     for _ in range(4):
         observation, *_ = env.step(np.zeros(6))
         told = observation["state"][:3] * 0.1 + s.memory["state/center"][0]
-        errors.append(np.linalg.norm(told - s.T_world_capsule[0, :3, 3]))
+        errors.append(np.linalg.norm(told - s.worlds.T_world_capsule[0, :3, 3]))
     assert 0.0 < errors[-1] < 3e-3 < errors[0] + 3e-3
-    assert observation["state"][3:6] @ s.T_world_capsule[0, :3, 0] > 0.95
+    assert observation["state"][3:6] @ s.worlds.T_world_capsule[0, :3, 0] > 0.95
     assert observation["state"].shape == env.observation_space["state"].shape
 
 
@@ -45,7 +45,7 @@ def test_located_worlds_side_by_side_and_from_a_snapshot_are_those_alone():
 
 
 def test_size_of_a_trackers_state_is_as_stated():
-    device = small_env().episode.simulation.device
+    device = small_env().episode.simulation.worlds.device
     T = np.eye(4)
     tracker = CapsuleTracker(Model(GUT, device), TrackingSensors(), T, period=0.1, seed=0)
     assert len(tracker.to_array()) == CapsuleTracker.size

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.support.small_envs import small_settings
-from vrcaps.env.tasks.navigate import NavigateTask
+from vrcaps.env.tasks import NavigateTask
 from vrcaps.policy.evaluation import (
     EpisodeCurves,
     Evaluation,

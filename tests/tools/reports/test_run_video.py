@@ -10,8 +10,8 @@ import pytest
 
 from tests.support.small_envs import SHORT_GUT, small_settings
 from vrcaps.capsule.device_file import read_device
-from vrcaps.env.actuation.wrench import Wrench
-from vrcaps.env.patient import Patients
+from vrcaps.env.actuation import Wrench
+from vrcaps.env.patients import Patients
 from vrcaps.policy.catalog import read_policy
 from vrcaps.policy.evaluate import Plan, evaluate
 from vrcaps.policy.evaluation import Evaluation

@@ -12,7 +12,7 @@ from vrcaps.cockpit.browser import CONTROLS, KEYS, PAD, STANDARD, DriverInput
 from vrcaps.cockpit.session.policy_driver import PolicyDriver
 from vrcaps.core.errors import UnknownNameError
 from vrcaps.core.transforms import matrix_from_quaternion, quaternion_from_matrix, transform_from
-from vrcaps.env.actuation.magnet import MagnetActuation
+from vrcaps.env.actuation import MagnetActuation
 from vrcaps.policy.catalog import policy_names
 from vrcaps.recording.recorder import record
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError, VrcapsError
-from vrcaps.env.actuation.magnet import MagnetActuation
+from vrcaps.env.actuation import MagnetActuation
 from vrcaps.env.settings import EnvSettings, env_settings
-from vrcaps.env.tasks.navigate import NavigateTask
+from vrcaps.env.tasks import NavigateTask
 from vrcaps.env.vector_env import CapsuleVectorEnv
 from vrcaps.policy.catalog import read_policy
 from vrcaps.policy.policy import Policy
@@ -73,7 +73,9 @@ class PolicyDriver:
         settings = _settings(self._policy, rollout, self._posture, goal)
         self._policy.requires.check(settings, name)
         self._env, self._seed = CapsuleVectorEnv(settings), seed
-        self._patient = self._env.episode.simulation.patients[0]  # created now: it takes a while
+        self._patient = self._env.episode.simulation.worlds.patients[
+            0
+        ]  # created now: it takes a while
         self._axes, self._time, self._due = np.zeros(6), -np.inf, -np.inf
 
     def axes(self, time: float) -> Float[np.ndarray, " 6"] | None:

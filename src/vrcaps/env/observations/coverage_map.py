@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 
 from vrcaps.config.limits import Range, check_fields
-from vrcaps.env.observations.observation import Observation
+from vrcaps.env.parts import EnvView, Observation
 
 if TYPE_CHECKING:
     from jaxtyping import Float
-
-    from vrcaps.env.simulation import Simulation
 
 
 @dataclass(frozen=True)
@@ -42,37 +40,35 @@ class MapObservation(Observation):
     factor: Annotated[float, Range(min=1.0, max=4.0)] = 2.0
 
     kind: ClassVar[str] = "map"
-    name: ClassVar[str] = "map"
-    needs_textures: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         check_fields(self)
 
-    def space(self, simulation: Simulation) -> Any:
+    def space(self, view: EnvView) -> Any:
         """Observation space: fractions."""
         from gymnasium import spaces
 
-        shape = (2, *simulation.settings.grid)
+        shape = (2, *view.grid)
         if self.egocentric:
             shape = (2 * self.scales, self.size, self.size)
         return spaces.Box(0.0, 1.0, shape, np.float32)
 
-    def observe(self, simulation: Simulation) -> Float[np.ndarray, "n c h w"]:
+    def observe(self, view: EnvView) -> Float[np.ndarray, "n c h w"]:
         """Return the maps of all worlds."""
-        made = self._crops(simulation) if self.egocentric else _whole(simulation)
+        made = self._crops(view) if self.egocentric else _whole(view)
         return made.clip(0.0, 1.0).astype(np.float32)
 
-    def _crops(self, s: Simulation) -> Float[np.ndarray, "n c h w"]:
+    def _crops(self, s: EnvView) -> Float[np.ndarray, "n c h w"]:
         """Maps around the capsules; a pixel's value is the mean over its area."""
-        rows, columns = s.settings.grid
+        rows, columns = s.grid
         half = 0.5 * self.size * self.factor ** np.arange(self.scales)[:, None]
         edges = half * np.linspace(-1.0, 1.0, self.size + 1)
         row, column = (at[:, None, None] + edges for at in _place(s))
         along, around = _overlap(row, rows), _repeated_overlap(column, columns)
         around = np.swapaxes(around, -1, -2)
         seen, area = (
-            s.cells.reshape(-1, 1, rows, columns),
-            s.cell_area.reshape(-1, 1, rows, columns),
+            s.coverage.cells.reshape(-1, 1, rows, columns),
+            s.coverage.cell_area.reshape(-1, 1, rows, columns),
         )
         inside = along.sum(axis=-1) / np.diff(row, axis=-1)
         wall = along @ area @ around
@@ -81,19 +77,19 @@ class MapObservation(Observation):
         return crops.reshape(s.num_worlds, 2 * self.scales, self.size, self.size)
 
 
-def _whole(s: Simulation) -> Float[np.ndarray, "n 2 h w"]:
-    rows, columns = s.settings.grid
+def _whole(s: EnvView) -> Float[np.ndarray, "n 2 h w"]:
+    rows, columns = s.grid
     made = np.zeros((s.num_worlds, 2, rows * columns))
-    made[:, 0] = s.cell_fraction
+    made[:, 0] = s.coverage.cell_fraction
     row, column = (place.astype(int) for place in _place(s))
     cell = np.minimum(row, rows - 1) * columns + column % columns
     made[np.arange(s.num_worlds), 1, cell] = 1.0
     return made.reshape(-1, 2, rows, columns)
 
 
-def _place(s: Simulation) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+def _place(s: EnvView) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Row and column of each capsule on the map, as fractional indices."""
-    rows, columns = s.settings.grid
+    rows, columns = s.grid
     here = s.course.at(s.arc_length)
     offset = s.T_world_capsule[:, :3, 3] - here.point
     x, y, _ = np.einsum("nij,nj->in", here.axes, offset)

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from vrcaps.core.errors import UnknownNameError, require
-from vrcaps.env.observations.observation import Observation
-from vrcaps.env.views import View
+from vrcaps.env.cameras import View
+from vrcaps.env.parts import EnvView, Observation
 from vrcaps.render.channels import CHANNELS
 from vrcaps.render.settings import RenderSettings
-
-if TYPE_CHECKING:
-    from vrcaps.env.simulation import Simulation
 
 LIMITS: dict[str, tuple[float, float]] = {
     "rgb": (0, 255),
@@ -77,20 +74,20 @@ class ImageObservation(Observation):
         """View that is rendered."""
         return View(self.camera, self.size, self.render)
 
-    def space(self, simulation: Simulation) -> Any:
+    def space(self, view: EnvView) -> Any:
         """Observation space: images between the channel's limits."""
         from gymnasium import spaces
 
         shape = (*CHANNELS[self.channel].shape(*self.size), 1)[:3]
         return spaces.Box(*LIMITS[self.channel], shape, np.dtype(CHANNELS[self.channel].dtype))
 
-    def allocate(self, simulation: Simulation) -> None:
+    def allocate(self, view: EnvView) -> None:
         """Allocate the images."""
-        simulation.views.want(self.view, self.channel)
+        view.cameras.request(self.view, self.channel)
 
-    def observe(self, simulation: Simulation) -> np.ndarray:
+    def observe(self, view: EnvView) -> np.ndarray:
         """Return the images of all worlds [n h w c]."""
-        images = simulation.views.images(self.view, self.channel)
+        images = view.cameras.images(self.view, self.channel)
         images = images.copy() if images.ndim == 4 else images[..., None].copy()
         if images.dtype.kind == "f":
             np.clip(np.nan_to_num(images, copy=False), *LIMITS[self.channel], out=images)

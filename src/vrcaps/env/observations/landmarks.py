@@ -11,13 +11,12 @@ from vrcaps import _core
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.transforms import rotate_vectors, transform_points
 from vrcaps.core.units import CM, MM
-from vrcaps.env.observations.observation import Observation
+from vrcaps.env.parts import EnvView, Observation
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-    from vrcaps.env.course import CoursePlace
-    from vrcaps.env.simulation import Simulation
+    from vrcaps.env.course import CoursePoint
 
 _DISTANCE = 20.0 * MM
 _FAR = 10.0 * CM
@@ -70,23 +69,21 @@ class LandmarksObservation(Observation):
     frame: Literal["capsule", "world"] = "capsule"
 
     kind: ClassVar[str] = "landmarks"
-    name: ClassVar[str] = "landmarks"
-    needs_textures: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         check_fields(self)
 
-    def space(self, simulation: Simulation) -> Any:
+    def space(self, view: EnvView) -> Any:
         """Observation space: values from −1 to 1."""
         from gymnasium import spaces
 
-        memory = simulation.memory
+        memory = view.memory
         count = 41 + 7 * self.regions + 6 * ("magnet/T" in memory) + ("navigate/goal" in memory)
         return spaces.Box(-1.0, 1.0, (count,), np.float32)
 
-    def observe(self, simulation: Simulation) -> Float[np.ndarray, "n k"]:
+    def observe(self, view: EnvView) -> Float[np.ndarray, "n k"]:
         """Return the features of all worlds."""
-        s = simulation
+        s = view
         is_fixed = self.frame == "world"
         axes = np.eye(3)[None].repeat(s.num_worlds, 0) if is_fixed else s.T_world_capsule[:, :3, :3]
         to_regions, facts = self._regions(s)
@@ -109,8 +106,8 @@ class LandmarksObservation(Observation):
 
     def _ordered(
         self,
-        s: Simulation,
-        here: CoursePlace,
+        s: EnvView,
+        here: CoursePoint,
         told: np.ndarray,
         distances: np.ndarray,
         facts: np.ndarray,
@@ -120,8 +117,8 @@ class LandmarksObservation(Observation):
         regions = np.concatenate([told[:, 7:last], facts], axis=2)
         parts = [
             (s.arc_length / s.course.length)[:, None],
-            s.time[:, None] / s.settings.episode_time,
-            s.fraction,
+            s.time[:, None] / s.episode_time,
+            s.coverage.fraction,
             told[:, :3].reshape(n, -1),
             _soft(here.radius[:, None], _DISTANCE),
             told[:, 3:7].reshape(n, -1),
@@ -133,7 +130,7 @@ class LandmarksObservation(Observation):
             parts.append(_soft(s.memory["navigate/goal"] - s.arc_length, _FAR)[:, None])
         return np.concatenate(parts, axis=1).clip(-1.0, 1.0).astype(np.float32)
 
-    def _guides(self, s: Simulation, here: CoursePlace) -> list[Float[np.ndarray, "n 1 3"]]:
+    def _guides(self, s: EnvView, here: CoursePoint) -> list[Float[np.ndarray, "n 1 3"]]:
         """Vectors to, along and ahead on the centerline, in the world frame."""
         place = s.T_world_capsule[:, :3, 3]
         ahead = s.course.at(s.arc_length + _AHEAD)
@@ -144,18 +141,16 @@ class LandmarksObservation(Observation):
         ]
         return [vector[:, None] for vector in vectors]
 
-    def _regions(
-        self, s: Simulation
-    ) -> tuple[Float[np.ndarray, "n m 3"], Float[np.ndarray, "n m 3"]]:
+    def _regions(self, s: EnvView) -> tuple[Float[np.ndarray, "n m 3"], Float[np.ndarray, "n m 3"]]:
         """Vectors to unseen regions [m], world frame; distance, gut distance and area of each."""
-        rows, columns = s.settings.grid
-        unseen = s.unseen_cells.reshape(-1, rows, columns, 1)
+        rows, columns = s.grid
+        unseen = s.coverage.unseen_cells.reshape(-1, rows, columns, 1)
         sums = np.concatenate(
-            [unseen * s.cell_center.reshape(-1, rows, columns, 3), unseen], axis=-1
+            [unseen * s.coverage.cell_center.reshape(-1, rows, columns, 3), unseen], axis=-1
         )
         firsts = [
             np.unique(np.arange(parts) * cells // parts)
-            for parts, cells in zip(_PARTS, s.settings.grid, strict=True)
+            for parts, cells in zip(_PARTS, s.grid, strict=True)
         ]
         for axis, first in enumerate(firsts):
             sums = np.add.reduceat(sums, first, axis=axis + 1)
@@ -176,14 +171,14 @@ class LandmarksObservation(Observation):
         return offset, facts
 
     @staticmethod
-    def _distances(s: Simulation, ways: Float[np.ndarray, "n k 3"]) -> Float[np.ndarray, "n k"]:
+    def _distances(s: EnvView, ways: Float[np.ndarray, "n k 3"]) -> Float[np.ndarray, "n k"]:
         """Distances to the wall [m] along directions in the world frame."""
         origins = transform_points(s.T_patient_world, s.T_world_capsule[:, :3, 3])
         is_none = np.einsum("nki,nki->nk", ways, ways) == 0.0
         ways = rotate_vectors(
             s.T_patient_world, np.where(is_none[..., None], [0.0, 0.0, 1.0], ways)
         )
-        walls = [world.wall for world in s.worlds]
+        walls = [world.wall for world in s.batch.worlds]
         return _core.wall_distances(walls, origins, ways, _REACH).astype(float)
 
 

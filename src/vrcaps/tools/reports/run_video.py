@@ -9,11 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.capsule.device_file import device_of
 from vrcaps.core.files import write_bytes
 from vrcaps.core.transforms import invert, matrix_from_quaternion, transform_from
-from vrcaps.env.patient import Patients
-from vrcaps.env.views import resized_camera
+from vrcaps.env.cameras import resized_camera
 from vrcaps.mesh.mesh import wall_of
 from vrcaps.metrics.point_coverage import POINT_LEVELS, mark_points, wall_points
 from vrcaps.policy.evaluate import organ_name
@@ -29,7 +27,7 @@ from vrcaps.world.model import Model, State
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-    from vrcaps.env.patient import Patient
+    from vrcaps.env.patients import Patient
     from vrcaps.env.settings import EnvSettings
 
 _FASTER, _EVERY = 2.0, 2
@@ -157,4 +155,4 @@ def _patient(settings: EnvSettings, name: str) -> Patient:
     """Return the patient of a name, with its textures."""
     organ = next(o for o in settings.organs if organ_name(o) == name)
     settings = replace(settings, organs=(organ,))
-    return Patients(settings, device_of(settings.capsule), with_textures=True)[0]
+    return settings.patients(with_textures=True)[0]

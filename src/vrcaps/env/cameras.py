@@ -1,4 +1,4 @@
-"""Camera images of many worlds, rendered once for all consumers."""
+"""Images of the cameras of all worlds, rendered once for all consumers."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from vrcaps.camera_pipeline.effect.base import CameraEffect
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.camera_pipeline.pipeline import CameraPipeline, PipelineState
 from vrcaps.env.memory import Memory
+from vrcaps.env.randomization import Randomization
+from vrcaps.env.worlds import EnvWorlds
 from vrcaps.motion.motion import Step
 from vrcaps.render.batch import BATCH_CHANNELS, render_batch, renders_batches
 from vrcaps.render.channels import CHANNELS, Frame
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
-from vrcaps.world.batch import WorldBatch
 from vrcaps.world.model import State
 
 if TYPE_CHECKING:
     from vrcaps import _core
-    from vrcaps.env.simulation import Simulation
 
 
 @dataclass(frozen=True)
@@ -53,30 +53,33 @@ class _WorldWall:
         return self.wall
 
 
-class Views:
+class CameraImages:
     """Current images of all worlds.
 
     All channels of a view are rendered together, and each world at most once per step.
     """
 
-    def __init__(self, simulation: Simulation) -> None:
+    def __init__(
+        self, worlds: EnvWorlds, randomization: Randomization, control_period: float
+    ) -> None:
         """Initialize without rendering."""
-        self._simulation = simulation
+        self._worlds, self._randomization = worlds, randomization
+        self._fps = 1.0 / control_period
         self._renderers: dict[tuple[int, RenderSettings], tuple[Renderer, _WorldWall]] = {}
-        self._wanted: dict[View, tuple[str, ...]] = {}
+        self._requested: dict[View, tuple[str, ...]] = {}
         self._images: dict[tuple[View, str], np.ndarray] = {}
         self._is_stale: dict[View, np.ndarray] = {}
         self._exposure: dict[View, np.ndarray] = {}
         self._pipelines: dict[tuple[int, View], tuple[object, CameraPipeline]] = {}
 
-    def want(self, view: View, channel: str) -> None:
-        """Allocate a channel of a view in the simulation's memory.
+    def request(self, view: View, channel: str) -> None:
+        """Allocate a channel of a view in the worlds' memory.
 
         Raises:
             UnknownNameError: If the capsule has no such camera.
         """
-        if channel not in self._wanted.get(view, ()):
-            self._add(view, channel, self._simulation.memory)
+        if channel not in self._requested.get(view, ()):
+            self._add(view, channel, self._worlds.memory)
 
     def _add(self, view: View, channel: str, memory: Memory) -> None:
         """Allocate a channel of a view in a memory."""
@@ -87,22 +90,22 @@ class Views:
             self._is_stale[view] = memory.allocate(f"{name}/is_stale", (), bool)
             self._exposure[view] = memory.allocate(f"{name}/exposure", fill=1.0)
         self._is_stale[view][:] = True
-        self._wanted[view] = (*self._wanted.get(view, ()), channel)
+        self._requested[view] = (*self._requested.get(view, ()), channel)
 
     def begin(self, index: int) -> None:
         """Start an episode in one world, with the nominal exposure of its cameras."""
         for exposure in self._exposure.values():
             exposure[index] = 1.0
 
-    def expire(self, numbers: np.ndarray) -> None:
+    def expire(self, indices: np.ndarray) -> None:
         """Mark the images of some worlds as outdated."""
         for is_stale in self._is_stale.values():
-            is_stale[numbers] = True
+            is_stale[indices] = True
 
     def images(self, view: View, channel: str) -> np.ndarray:
         """Return a channel of all worlds [n h w …]; the next step overwrites it."""
-        if channel not in self._wanted.get(view, ()):
-            self._add(view, channel, Memory(self._simulation.num_worlds))
+        if channel not in self._requested.get(view, ()):
+            self._add(view, channel, Memory(self._worlds.memory.num_worlds))
         self._render(np.flatnonzero(self._is_stale[view]).tolist(), view)
         self._is_stale[view][:] = False
         return self._images[view, channel]
@@ -113,7 +116,7 @@ class Views:
         Raises:
             UnknownNameError: If the capsule has no such camera.
         """
-        s = self._simulation
+        s = self._worlds
         device = s.device if index is None else s.devices[index]
         camera = device.cameras[0] if view.camera is None else device.camera(view.camera)
         if index is not None and self._is_captured(view):
@@ -123,47 +126,42 @@ class Views:
 
     def _is_captured(self, view: View) -> bool:
         """Return whether camera effects apply to a view: to those of agents, not for display."""
-        return self._simulation.settings.randomization.has_effects and view.size is not None
+        return self._randomization.has_effects and view.size is not None
 
     def _effects(self, index: int) -> Effects:
         """Camera effects of a world on the images of agents."""
-        s = self._simulation
-        return s.settings.randomization.sample_effects(int(s.effects_seed[index]))
+        return self._randomization.sample_effects(int(self._worlds.effects_seed[index]))
 
-    def _render(self, numbers: list[int], view: View) -> None:
+    def _render(self, indices: list[int], view: View) -> None:
         """Render worlds; those that share a camera and use direct light in one call."""
+        s = self._worlds
         together: dict[Camera, list[int]] = {}
-        for index in numbers:
+        for index in indices:
             renderer, _ = self._renderer(index, view.render)
             is_bare = renders_batches(renderer) and not self._is_captured(view)
-            if is_bare and set(self._wanted[view]) <= set(BATCH_CHANNELS):
+            if is_bare and set(self._requested[view]) <= set(BATCH_CHANNELS):
                 together.setdefault(self.camera(view, index), []).append(index)
             else:
                 self._render_alone(index, view)
         for camera, some in together.items():
             images = render_batch(
                 [self._renderer(index, view.render)[0] for index in some],
-                np.array([self._T_patient_capsule(k) @ camera.T_capsule_camera for k in some]),
+                np.array([s.T_patient_capsule(k) @ camera.T_capsule_camera for k in some]),
                 camera,
-                self._wanted[view],
-                walls=WorldBatch([self._simulation.worlds[index] for index in some]).walls(),
+                self._requested[view],
+                walls=s.batch.walls(some),
             )
             for channel, image in images.items():
                 self._images[view, channel][some] = image
 
-    def _T_patient_capsule(self, index: int) -> np.ndarray:
-        """Pose of a capsule in the frame in which its wall is stored."""
-        s = self._simulation
-        return s.T_patient_world @ s.T_world_capsule[index]
-
     def _render_alone(self, index: int, view: View) -> None:
         """Render one world in the patient frame, in which its wall is stored."""
-        s = self._simulation
+        s = self._worlds
         renderer, wall = self._renderer(index, view.render)
-        wall.wall = s.worlds[index].wall
+        wall.wall = s.batch.worlds[index].wall
         wall.wall.vertex_normals()  # a step does not compute them, the renderer needs them
-        state = State(float(s.time[index]), self._T_patient_capsule(index))
-        channels = self._wanted[view]
+        state = State(float(s.time[index]), s.T_patient_capsule(index))
+        channels = self._requested[view]
         if self._is_captured(view):
             frame = self._captured(index, view, state, renderer)
         else:
@@ -173,9 +171,9 @@ class Views:
 
     def _captured(self, index: int, view: View, state: State, renderer: Renderer) -> Frame:
         """Render a frame through the camera pipeline of a world."""
-        s = self._simulation
-        seed, fps = int(s.effects_seed[index]), 1.0 / s.settings.control_period
-        key = (seed, renderer, s.devices[index].cameras, self._wanted[view])
+        s = self._worlds
+        seed, fps = int(s.effects_seed[index]), self._fps
+        key = (seed, renderer, s.devices[index].cameras, self._requested[view])
         known, pipeline = self._pipelines.get((index, view), (None, None))
         if pipeline is None or known != key:
             pipeline = CameraPipeline(
@@ -184,7 +182,7 @@ class Views:
                 self._effects(index),
                 fps=fps,
                 seed=seed,
-                channels=self._wanted[view],
+                channels=self._requested[view],
             )
             self._pipelines[index, view] = (key, pipeline)
         pipeline.state = PipelineState(float(self._exposure[view][index]))
@@ -194,7 +192,7 @@ class Views:
 
     def _renderer(self, index: int, render: RenderSettings) -> tuple[Renderer, _WorldWall]:
         """Renderer of a world's patient."""
-        s = self._simulation
+        s = self._worlds
         key = (s.patient_number(index), render)
         if key not in self._renderers:
             wall = _WorldWall()

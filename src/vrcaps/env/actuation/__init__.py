@@ -1,1 +1,0 @@
-"""Actuations, which map actions to the capsule's motion, one file each."""

@@ -1,1 +1,0 @@
-"""Tasks of an episode, one file each."""

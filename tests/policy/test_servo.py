@@ -89,7 +89,7 @@ def test_actions_in_the_capsules_frame_are_the_same_wrench() -> None:
     goal = Goal(np.full((2, 3), 0.02), np.array([[0, 1.0, 0]] * 2))
     world = servo_actions(body, goal).reshape(2, 2, 3)
     actuation = Wrench(is_weightless=True, frame="capsule")
-    body.settings = small_settings(actuation=actuation)
+    body.actuation = actuation
     own = servo_actions(body, goal).reshape(2, 2, 3)
     R = body.T_world_capsule[:, :3, :3]
     assert np.einsum("nij,nkj->nki", R, own) == pytest.approx(world, abs=1e-6)
@@ -110,7 +110,8 @@ def test_a_goal_right_behind_has_a_way_round() -> None:
 
 
 def test_an_actuation_that_it_cannot_drive_is_one_line() -> None:
-    body = free_body(SimpleNamespace(actuation=SimpleNamespace(kind="rope")))  # type: ignore[arg-type]
+    body = free_body(small_settings())
+    body.actuation = SimpleNamespace(kind="rope")
     with pytest.raises(InputError, match="cannot drive 'rope'"):
         servo_actions(body, Goal(np.zeros((2, 3)), np.zeros((2, 3))))
 

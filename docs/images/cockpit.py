@@ -18,7 +18,7 @@ from playwright.sync_api import Page, sync_playwright
 from vrcaps.cli.cockpit import Cockpit as CockpitCommand
 from vrcaps.cockpit.cockpit import Cockpit, open_cockpit
 from vrcaps.cockpit.episodes.episode_page import open_episodes
-from vrcaps.cockpit.panels.scene_panel import ScenePanel
+from vrcaps.cockpit.panels.scene_panels import ScenePanel
 from vrcaps.recording.recorder import record
 
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]

@@ -13,7 +13,7 @@ import pytest
 from tests.support.cockpit_browser import draw_frames, wait_until
 from tests.support.pad_pilot import PAD, PadPilot, push
 from tests.support.waiting import WATCHDOG
-from vrcaps.cockpit.panels.scene_panel import ScenePanel
+from vrcaps.cockpit.panels.scene_panels import ScenePanel
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import matrix_from_quaternion, transform_points
 

@@ -98,7 +98,7 @@ def test_no_seam_where_the_texture_coordinates_wrap(textured) -> None:
 @pytest.mark.slow
 def test_no_repetition_although_the_texture_fits_many_times(textured) -> None:
     """A plain tiling has an autocorrelation of 1 at a shift of one tile, 32 mm."""
-    from vrcaps.tools.mucosa_from_photos.report import repetition
+    from vrcaps.tools.mucosa_from_photos.quilt import repetition
 
     image = textured.albedo[:480, :480, 0].astype(float)
     image -= ndimage.gaussian_filter(image, 25)

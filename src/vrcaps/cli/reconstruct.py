@@ -206,9 +206,13 @@ class Reconstruct:
 
     def _stitched(self, sequence: FrameSequence, out: Path) -> tuple[Mesh, np.ndarray]:
         from vrcaps.tools.reconstruction.estimates import read_depth
-        from vrcaps.tools.reconstruction.stitching.files import write_registration, write_stitched
         from vrcaps.tools.reconstruction.stitching.stitch import StitchSettings, stitch
-        from vrcaps.tools.reconstruction.stitching.surface import DepthSource, wall_surface
+        from vrcaps.tools.reconstruction.stitching.surface import (
+            DepthSource,
+            wall_surface,
+            write_registration,
+            write_stitched,
+        )
 
         settings = StitchSettings(math.radians(self.field_of_view_deg), self.every)
         if self.depth is not None:

@@ -77,8 +77,11 @@ class Texture:
         require_existing(self.photos, "photographs or videos, or folders of them")
         from vrcaps.mucosa.texture import check_free, write_texture
         from vrcaps.tools.mucosa_from_photos.patches import PhotoScale, check_scale
-        from vrcaps.tools.mucosa_from_photos.report import write_report
-        from vrcaps.tools.mucosa_from_photos.texture import TextureOptions, make_texture
+        from vrcaps.tools.mucosa_from_photos.texture import (
+            TextureOptions,
+            make_texture,
+            write_report,
+        )
         from vrcaps.tools.photos import read_photos
 
         scale = PhotoScale(self.mm_per_pixel, self.field_width_mm)

@@ -13,7 +13,7 @@ import pytest
 from tests.support.cockpit_browser import free_port, wait_until
 from tests.support.waiting import WATCHDOG
 from vrcaps.cockpit.episodes.episode_page import open_episodes
-from vrcaps.cockpit.episodes.episode_scene import RecordedWalls
+from vrcaps.cockpit.episodes.episode_views import RecordedWalls
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import transform_points
 from vrcaps.mesh.mesh import Mesh

@@ -13,7 +13,7 @@ import pytest
 
 from tests.support.waiting import wait_until
 from vrcaps.actuation.steering_program import JoystickCommand, read_commands
-from vrcaps.cockpit.session.policy_driver import PolicyDriver
+from vrcaps.cockpit.session.operator import PolicyDriver
 from vrcaps.cockpit.session.session import Session
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.transforms import quaternion_from_matrix

@@ -11,7 +11,7 @@ import SimpleITK as sitk
 
 from tests.support.phantom import write_dicom
 from vrcaps.core.errors import InputError, MissingExtraError
-from vrcaps.tools.ct import read_dicom, volume
+from vrcaps.tools.ct import scan_files, volume
 from vrcaps.tools.ct.lumen import choose_gas, find_gas
 from vrcaps.tools.ct.scan_files import read_volume
 from vrcaps.tools.ct.volume import Volume
@@ -167,18 +167,18 @@ def test_a_nifti_that_says_too_much_is_refused_before_it_is_read(tmp_path, size,
 
 def test_a_slice_of_too_many_pixels_is_refused_unread(tmp_path, monkeypatch) -> None:
     write_dicom(tmp_path, small())
-    monkeypatch.setattr(read_dicom, "_MAX_PIXELS", 15)
-    monkeypatch.setattr(read_dicom, "_read_pixels", lambda path: pytest.fail("read"))
+    monkeypatch.setattr(scan_files, "_MAX_PIXELS", 15)
+    monkeypatch.setattr(scan_files, "_read_pixels", lambda path: pytest.fail("read"))
     with pytest.raises(InputError, match=r"have 12 × 16 pixels. Allowed: sides up to 15"):
         read_volume(tmp_path)
 
 
 def test_files_of_several_images_are_refused_unread(tmp_path, monkeypatch) -> None:
     write_dicom(tmp_path, small())
-    found = read_dicom.list_series(tmp_path)
+    found = scan_files.list_series(tmp_path)
     found = replace(found, series=tuple(replace(one, frames=500) for one in found.series))
-    monkeypatch.setattr(read_dicom, "list_series", lambda folder: found)
-    monkeypatch.setattr(read_dicom, "_read_pixels", lambda path: pytest.fail("read"))
+    monkeypatch.setattr(scan_files, "list_series", lambda folder: found)
+    monkeypatch.setattr(scan_files, "_read_pixels", lambda path: pytest.fail("read"))
     with pytest.raises(InputError, match=r"multi-frame DICOM of 500 images"):
         read_volume(tmp_path)
 

@@ -5,8 +5,14 @@ import itertools
 import numpy as np
 import pytest
 
-from vrcaps.tools.mucosa_from_photos.quilt import Quilt, least_path, quilt, variants
-from vrcaps.tools.mucosa_from_photos.report import repetition, seam_ratio
+from vrcaps.tools.mucosa_from_photos.quilt import (
+    Quilt,
+    least_path,
+    quilt,
+    repetition,
+    seam_ratio,
+    variants,
+)
 
 
 def cells(side: int, seed: int = 0) -> np.ndarray:

@@ -13,8 +13,7 @@ from vrcaps.core.color import LUMINANCE, log_linear_from_srgb, srgb_from_log_lin
 from vrcaps.core.errors import InputError
 from vrcaps.mucosa.texture import HEAD, read_texture, texture_sha256, write_texture
 from vrcaps.tools.mucosa_from_photos.patches import PhotoScale
-from vrcaps.tools.mucosa_from_photos.report import write_report
-from vrcaps.tools.mucosa_from_photos.texture import TextureOptions, make_texture
+from vrcaps.tools.mucosa_from_photos.texture import TextureOptions, make_texture, write_report
 from vrcaps.tools.photos import Photo, read_photos
 
 SCALE = PhotoScale(mm_per_pixel=0.1)

@@ -12,13 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.cockpit.episodes.episode_charts import (
+from vrcaps.cockpit.episodes.episode_views import (
     ALIGNMENTS,
+    EPISODE_COLORS,
+    ESTIMATE_COLOR,
     EpisodeCharts,
+    EpisodeScene,
     PathEstimate,
     read_path_estimate,
 )
-from vrcaps.cockpit.episodes.episode_scene import EPISODE_COLORS, ESTIMATE_COLOR, EpisodeScene
 from vrcaps.cockpit.server import Gate, make_gate, require_viser, serving
 from vrcaps.core.errors import InputError, VrcapsError
 from vrcaps.core.units import MM

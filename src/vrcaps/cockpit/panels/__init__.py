@@ -1,4 +1,4 @@
-"""Panels of the cockpit's page, one file each.
+"""Panels of the cockpit's page.
 
 A panel is created with the page, adds its elements there, and then receives each view. `PANELS`
 lists those of the page, from top to bottom, and then those of the window at the right.
@@ -11,8 +11,7 @@ from vrcaps.cockpit.panels.drive_panels import (
     RecordPanel,
     RunPanel,
 )
-from vrcaps.cockpit.panels.patient_panels import NewDrivePanel, PatientPanel
-from vrcaps.cockpit.panels.scene_panel import ScenePanel
+from vrcaps.cockpit.panels.scene_panels import NewDrivePanel, PatientPanel, ScenePanel
 from vrcaps.cockpit.panels.view_panels import CameraPanel, ChartPanel, MapPanel, RenderPanel
 
 PANELS = (

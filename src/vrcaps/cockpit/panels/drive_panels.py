@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from vrcaps.cockpit.browser import CONTROLS, KEYS, PAD, STANDARD, DriverInput
-from vrcaps.cockpit.session.policy_driver import PolicyDriver
+from vrcaps.cockpit.session.operator import PolicyDriver
 from vrcaps.core.errors import UnknownNameError
 from vrcaps.core.transforms import matrix_from_quaternion, quaternion_from_matrix, transform_from
 from vrcaps.env.actuation import MagnetActuation

@@ -1,21 +1,24 @@
-"""Image quilting on a torus: a large seamless texture from small patches.
+"""Image quilting on a torus: a large seamless texture from small patches, and its quality.
 
 Efros A. A., Freeman W. T. Image quilting for texture synthesis and transfer. SIGGRAPH 2001.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
+from vrcaps.core.color import lab_from_srgb
+from vrcaps.tools.photos import highlights
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from jaxtyping import Bool, Float, Int
+    from jaxtyping import Bool, Float, Int, UInt8
 
 _TOLERANCE = 0.15  # maximum relative excess of a patch's error over the least
 _TRIED = 4  # sources searched for each patch
@@ -23,6 +26,7 @@ _REUSE = 0.6  # relative penalty of a position for each earlier use
 _MAX_USED = 4.0  # maximum number of uses counted
 _MASKED = 3.0  # penalty of a patch entirely of filled-in pixels [median differences]
 _FEATHER = 1.0  # standard deviation of the seam's blur [px]
+_BINS = np.linspace(0.0, 30.0, 61)  # bins of gradients in L* per texel
 _SIDES = ("left", "top", "right", "bottom")
 
 
@@ -224,3 +228,100 @@ def least_path(cost: Float[np.ndarray, "n w"]) -> Int[np.ndarray, " n"]:
         near = path[row + 1]
         path[row] = near - 1 + np.argmin(total[row, near - 1 : near + 2])
     return path - 1
+
+
+@dataclass(frozen=True)
+class TextureQuality:
+    """Comparison of a texture with its source regions.
+
+    Attributes:
+        seam_ratio: Mean step across the wrapped edges over that inside.
+        lab_mean_source: Mean L*, a*, b* of the regions.
+        lab_mean_texture: Mean L*, a*, b* of the texture.
+        lab_std_source: Standard deviation of L*, a*, b* of the regions.
+        lab_std_texture: Standard deviation of L*, a*, b* of the texture.
+        gradient_distance: Difference of the histograms of steps in L* between neighbors: half
+            the sum of absolute differences, 0 (same) to 1.
+        repetition: Highest autocorrelation of L* beyond the reach of a patch, 0 to 1; a repeated
+            texture has 1.
+        highlight_fraction: Fraction of the texels detected as highlights.
+    """
+
+    seam_ratio: float
+    lab_mean_source: tuple[float, ...]
+    lab_mean_texture: tuple[float, ...]
+    lab_std_source: tuple[float, ...]
+    lab_std_texture: tuple[float, ...]
+    gradient_distance: float
+    repetition: float
+    highlight_fraction: float
+
+    def record(self) -> dict:
+        """Convert to plain values, rounded."""
+        return {
+            name: [round(v, 2) for v in value] if isinstance(value, tuple) else round(value, 5)
+            for name, value in asdict(self).items()
+        }
+
+
+def texture_quality(
+    texture: UInt8[np.ndarray, "n n 3"], sources: list[UInt8[np.ndarray, "s s 3"]]
+) -> TextureQuality:
+    """Compare a texture, before vessels are placed, with its sources."""
+    colors = lab_from_srgb(texture)
+    regions = [lab_from_srgb(source) for source in sources]
+    pixels = np.concatenate([region.reshape(-1, 3) for region in regions])
+    flat = colors.reshape(-1, 3)
+    everywhere = np.ones(texture.shape[:2], bool)
+    return TextureQuality(
+        seam_ratio=seam_ratio(colors),
+        lab_mean_source=_plain(pixels.mean(axis=0)),
+        lab_mean_texture=_plain(flat.mean(axis=0)),
+        lab_std_source=_plain(pixels.std(axis=0)),
+        lab_std_texture=_plain(flat.std(axis=0)),
+        gradient_distance=_gradient_distance(colors, regions),
+        repetition=repetition(colors[..., 0], reach=len(sources[0])),
+        highlight_fraction=float(highlights(texture, everywhere, len(texture)).mean()),
+    )
+
+
+def seam_ratio(image: Float[np.ndarray, "n m c"]) -> float:
+    """Mean absolute step across the two wrapped edges over that between inner neighbors."""
+    seams, inner = [], []
+    for axis in (0, 1):
+        step = np.diff(image, axis=axis, append=np.take(image, [0], axis=axis))
+        seams.append(np.take(step, [-1], axis=axis).ravel())
+        inner.append(np.delete(step, -1, axis=axis).ravel())
+    seam, inside = (float(np.abs(np.concatenate(part)).mean()) for part in (seams, inner))
+    return seam / inside if inside > 0.0 else 1.0
+
+
+def repetition(image: Float[np.ndarray, "n n"], *, reach: int) -> float:
+    """Highest autocorrelation at shifts longer than `reach` [px], without slow variation.
+
+    Computed by the Wiener-Khinchin theorem with periodic boundaries.
+    """
+    power = np.abs(np.fft.rfft2(image - image.mean())) ** 2
+    rows, columns = np.fft.fftfreq(len(image)), np.fft.rfftfreq(len(image))
+    power[np.hypot(rows[:, None], columns[None]) < 0.5 / reach] = 0.0
+    correlation = np.fft.irfft2(power, image.shape)
+    shift = np.abs(np.fft.fftfreq(len(image), 1.0 / len(image)))
+    far = np.hypot(shift[:, None], shift[None]) > reach
+    if not far.any() or correlation[0, 0] <= 0.0:
+        return 0.0
+    return float(correlation[far].max() / correlation[0, 0])
+
+
+def _gradient_distance(texture, regions) -> float:
+    def histogram(images) -> np.ndarray:
+        steps = [
+            np.abs(np.diff(image[..., 0], axis=axis)).ravel() for image in images for axis in (0, 1)
+        ]
+        counts, _ = np.histogram(np.concatenate(steps), _BINS)
+        return counts / counts.sum()
+
+    return float(0.5 * np.abs(histogram([texture]) - histogram(regions)).sum())
+
+
+def _plain(values: np.ndarray) -> tuple[float, ...]:
+    return tuple(float(value) for value in values)

@@ -21,12 +21,13 @@ from vrcaps.tools.mucosa_from_photos.patches import (
     choose,
     source_patches,
 )
-from vrcaps.tools.mucosa_from_photos.quilt import Quilt, quilt, variants
-from vrcaps.tools.mucosa_from_photos.report import texture_quality
+from vrcaps.tools.mucosa_from_photos.quilt import Quilt, quilt, texture_quality, variants
 from vrcaps.tools.mucosa_from_photos.vessels import VesselPiece, VesselPlacement, place_vessels
+from vrcaps.tools.report import make_figure
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from jaxtyping import Float
 
@@ -66,6 +67,8 @@ def relief(
     return height.astype(np.float32), (ROUGHNESS + _ROUGHNESS_SPREAD * depth).astype(np.float32)
 
 
+_TINTS = {"highlight": (0, 255, 255), "dark": (30, 30, 200), "vessel": (0, 255, 0)}
+_CLOSE = 320  # texels of the close-up
 _REDDEST = 0.92  # 99th percentile of linear red light over the texels, at most
 
 
@@ -273,3 +276,57 @@ def _check(options: TextureOptions, photos: list[Photo], seed: int) -> None:
 
 def _names(photos: list[Photo]) -> str:
     return photos[0].name if len(photos) == 1 else f"{len(photos)} photographs"
+
+
+def write_report(path: Path, work: TextureResult) -> None:
+    """Draw photographs with masks and regions, and the texture in full and close up.
+
+    Args:
+        path: Image file to write; its suffix is the format.
+        work: Result of `make_texture`.
+    """
+    rows = len(work.sources)
+    figure = make_figure(13, 3.3 * rows + 7.0)
+    parts = figure.add_gridspec(2, 1, height_ratios=(3.3 * rows, 7.0))
+    upper, lower = figure.add_subfigure(parts[0]), figure.add_subfigure(parts[1])
+    grid = upper.subplots(rows, 4, squeeze=False)
+    for axes, source in zip(grid, work.sources, strict=True):
+        _draw_source(axes, source)
+    far, near, vessels = lower.subplots(1, 3, width_ratios=(2, 2, 1))
+    side = 2.0 * work.texture.side / MM
+    far.imshow(np.tile(work.texture.albedo[::4, ::4], (2, 2, 1)), extent=(0, side, side, 0))
+    far.set(title="texture, tiled 2 × 2", xlabel="mm")
+    close = min(_CLOSE, len(work.texture.albedo))
+    side = close * work.texture.texel / MM
+    near.imshow(work.texture.albedo[:close, :close], extent=(0, side, side, 0))
+    near.set(title="texture, close-up", xlabel="mm")
+    vessels.imshow(-work.vessel_density[::4, ::4], cmap="gray", vmax=0.0)
+    vessels.set(title="vessels placed", xticks=[], yticks=[])
+    figure.savefig(path, dpi=90)
+
+
+def _draw_source(axes, source: PhotoAnalysis) -> None:
+    """Draw one photograph: original, masks, without shading, vessels."""
+    from matplotlib.patches import Rectangle
+
+    rgb, view, region = source.photo.rgb, source.view, source.region
+    masked = rgb.copy()
+    masked[~view.field] //= 3
+    masked[view.highlight] = _TINTS["highlight"]
+    masked[view.dark] = _TINTS["dark"]
+    even = srgb_from_log_linear(source.flat + source.color)
+    even[~view.field] = 0
+    veined = even.copy()
+    veined[source.vessels.mask] = _TINTS["vessel"]
+    titles = (
+        source.photo.name if len(source.photo.name) <= 28 else f"{source.photo.name[:25]}…",
+        "highlights, darkness, region",
+        "shading removed",
+        f"{len(source.vessels.pieces)} vessel pieces",
+    )
+    for axis, image, title in zip(axes, (rgb, masked, even, veined), titles, strict=True):
+        axis.imshow(image)
+        axis.set(xticks=[], yticks=[])
+        axis.set_title(title, fontsize=9)
+        corner = (region.column - 0.5, region.row - 0.5)
+        axis.add_patch(Rectangle(corner, region.side, region.side, fill=False, color="lime"))

@@ -1,13 +1,33 @@
-"""The schematic patient lies around the organ, wherever its frame has its origin."""
+"""Meshes of an arm's links, from its package or plain, and the schematic patient."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from vrcaps.cockpit.scene.patient_node import patient_outline
+from vrcaps.actuation.arm.arm import read_arm
+from vrcaps.cockpit.scene import external_nodes
+from vrcaps.cockpit.scene.external_nodes import link_meshes, patient_outline
 
 STOMACH = np.array([[-0.04, -0.09, 0.05], [0.11, 0.06, 0.22], [0.03, 0.0, 0.12]])
+
+
+@pytest.mark.parametrize("is_installed", [False, True])
+def test_each_link_is_drawn_in_its_frame(is_installed, monkeypatch):
+    """The package's links fill the capsules that the arm's file has around them."""
+    arm = read_arm("panda")
+    if not is_installed:
+        monkeypatch.setattr(external_nodes, "_PREFIXES", ("nowhere",))
+    elif external_nodes._description("panda", 0) is None:
+        pytest.skip("example-robot-data is not installed")
+    meshes = link_meshes(arm)
+    assert set(range(8)) >= set(meshes) - {8}
+    for link in arm.links:
+        if link.frame in meshes:
+            vertices, faces = meshes[link.frame]
+            assert faces.max() < len(vertices)
+            middle = np.mean([link.start, link.end], axis=0)
+            assert np.linalg.norm(vertices - middle, axis=1).min() < 2.5 * link.radius
 
 
 @pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (0.15, -0.3, -1.2)])

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from vrcaps.actuation.steering_program import JoystickCommand, MagnetSteering
-from vrcaps.cockpit.session.operator import Operator
-from vrcaps.cockpit.session.policy_driver import PolicyDriver
+from vrcaps.cockpit.session.operator import Operator, PolicyDriver
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.motion.rollout import Rollout
 from vrcaps.policy.catalog import policy_names

@@ -171,8 +171,7 @@ RAISING = re.compile(r"(\w+(Error|Warning)|require\w*|warn|_stop)$")
 """Functions and classes whose text arguments are messages."""
 
 _EXCLUDED = """
-    anatomy cli cockpit data env formats motion organ policy recording render tissue tools
-    world
+    cli data env formats motion policy recording render world
 """
 EXCLUDED = frozenset(_EXCLUDED.split())
 """Packages and pages whose prose is not revised yet."""

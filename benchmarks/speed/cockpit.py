@@ -233,7 +233,7 @@ def mark_images(cockpit: Cockpit) -> None:
     def marked(view: View, settings: ImageSettings, *, has_shadows: bool = True) -> LiveImage:
         picture = make(view, settings, has_shadows=has_shadows).picture.copy()
         # The page does not send an image again that has not changed.
-        picture[-MARK_PX:, :MARK_PX] = 255 * (view.number % 2)
+        picture[-MARK_PX:, :MARK_PX] = 255 * (view.index % 2)
         past = [c for c in operator.commands()[1][-40:] if c.time < view.state.time]
         if past and any(past[-1].linear):
             picture[:MARK_PX, :MARK_PX] = (255, 255, 0)

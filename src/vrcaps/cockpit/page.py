@@ -249,7 +249,7 @@ class Page:
 
     def _run(self) -> None:
         """Show views; the thread's function."""
-        last_number = -1
+        last_index = -1
         while not self._is_closed:
             wall_clock.sleep(_SECONDS_PER_UPDATE)
             if wall_clock.monotonic() - self._axes_time > _DEAD_MAN:
@@ -257,9 +257,9 @@ class Page:
                 self.session.operator.stop()
                 self.notify("The driver's browser does not respond: the magnet stops.")
             view = self.session.view
-            if view is None or view.number == last_number:
+            if view is None or view.index == last_index:
                 continue
-            last_number = view.number
+            last_index = view.index
             for panel in self.panels:
                 self.handler(panel.update)(view)
 

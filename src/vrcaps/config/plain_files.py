@@ -12,7 +12,7 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.files import write_bytes
 
 _LONGEST = 2**28
-"""Largest number of characters of a file: a device such as /dev/zero has no end."""
+"""Maximum number of characters of a file: a device such as /dev/zero has no end."""
 
 
 def read_plain(path: Path, noun: str) -> Any:

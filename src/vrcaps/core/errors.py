@@ -92,8 +92,8 @@ def nearest(name: str, known: Iterable[str]) -> str:
     """Suggestion of the most similar name as a question, after a space; empty if there is none."""
     import difflib
 
-    found = difflib.get_close_matches(name, list(known), 1)
-    return f" Did you mean {found[0]!r}?" if found and found[0] != name else ""
+    matches = difflib.get_close_matches(name, list(known), 1)
+    return f" Did you mean {matches[0]!r}?" if matches and matches[0] != name else ""
 
 
 class UnknownNameError(VrcapsError, LookupError):

@@ -113,7 +113,7 @@ class _Work:
         """
         organ = as_organ(self.wall, self.organ, self.wall.moved)
         context = PlacementContext(organ, self.wall, self.down, self.num_vertices, self.focal)
-        reason = f"in {_NUM_TRIES} tries it cuts into the wall beside it"
+        reason = f"in {_NUM_TRIES} tries it cuts into the adjacent wall"
         for _ in range(_NUM_TRIES):
             try:
                 placed = SITES[lesion.extent](lesion, context, rng)

@@ -82,9 +82,9 @@ class Setting:
             raise InputError(f"{self.name} is {text!r}. Allowed: {', '.join(allowed)}.")
         if self.is_text:
             return text
-        scale, number = (DEG, text.removesuffix("deg")) if text.endswith("deg") else (1.0, text)
+        scale, value = (DEG, text.removesuffix("deg")) if text.endswith("deg") else (1.0, text)
         try:
-            return int(number) if self.is_integer else scale * float(number)
+            return int(value) if self.is_integer else scale * float(value)
         except ValueError:
             raise InputError(f"{self.name} is {text!r}. Allowed: a number.") from None
 

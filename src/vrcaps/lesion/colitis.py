@@ -52,7 +52,7 @@ class Activity:
         patchiness: Fraction of the redness in patches.
         granularity: RMS height of the granular relief [m].
         stipple: Standard deviation of the optical density of granules, equal in all colors.
-        petechiae: Threshold of the field that places bleeding points, in deviations.
+        petechiae: Threshold of the field that positions bleeding points, in deviations.
         erosions: Threshold for small erosions.
         ulcers: Threshold for wide ulcers.
         blood: Threshold for films of blood.

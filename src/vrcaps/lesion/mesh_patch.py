@@ -112,7 +112,9 @@ def insert(wall: Patch, piece: ExtractedPatch, patch: Patch) -> Patch:
         patch: Refined patch of the piece.
     """
     old = len(piece.vertices)
-    number = np.concatenate([piece.vertices, len(wall.moved) + np.arange(len(patch.moved) - old)])
+    new_index = np.concatenate(
+        [piece.vertices, len(wall.moved) + np.arange(len(patch.moved) - old)]
+    )
     joined = {}
     for name in _PER_VERTEX:
         whole, part = getattr(wall, name).copy(), getattr(patch, name)
@@ -124,7 +126,7 @@ def insert(wall: Patch, piece: ExtractedPatch, patch: Patch) -> Patch:
     return replace(
         wall,
         **joined,
-        faces=np.concatenate([wall.faces[stay], number[patch.faces]]),
+        faces=np.concatenate([wall.faces[stay], new_index[patch.faces]]),
         uv=np.concatenate([wall.uv[stay], patch.uv]),
         chart_id=np.concatenate([wall.chart_id[stay], patch.chart_id]),
     )

@@ -254,7 +254,7 @@ def _no_space(organ: OrganSurface, wall: Wall, lesion: Lesion, vertex: int) -> s
     if _BESIDE * lesion.head_radius > side_clearance:
         return (
             f"it is {2.0 * lesion.head_radius / MM:.1f} mm wide, but {side} at "
-            f"{arc_length / CM:.1f} cm the wall beside is only {side_clearance / MM:.1f} mm away"
+            f"{arc_length / CM:.1f} cm the adjacent wall is only {side_clearance / MM:.1f} mm away"
         )
     if lesion.protrusion < 0.0 and _unevenness(organ, center, normal, reach) > _UNEVEN * reach:
         return f"at {arc_length / CM:.1f} cm the wall is folded, where no pouch forms"

@@ -245,17 +245,17 @@ class GltfFile:
         return np.ndarray(shape, dtype, data, offset, strides).copy()
 
     def _view(self, view: dict[str, Any]) -> memoryview:
-        number = view["buffer"]
-        self.entry("buffers", number)
-        data = self.buffers[number]
+        buffer = view["buffer"]
+        self.entry("buffers", buffer)
+        data = self.buffers[buffer]
         if data is None:
             compressed = [name for name in _MESHOPT if name in view.get("extensions", {})]
             raise ValueError(
-                compression_text(compressed[0]) if compressed else f"buffers[{number}] has no data"
+                compression_text(compressed[0]) if compressed else f"buffers[{buffer}] has no data"
             )
         start, size = view.get("byteOffset", 0), view["byteLength"]
         if min(start, size) < 0 or start + size > len(data):
-            raise ValueError(f"buffers[{number}] has {len(data)} bytes of {start + size}")
+            raise ValueError(f"buffers[{buffer}] has {len(data)} bytes of {start + size}")
         return data[start : start + size]
 
 

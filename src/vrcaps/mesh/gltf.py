@@ -248,7 +248,7 @@ def _moved(
     scene_transforms: tuple[np.ndarray, dict[int, np.ndarray]],
 ) -> Iterator[tuple[Float[np.ndarray, "n 3"], bool]]:
     """Positions in the scene, and whether they are mirrored; one item per instance."""
-    if "skin" in node:  # the transform of its own node is ignored
+    if "skin" in node:  # its node's transform is ignored
         yield _skinned(
             file, file.entry("skins", node["skin"]), attributes, points, scene_transforms[1]
         )

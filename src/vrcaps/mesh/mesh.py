@@ -148,8 +148,8 @@ def drop_unused_vertices(mesh: Mesh) -> Mesh:
     is_used[mesh.faces] = True
     if is_used.all():
         return mesh
-    number = np.cumsum(is_used) - 1
-    return take_vertices(mesh, np.nonzero(is_used)[0], number[mesh.faces])
+    new_index = np.cumsum(is_used) - 1
+    return take_vertices(mesh, np.nonzero(is_used)[0], new_index[mesh.faces])
 
 
 def area_vectors(mesh: Mesh) -> Float[np.ndarray, "m 3"]:

@@ -120,8 +120,8 @@ def _split(
     marked: Bool[np.ndarray, " e"],
 ) -> Patch:
     """Bisect the marked edges; each face is cut at its longest edge first."""
-    number = np.full(len(ends), -1)
-    number[marked] = len(patch.clean) + np.arange(marked.sum())
+    new_index = np.full(len(ends), -1)
+    new_index[marked] = len(patch.clean) + np.arange(marked.sum())
     patch = _with_midpoints(patch, ends[marked])
     affected = marked[of_face].any(axis=1)
     first = np.argmax(of_face == longest[:, None], axis=1)
@@ -134,16 +134,16 @@ def _split(
         [patch.chart_id[~affected]],
     )
     f, e, uv, chart = f[affected], e[affected], uv[affected], patch.chart_id[affected]
-    middle, middle_uv = number[e[:, 0]], 0.5 * (uv[:, 0] + uv[:, 1])
+    middle, middle_uv = new_index[e[:, 0]], 0.5 * (uv[:, 0] + uv[:, 1])
     # The halves are (c, a, m) and (b, c, m); the edges c–a and b–c may be split too.
     for a, b, edge in ((2, 0, 2), (1, 2, 1)):
         half = np.stack([f[:, a], f[:, b], middle], axis=1)
         half_uv = np.stack([uv[:, a], uv[:, b], middle_uv], axis=1)
-        cut = number[e[:, edge]] >= 0
+        cut = new_index[e[:, edge]] >= 0
         faces.append(half[~cut])
         uvs.append(half_uv[~cut])
         charts.append(chart[~cut])
-        new, new_uv = number[e[cut, edge]], 0.5 * (half_uv[cut, 0] + half_uv[cut, 1])
+        new, new_uv = new_index[e[cut, edge]], 0.5 * (half_uv[cut, 0] + half_uv[cut, 1])
         for first in (True, False):
             corners = (half[cut, 0], new) if first else (new, half[cut, 1])
             corner_uv = (half_uv[cut, 0], new_uv) if first else (new_uv, half_uv[cut, 1])

@@ -86,7 +86,7 @@ def _labels(columns: dict) -> np.ndarray | None:
 def _vertex_labels(
     label: Int[np.ndarray, " m"], polygons: _Lists, indices: Int[np.ndarray, " k"], count: int
 ) -> np.ndarray:
-    """Most frequent label of the faces around each vertex; 0 if there are none."""
+    """Mode of the labels of the faces around each vertex; 0 if there are none."""
     if len(indices) and not 0 <= indices.min() <= indices.max() < count:
         return np.zeros(count, np.uint8)  # rejected with the faces, see `read_mesh`
     size = int(label.max(initial=0)) + 1

@@ -31,7 +31,7 @@ def psnr(
     Args:
         estimate: Estimated image.
         truth: Original.
-        data_range: Largest possible value minus smallest possible: 255 for 8 bits, 1 for unit
+        data_range: Maximum minus minimum possible value: 255 for 8 bits, 1 for unit
             range.
         crop: Pixels to exclude at each edge; papers on super-resolution exclude the factor.
 
@@ -58,7 +58,7 @@ def ssim(
     Args:
         estimate: Estimated image.
         truth: Original.
-        data_range: Largest possible value minus smallest possible.
+        data_range: Maximum minus minimum possible value.
         crop: Pixels to exclude at each edge.
 
     Raises:
@@ -162,9 +162,9 @@ def highlights(
             f"{rgb.shape[:2]} and some."
         )
     is_highlight = (linear_from_srgb(rgb).min(axis=-1) >= _HIGHLIGHT) & valid
-    number = np.empty(valid.shape, np.int32)
-    ndimage.label(is_highlight, np.ones((3, 3)), output=number)
-    return float(is_highlight.sum() / valid.sum()), int(number.max())
+    index = np.empty(valid.shape, np.int32)
+    ndimage.label(is_highlight, np.ones((3, 3)), output=index)
+    return float(is_highlight.sum() / valid.sum()), int(index.max())
 
 
 @dataclass(frozen=True)

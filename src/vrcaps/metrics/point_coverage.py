@@ -137,10 +137,10 @@ def wall_points(
 
 
 def _lesion_points(
-    draw: np.random.Generator, organ: OrganSurface, area: np.ndarray, number: int
+    draw: np.random.Generator, organ: OrganSurface, area: np.ndarray, instance: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Faces and weights of points distributed evenly over a lesion."""
-    corners = (organ.instance[organ.faces] == number).sum(axis=1)
+    corners = (organ.instance[organ.faces] == instance).sum(axis=1)
     # A lesion of a few vertices may contain no whole face.
     mine = corners >= min(2, corners.max())
     return _even_points(draw, organ, area * mine, _POINTS_ON_LESION)

@@ -242,9 +242,9 @@ def relief_webp(height: Float[np.ndarray, "h w"]) -> bytes | None:
     steps += np.float32(_ZERO)
     if not (np.isfinite(steps).all() and steps.min() >= 0 and steps.max() <= 0xFFFF):
         return None
-    numbers = steps.astype(np.uint16)
-    image = np.zeros((*numbers.shape, 3), np.uint8)
-    image[..., 0], image[..., 1] = numbers >> 8, numbers & 0xFF
+    integers = steps.astype(np.uint16)
+    image = np.zeros((*integers.shape, 3), np.uint8)
+    image[..., 0], image[..., 1] = integers >> 8, integers & 0xFF
     return _webp(image, **_RELIEF)
 
 

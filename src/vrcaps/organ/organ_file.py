@@ -131,10 +131,10 @@ def split_at_seams(
     is_new[1:] = False
     for key in (corners, u, v):
         is_new[1:] |= key[order][1:] != key[order][:-1]
-    number = np.empty(len(order), np.int64)
-    number[order] = np.cumsum(is_new) - 1
+    index = np.empty(len(order), np.int64)
+    index[order] = np.cumsum(is_new) - 1
     first = order[is_new]
-    return corners[first], number.reshape(-1, 3), flat_uv[first]
+    return corners[first], index.reshape(-1, 3), flat_uv[first]
 
 
 def _add_geometry(
@@ -214,8 +214,8 @@ def _add_own(
         if name not in elsewhere
     }
     own |= {"appearance.height": relief} if relief else {}
-    found = {"plain": json_safe(plain), "arrays": own, "images": images}
-    return found | ({"attributes": attributes} if attributes else {})
+    plain_record = {"plain": json_safe(plain), "arrays": own, "images": images}
+    return plain_record | ({"attributes": attributes} if attributes else {})
 
 
 def _height_steps(height: Float[np.ndarray, "h w"]) -> list[np.ndarray]:
@@ -257,10 +257,10 @@ def read_organ_file(path: Path) -> OrganSurface:
     Raises:
         InputError: If the file has another format version or is damaged.
     """
-    found = _format(path)
-    if found != ORGAN_FORMAT:
+    file_format = _format(path)
+    if file_format != ORGAN_FORMAT:
         raise InputError(
-            f"{path} has the format {found!r}. Allowed: {ORGAN_FORMAT!r}. "
+            f"{path} has the format {file_format!r}. Allowed: {ORGAN_FORMAT!r}. "
             "Read it with the version of vrcaps that wrote it."
         )
     try:
@@ -309,17 +309,17 @@ def _of_vertices(
     """
     own = document["asset"]["extras"]
     attributes_of_file = document["meshes"][0]["primitives"][0]["attributes"]
-    found = {
+    result = {
         name: vertices_of(document, binary, attributes_of_file[attribute])
         for name, attribute in own.get("attributes", {}).items()
     }
-    if not found:
+    if not result:
         return {}
     numbers, first = np.unique(source, return_index=True)
     if not np.array_equal(numbers, np.arange(len(numbers))):
         raise ValueError("a vertex is missing")
-    uv = found.pop("uv").astype(float)
-    values = {name: array[first] for name, array in found.items()}
+    uv = result.pop("uv").astype(float)
+    values = {name: array[first] for name, array in result.items()}
     for name in values.keys() - {"label", "instance"}:
         values[name] = values[name].astype(float)
     T_patient_world = invert(np.array(own["T_world_patient"]))

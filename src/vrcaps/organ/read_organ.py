@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 _WIDEST = 1.0
-"""Largest median width of a lumen [m]; the textures of a wider one would not fit into memory."""
+"""Maximum median width of a lumen [m]; the textures of a wider one would not fit into memory."""
 _UNCHANGED = (1.0, None, "cap", False, False)
 
 
@@ -142,8 +142,8 @@ def _labels(mesh: Mesh, path: Path) -> tuple[np.ndarray, tuple[str, ...]]:
     if mesh.label is None:
         return np.ones(len(mesh.vertices), np.uint8), ("background", "wall")
     names = read_label_names(path)
-    for number in range(len(names), int(mesh.label.max()) + 1):
-        names += ("background" if number == 0 else f"label {number}",)
+    for label in range(len(names), int(mesh.label.max()) + 1):
+        names += ("background" if label == 0 else f"label {label}",)
     return mesh.label, names
 
 

@@ -77,8 +77,8 @@ def _cut(tube: TubeChart) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"
     circumference = np.bincount(row, area, num_rows) * num_rows / length
     num_columns = np.maximum(2, np.rint(circumference / _SIDE)).astype(int)
     column = np.clip(tube.turn.mean(axis=1) * num_columns[row], 0, num_columns[row] - 1)
-    number = (np.cumsum(num_columns) - num_columns)[row] + column.astype(int)
-    _, chart = np.unique(number, return_inverse=True)
+    index = (np.cumsum(num_columns) - num_columns)[row] + column.astype(int)
+    _, chart = np.unique(index, return_inverse=True)
     return chart, circumference[row]
 
 
@@ -135,7 +135,7 @@ def _relax(
 ) -> Float[np.ndarray, "k 2"]:
     """Flatten charts as rigidly as possible, starting from given positions.
 
-    Alternates local and global steps: each face finds the best-fitting rotation of its own shape,
+    Alternates local and global steps: each face finds the best-fitting rotation of its shape,
     then all vertices find the positions that best fit the rotated edges (Liu, Zhang, Xu, Gotsman
     and Gortler, "A local/global approach to mesh parameterization", SGP 2008).
     """

@@ -193,8 +193,8 @@ def highlights(
     growth = (light / around)[..., 1:].min(axis=2)
     pale, pale_around = (part.min(axis=2) / part.max(axis=2) for part in (light, around))
     pales = pale > _PALING * pale_around
-    found = (sure | ((growth > _GROWTH) & pales & (luma > 0.45))) & field
-    return scipy.ndimage.binary_dilation(found, iterations=max(1, round(_GROW * width)))
+    mask = (sure | ((growth > _GROWTH) & pales & (luma > 0.45))) & field
+    return scipy.ndimage.binary_dilation(mask, iterations=max(1, round(_GROW * width)))
 
 
 def _bright(image, luma, field, limit: float) -> Bool[np.ndarray, "h w"]:

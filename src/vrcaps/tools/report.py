@@ -1,4 +1,4 @@
-"""Components of reports: figures without a display, and self-contained HTML pages."""
+"""Components of reports: plots without a display, and self-contained HTML pages."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ p.note { color: #555; font-size: 13px; }
 
 
 def make_figure(width: float, height: float, **options: Any) -> Figure:
-    """Create a figure that needs no display.
+    """Create a Matplotlib figure that needs no display.
 
     Args:
         width: Width [inch].
@@ -40,7 +40,7 @@ def make_figure(width: float, height: float, **options: Any) -> Figure:
 
 
 def png_bytes(drawn: Figure, dpi: float) -> bytes:
-    """Render a figure as a PNG file."""
+    """Render a plot as a PNG file."""
     data = io.BytesIO()
     drawn.savefig(data, dpi=dpi)
     return data.getvalue()

@@ -87,7 +87,7 @@ def test_a_resting_capsule_is_carried_by_the_layer() -> None:
     load = nodal_force(at_rest)
     assert load.sum(axis=0) == pytest.approx(-force, abs=1e-3 * weight)
     wall = at_rest.layer
-    stiffness = full(assemble(wall.layer, LAYER, wall.number, wall.num_free))[0]
+    stiffness = full(assemble(wall.layer, LAYER, wall.node_index, wall.num_free))[0]
     static = spsolve(stiffness.tocsc(), load.ravel()).reshape(-1, 3)
     found = at_rest.snapshot().layer[:, :3]
     np.testing.assert_allclose(found, static, rtol=0, atol=1e-3 * np.abs(static).max())
@@ -132,7 +132,7 @@ def test_what_acts_on_the_capsule_acts_back_on_the_layer(law: str) -> None:
     pulled = world(stiff, substep=2e-5, drag=drag)  # a fast capsule takes no shorter ones
     wall = pulled.layer
     nodes = np.empty((wall.num_free, 3))
-    nodes[wall.number] = wall.layer.nodes
+    nodes[wall.node_index] = wall.layer.nodes
     control = Control(force_world=(0.4, 0.1, -0.5), torque_world=(1e-3, -5e-4, 1e-3))
     for _ in range(200):
         center = pulled.state.T_world_capsule[:3, 3]
@@ -262,7 +262,7 @@ def test_the_same_bytes_on_any_number_of_threads() -> None:
     [
         ({"thickness": 40.0 * MM}, "The layer folds over itself.*thickness is 40 mm"),
         ({"support": 0.0}, "Nothing holds the wall: support is 0"),
-        ({"edge": 60.0 * MM}, "edge is 60 mm, too long for this organ"),
+        ({"edge": 60.0 * MM}, "edge is 60 mm: too long for this organ"),
         ({"step": 5e-5}, "substep is 0.0001. Allowed: above 0 to 5e-05 s"),
     ],
 )

@@ -71,7 +71,7 @@ def test_low_pass_keeps_what_is_broad() -> None:
 
 
 def test_edges_too_long_for_the_organ_are_refused(tube: OrganSurface) -> None:
-    with pytest.raises(InputError, match=r"edge is 100 mm, too long for this organ"):
+    with pytest.raises(InputError, match=r"edge is 100 mm: too long for this organ"):
         coarsen(tube.vertices, tube.faces, 0.1, 2e-3)
 
 

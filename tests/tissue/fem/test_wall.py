@@ -62,7 +62,7 @@ def solid_force(wall: FemWall, number: np.ndarray, u: np.ndarray) -> tuple[float
 def test_linear_step_is_its_twin(tube: OrganSurface) -> None:
     """(M + dt (dt + c) K) v' = M v + dt (f + M b − K u), solved by SciPy."""
     wall, dt, down = FemWall(tube, LINEAR), 4e-3, (0.0, -9.8, 0.0)
-    matrices = assemble(wall.layer, LINEAR, wall.number, wall.num_free)
+    matrices = assemble(wall.layer, LINEAR, wall.node_index, wall.num_free)
     stiffness, mass = full(matrices)
     u = v = np.zeros(wall.num_dof)
     load = nodal(wall, poke(tube, 0.2)) + np.outer(matrices.node_mass, down).ravel()
@@ -82,7 +82,7 @@ def test_linear_step_is_its_twin(tube: OrganSurface) -> None:
 def test_solid_step_satisfies_its_twin(tube: OrganSurface) -> None:
     """M (v' − v) = dt (f − c K v' − S u' − ∂Ψ/∂u'), to the tolerance of the minimization."""
     wall, dt = FemWall(tube, SOLID), 4e-3
-    number = wall.number
+    number = wall.node_index
     matrices = assemble(wall.layer, SOLID, number, wall.num_free)
     bare = assemble(wall.layer, replace(SOLID, support=0.0), number, wall.num_free)
     stiffness, mass = full(matrices)

@@ -159,7 +159,7 @@ def test_a_step_that_changes_is_refused(tmp_path: Path) -> None:
         elements[tag.POSITION] = ("DS", f"-6\\-6\\{height}")
 
     series(tmp_path, change)
-    with pytest.raises(InputError, match=r"unevenly spaced: 06\.dcm lies 1\.36 mm beside its"):
+    with pytest.raises(InputError, match=r"unevenly spaced: 06\.dcm lies 1\.36 mm from its"):
         read_volume(tmp_path)
 
 

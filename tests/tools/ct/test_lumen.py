@@ -48,7 +48,7 @@ def test_bowel_is_found_and_lungs_table_and_outside_are_not() -> None:
     assert small.volume == pytest.approx(10**3 * SPACING**3, rel=0.01)
     assert np.allclose(large.center, place(BOWEL), atol=2 * SPACING)
     assert gas.hounsfield == pytest.approx(GAS, abs=3)
-    assert [p.number for p in choose_gas(gas, scan)] == [large.number, small.number]
+    assert [p.label for p in choose_gas(gas, scan)] == [large.label, small.label]
 
 
 def test_a_seed_chooses_the_gas_it_lies_in() -> None:

@@ -57,7 +57,7 @@ def test_lesions_are_listed_with_and_without_records(tube: OrganSurface) -> None
     near = np.hypot(tube.arc_length - 0.05, RADIUS * (tube.theta - 1.0)) < 0.008
     ill = replace(tube, instance=np.where(near, 3, 0).astype(np.uint16))
     (mark,) = marked_lesions(ill)
-    assert (mark.number, mark.text) == (3, "lesion")
+    assert (mark.instance, mark.text) == (3, "lesion")
     assert mark.arc_length == pytest.approx(0.05, abs=0.004)
     assert mark.theta == pytest.approx(1.0, abs=0.15)
     record = {

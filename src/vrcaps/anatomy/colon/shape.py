@@ -163,8 +163,8 @@ def wall_crests(wall: ColonWall, angles: Float[np.ndarray, " k"]) -> Crests:
         s = folds.arc_length[:, None]
         from_taenia = angles - wall.taenia_angle[0] - wall.taenia_angle[1] * s
         offset = wrap(from_taenia - folds.angle[:, None])
-        number = np.arange(len(s))[:, None]
-        lines.append(folds.crest(number, offset, lumen_radius(wall.parameters, s)))
+        index = np.arange(len(s))[:, None]
+        lines.append(folds.crest(index, offset, lumen_radius(wall.parameters, s)))
         fraction = 1.3 * (1.0 - np.abs(offset) / folds.extent[:, None])
         weights.append(np.clip(fraction, 0.0, 1.0) ** 0.5)
     return Crests(np.concatenate(lines), np.concatenate(weights))
@@ -253,14 +253,14 @@ def _clear_of_valve(
 
 
 def _draw_strip(
-    parameters: ColonParameters, angle: float, number: int, rng: np.random.Generator
+    parameters: ColonParameters, angle: float, index: int, rng: np.random.Generator
 ) -> Folds:
     """Draw the semilunar folds of one strip, from above the caecal pole to the rectum."""
     end = parameters.length - parameters.rectum.length
     spread = parameters.fold_irregularity
     spacings = [segment.haustra_spacing for segment in parameters.segments]
     heights = [segment.fold_height for segment in parameters.segments]
-    positions = [3 * CM + number / 3.0 * spacings[0]]
+    positions = [3 * CM + index / 3.0 * spacings[0]]
     while True:
         spacing = float(blend(parameters, spacings, np.array(positions[-1])))
         step = spacing * np.clip(1.0 + spread * rng.standard_normal(), 0.6, 1.6)

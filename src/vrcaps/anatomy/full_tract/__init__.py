@@ -87,7 +87,7 @@ def stitch(
     Args:
         vertices: Vertices of both walls [m].
         one: First rim, in the orientation of its faces.
-        other: Second rim, in the orientation of its own faces, thus opposite to the first.
+        other: Second rim, in the orientation of its faces, thus opposite to the first.
     """
     other = other[::-1]
     nearest = np.linalg.norm(vertices[other] - vertices[one[0]], axis=1).argmin()

@@ -160,11 +160,11 @@ def _parts(organ: OrganSurface) -> Iterator[_Part]:
     borders = np.array(organ.metadata["texture_parts"])
     width = np.diff(borders)
     heights = width / width.max()
-    number = np.searchsorted(borders[1:-1], organ.uv[..., 0].mean(axis=1))
+    part_index = np.searchsorted(borders[1:-1], organ.uv[..., 0].mean(axis=1))
     for k, mucosa in enumerate(_MUCOSAE):
-        uv = (organ.uv[number == k] - [borders[k], 0.0]) / [width[k], heights[k]]
+        uv = (organ.uv[part_index == k] - [borders[k], 0.0]) / [width[k], heights[k]]
         fraction = width[k] * heights[k] / np.sum(width * heights)
-        yield _Part(number == k, uv, float(fraction), mucosa)
+        yield _Part(part_index == k, uv, float(fraction), mucosa)
 
 
 def _side_by_side(images: list[np.ndarray]) -> np.ndarray:

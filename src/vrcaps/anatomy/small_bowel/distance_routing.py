@@ -82,15 +82,15 @@ def make_routing_grid(
 
 def _grid_edges(shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Indices of both ends of every edge of the grid, including diagonals."""
-    number = np.arange(int(np.prod(shape))).reshape(shape)
+    index = np.arange(int(np.prod(shape))).reshape(shape)
     starts, ends = [], []
     for offset in itertools.product((-1, 0, 1), repeat=3):
         if offset > (0, 0, 0):
             pairs = list(zip(offset, shape, strict=True))
             here = tuple(slice(max(0, -d), size - max(0, d)) for d, size in pairs)
             there = tuple(slice(max(0, d), size - max(0, -d)) for d, size in pairs)
-            starts.append(number[here].ravel())
-            ends.append(number[there].ravel())
+            starts.append(index[here].ravel())
+            ends.append(index[there].ravel())
     return np.concatenate(starts), np.concatenate(ends)
 
 

@@ -228,16 +228,16 @@ class Folds:
 
     def crest(
         self,
-        number: Int[np.ndarray, "*shape"],
+        index: Int[np.ndarray, "*shape"],
         offset: Float[np.ndarray, "*shape"],
         radius: Float[np.ndarray, "*shape"],
     ) -> Float[np.ndarray, "*shape"]:
         """Arc length [m] of crests at angles from their centers.
 
         Args:
-            number: Index of each fold.
+            index: Index of each fold.
             offset: Angle from its center [rad].
             radius: Radius of the plain lumen there [m].
         """
-        slope = self.tilt[number] * np.sin(offset) + self.bow[number] * (1.0 - np.cos(offset))
-        return self.arc_length[number] + radius * slope
+        slope = self.tilt[index] * np.sin(offset) + self.bow[index] * (1.0 - np.cos(offset))
+        return self.arc_length[index] + radius * slope

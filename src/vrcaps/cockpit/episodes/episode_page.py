@@ -145,9 +145,9 @@ class EpisodePage:
                         shown.caption.content = f"**{error}**"
             self._mark(int(self._frame.value))
 
-    def _advance(self, began: float, first: float) -> None:
+    def _advance(self, started: float, first: float) -> None:
         """Advance the slider to the frame that is due; stop at the end."""
-        time = first + (wall_clock.perf_counter() - began) * self._speed.value
+        time = first + (wall_clock.perf_counter() - started) * self._speed.value
         frame = int(np.searchsorted(self._times, time, side="right")) - 1
         self._frame.value = frame
         if frame >= len(self._times) - 1:

@@ -319,7 +319,7 @@ class RecordedWalls:
         from scipy.spatial import KDTree
 
         self._episode, self._rest = episode, vertices
-        self._places = KDTree(vertices).query(episode.organ.vertices)[1]
+        self._nearest = KDTree(vertices).query(episode.organ.vertices)[1]
 
     def at(self, frame: int) -> Float[np.ndarray, "n 3"]:
         """Vertices of the organ at a frame in the world [m].
@@ -328,7 +328,7 @@ class RecordedWalls:
             InputError: If the file of that frame is missing or damaged.
         """
         moved = self._rest.copy()
-        moved[self._places] = self._episode.wall(frame).vertices
+        moved[self._nearest] = self._episode.wall(frame).vertices
         return moved
 
 

@@ -210,7 +210,7 @@ class LesionColoring(Coloring):
 
 
 class CoverageColoring(Coloring):
-    """Coloring by what the camera has seen."""
+    """Coloring by the coverage of the camera."""
 
     name = "coverage"
 
@@ -233,9 +233,9 @@ class CoverageColoring(Coloring):
         return legend_of([(self.colors[1], "seen"), (self.colors[0], "not seen")])
 
 
-def _hue(number: int) -> Color:
+def _hue(label: int) -> Color:
     """Distinct color: hues a golden angle apart."""
-    color = colorsys.hsv_to_rgb(number * _GOLDEN % 1.0, 0.45, 0.92)
+    color = colorsys.hsv_to_rgb(label * _GOLDEN % 1.0, 0.45, 0.92)
     return tuple(round(255 * part) for part in color)  # type: ignore[return-value]
 
 

@@ -97,12 +97,12 @@ def link_meshes(arm: Arm) -> dict[int, tuple[Float[np.ndarray, "n 3"], Int[np.nd
     """
     import trimesh
 
-    found: dict[int, list[trimesh.Trimesh]] = {}
+    meshes: dict[int, list[trimesh.Trimesh]] = {}
     for number in range(arm.num_joints + 1):
         path = _description(arm.name, number)
         if path is not None:
-            found[number] = [trimesh.load_mesh(path)]  # type: ignore[list-item]
-    if not found:
+            meshes[number] = [trimesh.load_mesh(path)]  # type: ignore[list-item]
+    if not meshes:
         for link in arm.links:
             ends = np.array([link.start, link.end])
             if np.ptp(ends, axis=0).any():
@@ -113,8 +113,8 @@ def link_meshes(arm: Arm) -> dict[int, tuple[Float[np.ndarray, "n 3"], Int[np.nd
             balls = [trimesh.creation.icosphere(2, link.radius) for _ in ends]
             for ball, end in zip(balls, ends, strict=True):
                 ball.apply_translation(end)
-            found.setdefault(link.frame, []).extend([shape, *balls])
-    return {frame: _joined(shapes) for frame, shapes in found.items()}
+            meshes.setdefault(link.frame, []).extend([shape, *balls])
+    return {frame: _joined(shapes) for frame, shapes in meshes.items()}
 
 
 def _joined(shapes: list[trimesh.Trimesh]) -> tuple[np.ndarray, np.ndarray]:
@@ -124,11 +124,11 @@ def _joined(shapes: list[trimesh.Trimesh]) -> tuple[np.ndarray, np.ndarray]:
     return np.vstack([shape.vertices for shape in shapes]), np.vstack(faces)
 
 
-def _description(arm: str, number: int) -> Path | None:
+def _description(arm: str, link: int) -> Path | None:
     """File of a link in an installed description package; None if not installed."""
     for root in sys.path:
         for prefix in _PREFIXES:
-            path = Path(root) / prefix / _PACKAGE.format(arm=arm, number=number)
+            path = Path(root) / prefix / _PACKAGE.format(arm=arm, number=link)
             if path.is_file():
                 return path
     return None

@@ -46,8 +46,8 @@ class Cut:
         if self.axis == "none":
             return np.ones(len(faces), bool)
         along = points[:, CUT_AXES.index(self.axis) - 1]
-        place = along.min() + self.fraction * np.ptp(along)
-        return along[faces].mean(axis=1) >= place
+        level = along.min() + self.fraction * np.ptp(along)
+        return along[faces].mean(axis=1) >= level
 
 
 @dataclass(frozen=True)
@@ -101,11 +101,11 @@ class OrganNode:
             if part.handle.opacity != self._opacity:
                 part.handle.opacity = self._opacity
 
-    def _add(self, number: int, faces: np.ndarray, points: np.ndarray, color: Color) -> _Part:
+    def _add(self, index: int, faces: np.ndarray, points: np.ndarray, color: Color) -> _Part:
         used, local = np.unique(faces, return_inverse=True)
         fine = self._mesh.vertices[used]
         handle = self._scene.add_mesh_simple(
-            f"/organ/{number}",
+            f"/organ/{index}",
             points[fine],
             local.reshape(-1, 3),
             color=color,
@@ -203,30 +203,30 @@ class PathNode:
     def __init__(self, scene: viser.SceneApi, name: str, color: Color) -> None:
         self._scene, self._name, self._color = scene, name, color
         self._times: list[float] = []
-        self._places: list[np.ndarray] = []
+        self._path: list[np.ndarray] = []
         self._num_drawn = 0
 
     @property
     def positions(self) -> Float[np.ndarray, "n 3"]:
         """Points in the world [m]."""
-        return np.array(self._places).reshape(-1, 3)
+        return np.array(self._path).reshape(-1, 3)
 
-    def add(self, time: float, place: Float[np.ndarray, " 3"]) -> None:
+    def add(self, time: float, position: Float[np.ndarray, " 3"]) -> None:
         """Add a position [m] at a time [s], 0 or later; remove those at later times."""
         while self._times and self._times[-1] > time:
             self._times.pop()
-            self._places.pop()
+            self._path.pop()
             self._num_drawn = 0
         if time < 0.0:
             return
-        if not self._places or np.linalg.norm(place - self._places[-1]) >= _PATH_STEP:
+        if not self._path or np.linalg.norm(position - self._path[-1]) >= _PATH_STEP:
             self._times.append(time)
-            self._places.append(place)
+            self._path.append(position)
 
     def draw(self) -> None:
         """Draw it, if it has changed."""
-        if len(self._places) >= 2 and len(self._places) != self._num_drawn:
-            self._num_drawn = len(self._places)
+        if len(self._path) >= 2 and len(self._path) != self._num_drawn:
+            self._num_drawn = len(self._path)
             add_path(self._scene, self._name, self.positions, self._color)
 
 

@@ -182,7 +182,7 @@ class CameraImages:
         while not self._is_closed:
             view, settings = self._session.view, self.settings
             has_shadows = view is None or view.is_paused or not self.shadows.are_left_out
-            if view is None or (view.number, settings, has_shadows) == last_key:
+            if view is None or (view.index, settings, has_shadows) == last_key:
                 wall_clock.sleep(_PATIENCE)
                 continue
             started = wall_clock.perf_counter()
@@ -192,7 +192,7 @@ class CameraImages:
             except VrcapsError as error:
                 self._session.on_message(f"{error} The render settings stay unchanged.")
                 self.settings = valid_settings
-            last_key = (view.number, settings, has_shadows)
+            last_key = (view.index, settings, has_shadows)
             self._measure()
             self._rest_while_late()
             now = wall_clock.perf_counter()
@@ -212,7 +212,7 @@ class CameraImages:
             InputError: If the settings are invalid.
         """
         camera = self._session.model.device.camera(settings.camera)
-        step = Step(view.number, view.state, previous=self._earlier(view.state))
+        step = Step(view.index, view.state, previous=self._earlier(view.state))
         pipeline = self._cameras_for(settings).pipelines[camera.name]
         shadows = settings.render.shadows and has_shadows
         # The renderer reads this for each image; a new one would trace its form factors again.

@@ -100,9 +100,9 @@ class Clock:
             self._measure(wall_clock.perf_counter(), time)
 
     def _measure(self, now: float, time: float) -> None:
-        began, first = self._measured
-        if now - began > _MEMORY:
-            self.achieved = (time - first) / (now - began)
+        started, first = self._measured
+        if now - started > _MEMORY:
+            self.achieved = (time - first) / (now - started)
             self._measured = (now, time)
 
 
@@ -111,7 +111,7 @@ class View:
     """Simulation at one instant.
 
     Attributes:
-        number: Counter of the session's views, so that none is drawn twice.
+        index: Counter of the session's views, so that none is drawn twice.
         frame: Index of the last completed frame.
         state: The world.
         T_world_patient: Posture of the patient.
@@ -124,7 +124,7 @@ class View:
         is_paused: Whether the simulation is paused.
     """
 
-    number: int
+    index: int
     frame: int
     state: State
     T_world_patient: Float[np.ndarray, "4 4"]

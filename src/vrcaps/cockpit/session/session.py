@@ -354,7 +354,7 @@ class Session:
         status = program.controller.status
         self._published = (number + 1, now)
         self.view = View(
-            number=number + 1,
+            index=number + 1,
             frame=max(0, len(self._poses) - 1),
             state=self.rollout.world.state,
             T_world_patient=patient_at(

@@ -300,8 +300,8 @@ def _around_lumen(
     return chosen, outer
 
 
-def _part(mesh: Mesh, face_part: Int[np.ndarray, " m"], number: int) -> Mesh:
-    return drop_unused_vertices(keep_faces(mesh, face_part == number))
+def _part(mesh: Mesh, face_part: Int[np.ndarray, " m"], index: int) -> Mesh:
+    return drop_unused_vertices(keep_faces(mesh, face_part == index))
 
 
 def _size(mesh: Mesh) -> float:

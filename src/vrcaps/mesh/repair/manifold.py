@@ -71,7 +71,7 @@ def _cut(mesh: Mesh) -> tuple[Mesh, Int[np.ndarray, " n"], dict[int, int]]:
         pairs = _pair_faces(mesh, nonmanifold, is_fin, fan)
         partner = {int(a): int(b) for a, b in np.concatenate([pairs, pairs[:, ::-1]])}
         joined = np.concatenate([joined, pairs])
-    _, first, number = np.unique(
+    _, first, index = np.unique(
         _join_corners(edges.ends, joined), return_index=True, return_inverse=True
     )
     origin = mesh.faces.reshape(-1)[first]
@@ -79,7 +79,7 @@ def _cut(mesh: Mesh) -> tuple[Mesh, Int[np.ndarray, " n"], dict[int, int]]:
     rank = np.empty(len(order), np.int64)
     rank[order] = np.arange(len(order))
     origin = origin[order]
-    return take_vertices(mesh, origin, rank[number].reshape(-1, 3)), origin, partner
+    return take_vertices(mesh, origin, rank[index].reshape(-1, 3)), origin, partner
 
 
 def _bisect_double_edges(
@@ -216,7 +216,7 @@ def _pair_faces(
             work += 1 if is_same else 10 + (len(halves) // 3) ** 2
             if work > _MAX_WORK:
                 raise InputError(
-                    f"{len(nonmanifold)} edges join more than two triangles, too many to separate. "
+                    f"{len(nonmanifold)} edges join more than two triangles: too many to separate. "
                     "Remove duplicate and stray triangles, or make a new mesh of the surface."
                 )
             if is_same:

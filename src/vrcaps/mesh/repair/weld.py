@@ -43,10 +43,10 @@ def merge_vertices(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
         unused = num_vertices - len(mesh.vertices)
         repairs.append(Repair("unused vertex", unused, "removed"))
     tolerance = _MERGE_TOLERANCE * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-    unique, number = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    unique, index = np.unique(mesh.vertices, axis=0, return_inverse=True)
     _require_apart(unique, tolerance)
     pairs = scipy.spatial.KDTree(unique).query_pairs(tolerance, output_type="ndarray")
-    group = _group(pairs, len(unique))[number.reshape(-1)]
+    group = _group(pairs, len(unique))[index.reshape(-1)]
     merged = _merge_groups(mesh, group)
     num_merged = len(mesh.vertices) - len(merged.vertices)
     if num_merged:
@@ -128,11 +128,11 @@ def _group(pairs: Int[np.ndarray, "k 2"], count: int) -> Int[np.ndarray, " n"]:
 
 def _merge_groups(mesh: Mesh, group: Int[np.ndarray, " n"]) -> Mesh:
     """Merge each group to one vertex (the first); vertices keep their order."""
-    _, first, number = np.unique(group, return_index=True, return_inverse=True)
+    _, first, index = np.unique(group, return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.empty(len(order), np.int64)
     rank[order] = np.arange(len(order))
-    return take_vertices(mesh, first[order], rank[number.reshape(-1)][mesh.faces])
+    return take_vertices(mesh, first[order], rank[index.reshape(-1)][mesh.faces])
 
 
 def _has_repeated_corner(faces: Int[np.ndarray, "m 3"]) -> Bool[np.ndarray, " m"]:

@@ -128,13 +128,13 @@ def surface_mass(
 
 
 def assemble(
-    layer: Layer, deformation: FemDeformation, number: Int[np.ndarray, " nodes"], num_free: int
+    layer: Layer, deformation: FemDeformation, node_index: Int[np.ndarray, " nodes"], num_free: int
 ) -> Matrices:
     """Assemble the matrices of a layer; `number` gives the index of each node, free nodes first."""
     points = integration_points(layer.nodes, layer.tetrahedra, 2)
-    body, shell = number[layer.tetrahedra], number[layer.outer_triangles]
+    body, shell = node_index[layer.tetrahedra], node_index[layer.outer_triangles]
     modes = prism_modes(points, layer.nodes, layer.tetrahedra)
-    change = dilatation(points, modes, body, len(number))[:, : 3 * num_free]
+    change = dilatation(points, modes, body, len(node_index))[:, : 3 * num_free]
     volume = (deformation.lame * (change.T @ change)).tobsr((3, 3))
     volume_row = np.repeat(np.arange(num_free), np.diff(volume.indptr))
     lower = volume.indices <= volume_row
@@ -153,7 +153,7 @@ def assemble(
     stiffness = add(volume_key, volume.data[lower]) + support * np.eye(3).ravel()
     stiffness += add(body_key, shear_stiffness(points, deformation.shear)[body_kept])
     mass = element_mass(layer.nodes, layer.tetrahedra, deformation.density)
-    node_mass = np.bincount(body.ravel(), mass.sum(axis=2).ravel(), len(number))
+    node_mass = np.bincount(body.ravel(), mass.sum(axis=2).ravel(), len(node_index))
     return Matrices(
         starts=np.searchsorted(keys, np.arange(num_free + 1) * num_free).astype(np.int64),
         columns=(keys % num_free).astype(np.uint32),
@@ -165,12 +165,12 @@ def assemble(
 
 
 def element_points(
-    layer: Layer, deformation: FemDeformation, number: Int[np.ndarray, " nodes"]
+    layer: Layer, deformation: FemDeformation, node_index: Int[np.ndarray, " nodes"]
 ) -> ElementPoints:
     """Integration points of a layer's elements for `neo-hookean`."""
     points = integration_points(layer.nodes, layer.tetrahedra, 2)
     return ElementPoints(
-        nodes=np.ascontiguousarray(number[layer.tetrahedra], np.uint32),
+        nodes=np.ascontiguousarray(node_index[layer.tetrahedra], np.uint32),
         gradients=np.ascontiguousarray(points.gradients),
         weights=np.ascontiguousarray(points.weights),
         modes=prism_modes(points, layer.nodes, layer.tetrahedra),

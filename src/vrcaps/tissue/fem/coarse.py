@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 # The cotangent of a needle triangle would tie its corners together.
-_LARGEST_COTANGENT = 20.0
+_MAX_COTANGENT = 20.0
 
 
 def low_pass(
@@ -61,7 +61,7 @@ def cotangent_laplacian(
     for k in range(3):
         a, b = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
         cotangent = (a * b).sum(1) / np.maximum(double_area, tiny)
-        half = 0.5 * np.clip(cotangent, -_LARGEST_COTANGENT, _LARGEST_COTANGENT)
+        half = 0.5 * np.clip(cotangent, -_MAX_COTANGENT, _MAX_COTANGENT)
         i, j = faces[:, (k + 1) % 3], faces[:, (k + 2) % 3]
         ends = (np.concatenate([i, j, i, j]), np.concatenate([j, i, i, j]))
         matrix += scipy.sparse.csr_matrix(
@@ -79,7 +79,7 @@ def border_edges(faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "k 2"]:
 
 
 # The midpoint of an edge bulges by at most this fraction of its length, as on an arc of 80 degrees.
-_LARGEST_BULGE = 0.18
+_MAX_BULGE = 0.18
 _ROUNDS = 60
 # Number of rounds that move the corners of bad triangles only; then one more ring is added, etc.
 _ROUNDS_BY_RING = 15
@@ -108,8 +108,8 @@ class BentTriangles:
     def surface(self) -> CoarseSurface:
         """The triangles with nodes at the edge midpoints and outward directions."""
         nodes = np.concatenate([self.corners, _middles(self.corners, self.pairs) + self.bulges])
-        number = self.triangles + len(self.corners) * (np.arange(6) >= 3)
-        return CoarseSurface(nodes, _outward(nodes, number), number)
+        index = self.triangles + len(self.corners) * (np.arange(6) >= 3)
+        return CoarseSurface(nodes, _outward(nodes, index), index)
 
 
 def edges_of(triangles: Int[np.ndarray, "m 3"]) -> tuple[np.ndarray, Int[np.ndarray, "m 6"]]:
@@ -130,7 +130,7 @@ def bulges_towards(
     bulge = middle - _middles(corners, pairs)
     bulge -= (bulge * chord).sum(1, keepdims=True) / length**2 * chord
     size = np.linalg.norm(bulge, axis=1, keepdims=True)
-    return bulge * np.minimum(1.0, _LARGEST_BULGE * length / np.maximum(size, 1e-12))
+    return bulge * np.minimum(1.0, _MAX_BULGE * length / np.maximum(size, 1e-12))
 
 
 def relaxed(bent: BentTriangles, thickness: float) -> BentTriangles:
@@ -231,7 +231,7 @@ def coarsen(
             break
     else:
         raise InputError(
-            f"edge is {1e3 * edge:g} mm, too long for this organ: its tubes need five edges "
+            f"edge is {1e3 * edge:g} mm: too long for this organ. Its tubes need five edges "
             "around them, and its pieces more. Give a smaller edge."
         )
     bent, border = _bent(smooth, faces, seeds, triangles)
@@ -283,9 +283,9 @@ def _nearest_seed(
     distance, _, source = scipy.sparse.csgraph.dijkstra(
         graph, indices=seeds, min_only=True, return_predecessors=True
     )
-    number = np.full(len(distance) + 1, -1)
-    number[seeds] = np.arange(len(seeds))
-    return number[source]
+    index = np.full(len(distance) + 1, -1)
+    index[seeds] = np.arange(len(seeds))
+    return index[source]
 
 
 def _centers(

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from vrcaps.tissue.fem.layer import Layer
 
 _ROUNDS = 6
-_LARGEST_WEIGHT = 6.0
+_MAX_WEIGHT = 6.0
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def embed(vertices: Float[np.ndarray, "n 3"], coarsened: Coarsened, layer: Layer
         [moved * (1.0 - height) - values * offset[:, 2:], moved * height + values * offset[:, 2:]],
         axis=1,
     )
-    steep = np.flatnonzero(np.abs(weights).max(axis=1) > _LARGEST_WEIGHT)
+    steep = np.flatnonzero(np.abs(weights).max(axis=1) > _MAX_WEIGHT)
     flat = np.concatenate([values * (1.0 - height), values * height], axis=1)[steep]
     nodes = np.concatenate([low, high], axis=1)[steep]
     weights[steep] = _least_change(flat, nodes, vertices[steep])

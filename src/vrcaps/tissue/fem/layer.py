@@ -36,11 +36,11 @@ def quadrature(
     points, weights = [], []
     for abscissas in product(range(num), repeat=dim):
         left, point, weight = 1.0, [], 1.0
-        for k, place in enumerate(abscissas):
-            fraction = 0.5 * (1.0 + rules[k][0][place])
+        for k, abscissa in enumerate(abscissas):
+            fraction = 0.5 * (1.0 + rules[k][0][abscissa])
             point.append(left * fraction)
             left *= 1.0 - fraction
-            weight *= rules[k][1][place] / 2.0 ** (dim - k)
+            weight *= rules[k][1][abscissa] / 2.0 ** (dim - k)
         points.append(point)
         weights.append(weight)
     return np.array(points), np.array(weights)

@@ -34,7 +34,7 @@ class FemWall:
     Attributes:
         deformation: Parameters of the wall.
         layer: Elements of the wall.
-        number: Index of each node of the layer in the core; free nodes come first.
+        node_index: Index of each node of the layer in the core; free nodes come first.
         num_free: Number of free nodes.
         embedding: Weights of the organ's vertices on the nodes, by these indices.
     """
@@ -53,17 +53,17 @@ class FemWall:
         _check_fixed(over, deformation)
         is_fixed = np.tile(over, self.layer.num_levels)
         self.num_free = int((~is_fixed).sum())
-        number = np.empty(len(is_fixed), np.int64)
-        number[np.argsort(is_fixed, kind="stable")] = np.arange(len(is_fixed))
-        self.number = number
+        node_index = np.empty(len(is_fixed), np.int64)
+        node_index[np.argsort(is_fixed, kind="stable")] = np.arange(len(is_fixed))
+        self.node_index = node_index
         embedding = embed(organ.vertices, coarsened, self.layer)
         self.embedding = Embedding(
-            np.ascontiguousarray(number[embedding.nodes], np.uint32),
+            np.ascontiguousarray(node_index[embedding.nodes], np.uint32),
             np.ascontiguousarray(embedding.weights),
         )
-        matrices = assemble(self.layer, deformation, number, self.num_free)
+        matrices = assemble(self.layer, deformation, node_index, self.num_free)
         is_linear = deformation.model == "linear"
-        points = None if is_linear else element_points(self.layer, deformation, number)
+        points = None if is_linear else element_points(self.layer, deformation, node_index)
         self._core = _core.FemLayer(matrices, points, self.embedding, deformation.damping)
 
     @property

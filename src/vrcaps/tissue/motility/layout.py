@@ -124,7 +124,7 @@ def _segments(
     """Names of the segments, and the index of the dominant segment of the wall at each sample."""
     label = _labels(organ, samples)
     known: list[str] = []
-    number = np.empty(len(samples), int)
+    index = np.empty(len(samples), int)
     for value, start, end in _runs(label):
         name = _known_name(organ, value, motility)
         parts = ((name, 1.0),) if name in motility.segments else organ_divisions()[name]
@@ -134,8 +134,8 @@ def _segments(
         for (part, _), first, last in zip(parts, [start, *ends[:-1]], ends, strict=True):
             if part not in known:
                 known.append(part)
-            number[first:last] = known.index(part)
-    return tuple(known), number
+            index[first:last] = known.index(part)
+    return tuple(known), index
 
 
 def _known_name(organ: OrganSurface, label: int, motility: Motility) -> str:
@@ -150,7 +150,7 @@ def _known_name(organ: OrganSurface, label: int, motility: Motility) -> str:
 
 
 def _labels(organ: OrganSurface, samples: Float[np.ndarray, " k"]) -> Int[np.ndarray, " k"]:
-    """Most frequent label of the wall at each sample; without vertices, the next label."""
+    """Predominant label of the wall at each sample; without vertices, the next label."""
     nearest = np.clip(np.rint(organ.arc_length / samples[1]), 0, len(samples) - 1).astype(int)
     num = len(organ.label_names)
     count = np.bincount(nearest * num + organ.label, minlength=len(samples) * num)
@@ -170,11 +170,11 @@ def _runs(values: Int[np.ndarray, " k"]) -> Iterator[tuple[int, int, int]]:
 def _paces(rates: Float[np.ndarray, " k"], cycles: Float[np.ndarray, " k"]) -> np.ndarray:
     """Index of the pacemaker at each sample: a new one where the rate has changed enough."""
     pace = np.empty(len(rates), int)
-    start = number = 0
+    start = index = 0
     for k in range(len(rates)):
         if abs(rates[k] - rates[start]) > _DRIFT or cycles[k] != cycles[start]:
-            start, number = k, number + 1
-        pace[k] = number
+            start, index = k, index + 1
+        pace[k] = index
     return pace
 
 

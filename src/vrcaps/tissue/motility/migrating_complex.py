@@ -194,10 +194,10 @@ class MigratingMotorComplex:
         first = np.minimum(fourth + quiet, length)
         # Times since the start of the cycle at which phases III, IV, I and II end, in this order.
         ends = np.stack([third, fourth, first, length])
-        number = (since >= ends[:3]).sum(axis=0)
-        end = np.take_along_axis(ends, number[None], axis=0)[0]
-        begin = np.where(number > 0, np.take_along_axis(ends, number[None] - 1, axis=0)[0], 0.0)
-        return _ORDER[number], (since - begin) / np.maximum(end - begin, 1e-9)
+        phase = (since >= ends[:3]).sum(axis=0)
+        end = np.take_along_axis(ends, phase[None], axis=0)[0]
+        start = np.where(phase > 0, np.take_along_axis(ends, phase[None] - 1, axis=0)[0], 0.0)
+        return _ORDER[phase], (since - start) / np.maximum(end - start, 1e-9)
 
     def at_front(self, arc_length: float, ahead: float = 0.0) -> MigratingMotorComplex:
         """Shift the cycle so that the first front that passes a position reaches it at time 0.
@@ -248,9 +248,9 @@ def draw_complex(
     second = _truncated_normal(rng, (fraction, s.second_phase_deviation), (0.0, 1.0), n)
     gastric = _truncated_normal(rng, s.gastric_first_phase, (0.0, 1.0), n)
     bowel = [ends for zone, ends in zones.items() if zone != "stomach"]
-    begin = bowel[0][0] if bowel else positions[-1]
-    span = max(positions[-1] - begin, 1e-6)
-    first, last = _reach(s, zones, (begin, span), rng)
+    start = bowel[0][0] if bowel else positions[-1]
+    span = max(positions[-1] - start, 1e-6)
+    first, last = _reach(s, zones, (start, span), rng)
     shortened = third + 0.5 * growth + fourth
     return MigratingMotorComplex(
         starts=np.append(0.0, np.cumsum(lengths)),
@@ -263,7 +263,7 @@ def draw_complex(
         fourth=fourth,
         gastric_quiet=gastric * lengths,
         quiet=np.maximum((1.0 - second) * lengths - shortened, 0.0),
-        pylorus=float(begin),
+        pylorus=float(start),
         offset=float(rng.uniform(0.0, np.sum(lengths))),
     )
 
@@ -304,8 +304,8 @@ def _reach(
     rng: np.random.Generator,
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Arc lengths at which the fronts start and die out [m]."""
-    begin, span = bowel
-    duodenum = zones.get("duodenum", (begin, begin))
+    start, span = bowel
+    duodenum = zones.get("duodenum", (start, start))
     middle = 0.5 * (duodenum[0] + duodenum[1])
     starts = np.array([-np.inf, duodenum[0], middle, duodenum[1]])
     first = starts[rng.choice(4, _CYCLES, p=statistics.origins)]
@@ -313,7 +313,7 @@ def _reach(
     # Fraction of fronts that get beyond a fraction of the bowel: piecewise linear, falling from 1.
     survivors = [1.0, max(half, 1e-9), min(end, half), 0.0]
     position = np.interp(rng.uniform(size=_CYCLES), survivors[::-1], [2.0, 1.0, 0.5, 0.0])
-    return first, np.maximum(begin + span * position, np.where(np.isfinite(first), first, begin))
+    return first, np.maximum(start + span * position, np.where(np.isfinite(first), first, start))
 
 
 def _truncated_normal(

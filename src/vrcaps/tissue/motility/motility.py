@@ -68,9 +68,9 @@ class Propulsion:
             return np.array(axes) / np.linalg.norm(axes)
         count = max(1, round(centerline.length / self.segment_length))
         length = centerline.length / count
-        number = min(int(arc_length / length), count - 1)
+        index = min(int(arc_length / length), count - 1)
         ends = [
-            np.interp([number * length, (number + 1) * length], centerline.arc_length, axis)
+            np.interp([index * length, (index + 1) * length], centerline.arc_length, axis)
             for axis in centerline.points.T
         ]
         vector = np.array([end - start for start, end in ends])

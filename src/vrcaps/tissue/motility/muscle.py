@@ -74,12 +74,12 @@ class _Rule:
     """Behavior of the muscle from a time onwards.
 
     Attributes:
-        begin: Start time [s].
+        start: Start time [s].
         clock: Cycle of the migrating motor complex; None where none passes.
         is_awake: Whether the muscle contracts at all.
     """
 
-    begin: float
+    start: float
     clock: MigratingMotorComplex | None
     is_awake: bool = True
 
@@ -147,20 +147,20 @@ class Muscle:
             rules.append(_Rule(front.time, clock))
         return rules
 
-    def _number_of_rule(self, time: float) -> int:
+    def _rule_index(self, time: float) -> int:
         """Index of the rule in force at a time [s]."""
-        return bisect_right(self._rules, time, key=lambda rule: rule.begin) - 1
+        return bisect_right(self._rules, time, key=lambda rule: rule.start) - 1
 
     def _under_rules(
         self, time: float, value: Callable[[_Rule], Float[np.ndarray, "*n"]]
     ) -> Float[np.ndarray, "*n"]:
         """Value under the rule at a time [s], blended with the previous rule after a change."""
-        number = self._number_of_rule(time)
-        passed = (time - self._rules[number].begin) / _CHANGE_OVER
-        now = value(self._rules[number])
-        if number == 0 or passed >= 1.0:
+        index = self._rule_index(time)
+        passed = (time - self._rules[index].start) / _CHANGE_OVER
+        now = value(self._rules[index])
+        if index == 0 or passed >= 1.0:
             return now
-        before = value(self._rules[number - 1])
+        before = value(self._rules[index - 1])
         return before + passed * passed * (3.0 - 2.0 * passed) * (now - before)
 
     def lumen_scale(self, time: float, span: slice = slice(None)) -> Float[np.ndarray, " k"]:
@@ -202,7 +202,7 @@ class Muscle:
         arc_length = np.asarray(arc_length, float)
         phase = np.zeros(arc_length.shape, int)
         cycles = self.layout.cycles[self._nearest(arc_length)]
-        rule = self._rules[self._number_of_rule(time)]
+        rule = self._rules[self._rule_index(time)]
         if rule.clock is not None and rule.is_awake:
             phase = np.where(cycles, rule.clock.phase(arc_length, time)[0], 0)
         return phase
@@ -243,8 +243,8 @@ class Muscle:
 
     def _nearest(self, arc_length: Float[np.ndarray, "*n"] | float) -> np.ndarray:
         samples = self.layout.arc_length
-        number = np.rint(np.asarray(arc_length) / samples[1]).astype(int)
-        return np.clip(number, 0, len(samples) - 1)
+        index = np.rint(np.asarray(arc_length) / samples[1]).astype(int)
+        return np.clip(index, 0, len(samples) - 1)
 
     def _strengths(
         self, rule: _Rule, rows: Rows, wave: Float[np.ndarray, " r"], at: Int[np.ndarray, " q"]
@@ -315,7 +315,7 @@ class Muscle:
         colon = np.flatnonzero(~layout.cycles)
         if len(colon) == 0:
             return
-        begin, end = layout.arc_length[colon[[0, -1]]]
+        start, end = layout.arc_length[colon[[0, -1]]]
         hours = np.floor(time / _HOUR) + np.array([-1.0, 0.0])
         lots, moments, origins = (uniform(self._key, 4 + k, hours) for k in range(3))
         since = time - (hours + moments) * _HOUR
@@ -323,7 +323,7 @@ class Muscle:
         active = (lots < giant.rate * _HOUR) & (since >= 0.0) & (since < lasts)
         here = slice(first, first + len(deepest))
         for k in np.flatnonzero(active):
-            traveled = layout.arc_length[here] - begin - origins[k] * giant.origin * (end - begin)
+            traveled = layout.arc_length[here] - start - origins[k] * giant.origin * (end - start)
             middle = (since[k] - traveled / giant.speed) / giant.duration - 0.5
             pulse = np.cos(np.pi * np.clip(middle, -0.5, 0.5)) ** 2
             whole = np.minimum(traveled, giant.extent - traveled) / (_GIANT_RAMP * giant.extent)

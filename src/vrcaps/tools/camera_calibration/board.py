@@ -149,19 +149,19 @@ def refine_corners(
     terms = np.stack([x * x, x * y, y * y, x, y, np.ones_like(x)], axis=-1)
     solver = np.linalg.pinv(terms * weight[:, None]) * weight
     start = grid.reshape(-1, 2)
-    found, stays = start.copy(), np.zeros(len(start), bool)
+    corners, stays = start.copy(), np.zeros(len(start), bool)
     for _ in range(_ROUNDS):
-        at = found[:, None] + radius[:, None, None] * np.stack([x, y], axis=-1)
+        at = corners[:, None] + radius[:, None, None] * np.stack([x, y], axis=-1)
         values = scipy.ndimage.map_coordinates(smooth, np.moveaxis(at, -1, 0)[::-1], mode="nearest")
         a, b, c, d, e, _ = (values @ solver.T).T
         bend = 4.0 * a * c - b * b  # determinant of the Hessian, negative at a saddle
         stays |= bend > -_FLAT
         bend = np.minimum(bend, -_FLAT)
         move = np.stack([b * e - 2.0 * c * d, b * d - 2.0 * a * e], axis=-1) / bend[:, None]
-        found = found + np.clip(move, -0.5, 0.5) * radius[:, None]
-        stays |= np.linalg.norm(found - start, axis=1) > radius
-        found = np.where(stays[:, None], start, found)
-    return found.reshape(grid.shape)
+        corners = corners + np.clip(move, -0.5, 0.5) * radius[:, None]
+        stays |= np.linalg.norm(corners - start, axis=1) > radius
+        corners = np.where(stays[:, None], start, corners)
+    return corners.reshape(grid.shape)
 
 
 def nearest_neighbors(grid: Float[np.ndarray, "r c 2"]) -> Float[np.ndarray, "r c"]:
@@ -216,11 +216,11 @@ def find_views(
     _check_sizes(photos)
     views, missed = [], []
     for k, photo in enumerate(photos):
-        found = find_corners(photo.rgb, board)
-        if found is None:
+        corners = find_corners(photo.rgb, board)
+        if corners is None:
             missed.append(photo.name)
         else:
-            views.append(BoardView(photo.name, *found))
+            views.append(BoardView(photo.name, *corners))
         if progress is not None:
             progress(k + 1, len(photos))
     names = {view.name for view in views[:_NUM_CHECKED]}
@@ -299,16 +299,16 @@ def _check_whole(photos: Sequence[Photo], board: Board) -> None:
         if max(columns, rows) > MAX_SQUARES:
             continue
         larger = Board(columns, rows, board.square)
-        shown = [
+        marked = [
             photo.name
             for photo in photos
             if cv2.findChessboardCornersSB(
                 cv2.cvtColor(photo.rgb, cv2.COLOR_RGB2GRAY), larger.grid
             )[0]
         ]
-        if shown and 2 * len(shown) >= len(photos):
+        if marked and 2 * len(marked) >= len(photos):
             raise InputError(
-                f"The board in {shown[0]} is larger than {board.columns}x{board.rows} squares. "
+                f"The board in {marked[0]} is larger than {board.columns}x{board.rows} squares. "
                 f"Allowed: all its squares, here {columns}x{rows} or more; count squares, not "
                 "inner corners."
             )

@@ -92,20 +92,22 @@ def find_fluid(scan: Volume, gas: Gas, *, posture: str) -> Fluid:
     label, num = connected_parts(scan.values > _TAGGED)
     reach = max(1, round(_CONTACT / scan.spacing[axis]))
     needed = _MIN_AREA / float(np.delete(scan.spacing, axis).prod())
-    found = [
+    interfaces = [
         one
         for one in _find_interfaces(gas, label, (axis, sense), reach)
         if len(one.points) >= needed
     ]
-    old = sorted({interface.pool for interface in found})
-    number = np.zeros(num + 1, int)
-    number[old] = np.arange(1, len(old) + 1)
-    kept = renumbered(label, number)
+    old = sorted({interface.pool for interface in interfaces})
+    new_label = np.zeros(num + 1, int)
+    new_label[old] = np.arange(1, len(old) + 1)
+    kept = renumbered(label, new_label)
     del label
     inner = scan.values[shrunk(kept > 0)]
     hounsfield = float(np.median(inner)) if len(inner) else float(_TAGGED * 2)
-    found = [AirFluidInterface(one.piece, int(number[one.pool]), one.points) for one in found]
-    return Fluid(kept, tuple(found), hounsfield, axis)
+    interfaces = [
+        AirFluidInterface(one.piece, int(new_label[one.pool]), one.points) for one in interfaces
+    ]
+    return Fluid(kept, tuple(interfaces), hounsfield, axis)
 
 
 def _find_interfaces(
@@ -121,7 +123,7 @@ def _find_interfaces(
     """
     axis, sense = down
     is_gut = np.zeros(int(gas.label.max()) + 1, bool)
-    is_gut[[piece.number for piece in gas.gut]] = True
+    is_gut[[piece.label for piece in gas.gut]] = True
     above, below = (np.moveaxis(label, axis, 0)[::sense] for label in (gas.label, pools))
     depth, *column = np.nonzero(is_gut[above[:-1]] & (above[1:] == 0))
     piece = above[(depth, *column)].astype(int)

@@ -74,7 +74,7 @@ def find_gaps(parts: Volume, max_width: float) -> list[Gap]:
     for a, one in enumerate(ends):
         tree = KDTree(one.points)
         for b, other in enumerate(ends[:a]):
-            if other.number != one.number:
+            if other.label != one.label:
                 distance, nearest = tree.query(other.points)
                 best = int(np.argmin(distance))
                 pairs.append((float(distance[best]), a, b, int(np.asarray(nearest)[best]), best))
@@ -83,14 +83,14 @@ def find_gaps(parts: Volume, max_width: float) -> list[Gap]:
     gaps = []
     for width, a, b, at_a, at_b in sorted(pairs):
         one, other = ends[a], ends[b]
-        joined = group[one.number] == group[other.number]
+        joined = group[one.label] == group[other.label]
         if width > max_width or joined or {a, b} & used:
             continue
         used |= {a, b}
-        group[group == group[one.number]] = group[other.number]
+        group[group == group[one.label]] = group[other.label]
         face = np.array([one.points[at_a], other.points[at_b]])
-        inner = [_middle(parts, end.number, at) for end, at in zip((one, other), face, strict=True)]
-        gaps.append(Gap((one.number, other.number), face, np.array([inner[0], *face, inner[1]])))
+        inner = [_middle(parts, end.label, at) for end, at in zip((one, other), face, strict=True)]
+        gaps.append(Gap((one.label, other.label), face, np.array([inner[0], *face, inner[1]])))
     return gaps
 
 
@@ -131,15 +131,15 @@ def bridge_gaps(lumen: LumenFraction, gaps: list[Gap], radius: float) -> LumenFr
 class _End:
     """One end of a part: the wall voxels there [m]."""
 
-    number: int
+    label: int
     points: Float[np.ndarray, "n 3"]
 
 
-def _ends(part: Volume, number: int) -> list[_End]:
+def _ends(part: Volume, label: int) -> list[_End]:
     """Find the two ends of a part; those of a short part may overlap."""
     from skimage.graph import MCP_Geometric
 
-    own = part.values == number
+    own = part.values == label
     stride = np.maximum(np.rint(_COARSE / part.spacing), 1).astype(int)
     steps = tuple(slice(None, None, s) for s in stride.tolist())
     coarse = ndimage.maximum_filter(own, stride.tolist())[steps]
@@ -157,18 +157,18 @@ def _ends(part: Volume, number: int) -> list[_End]:
     for away in sweeps[1:]:
         # Measured from the far end: voxels nearly at the maximum distance are the near end.
         is_end = away[tuple(at.T)] >= away.max() - min(_END_ZONE, 0.5 * float(away.max()))
-        ends.append(_End(number, part.points(wall[is_end])))
+        ends.append(_End(label, part.points(wall[is_end])))
     return ends
 
 
-def _middle(parts: Volume, number: int, point: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
+def _middle(parts: Volume, label: int, point: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
     """Point of a part farthest from its wall, within 12 mm of a point."""
     reach = np.ceil(_DEEP / parts.spacing)
     index = parts.index(point[None])[0]
     low = np.maximum(np.floor(index - reach), 0).astype(int)
     high = np.minimum(np.ceil(index + reach) + 1, parts.values.shape).astype(int)
     near = parts.crop(tuple(slice(a, b) for a, b in zip(low, high, strict=True)))
-    own = near.values == number
+    own = near.values == label
     clearance = np.asarray(ndimage.distance_transform_edt(own, near.spacing.tolist()))
     deepest = np.unravel_index(np.argmax(clearance), clearance.shape)
     return near.points(np.array([deepest], float))[0]

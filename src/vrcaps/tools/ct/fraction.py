@@ -63,8 +63,8 @@ def resolve_interface(
     square = np.ones((2 * _BESIDE + 1,) * 2, bool)
     patch = np.empty(own.shape, np.int32)
     ndimage.label(ndimage.binary_dilation(own, square), output=patch)
-    for number, box in enumerate(ndimage.find_objects(patch), start=1):
-        here = patch[tuple(column.T)] == number
+    for label, box in enumerate(ndimage.find_objects(patch), start=1):
+        here = patch[tuple(column.T)] == label
         corner = [side.start for side in box]
         plane = _plane(column[here] - corner, height[here], patch[box].shape)
         low, high = int(plane.min() - half - 2), int(plane.max() + half + 3)
@@ -72,9 +72,9 @@ def resolve_interface(
         offset = (
             np.arange(slab[0].start, slab[0].start + len(fraction[slab]))[:, None, None] - plane
         )
-        beside = patch[box] == number
-        fractions = _fraction(values[slab], offset, own[box] & beside, hounsfield)
-        layer = (np.abs(offset) <= half) & beside
+        is_neighbor = patch[box] == label
+        fractions = _fraction(values[slab], offset, own[box] & is_neighbor, hounsfield)
+        layer = (np.abs(offset) <= half) & is_neighbor
         fraction[slab][layer] = fractions[layer]
 
 
@@ -245,9 +245,9 @@ def number_parts(
     volumes[0] = 0.0
     order = np.argsort(-volumes, kind="stable")
     order = order[volumes[order] >= min_volume]
-    number = np.zeros(num + 1, int)
-    number[order] = np.arange(1, len(order) + 1)
-    return renumbered(label, number), volumes[order].tolist()
+    new_label = np.zeros(num + 1, int)
+    new_label[order] = np.arange(1, len(order) + 1)
+    return renumbered(label, new_label), volumes[order].tolist()
 
 
 def bounding_box(mask: Bool[np.ndarray, "k j i"]) -> tuple[slice, slice, slice]:

@@ -94,13 +94,13 @@ def organ_from_gas(
     """
     from vrcaps.tools.ct.cleansing import find_fluid
 
-    fluid, pieces, pools = None, {piece.number}, set()
+    fluid, pieces, pools = None, {piece.label}, set()
     if tagged_fluid is not None:
         report("segmenting tagged fluid")
         fluid = find_fluid(scan, gas, posture=tagged_fluid)
-        pieces, pools = fluid.reached(piece.number)
+        pieces, pools = fluid.reached(piece.label)
     report("detecting collapsed segments")
-    gaps, notes = _gaps_of_gas(gas, scan, pieces, piece.number, wall.bridge)
+    gaps, notes = _gaps_of_gas(gas, scan, pieces, piece.label, wall.bridge)
     notes = [*scan.notes, *notes]
     for gap in gaps:
         pieces |= set(gap.parts)
@@ -119,7 +119,7 @@ def organ_from_gas(
 
 def organ_from_label(
     labels: Volume,
-    number: int,
+    label: int,
     *,
     wall: WallOptions,
     name: str,
@@ -130,7 +130,7 @@ def organ_from_label(
 
     Args:
         labels: The label map.
-        number: ID of the label.
+        label: ID of the label.
         wall: Settings of the wall extraction.
         name: Name of the organ.
         label_name: Name of the wall's label.
@@ -139,20 +139,20 @@ def organ_from_label(
     Raises:
         InputError: If the label does not occur, or no wall can be extracted.
     """
-    lumen = mask_fraction(labels, (number,))
+    lumen = mask_fraction(labels, (label,))
     if lumen is None:
-        raise InputError(f"No voxel of {labels.source} has label {number}.")
+        raise InputError(f"No voxel of {labels.source} has label {label}.")
     report("detecting collapsed segments")
     part, volumes = number_parts(lumen, _SPECK)
     if not volumes:
         raise InputError(
-            f"Label {number} of {labels.source} has no part of 0.2 ml or more. Give another label."
+            f"Label {label} of {labels.source} has no part of 0.2 ml or more. Give another label."
         )
     parts = Volume(part, lumen.T_patient_index, labels.source)
     gaps, notes = _choose_gaps(parts, 1, wall.bridge, volumes)
     notes = [*labels.notes, *notes]
     blur = 0.7 if wall.blur is None else wall.blur
-    source = {"source": labels.source, "input_mode": "label", "label": number}
+    source = {"source": labels.source, "input_mode": "label", "label": label}
     wall = replace(wall, blur=blur)
     return _organ(lumen, gaps, notes, wall, (name, label_name), source, report)
 
@@ -181,13 +181,15 @@ def _gaps_of_gas(
     gas: Gas, scan: Volume, pieces: set[int], start: int, bridge: float
 ) -> tuple[list[Gap], list[str]]:
     """Gaps to open between pieces of gut gas, and messages about those left closed."""
-    number = np.zeros(SPECKS + 1 + len(gas.pieces), np.int32)
-    gut = [piece for piece in gas.gut if piece.number == start or piece.number not in pieces]
-    number[[piece.number for piece in gut]] = np.arange(1, len(gut) + 1)
-    number[list(pieces)] = number[start]
-    parts = Volume(renumbered(gas.label, number), scan.T_patient_index, scan.source)
-    gaps, notes = _choose_gaps(parts, int(number[start]), bridge, [piece.volume for piece in gut])
-    back = {int(number[piece.number]): piece.number for piece in gut}
+    new_label = np.zeros(SPECKS + 1 + len(gas.pieces), np.int32)
+    gut = [piece for piece in gas.gut if piece.label == start or piece.label not in pieces]
+    new_label[[piece.label for piece in gut]] = np.arange(1, len(gut) + 1)
+    new_label[list(pieces)] = new_label[start]
+    parts = Volume(renumbered(gas.label, new_label), scan.T_patient_index, scan.source)
+    gaps, notes = _choose_gaps(
+        parts, int(new_label[start]), bridge, [piece.volume for piece in gut]
+    )
+    back = {int(new_label[piece.label]): piece.label for piece in gut}
     return [replace(gap, parts=tuple(back[p] for p in gap.parts)) for gap in gaps], notes
 
 
@@ -199,12 +201,12 @@ def _choose_gaps(
         return [], []
     if len(volumes) > _MANY_PARTS:
         return [], [f"{len(volumes)} parts: too many to search for gaps between them"]
-    found = find_gaps(parts, max(bridge, 50 * MM))
-    narrow = [gap for gap in found if gap.width <= bridge]
+    gaps = find_gaps(parts, max(bridge, 50 * MM))
+    narrow = [gap for gap in gaps if gap.width <= bridge]
     kept = connected_by_gaps(narrow, start)
     opened = [gap for gap in narrow if set(gap.parts) <= kept]
     notes = [f"collapsed segment opened: {gap.line()}" for gap in opened]
-    for gap in found:
+    for gap in gaps:
         if len(set(gap.parts) & kept) == 1:
             (other,) = set(gap.parts) - kept
             notes.append(
@@ -219,7 +221,7 @@ def _choose_gaps(
 
 
 def _largest_part(lumen: LumenFraction) -> LumenFraction:
-    """Largest part of a lumen.
+    """The largest part of a lumen.
 
     Raises:
         InputError: If all parts are too small.
@@ -296,41 +298,41 @@ def check_label(labels: Volume, label: str) -> int:
         InputError: If it does not, or the file contains Hounsfield units.
         UnknownNameError: If the label's name is unknown.
     """
-    number = label_number(label)
+    label_id = label_number(label)
     if labels.values.min() < 0:
         raise InputError(
             f"{labels.source} has values down to {labels.values.min()}: it is not a label map. "
             "Give the label map with --labels, or omit --label to segment gas."
         )
-    if not (labels.values == number).any():
+    if not (labels.values == label_id).any():
         labels_present = np.unique(labels.values[labels.values > 0])
         text = ", ".join(map(str, labels_present[:40])) + (
             ", …" if len(labels_present) > 40 else ""
         )
         raise InputError(
-            f"No voxel of {labels.source} has label {label} ({number}). Found: {text or 'none'}."
+            f"No voxel of {labels.source} has label {label} ({label_id}). Found: {text or 'none'}."
         )
-    return number
+    return label_id
 
 
-def misplaced(scan: Volume, labels: Volume, number: int) -> str | None:
+def misplaced(scan: Volume, labels: Volume, label: int) -> str | None:
     """Message if part of a label lies in the air outside the body; otherwise None.
 
     Args:
         scan: Hounsfield units, on the label map's grid.
         labels: The label map.
-        number: ID of the label.
+        label: ID of the label.
     """
     from vrcaps.tools.ct.lumen import body_mask
 
     body, stride = body_mask(scan)
     coarse = tuple(slice(None, None, s) for s in stride)
-    own = labels.values[coarse] == number
+    own = labels.values[coarse] == label
     out = own & ~body & (scan.values[coarse] < _AIR)
     fraction = np.count_nonzero(out) / max(np.count_nonzero(own), 1)
     if fraction <= _MISPLACED:
         return None
-    volume = fraction * np.count_nonzero(labels.values == number) * labels.voxel_volume
+    volume = fraction * np.count_nonzero(labels.values == label) * labels.voxel_volume
     return (
         f"{fraction:.0%} of the label ({volume / CM**3:.0f} ml) lies in the air outside the body: "
         "it may belong to another scan"

@@ -37,16 +37,16 @@ def part_sizes(label: Int[np.ndarray, "k j i"], num: int) -> Int[np.ndarray, " n
 
 
 def renumbered(
-    label: Int[np.ndarray, "k j i"], number: Int[np.ndarray, " n"]
+    label: Int[np.ndarray, "k j i"], new_ids: Int[np.ndarray, " n"]
 ) -> UInt16[np.ndarray, "k j i"]:
     """Replace the ID of each voxel's part.
 
     Args:
         label: ID of the part of each voxel.
-        number: New ID of each part, below 65,536.
+        new_ids: New ID of each part, below 65,536.
     """
-    assert number.max(initial=0) < 2**16
-    return number.astype(np.uint16)[label]
+    assert new_ids.max(initial=0) < 2**16
+    return new_ids.astype(np.uint16)[label]
 
 
 def grown(mask: Bool[np.ndarray, "k j i"], num_voxels: int = 1) -> Bool[np.ndarray, "k j i"]:
@@ -88,7 +88,7 @@ class GasPiece:
     """Connected piece of gas.
 
     Attributes:
-        number: ID of its voxels in `Gas.label`.
+        label: ID of its voxels in `Gas.label`.
         kind: Gut, lung (denser than gas; large, or reaching the top slice), or outside the body.
         volume: Volume of its voxels [m³].
         center: Position of one of its voxels near their mean, patient frame [m].
@@ -96,7 +96,7 @@ class GasPiece:
         box: Bounding box in the scan.
     """
 
-    number: int
+    label: int
     kind: Kind
     volume: float
     center: Float[np.ndarray, " 3"]
@@ -144,7 +144,7 @@ def find_gas(scan: Volume, *, threshold: int = GAS_THRESHOLD) -> Gas:
     air = air[(air > -1100) & (air < -900)]
     air_hu = float(np.median(air)) if len(air) > 100 else -1000.0
     pieces = tuple(
-        _judge(scan, label, number, box, air_hu, (body, stride))
+        _classify(scan, label, number, box, air_hu, (body, stride))
         for number, box in enumerate(ndimage.find_objects(label), start=1)
         if number > SPECKS and box is not None
     )
@@ -157,12 +157,12 @@ def _numbered_gas(scan: Volume, threshold: int) -> UInt16[np.ndarray, "k j i"]:
     label, num = connected_parts(scan.values < threshold)
     sizes = part_sizes(label, num)
     sides = (label[:, 0], label[:, -1], label[:, :, 0], label[:, :, -1])
-    number = np.full(num + 1, SPECKS)
-    number[np.unique(np.concatenate([np.unique(side) for side in sides]))] = OUTSIDE
-    number[0] = 0
-    big = np.flatnonzero((number == SPECKS) & (sizes * scan.voxel_volume >= _SPECK))
-    number[big[np.argsort(-sizes[big], kind="stable")]] = SPECKS + 1 + np.arange(len(big))
-    return renumbered(label, number)
+    new_label = np.full(num + 1, SPECKS)
+    new_label[np.unique(np.concatenate([np.unique(side) for side in sides]))] = OUTSIDE
+    new_label[0] = 0
+    big = np.flatnonzero((new_label == SPECKS) & (sizes * scan.voxel_volume >= _SPECK))
+    new_label[big[np.argsort(-sizes[big], kind="stable")]] = SPECKS + 1 + np.arange(len(big))
+    return renumbered(label, new_label)
 
 
 def body_mask(scan: Volume) -> tuple[Bool[np.ndarray, "k j i"], tuple[int, int, int]]:
@@ -184,17 +184,17 @@ def body_mask(scan: Volume) -> tuple[Bool[np.ndarray, "k j i"], tuple[int, int, 
     return trunk, (k, j, i)
 
 
-def _judge(
+def _classify(
     scan: Volume,
     label: UInt16[np.ndarray, "k j i"],
-    number: int,
+    piece_id: int,
     box: tuple[slice, slice, slice],
     air_hu: float,
     body: tuple[Bool[np.ndarray, "k j i"], tuple[int, int, int]],
 ) -> GasPiece:
     """Classify a piece of gas."""
     part = label[box]
-    own = np.flatnonzero(part == number)
+    own = np.flatnonzero(part == piece_id)
     some = np.unravel_index(own[:: max(1, len(own) // 20_000)], part.shape)
     at = np.stack(some, axis=1) + [side.start for side in box]
     median = float(np.median(scan.values[tuple(at.T)]))
@@ -207,13 +207,13 @@ def _judge(
     elif median > air_hu + _LUNG_EXCESS and (volume > _LUNG_VOLUME or at[:, 0].max() == top):
         kind = "lung"
     middle = at[np.argmin(np.linalg.norm(at - at.mean(axis=0), axis=1))]
-    return GasPiece(number, kind, volume, scan.points(middle[None])[0], median, box)
+    return GasPiece(piece_id, kind, volume, scan.points(middle[None])[0], median, box)
 
 
 def _leak(
     scan: Volume, outside: Bool[np.ndarray, "k j i"], body: Bool[np.ndarray, "k j i"]
 ) -> tuple[float, Float[np.ndarray, " 3"]]:
-    """Largest part of the outside air deep in the body: volume [m³] and middle [m]."""
+    """The largest part of the outside air deep in the body: volume [m³] and middle [m]."""
     deep = outside & ndimage.binary_erosion(body, iterations=3, border_value=1)
     label, num = connected_parts(deep)
     if num == 0:
@@ -272,13 +272,13 @@ def _at_seed(gas: Gas, scan: Volume, seed: Float[np.ndarray, " 3"]) -> GasPiece:
             f"The seed {mm_text(seed)} lies outside the scan, which goes from "
             f"{mm_text(low)} to {mm_text(high)} (LPS)."
         )
-    number = int(gas.label[tuple(index)])
-    if number == OUTSIDE:
+    label = int(gas.label[tuple(index)])
+    if label == OUTSIDE:
         raise InputError(
             f"The gas at the seed {mm_text(seed)} leaks to the air outside. Lower --threshold, "
             "give another seed, or a mask with --labels."
         )
-    matches = [piece for piece in gas.pieces if piece.number == number]
+    matches = [piece for piece in gas.pieces if piece.label == label]
     if not matches:
         value = int(scan.values[tuple(index)])
         known = "; ".join(f"{mm_text(p.center)}, {p.volume / CM**3:.0f} ml" for p in gas.gut[:4])

@@ -131,7 +131,7 @@ def ordered(series: Series, folder: Path) -> tuple[list[Slice], Float[np.ndarray
         worst = slices[int(np.argmax(away))].path.name
         raise InputError(
             f"The slices in {folder} are unevenly spaced: {worst} lies {away.max() / MM:.2f} mm "
-            "beside its place. Give one series of even spacing, or resample it."
+            "from its expected position. Give one series of even spacing, or resample it."
         )
     return slices, mean
 
@@ -335,8 +335,8 @@ def _require_data_inside(path: Path) -> None:
         head = file.read(_LONGEST_HEADER)
     if path.suffix.lower() == ".nrrd":
         head = re.split(rb"\r?\n\r?\n", head, maxsplit=1)[0]
-    found = pattern.search(head)
-    first, *more = (found[1].strip() if found else b"LOCAL").splitlines() or [b""]
+    match = pattern.search(head)
+    first, *more = (match[1].strip() if match else b"LOCAL").splitlines() or [b""]
     if first.upper() == b"LOCAL":
         return
     names = more if first.upper().startswith(b"LIST") else [first]

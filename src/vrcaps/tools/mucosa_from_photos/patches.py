@@ -39,7 +39,7 @@ class PhotoAnalysis:
         view: Its regions.
         filled: Logarithm of linear light, highlights filled in.
         flat: Logarithm of reflectance up to a constant, see `remove_shading`.
-        region: Most uniform square.
+        region: The most uniform square.
         vessels: Detected vessels.
         mm_per_pixel: Scale of the downsampled photograph.
     """
@@ -117,7 +117,7 @@ def analyze_photo(
     height, width = photo.rgb.shape[:2]
     if min(height, width) < MIN_SIDE:
         raise InputError(
-            f"{photo.name} has {width} × {height} px, too few to make a texture from. "
+            f"{photo.name} has {width} × {height} px: too few to make a texture from. "
             f"Allowed: {MIN_SIDE} or more on each side."
         )
     shrink = 1 if is_flat else -(-width // MAX_WIDTH)

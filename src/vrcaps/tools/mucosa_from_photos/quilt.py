@@ -124,7 +124,7 @@ class _Search:
         self.patch, self.rng = patch, rng
         side = self.sources.shape[1]
         self.shape = (scipy.fft.next_fast_len(side, real=True),) * 2
-        self.places = side - patch + 1
+        self.positions = side - patch + 1
         spectrum = np.asarray(scipy.fft.rfft2(self.sources, self.shape, axes=(1, 2)))
         self.spectrum = np.ascontiguousarray(np.moveaxis(spectrum, 3, 1))
         self.energy = np.asarray(scipy.fft.rfft2((self.sources**2).sum(axis=3), self.shape))
@@ -137,7 +137,7 @@ class _Search:
         tried = self.rng.permutation(len(self.sources))[:_TRIED]
         mask = _band(self.patch, overlaps)
         if not mask.any():
-            cost = np.ones((len(tried), self.places, self.places), np.float32)
+            cost = np.ones((len(tried), self.positions, self.positions), np.float32)
         else:
             cost = self._differences(there * mask[..., None], overlaps, tried) / mask.sum()
         middle = float(np.median(cost))
@@ -153,7 +153,9 @@ class _Search:
         """Sum of squared differences at every position of the given sources."""
         wanted = np.asarray(scipy.fft.rfft2(there, self.shape, axes=(0, 1)))
         product = np.einsum("kcij,ijc->kij", self.spectrum[tried], wanted.conj())
-        across = np.asarray(scipy.fft.irfft2(product, self.shape))[:, : self.places, : self.places]
+        across = np.asarray(scipy.fft.irfft2(product, self.shape))[
+            :, : self.positions, : self.positions
+        ]
         total = self.energies(overlaps)[tried] - 2.0 * across + (there**2).sum()
         return np.maximum(total, 0.0)
 
@@ -161,7 +163,7 @@ class _Search:
         band = _band(self.patch, overlaps).astype(np.float32)
         mask = np.asarray(scipy.fft.rfft2(band, self.shape))
         sums = np.asarray(scipy.fft.irfft2(self.energy * mask.conj(), self.shape))
-        return sums[:, : self.places, : self.places]
+        return sums[:, : self.positions, : self.positions]
 
     def _mark(self, source: int, row: int, column: int) -> None:
         """Mark a position and its neighbors as used, in every rotation of the same square."""

@@ -87,7 +87,7 @@ def find_region(
 
 
 def box_region(box: tuple[int, int, int, int], shape: tuple[int, int]) -> Region:
-    """Largest square in the middle of a box chosen by the user.
+    """The largest square in the middle of a box chosen by the user.
 
     Args:
         box: Left, top, width, height [px].

@@ -138,8 +138,8 @@ def make_texture(
     """
     check_scale(scale)
     _check(options, photos, seed)
-    tell = progress or (lambda done, total: None)
-    chosen, others = _chosen(photos, scale, options, tell)
+    report = progress or (lambda done, total: None)
+    chosen, others = _chosen(photos, scale, options, report)
     rng = stream(seed, "mucosa-from-photos")
     parts, doubtful = source_patches(chosen, keep_vessels=not options.vessels)
     layout = Quilt.of_side(len(parts[0]))
@@ -151,7 +151,7 @@ def make_texture(
         options.size,
         layout,
         rng,
-        progress=lambda done, total: tell(total // 2 + done, total // 2 + total),
+        progress=lambda done, total: report(total // 2 + done, total // 2 + total),
     )
     return _finish(ground, parts, chosen, others, options, rng=rng, seed=seed)
 
@@ -160,18 +160,18 @@ def _chosen(
     photos: list[Photo],
     scale: PhotoScale,
     options: TextureOptions,
-    tell: Callable[[int, int], None],
+    report: Callable[[int, int], None],
 ) -> tuple[list[PhotoAnalysis], list[str]]:
     """Choose the photographs to use, analyzed, best first; also return the names of the others.
 
     Raises:
         InputError: If none has a usable region.
     """
-    found = []
-    for number, photo in enumerate(photos):
-        found.append(analyze_photo(photo, scale, is_flat=options.is_flat, box=options.box))
-        tell(number + 1, 3 * len(photos))
-    usable = [source for source in found if source is not None]
+    analyzed = []
+    for index, photo in enumerate(photos):
+        analyzed.append(analyze_photo(photo, scale, is_flat=options.is_flat, box=options.box))
+        report(index + 1, 3 * len(photos))
+    usable = [source for source in analyzed if source is not None]
     if not usable:
         raise InputError(
             f"No usable region in {_names(photos)}: too much border, highlight or darkness. "
@@ -181,7 +181,7 @@ def _chosen(
     used = {id(source) for source in chosen}
     others = [
         photo.name
-        for photo, source in zip(photos, found, strict=True)
+        for photo, source in zip(photos, analyzed, strict=True)
         if source is None or id(source) not in used
     ]
     return chosen, others

@@ -45,7 +45,7 @@ class Vessels:
     """Vessels of one photograph.
 
     Attributes:
-        pieces: Largest first.
+        pieces: Vessel pieces, largest first.
         mask: Pixels of vessels.
         coverage: Fraction of the searched pixels that the pieces cover.
     """
@@ -87,13 +87,13 @@ def find_vessels(
         for is_dark in (False, True)
     )
     strong = float(np.percentile(opposite[inside], _NOISE))
-    found = apply_hysteresis_threshold(ridge, _LOW * strong, strong) & inside
-    skeleton = skeletonize(found)
+    ridges = apply_hysteresis_threshold(ridge, _LOW * strong, strong) & inside
+    skeleton = skeletonize(ridges)
     part = np.asarray(label(skeleton, connectivity=2))
-    member = np.where(found, part[_nearest(part > 0)], 0)
+    member = np.where(ridges, part[_nearest(part > 0)], 0)
     around = scipy.ndimage.gaussian_filter(flat, (0.02 * width, 0.02 * width, 0.0))
     extra = around - flat
-    pieces, kept = [], np.zeros_like(found)
+    pieces, kept = [], np.zeros_like(ridges)
     sizes = np.bincount(part.ravel())
     for number, box in enumerate(scipy.ndimage.find_objects(part), start=1):
         if box is None or sizes[number] < _MIN_LENGTH * width:
@@ -106,14 +106,14 @@ def find_vessels(
     return Vessels(pieces, kept, float(kept.sum() / inside.sum()))
 
 
-def _piece(member, part, extra, number: int, box) -> VesselPiece | None:
+def _piece(member, part, extra, index: int, box) -> VesselPiece | None:
     """Build a piece; None if it is too faint or too gray for a vessel."""
     margin = 6
     window = tuple(
         slice(max(0, s.start - margin), min(n, s.stop + margin))
         for s, n in zip(box, member.shape, strict=True)
     )
-    mask, line = member[window] == number, part[window] == number
+    mask, line = member[window] == index, part[window] == index
     depth = extra[window]
     mean = depth[mask].mean(axis=0)
     core = depth[line].mean(axis=0)

@@ -58,14 +58,14 @@ def radial_profile(frames: Frames, center: tuple[float, float]) -> RadialProfile
     relative = own / np.nanmean(own, axis=(1, 2), keepdims=True)
     edges = np.linspace(0.0, radius.max(), NUM_RINGS + 1)
     ring = np.clip(np.searchsorted(edges, radius, side="right") - 1, 0, NUM_RINGS - 1)
-    found = []
+    rings = []
     for k in range(NUM_RINGS):
         values = relative[:, ring == k]
         values = values[np.isfinite(values)]
         if values.size >= _FEWEST:
             middle = 0.5 * (edges[k] + edges[k + 1])
-            found.append((middle, float(np.quantile(values, ENVELOPE)), float(values.size)))
-    return RadialProfile(*np.array(found).reshape(-1, 3).T)
+            rings.append((middle, float(np.quantile(values, ENVELOPE)), float(values.size)))
+    return RadialProfile(*np.array(rings).reshape(-1, 3).T)
 
 
 def _radius(frames: Frames, center: tuple[float, float]) -> Float[np.ndarray, "h w"]:
@@ -285,15 +285,15 @@ def _levels(
     quantile = float(scipy.stats.chi2.ppf(_FLATTEST, freedom)) / freedom
     edges = np.quantile(mean, np.linspace(0.0, 1.0, _NUM_LEVELS + 1))
     level = np.clip(np.searchsorted(edges, mean, side="right") - 1, 0, _NUM_LEVELS - 1)
-    found = []
+    values = []
     for k in range(_NUM_LEVELS):
         own = level == k
         if own.sum() < _FEWEST_BLOCKS:
             continue
         noise = float(np.quantile(variance[own], _FLATTEST)) / quantile
         if noise > 0.0:
-            found.append((float(mean[own].mean()), noise, float(rounding[own].mean())))
-    return np.array(found).reshape(-1, 3)
+            values.append((float(mean[own].mean()), noise, float(rounding[own].mean())))
+    return np.array(values).reshape(-1, 3)
 
 
 def _sums(images: Float[np.ndarray, "n h w"]) -> Float[np.ndarray, "n r c"]:

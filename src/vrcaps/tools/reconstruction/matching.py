@@ -58,10 +58,10 @@ def highlights(rgb: UInt8[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
     brighter = np.maximum(most / np.maximum(around[1], 1.0), 1.0)
     excess = np.clip(least - around[0] * brighter, 0.0, 255.0).astype(np.uint8)
     threshold, _ = cv2.threshold(excess, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
-    found = (excess > max(threshold, _LEAST)).astype(np.uint8)
+    mask = (excess > max(threshold, _LEAST)).astype(np.uint8)
     glow = 2 * max(1, round(_GLOW * side)) + 1
     disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (glow, glow))
-    return cv2.dilate(found, disk) > 0
+    return cv2.dilate(mask, disk) > 0
 
 
 def without_highlights(rgb: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
@@ -181,17 +181,17 @@ def homography_pair(
         MissingExtraError: If OpenCV is not installed.
     """
     cv2 = opencv()
-    found = matches(one.descriptors, other.descriptors)
-    if len(found) <= _MIN_INLIERS:
+    candidates = matches(one.descriptors, other.descriptors)
+    if len(candidates) <= _MIN_INLIERS:
         return None
-    first, second = one.points[found[:, 0]], other.points[found[:, 1]]
+    first, second = one.points[candidates[:, 0]], other.points[candidates[:, 1]]
     homography, mask = cv2.findHomography(
         first, second, cv2.RANSAC, tolerance, maxIters=_TRIALS, confidence=_CONFIDENCE
     )
-    if homography is None or not is_trusted(int(mask.sum()), len(found)):
+    if homography is None or not is_trusted(int(mask.sum()), len(candidates)):
         return None
     fits = mask.ravel() > 0
-    return Pair(*numbers, homography, first[fits], second[fits], len(found))
+    return Pair(*numbers, homography, first[fits], second[fits], len(candidates))
 
 
 def is_trusted(num_inliers: int, num_matches: int) -> bool:
@@ -209,11 +209,11 @@ def image_pairs(features: Sequence[Features], tolerance: float) -> list[Pair]:
     Raises:
         MissingExtraError: If OpenCV is not installed.
     """
-    found = (
+    result = (
         homography_pair((i, j), features[i], features[j], tolerance)
         for i, j in likely_pairs([one.descriptors for one in features])
     )
-    return [pair for pair in found if pair is not None]
+    return [pair for pair in result if pair is not None]
 
 
 def likely_pairs(descriptors: Sequence[Float32[np.ndarray, "n d"]]) -> list[tuple[int, int]]:
@@ -265,9 +265,9 @@ def connected(count: int, pairs: Sequence[ImagePair]) -> list[int]:
 
     if not pairs:
         return []
-    _, number = connected_components(_weights(count, pairs), directed=False)
-    largest = np.bincount(number).argmax()
-    return np.flatnonzero(number == largest).tolist()
+    _, group = connected_components(_weights(count, pairs), directed=False)
+    largest = np.bincount(group).argmax()
+    return np.flatnonzero(group == largest).tolist()
 
 
 def chained(
@@ -298,12 +298,12 @@ def chained(
         matrix = matrix_of(pair)
         known[pair.first, pair.second] = matrix
         known[pair.second, pair.first] = np.linalg.inv(matrix)
-    found = {reference: np.eye(len(next(iter(known.values()))))}
+    poses = {reference: np.eye(len(next(iter(known.values()))))}
     order, before = breadth_first_order(tree, reference, directed=False)
     for image in order[1:].tolist():
         parent = int(before[image])
-        found[image] = found[parent] @ known[image, parent]
-    return reference, {image: found[image] for image in sorted(found)}
+        poses[image] = poses[parent] @ known[image, parent]
+    return reference, {image: poses[image] for image in sorted(poses)}
 
 
 def _weights(count: int, pairs: Sequence[ImagePair]) -> Any:

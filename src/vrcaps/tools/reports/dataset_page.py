@@ -232,8 +232,8 @@ def _examples(sample: Sample) -> list[str]:
             values = episode.image(shot.camera, channel, shot.frame)
             limits = limits_of(channel, [values])
             caption = channel + legend(channel, [values], limits, episode.label_names)
-            shown = picture(channel, values, limits)
-            parts.append(_tile(shown, html.escape(caption), CHANNELS[channel].is_categorical))
+            image = picture(channel, values, limits)
+            parts.append(_tile(image, html.escape(caption), CHANNELS[channel].is_categorical))
         parts.append("</div>")
     return parts
 
@@ -242,10 +242,10 @@ def _mosaic(sample: Sample) -> list[str]:
     frames = [shot for shot in sample.frames if shot.brightness.size]
     if not frames:
         return []
-    numbers = np.unique(
+    indices = np.unique(
         np.linspace(0, len(frames) - 1, min(_TILES, len(frames))).round().astype(int)
     )
-    tiles = read_at_once(_frame_tile, [frames[number] for number in numbers])
+    tiles = read_at_once(_frame_tile, [frames[number] for number in indices])
     return ["<h2>Frames</h2><div class='tiles'>", *tiles, "</div>"]
 
 

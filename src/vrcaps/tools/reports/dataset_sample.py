@@ -99,11 +99,11 @@ def sample(dataset: Dataset, num_shots: int = NUM_SHOTS) -> Sample:
 
 def _sampled_frames(chosen: tuple[Member, list[int]]) -> tuple[list[SampledFrame], NDArray]:
     """Frames of a recording, at positions fixed by their indices, and the capsule's speeds."""
-    member, numbers = chosen
+    member, keys = chosen
     episode = member.read()
     count = len(episode) * len(episode.cameras)
-    indices = sorted({int(number * _GOLDEN % 1.0 * count) for number in numbers})
-    frames = [_shot(member, episode, *divmod(place, len(episode.cameras))) for place in indices]
+    indices = sorted({int(key * _GOLDEN % 1.0 * count) for key in keys})
+    frames = [_shot(member, episode, *divmod(index, len(episode.cameras))) for index in indices]
     velocity = np.stack([episode.table.columns[name] for name in _VELOCITY], axis=-1)
     return frames, np.linalg.norm(velocity, axis=-1)
 

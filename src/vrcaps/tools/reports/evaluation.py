@@ -1,4 +1,4 @@
-"""Report of a policy evaluation: metrics, table, figure and HTML page."""
+"""Report of a policy evaluation: metrics, table, plot and HTML page."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Subject:
     settings: EnvSettings
 
     @property
-    def judged_at(self) -> float:
+    def evaluation_time(self) -> float:
         """Time at which coverage is reported [s]."""
         return reported_time(self.settings.episode_time)
 
@@ -67,9 +67,10 @@ def summary(subject: Subject) -> dict[str, str]:
     row["path length [m]"] = f"{np.median(evaluation.column('path_length_m')):.2f}"
     escapes = int(evaluation.column("wall_escapes").sum())
     for level in POINT_LEVELS:
-        percent = evaluation.column(f"{level}_at_{subject.judged_at:g}_s")
+        percent = evaluation.column(f"{level}_at_{subject.evaluation_time:g}_s")
         low, middle, high = np.percentile(percent, (10, 50, 90))
-        row[f"{level} at {subject.judged_at:g} s [%]"] = f"{middle:.1f} ({low:.1f} to {high:.1f})"
+        column = f"{level} at {subject.evaluation_time:g} s [%]"
+        row[column] = f"{middle:.1f} ({low:.1f} to {high:.1f})"
     row["visible at the end [%]"] = f"{np.median(evaluation.column('visible_at_end')):.1f}"
     row["area under curve [%]"] = f"{np.median(evaluation.column('visible_area_under_curve')):.1f}"
     for target in TARGETS:
@@ -164,7 +165,7 @@ def _draw_over_time(view: Axes, subjects: Sequence[Subject], column: int) -> Non
             textcoords="offset points",
             size=8,
         )
-    view.axvline(subjects[0].judged_at, color="#999999", lw=0.8, ls=":")
+    view.axvline(subjects[0].evaluation_time, color="#999999", lw=0.8, ls=":")
     view.set(title=level, xlabel="time [s]", ylim=(0, 101), xlim=(0, whole))
     view.set_ylabel("coverage [%]" if column == 0 else "")
     view.grid(alpha=0.3)
@@ -172,10 +173,10 @@ def _draw_over_time(view: Axes, subjects: Sequence[Subject], column: int) -> Non
 
 def _draw_coverage(view: Axes, subjects: Sequence[Subject]) -> None:
     """Draw bars of coverage at the evaluation time: median and range of most episodes."""
-    judged = subjects[0].judged_at
+    time = subjects[0].evaluation_time
     width = 0.8 / len(subjects)
     for number, subject in enumerate(subjects):
-        columns = [subject.evaluation.column(f"{lv}_at_{judged:g}_s") for lv in POINT_LEVELS]
+        columns = [subject.evaluation.column(f"{lv}_at_{time:g}_s") for lv in POINT_LEVELS]
         low, middle, high = np.percentile(np.array(columns), (10, 50, 90), axis=1)
         at = np.arange(len(POINT_LEVELS)) + (number - 0.5 * (len(subjects) - 1)) * width
         view.bar(
@@ -191,7 +192,7 @@ def _draw_coverage(view: Axes, subjects: Sequence[Subject]) -> None:
             view.text(x, 2.0, f"{value:.1f}", ha="center", size=8, color="white")
     view.set_xticks(range(len(POINT_LEVELS)), POINT_LEVELS)
     view.set(ylim=(0, 101), ylabel="coverage [%]")
-    view.set_title(f"coverage at {judged:g} s: median, 10th to 90th percentile", size=10)
+    view.set_title(f"coverage at {time:g} s: median, 10th to 90th percentile", size=10)
     view.grid(axis="y", alpha=0.3)
 
 
@@ -216,7 +217,7 @@ PAGE, PICTURE, TABLE, VIDEO = "index.html", "summary.png", "summary.csv", "media
 
 _NOTE = f"""Coverage is measured at points on the wall that stand for its area. <i>frustum</i>
 counts vertices in the field of view, even through walls (the definition of VR-Caps); <i>visible</i>
-counts what is not occluded; <i>resolved</i> counts what is also seen at a small distance and angle.
+counts the unoccluded wall; <i>resolved</i> counts the wall also seen at a small distance and angle.
 Coverage stays constant after the end of an episode. Lines: mean over episodes with its 95 %
 confidence band, by 1,000 bootstrap samples of whole organs (of episodes if there is one organ).
 Pale: 10th to 90th percentile. Star: VR-Caps, {PAPER_COVERAGE} % at {PAPER_TIME} s in one stomach.
@@ -226,7 +227,7 @@ episode."""
 
 
 def write_page(folder: Path, subjects: Sequence[Subject]) -> list[Path]:
-    """Write the page, the figure and the table.
+    """Write the page, the plot and the table.
 
     Args:
         folder: Output folder.
@@ -263,7 +264,7 @@ def _page(folder: Path, subjects: Sequence[Subject], rows: list[dict[str, str]])
         html_note(_NOTE),
         html_table(rows),
         "<h2>Organs</h2>",
-        html_note(f"Median visible coverage at {subjects[0].judged_at:g} s [%]."),
+        html_note(f"Median visible coverage at {subjects[0].evaluation_time:g} s [%]."),
         html_table(by_organ),
         f"<h2>Episode outcomes</h2>{html_table(_ends(subjects))}",
     ]
@@ -289,7 +290,7 @@ def _by_organ(subjects: Sequence[Subject]) -> list[dict[str, str]]:
         row = {"organ": name}
         for subject in subjects:
             own = subject.evaluation.column("organ") == name
-            percent = subject.evaluation.column(f"visible_at_{subject.judged_at:g}_s")[own]
+            percent = subject.evaluation.column(f"visible_at_{subject.evaluation_time:g}_s")[own]
             row[subject.name] = f"{np.median(percent):.1f}" if len(percent) else ""
         rows.append(row)
     return rows

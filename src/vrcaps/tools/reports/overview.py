@@ -1,4 +1,4 @@
-"""Overview figure of an organ: outside, inside, unrolled, and diameter over arc length."""
+"""Overview of an organ: outside, inside, unrolled, and diameter over arc length."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import SubFigure
 
-_WIDTH = 14.0  # width of the figure [inch]
+_WIDTH = 14.0  # width of the image [inch]
 _STRIP = 12.6  # width of a row of unrolled wall [inch]
 _ROW_HEIGHT = (1.0, 3.4)  # min and max height of such a row [inch]
 _MAX_ROWS = 8
@@ -38,14 +38,14 @@ class Marked:
     """Lesion as marked in the figure.
 
     Attributes:
-        number: Its instance.
+        instance: ID of the instance.
         text: Kind, grade and size.
         center: Point on the wall [m].
         arc_length: Arc length of that point [m].
         theta: Angle of that point [rad].
     """
 
-    number: int
+    instance: int
     text: str
     center: Float[np.ndarray, " 3"]
     arc_length: float
@@ -114,7 +114,7 @@ class _Picture:
 
 
 def write_overview(organ: OrganSurface, path: Path, *, facts: OrganMeasures | None = None) -> None:
-    """Write an overview figure of an organ.
+    """Write an overview image of an organ.
 
     Two outside views colored by segment, a table of segments and lesions, an inside view of each
     segment, the unrolled wall, and the diameter over arc length. Lesions have the same numbers in
@@ -127,7 +127,7 @@ def write_overview(organ: OrganSurface, path: Path, *, facts: OrganMeasures | No
     """
     wall = wall_of(organ.vertices, organ.faces)
     picture = _Picture(organ, facts or measure_organ(organ), wall, marked_lesions(organ))
-    positions = _view_places(picture)
+    positions = _view_positions(picture)
     rows_inside = -(-len(positions) // _VIEWS_PER_ROW)
     per_row = -(-len(positions) // rows_inside)
     inside = rows_inside * (min(_STRIP / per_row, 2.2) + 0.3)
@@ -162,7 +162,7 @@ def marked_lesions(organ: OrganSurface) -> list[Marked]:
         words += [f"{size / MM:.0f} mm"] if size else []
         marked.append(
             Marked(
-                number=number,
+                instance=number,
                 text=" ".join(word for word in words if word),
                 center=np.array(record.get("center_m", organ.vertices[vertex])),
                 arc_length=float(record.get("arc_length_m", organ.arc_length[vertex])),
@@ -213,7 +213,7 @@ def _draw_outside(part: SubFigure, picture: _Picture) -> None:
         view.set_axis_off()
         for lesion in picture.lesions:
             x, y = project(lesion.center, axes, center) / CM
-            _draw_number(view, x, y, lesion.number)
+            _draw_number(view, x, y, lesion.instance)
         _draw_scale(view, half / CM)
     _draw_table(part.add_subplot(grid[0, 2]), picture)
 
@@ -226,9 +226,9 @@ def _draw_scale(view: Axes, half_cm: float) -> None:
     view.text(x, y + 0.03 * half_cm, f"{length:g} cm", size=9, color=_INK)
 
 
-def _draw_number(view: Axes, x: float, y: float, number: int) -> None:
+def _draw_number(view: Axes, x: float, y: float, index: int) -> None:
     box = {"boxstyle": "circle,pad=0.22", "fc": "white", "ec": _INK, "lw": 0.8, "alpha": 0.92}
-    view.text(x, y, f"{number}", size=8, ha="center", va="center", color=_INK, bbox=box)
+    view.text(x, y, f"{index}", size=8, ha="center", va="center", color=_INK, bbox=box)
 
 
 def _draw_table(table: Axes, picture: _Picture) -> None:
@@ -249,14 +249,14 @@ def _draw_table(table: Axes, picture: _Picture) -> None:
             table.plot([0.02], [y + 0.3 * step], "s", ms=9, color=picture.colors[label])
             table.text(0.06, y, picture.name(label), size=size, color=_INK)
             span = picture.length(label)
-            text = f"{span / CM:.1f} cm" if span else "beside"
+            text = f"{span / CM:.1f} cm" if span else "adjacent"
             table.text(0.74, y, text, size=size, color=_INK, ha="right")
             text = f"{picture.diameter(label) / MM:.0f} mm"
             table.text(0.98, y, text, size=size, color=_INK, ha="right")
         elif lesion is not None:
             if lesion is picture.lesions[0]:
                 y -= 0.8 * step
-            _draw_number(table, 0.02, y + 0.3 * step, lesion.number)
+            _draw_number(table, 0.02, y + 0.3 * step, lesion.instance)
             table.text(0.06, y, lesion.text, size=size, color=_INK)
             text = f"{lesion.arc_length / CM:.1f} cm"
             table.text(0.98, y, text, size=size, color=_INK, ha="right")
@@ -264,7 +264,7 @@ def _draw_table(table: Axes, picture: _Picture) -> None:
         table.text(0.06, y - step, f"and {len(lines) - len(listed)} more", size=size, color=_PALE)
 
 
-def _view_places(picture: _Picture) -> list[tuple[str, float, Any]]:
+def _view_positions(picture: _Picture) -> list[tuple[str, float, Any]]:
     """Title, arc length [m] and color of each inside view: one per segment, more for long ones."""
     organ, labels = picture.organ, picture.labels
     share = {label: max(picture.length(label), 1e-9) for label in labels}
@@ -330,7 +330,7 @@ def _draw_lesions(
 ) -> None:
     """Draw outlines and numbers of the lesions in a row."""
     for lesion in picture.lesions:
-        mask = instance == lesion.number
+        mask = instance == lesion.instance
         if mask.any():
             view.contour(
                 mask, [0.5], colors="white", linewidths=1.0, extent=box, origin="upper", alpha=0.9
@@ -341,7 +341,7 @@ def _draw_lesions(
             at, angle = lesion.arc_length / CM, np.degrees(lesion.theta)
         if box[0] <= at <= box[1]:
             aside = 34.0 if angle < 120.0 else -34.0
-            _draw_number(view, at, angle + aside, lesion.number)
+            _draw_number(view, at, angle + aside, lesion.instance)
 
 
 def _draw_bar(view: Axes, picture: _Picture, low: float, high: float) -> None:

@@ -126,22 +126,22 @@ class _View:
         return image.clip(0, 255).astype(np.uint8)
 
 
-def _strip(curves: dict[str, np.ndarray], number: int, width: int) -> np.ndarray:
+def _strip(curves: dict[str, np.ndarray], index: int, width: int) -> np.ndarray:
     """Draw time, coverage, and the coverage curve up to now."""
     from PIL import Image, ImageDraw
 
     strip = Image.new("RGB", (width, _STRIP_PX), _BACKGROUND)
     draw = ImageDraw.Draw(strip)
     time, percent = curves["time_s"], 100.0 * curves["visible"]
-    caption = f"{time[number]:5.1f} s   visible {percent[number]:5.1f} %"
+    caption = f"{time[index]:5.1f} s   visible {percent[index]:5.1f} %"
     draw.text((10, _STRIP_PX // 2 - 8), caption, fill=_TEXT, font_size=15)
     left, right, top, low = _SIZE_PX - 130, width - 12, 8, _STRIP_PX - 10
     draw.line([(left, low), (right, low)], fill=(90, 90, 90))
     draw.line([(left, top), (right, top)], fill=(60, 60, 60))
     x = left + (right - left) * time / max(float(time[-1]), 1e-9)
     y = low - (low - top) * percent / 100.0
-    if number:
-        draw.line(list(zip(x[: number + 1], y[: number + 1], strict=True)), fill=_SEEN, width=2)
+    if index:
+        draw.line(list(zip(x[: index + 1], y[: index + 1], strict=True)), fill=_SEEN, width=2)
     return np.asarray(strip)
 
 

@@ -45,7 +45,7 @@ def outside_view(
     colors: Float[np.ndarray, "k 3"],
     size_px: int = 520,
 ) -> Float[np.ndarray, "h w 3"]:
-    """Parallel projection of an organ, colored by label, lit from beside the viewer.
+    """Parallel projection of an organ, colored by label, lit from next to the viewer.
 
     Args:
         organ: The organ.

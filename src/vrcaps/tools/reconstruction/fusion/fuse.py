@@ -152,7 +152,7 @@ class Volume:
         if np.prod(blocks.astype(float)) * _SIDE**3 > _MAX_VOXELS:
             size = ", ".join(f"{side:.3f}" for side in blocks * _SIDE * self.voxel)
             raise InputError(
-                f"What was seen spans {size} m, too much for voxels of {1e3 * self.voxel:.3g} mm. "
+                f"The seen wall spans {size} m: too much for voxels of {1e3 * self.voxel:.3g} mm. "
                 "Give a larger --voxel."
             )
         distance, weight = (

@@ -156,20 +156,20 @@ def _pairs(
     count = len(views)
     near = {(i, j) for i in range(count) for j in range(i + 1, min(i + 1 + settings.reach, count))}
     chosen = sorted(near | {*likely_pairs([view.descriptors for view in views])})
-    found = []
+    pairs = []
     for done, (i, j) in enumerate(chosen, 1):
         pair = pose_pair((i, j), views[i], views[j], tolerance)
-        found += [] if pair is None else [pair]
+        pairs += [] if pair is None else [pair]
         progress(count + done * count // len(chosen), 2 * count)
-    return found
+    return pairs
 
 
 def _renumbered(
     frames: Sequence[int], views: Sequence[View], pairs: Sequence[PosePair]
 ) -> tuple[list[View], list[PosePair]]:
     """Select views and pairs of some frames, with indices among these."""
-    place = {frame: k for k, frame in enumerate(frames)}
+    index = {frame: k for k, frame in enumerate(frames)}
     renumbered = [
-        PosePair(place[p.first], place[p.second], p.T_second_first, p.matches) for p in pairs
+        PosePair(index[p.first], index[p.second], p.T_second_first, p.matches) for p in pairs
     ]
     return [views[frame] for frame in frames], renumbered

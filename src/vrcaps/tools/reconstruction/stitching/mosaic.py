@@ -88,10 +88,10 @@ def adjusted(
         max_nfev=_EVALUATIONS,
         x_scale="jac",
     )
-    found = dict(homographies)
+    refined = dict(homographies)
     for image, matrix in zip(free, problem.matrices(solved.x), strict=False):
-        found[image] = _normalized(to_pixel @ matrix @ to_unit)
-    return found
+        refined[image] = _normalized(to_pixel @ matrix @ to_unit)
+    return refined
 
 
 class _Matches:
@@ -215,10 +215,10 @@ def mosaic_camera(
     lens = pinhole_of(camera)
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     corners *= (camera.width - 1, camera.height - 1)
-    found = np.concatenate([mapped(H, corners) for H in homographies])
+    mapped_corners = np.concatenate([mapped(H, corners) for H in homographies])
     center, focal = np.array([lens.cx, lens.cy]), np.array([lens.fx, lens.fy])
-    low = np.floor(np.maximum(found.min(axis=0), center - _WIDEST * focal)).astype(int)
-    high = np.ceil(np.minimum(found.max(axis=0), center + _WIDEST * focal)).astype(int)
+    low = np.floor(np.maximum(mapped_corners.min(axis=0), center - _WIDEST * focal)).astype(int)
+    high = np.ceil(np.minimum(mapped_corners.max(axis=0), center + _WIDEST * focal)).astype(int)
     left, top = (-low).tolist()
     width, height = (high - low + 1).tolist()
     moved = replace(lens, cx=lens.cx + left, cy=lens.cy + top)

@@ -311,8 +311,8 @@ def surface_of(
     height, width = depth.shape
     rays = camera.lens.unproject(pixel_grid(width, height))
     points = rays / rays[..., 2:] * depth[..., None]
-    number = np.arange(height * width).reshape(height, width)
-    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]
+    index = np.arange(height * width).reshape(height, width)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
     faces = np.concatenate([np.stack(t, axis=-1).reshape(-1, 3) for t in ((a, d, b), (b, d, c))])
     corners = depth.ravel()[faces]
     low, high = corners.min(axis=1), corners.max(axis=1)

@@ -30,7 +30,7 @@ from vrcaps.config.decimals import UNITS, as_floats, from_si, to_si
 from vrcaps.core.errors import InputError, VrcapsError, nearest
 
 _INFINITE = "inf"
-_LARGEST = Decimal("1e300")
+_MAX_NUMBER = Decimal("1e300")
 _WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
 
 
@@ -375,7 +375,7 @@ def _is_number(plain: Any) -> bool:
         return True
     if isinstance(plain, bool) or not isinstance(plain, int | Decimal):
         return plain == _INFINITE
-    return Decimal(plain).is_finite() and abs(plain) < _LARGEST
+    return Decimal(plain).is_finite() and abs(plain) < _MAX_NUMBER
 
 
 def _allowed(declared: Any) -> str:

@@ -42,7 +42,7 @@ class VrcapsError(Exception):
 
 
 def _escaped(text: str) -> str:
-    return _UNSEEN.sub(lambda found: repr(found[0])[1:-1], text)
+    return _UNSEEN.sub(lambda match: repr(match[0])[1:-1], text)
 
 
 class InputError(VrcapsError, ValueError):
@@ -159,28 +159,28 @@ def narrow(values: ArrayLike, dtype: DTypeLike, name: str) -> np.ndarray[Any, An
     """
     import numpy as np
 
-    found, wanted = np.asarray(values), np.iinfo(dtype)
-    if found.dtype == np.dtype(dtype):
-        return found
-    if found.dtype.kind not in "biuf":
-        raise InputError(f"The {name} are of type {found.dtype}. Give whole numbers.")
-    if found.size == 0:
-        return found.astype(dtype)
-    low, high = found.min(), found.max()  # NaN, if there is one
-    if found.dtype.kind == "f":
+    array, wanted = np.asarray(values), np.iinfo(dtype)
+    if array.dtype == np.dtype(dtype):
+        return array
+    if array.dtype.kind not in "biuf":
+        raise InputError(f"The {name} are of type {array.dtype}. Give whole numbers.")
+    if array.size == 0:
+        return array.astype(dtype)
+    low, high = array.min(), array.max()  # NaN, if there is one
+    if array.dtype.kind == "f":
         # Not `wanted.max` itself: for 64 bits its float is just beyond the range.
-        bad = ~((found >= float(wanted.min)) & (found < float(wanted.max) + 1.0))
-        bad |= found != np.floor(found)
+        bad = ~((array >= float(wanted.min)) & (array < float(wanted.max) + 1.0))
+        bad |= array != np.floor(array)
     else:
         is_inside = int(low) >= wanted.min and int(high) <= wanted.max
-        bad = np.zeros(0, bool) if is_inside else (found < wanted.min) | (found > wanted.max)
+        bad = np.zeros(0, bool) if is_inside else (array < wanted.min) | (array > wanted.max)
     if bad.any():
-        first = found[bad].flat[0]
+        first = array[bad].flat[0]
         raise InputError(
             f"{np.count_nonzero(bad)} of the {name} are not allowed, the first is {first!s}. "
             f"Allowed: whole numbers from {wanted.min} to {wanted.max}."
         )
-    return found.astype(dtype)
+    return array.astype(dtype)
 
 
 def require_one_shape(estimate: NDArray, truth: NDArray) -> None:

@@ -268,10 +268,11 @@ def decode_array(data: bytes) -> np.ndarray:
         raise ValueError(f"not a complete NumPy array: {error}") from error
     if dtype.hasobject or dtype.itemsize == 0:
         raise ValueError(f"it contains {dtype}, not numbers")
-    size, rest = math.prod(shape) * dtype.itemsize, len(data) - file.tell()
+    offset = file.tell()
+    size, rest = math.prod(shape) * dtype.itemsize, len(data) - offset
     if min(shape, default=0) < 0 or size > rest:
         raise ValueError(f"its header states {size} bytes, but it has {rest}")
-    values = np.frombuffer(data, dtype, math.prod(shape), file.tell())
+    values = np.frombuffer(data, dtype, math.prod(shape), offset)
     return values.reshape(shape, order="F" if is_fortran else "C").copy(order="K")
 
 

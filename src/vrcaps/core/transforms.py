@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _UNIT = 0.01
 """Maximum deviation of a stored quaternion's length from 1."""
-_FARTHEST = 1e9
+_MAX_POSITION = 1e9
 """Maximum magnitude of positions in valid data [m]; differences of larger ones overflow."""
 
 
@@ -126,7 +126,7 @@ def require_rigid(
             f"{what} is not a rigid transform: its shape is {matrices.shape}, not 4×4."
         )
     matrices = matrices.reshape(-1, 4, 4)
-    finite = np.all(np.abs(matrices) < _FARTHEST, axis=(1, 2))  # not of NaN
+    finite = np.all(np.abs(matrices) < _MAX_POSITION, axis=(1, 2))  # not of NaN
     safe = np.where(finite[:, None, None], matrices, np.eye(4))
     rotation = np.clip(safe[:, :3, :3], -2.0, 2.0)
     off = np.abs(rotation @ np.swapaxes(rotation, 1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from vrcaps.mesh.patch import Patch
 
 _DENSITY = 14.0 / MM  # texels per meter on charts
-_LARGEST = 768  # texels on a chart's side
+_MAX_SIDE = 768  # texels on a chart's side
 _MARGIN = 6  # texels around a chart, for filtering and its mip levels
 _BLUR = 16  # texels over which vessels are smoothed away
 _SPILL = 3.0  # texels painted beyond the borders of charts, for filtering and mip levels
@@ -171,7 +171,7 @@ def paint_chart(
     faces = np.flatnonzero(patch.chart_id == instance)
     corners = patch.uv[faces, :, 2:]
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    density = min(_DENSITY, (_LARGEST - 2 * _MARGIN) / float((high - low).max()))
+    density = min(_DENSITY, (_MAX_SIDE - 2 * _MARGIN) / float((high - low).max()))
     width, height = np.ceil((high - low) * density).astype(int) + 2 * _MARGIN + 1
     origin = np.array([low[0], high[1]]) + np.array([-_MARGIN, _MARGIN]) / density
     texels = covered_texels((corners - origin) * (density, -density))

@@ -24,7 +24,7 @@ _NUM_TRIES = 60
 _GAP = 2.0 * MM  # between the footprints of two lesions
 _MAX_FILL = 0.8  # fraction of the free distance across the lumen that a lesion may take
 _BESIDE = 1.05  # clearance around a protrusion in the lumen, in its radii
-_WIDEST = 1.3  # maximum footprint radius for a valid log map, in radii of the lumen
+_MAX_FOOTPRINT = 1.3  # maximum footprint radius for a valid log map, in radii of the lumen
 _BEHIND = 0.3 * MM
 _BULGE = 1.5  # of the diameter between folds, an upper bound of the lumen from wall to wall
 _SIZE_STEP = 0.5 * MM  # step of the maximum size that fits
@@ -147,7 +147,7 @@ def require_possible(lesions: Sequence[Lesion], diameter: float) -> None:
     def is_possible(lesion: Lesion) -> bool:
         radius = 0.5 * _BULGE * diameter
         is_low = lesion.protrusion <= 2.0 * _MAX_FILL * radius
-        return is_low and lesion.footprint_radius <= _WIDEST * radius
+        return is_low and lesion.footprint_radius <= _MAX_FOOTPRINT * radius
 
     for lesion in lesions:
         if lesion.extent == "focal" and not is_possible(lesion):
@@ -220,7 +220,7 @@ def _misfit(
             f"(length {line.length / CM:.1f} cm)"
         )
     radius = float(np.interp(arc_length, line.arc_length, line.radius))
-    if reach > _WIDEST * radius:
+    if reach > _MAX_FOOTPRINT * radius:
         return (
             f"it is larger than the lumen, whose radius at {arc_length / CM:.1f} cm is "
             f"{radius / MM:.1f} mm"

@@ -23,7 +23,7 @@ _PARSE_ERRORS = (
     *(ValueError, LookupError, TypeError, AttributeError, OverflowError),
     *(EOFError, OSError, struct.error, RecursionError, MemoryError),
 )
-_FEWEST_STEPS = 1000  # minimum number of 32-bit coordinate steps across a mesh
+_MIN_STEPS = 1000  # minimum number of 32-bit coordinate steps across a mesh
 
 
 def read_mesh(path: Path, *, unit: str) -> Mesh:
@@ -105,7 +105,7 @@ def _check_resolution(mesh: Mesh, path: Path) -> None:
     """
     far, size = np.abs(mesh.vertices).max(), np.ptp(mesh.vertices, axis=0).max()
     step = 2.0**-23 * far
-    if size >= _FEWEST_STEPS * step or (mesh.vertices != mesh.vertices.astype(np.float32)).any():
+    if size >= _MIN_STEPS * step or (mesh.vertices != mesh.vertices.astype(np.float32)).any():
         return
     raise InputError(
         f"{path} lies {far:.3g} units from the origin and is {size:.3g} units wide: its 32-bit "

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _FULL_SCALE = 20.0 * CM
 """Maximum depth to which estimates are clipped [m]."""
-_SMALLEST = 1e-4 * CM
+_OFFSET = 1e-4 * CM
 """Offset of the truth in the relative error [m]."""
 
 
@@ -76,7 +76,7 @@ def score_depth(
     return DepthScore(
         scale,
         float(np.mean(error)),
-        float(np.mean(np.median(error / (t + _SMALLEST), axis=(1, 2)))),
+        float(np.mean(np.median(error / (t + _OFFSET), axis=(1, 2)))),
         float(np.mean(np.sqrt(np.mean(error**2, axis=(1, 2))))),
     )
 

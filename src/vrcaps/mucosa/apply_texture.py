@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 _SPACING = 12.0 * MM  # between centers of patches
 _NORMAL_WEIGHT = 14.0 * MM  # distance equivalent of a right angle between normals
-_NEAREST = 4  # maximum number of patches at a vertex
+_MAX_PATCHES = 4  # maximum number of patches at a vertex
 _SHARPNESS = 3.0  # of the borders between patches
 _MIN_WEIGHT = 0.06  # weight from which a patch is visible
 _PATIENT = np.array([0.03, 0.10, 0.08], np.float32)  # density of slow variation, r g b
@@ -207,7 +207,7 @@ class _PatchLayout:
     def of(cls, organ: OrganSurface, side: float, rng: np.random.Generator) -> _PatchLayout:
         centers = _centers(organ, rng)
         space = np.hstack([organ.vertices, organ.normals * (_NORMAL_WEIGHT / 2.0**0.5)])
-        count = min(_NEAREST + 1, len(centers))
+        count = min(_MAX_PATCHES + 1, len(centers))
         distance, nearest = scipy.spatial.KDTree(space[centers]).query(space, count)
         distance, nearest = distance.reshape(len(space), -1), nearest.reshape(len(space), -1)
         if count > 1:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from vrcaps.organ.surface import OrganSurface
 
 _log = logging.getLogger(__name__)
-_WIDEST = 1.0
+_MAX_WIDTH = 1.0
 """Maximum median width of a lumen [m]; the textures of a wider one would not fit into memory."""
 _UNCHANGED = (1.0, None, "cap", False, False)
 
@@ -118,8 +118,8 @@ def _check_width(path: Path, unit: str, centerline: Centerline) -> None:
     diameter = lumen_diameters(centerline)[1]
     question = unit_question(unit, diameter)
     width = f"the lumen is {diameter / MM:.3g} mm wide"
-    if diameter > _WIDEST:
-        raise InputError(f"{path}: {width}. Allowed: at most {_WIDEST / MM:.0f} mm.{question}")
+    if diameter > _MAX_WIDTH:
+        raise InputError(f"{path}: {width}. Allowed: at most {_MAX_WIDTH / MM:.0f} mm.{question}")
     if question:
         _log.warning("%s: %s.%s", path, width, question)
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    import matplotlib.figure
 
 _STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; margin: 2em auto; max-width: 1280px; padding: 0 1em; }
@@ -23,23 +23,24 @@ p.note { color: #555; font-size: 13px; }
 """
 
 
-def make_figure(width: float, height: float, **options: Any) -> Figure:
-    """Create a Matplotlib figure that needs no display.
+def make_figure(width: float, height: float, **options: Any) -> matplotlib.figure.Figure:
+    """Create a Matplotlib canvas of plots that needs no display.
 
     Args:
         width: Width [inch].
         height: Height [inch].
-        options: Further options of Matplotlib's `Figure`; the layout is constrained by default.
+        options: Options of `matplotlib.figure.Figure`; the layout is constrained by default.
     """
+    import matplotlib.figure
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
 
-    created = Figure(figsize=(width, height), **{"layout": "constrained", **options})
+    settings = {"layout": "constrained", **options}
+    created = matplotlib.figure.Figure(figsize=(width, height), **settings)
     FigureCanvasAgg(created)
     return created
 
 
-def png_bytes(drawn: Figure, dpi: float) -> bytes:
+def png_bytes(drawn: matplotlib.figure.Figure, dpi: float) -> bytes:
     """Render a plot as a PNG file."""
     data = io.BytesIO()
     drawn.savefig(data, dpi=dpi)

@@ -145,7 +145,7 @@ _ROW_TO_COLUMN = 0.8
 """Ratio of row to column spacing; √3/2 makes staggered triangles equilateral."""
 _LOCAL = 25 * MM
 _DRIFT = 70 * MM
-_FEWEST = 6
+_MIN_SIDES = 6
 _MIN_GAP = 0.33
 """Minimum fraction of the plain row spacing that equal steps over folds may leave."""
 _STRAIGHT = 15
@@ -277,7 +277,7 @@ def _place_columns(
     plain = 2.0 * np.pi * np.maximum(surface.envelope(meridian.to_arc_length(middle)), 0.1 * MM)
     ratio = scipy.ndimage.uniform_filter1d(np.clip(girth / plain, 0.5, 3.0), 25)
     density = plain * ratio / surface.edge(meridian.to_arc_length(middle))
-    num_columns = _steady(np.maximum(density, _FEWEST))
+    num_columns = _steady(np.maximum(density, _MIN_SIDES))
     all_along, all_theta = [], []
     ring = np.append(angles, np.pi)
     for i, columns in enumerate(num_columns):

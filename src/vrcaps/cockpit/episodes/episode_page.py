@@ -89,7 +89,7 @@ class EpisodePage:
         panel.dock_right()
         panel.set_width(_SIDE_WIDTH)
         self._scene = EpisodeScene(server, episodes)
-        self._began: tuple[float, float] | None = None
+        self._started: tuple[float, float] | None = None
         self._drawn: tuple[object, ...] = ()
         self._marked = (-1, 0.0)
         self._play.on_click(lambda event: self._toggle())
@@ -105,9 +105,9 @@ class EpisodePage:
         if self._thread.is_alive():
             self._thread.join()
 
-    def _add(self, number: int, episode: Episode) -> _Shown:
+    def _add(self, index: int, episode: Episode) -> _Shown:
         """Add image and caption of an episode."""
-        gui, color = self._server.gui, EPISODE_COLORS[number]
+        gui, color = self._server.gui, EPISODE_COLORS[index]
         gui.add_markdown(f'<span style="color:rgb{color}">&#9632;</span> **{episode.name}**')
         camera = episode.cameras[0]
         blank = np.zeros((camera.height, camera.width, 3), np.uint8)
@@ -115,13 +115,13 @@ class EpisodePage:
 
     def _toggle(self) -> None:
         """Play from the current frame, or stop."""
-        if self._began is not None:
-            self._began = None
+        if self._started is not None:
+            self._started = None
             self._play.label = "Play"
             return
         frame = int(self._frame.value)
         frame = 0 if frame >= len(self._times) - 1 else frame
-        self._began = (wall_clock.perf_counter(), float(self._times[frame]))
+        self._started = (wall_clock.perf_counter(), float(self._times[frame]))
         self._play.label = "Stop"
 
     def _run(self) -> None:
@@ -129,8 +129,8 @@ class EpisodePage:
         align: str | None = None
         while not self._is_closed:
             wall_clock.sleep(_SECONDS_PER_UPDATE)
-            if self._began is not None:
-                self._advance(*self._began)
+            if self._started is not None:
+                self._advance(*self._started)
             if self._align is not None and self._align.value != align:
                 align = str(self._align.value)
                 self._show_estimate(ALIGNMENTS[align])
@@ -141,8 +141,8 @@ class EpisodePage:
                 try:
                     self._show(int(self._frame.value))
                 except VrcapsError as error:  # a damaged file: other frames may be intact
-                    for shown in self._shown:
-                        shown.caption.content = f"**{error}**"
+                    for view in self._shown:
+                        view.caption.content = f"**{error}**"
             self._mark(int(self._frame.value))
 
     def _advance(self, started: float, first: float) -> None:
@@ -185,13 +185,13 @@ class EpisodePage:
         time = float(self._times[min(frame, len(self._times) - 1)])
         indices = [int(np.argmin(np.abs(s.episode.times - time))) for s in self._shown]
         self._scene.show(indices)
-        for shown, index in zip(self._shown, indices, strict=True):
-            caption = f"{shown.episode.times[index]:.2f} s · frame {index}"
-            shown.caption.content = caption + self._show_image(shown, index)
+        for view, index in zip(self._shown, indices, strict=True):
+            caption = f"{view.episode.times[index]:.2f} s · frame {index}"
+            view.caption.content = caption + self._show_image(view, index)
 
-    def _show_image(self, shown: _Shown, index: int) -> str:
+    def _show_image(self, view: _Shown, index: int) -> str:
         """Show an episode's image; return the rest of the caption, after its time."""
-        episode, channel = shown.episode, self._channel.value
+        episode, channel = view.episode, self._channel.value
         camera = self._camera.value
         if camera not in [known.name for known in episode.cameras]:
             camera = episode.cameras[0].name
@@ -199,7 +199,7 @@ class EpisodePage:
             return f" · {channel} is not recorded"
         values = episode.image(camera, channel, index)
         limits = limits_of(channel, [values])
-        shown.image.image = picture(channel, values, limits)
+        view.image.image = picture(channel, values, limits)
         description = legend(channel, [values], limits, episode.label_names)
         return f" · {channel}{description}" if description else ""
 

@@ -57,7 +57,7 @@ class CameraPanel:
 
 _IMAGING = ("white-light", "narrow-band")
 _FEW_SAMPLES = 4
-"""Paths per pixel of the live image; a recording uses the number in its scenario."""
+"""Paths per pixel of the live image; a recording uses those of its scenario."""
 
 LIVE_EFFECTS = tuple(name for name in SEVERITIES if issubclass(EFFECTS[name], ImageEffect))
 """Image effects, which can change while the simulation runs. Effects of the capsule's cameras and

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from vrcaps.cockpit.session.session import Session
     from vrcaps.world.model import State
 
-_ENOUGH = 20.0
+_MIN_RATE = 20.0
 """Images per second below which shadows are disabled."""
-_PLENTY = 24.0
+_MIN_RATE_WITH_SHADOWS = 24.0
 """Images per second expected with shadows that enable them again."""
 _MEMORY = 12.0
 """Number of images over which times are averaged."""
@@ -70,13 +70,13 @@ class LiveShadows:
         elif now - self._changed < _MIN_TIME:
             return
         elif not self.are_left_out:
-            if mean > 1.0 / _ENOUGH:
+            if mean > 1.0 / _MIN_RATE:
                 self._with_shadows, self._times_longer = mean, 0.0
                 self._change(now, are_left_out=True)
         else:
             measured = min(self._with_shadows / mean, _MAX_TIMES_LONGER)
             self._times_longer = self._times_longer or measured
-            if mean * self._times_longer < 1.0 / _PLENTY:
+            if mean * self._times_longer < 1.0 / _MIN_RATE_WITH_SHADOWS:
                 self._change(now, are_left_out=False)
 
     def _change(self, now: float, *, are_left_out: bool) -> None:

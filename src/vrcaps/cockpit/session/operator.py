@@ -152,7 +152,7 @@ class Operator:
 _WORLD = np.zeros(1, int)
 """Index of the only world."""
 
-_SOON = 1e-9
+_TOLERANCE = 1e-9
 """Tolerance [s] of a control period's end: a step that starts so little earlier is after it."""
 
 
@@ -206,7 +206,7 @@ class PolicyDriver:
 
     def axes(self, time: float) -> Float[np.ndarray, " 6"] | None:
         """Joystick axes at a time [s], called from the stepping thread; None hands back."""
-        if time < self._due - _SOON:
+        if time < self._due - _TOLERANCE:
             return self._axes
         try:
             self._axes = self._act(time)

@@ -345,16 +345,16 @@ class Session:
 
     def _publish(self) -> None:
         """Publish a view, if the last is old enough or time is about to stop."""
-        number, shown = self._published
+        index, published = self._published
         now = wall_clock.perf_counter()
-        if now - shown < _SECONDS_PER_VIEW and not self.clock.is_paused:
+        if now - published < _SECONDS_PER_VIEW and not self.clock.is_paused:
             return
         program = self.rollout.program
         assert program is not None
         status = program.controller.status
-        self._published = (number + 1, now)
+        self._published = (index + 1, now)
         self.view = View(
-            index=number + 1,
+            index=index + 1,
             frame=max(0, len(self._poses) - 1),
             state=self.rollout.world.state,
             T_world_patient=patient_at(

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 _END_DIAMETER = 0.25  # of the mean diameter; a wider border is an open end, not a hole
-_MOSTLY_OPEN = 0.7  # maximum area of all borders over that of the wall
+_MAX_OPEN = 0.7  # maximum area of all borders over that of the wall
 _FLAT = 1e-3  # volume over area and size, below which there is no lumen
 
 
@@ -92,7 +92,7 @@ def _check_lumen(mesh: Mesh, loops: list[Loop]) -> float:
     if not 0.0 < area < np.inf:
         raise InputError(f"The wall has an area of {area:g} m². Check the mesh's unit.")
     open_area = sum(loop.fan_area for loop in loops)
-    if open_area > _MOSTLY_OPEN * area:
+    if open_area > _MAX_OPEN * area:
         widest = max(loops, key=lambda loop: loop.perimeter)
         raise InputError(
             f"The mesh encloses no lumen: its {len(loops)} borders span {open_area / area:.0%} of "

@@ -138,7 +138,7 @@ def close_loops(mesh: Mesh, loops: list[Loop]) -> Mesh:
 def _make_cap(mesh: Mesh, loop: Loop) -> tuple[Int[np.ndarray, "t 3"], Float[np.ndarray, "k c"]]:
     """Triangles over a border, and its inner vertices with their texture coordinates, if any.
 
-    The border's vertices are numbered from 0, followed by the inner ones. Rings of vertices shrink
+    The border's vertices have the first indices, the inner ones follow. Rings of vertices shrink
     towards the center, adjacent rings are zipped together, and each inner vertex moves to the mean
     of its neighbors (a discrete membrane), so that the cap follows a non-planar border.
     """

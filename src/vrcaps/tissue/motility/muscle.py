@@ -26,7 +26,7 @@ _WEYL = 0x9E3779B97F4A7C15
 _WHOLE = 1 << 64
 
 
-def uniform(key: int, purpose: int, *numbers: Real[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+def uniform(key: int, purpose: int, *indices: Real[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """Uniform random values in [0, 1), one for each row of integers.
 
     Uses the finalizer of SplitMix64 (Steele, Lea, Flood, OOPSLA 2014) on a sum of odd multiples.
@@ -34,13 +34,13 @@ def uniform(key: int, purpose: int, *numbers: Real[np.ndarray, " n"]) -> Float[n
     Args:
         key: Key of the stream, 0 to 2⁶⁴ − 1.
         purpose: Distinguishes draws for the same integers.
-        numbers: Integers that index the draws.
+        indices: Integers that index the draws.
     """
     factor = _WEYL
     mixed = np.full(1, (key ^ (purpose * factor)) % _WHOLE, np.uint64)
-    for number in numbers:
+    for index in indices:
         factor = (factor * 0xD1342543DE82EF95) % _WHOLE
-        mixed = mixed + number.astype(np.int64).view(np.uint64) * np.uint64(factor)
+        mixed = mixed + index.astype(np.int64).view(np.uint64) * np.uint64(factor)
     mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return ((mixed ^ (mixed >> np.uint64(31))) >> np.uint64(11)) * 2.0**-53

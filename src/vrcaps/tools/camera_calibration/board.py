@@ -116,7 +116,7 @@ def board_image(
 
 _REACH = 0.35
 """Radius of the window around a corner, as a fraction of the distance to the nearest neighbor."""
-_LEAST, _MOST = 2.0, 15.0
+_MIN_RADIUS, _MAX_RADIUS = 2.0, 15.0
 """Min and max radius of the window [px]: small ones see pixels, large ones the lens's curves."""
 _SAMPLES = 13
 """Samples across a window."""
@@ -142,7 +142,7 @@ def refine_corners(
         grid: Corners (column, row) [px], arranged as on the board.
     """
     smooth = scipy.ndimage.gaussian_filter(gray.astype(float), _BLUR)
-    radius = np.clip(_REACH * nearest_neighbors(grid), _LEAST, _MOST).reshape(-1)
+    radius = np.clip(_REACH * nearest_neighbors(grid), _MIN_RADIUS, _MAX_RADIUS).reshape(-1)
     step = np.linspace(-1.0, 1.0, _SAMPLES)
     x, y = (part.ravel() for part in np.meshgrid(step, step))
     weight = np.exp(-2.0 * (x**2 + y**2)) * (np.hypot(x, y) <= 1.0)
@@ -206,7 +206,7 @@ def find_views(
     Args:
         photos: Of one camera.
         board: Board to search for.
-        progress: Called with the number done and the total.
+        progress: Called with the count done and the total.
 
     Raises:
         InputError: If photographs differ in size, fewer than `MIN_VIEWS` show the board, or the
@@ -249,8 +249,8 @@ def find_corners(
     cv2 = _opencv()
     gray = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
     for method, image, detect, restore in _methods(cv2, gray):
-        found, corners = detect(image, board.grid)
-        if found:
+        is_detected, corners = detect(image, board.grid)
+        if is_detected:
             pixels = restore(np.asarray(corners, float).reshape(*board.grid[::-1], 2))
             return refine_corners(gray, _ordered(pixels)).reshape(-1, 2), method
     return None

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float, UInt8
 
 _NUM_DIRECTIONS = 360
-_DARK_QUANTILE, _DARK_MOST = 0.01, 0.3
+_DARK_QUANTILE, _MAX_DARK = 0.01, 0.3
 """Level of the dark sensor outside the circle: this quantile, but at most this fraction of the
 median code value, some 7 % of the light."""
 _DARK_FRACTION = 0.08
@@ -72,7 +72,7 @@ def image_circle(images: Sequence[UInt8[np.ndarray, "h w 3"]]) -> ImageCircle | 
         bright, np.moveaxis(at, -1, 0)[::-1], order=1, cval=np.nan
     )
     median, dark = float(np.nanmedian(profile)), float(np.quantile(bright, _DARK_QUANTILE))
-    if dark > _DARK_MOST * median:
+    if dark > _MAX_DARK * median:
         return None
     limit = max(_NOISE, dark + _DARK_FRACTION * (median - dark))
     lit = profile > limit  # NaN beyond the image counts as not lit

@@ -32,9 +32,9 @@ def write_report(
         circle: Image circle of the photographs.
     """
     rows = -(-len(fit.views) // _ACROSS)
-    figure = make_figure(15, 3.1 * rows + 5.2)
-    parts = figure.add_gridspec(2, 1, height_ratios=(3.1 * rows, 5.2))
-    upper, lower = figure.add_subfigure(parts[0]), figure.add_subfigure(parts[1])
+    fig = make_figure(15, 3.1 * rows + 5.2)
+    parts = fig.add_gridspec(2, 1, height_ratios=(3.1 * rows, 5.2))
+    upper, lower = fig.add_subfigure(parts[0]), fig.add_subfigure(parts[1])
     by_name = {photo.name: photo for photo in photos}
     axes = upper.subplots(rows, _ACROSS, squeeze=False).ravel()
     for k, axis in enumerate(axes):
@@ -45,7 +45,7 @@ def write_report(
     _draw_arrows(arrows, fit, circle)
     _draw_radial(radial, fit)
     _draw_curve(curve, fit, circle)
-    figure.savefig(path, dpi=90)
+    fig.savefig(path, dpi=90)
 
 
 def _draw_view(axis, fit: Calibration, k: int, photo: Photo) -> None:

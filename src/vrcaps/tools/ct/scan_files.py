@@ -74,22 +74,22 @@ def read_dicom(
     return Volume(values, transform, str(folder), notes)
 
 
-def choose_series(found: list[Series], folder: Path, wanted: str | None) -> Series:
+def choose_series(listed: list[Series], folder: Path, wanted: str | None) -> Series:
     """Return the only series, or the one with the given list index or UID.
 
     Raises:
         InputError: If there are several and none is given, or the given one does not exist.
     """
-    listing = "; ".join(f"{number}: {one.text}" for number, one in enumerate(found, start=1))
+    listing = "; ".join(f"{index}: {one.text}" for index, one in enumerate(listed, start=1))
     if wanted is None:
-        if len(found) == 1:
-            return found[0]
+        if len(listed) == 1:
+            return listed[0]
         raise InputError(
-            f"{folder} contains {len(found)} series. Choose one with --series, by index or UID: "
+            f"{folder} contains {len(listed)} series. Choose one with --series, by index or UID: "
             f"{listing}."
         )
-    numbered = {str(number): one for number, one in enumerate(found, start=1)}
-    matches = [numbered[wanted]] if wanted in numbered else [s for s in found if s.uid == wanted]
+    by_index = {str(index): one for index, one in enumerate(listed, start=1)}
+    matches = [by_index[wanted]] if wanted in by_index else [s for s in listed if s.uid == wanted]
     if len(matches) != 1:
         raise InputError(f"No unique series {wanted!r} in {folder}. Allowed: {listing}.")
     return matches[0]
@@ -240,11 +240,11 @@ def _num_bad(file: IO[bytes] | gzip.GzipFile) -> int:
         if size in _HEADERS:
             fields = np.frombuffer(head, _HEADERS[size].newbyteorder(order), 1)[0]
             kind = _FLOATS.get(int(fields["type"]))
-            count, found = _count(file, int(fields["start"]), kind and order + kind)
+            count, length = _count(file, int(fields["start"]), kind and order + kind)
             rank, *sides = map(int, fields["dim"])
             stated = math.prod(sides[:rank]) * int(fields["bits"]) // 8
-            if found < stated:
-                raise ValueError(f"it has {found} bytes of voxels, and its header says {stated}")
+            if length < stated:
+                raise ValueError(f"it has {length} bytes of voxels, and its header says {stated}")
             return count
     return 0
 
@@ -252,13 +252,13 @@ def _num_bad(file: IO[bytes] | gzip.GzipFile) -> int:
 def _count(file: IO[bytes] | gzip.GzipFile, start: int, dtype: str | None) -> tuple[int, int]:
     """Number of values that are not finite from a byte to the end of a file, and of bytes there."""
     file.seek(start)
-    count = found = 0
+    count = length = 0
     while chunk := file.read(_CHUNK):
-        found += len(chunk)
+        length += len(chunk)
         if dtype is not None:
             whole = len(chunk) // np.dtype(dtype).itemsize
             count += int(np.count_nonzero(~np.isfinite(np.frombuffer(chunk, dtype, whole))))
-    return count, found
+    return count, length
 
 
 FILE_TYPES = (".nii", ".nii.gz", ".nrrd", ".mha", ".mhd")

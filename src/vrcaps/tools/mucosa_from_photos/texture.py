@@ -40,7 +40,7 @@ ROUGHNESS = 0.65
 """Mean perceptual roughness of the wall under its mucus film."""
 
 _ROUGHNESS_SPREAD = 0.04  # hollows hold more mucus and are smoother
-_COARSEST = 0.6e-3  # standard deviation of the low-pass above which color is not relief [m]
+_MAX_SCALE = 0.6e-3  # standard deviation of the low-pass above which color is not relief [m]
 
 
 def relief(
@@ -59,7 +59,7 @@ def relief(
     """
     bright = log_luminance(log_light)
     fine = scipy.ndimage.gaussian_filter(bright, 0.8, mode="wrap")
-    fine = fine - scipy.ndimage.gaussian_filter(bright, max(2.0, _COARSEST / texel), mode="wrap")
+    fine = fine - scipy.ndimage.gaussian_filter(bright, max(2.0, _MAX_SCALE / texel), mode="wrap")
     slope = np.hypot(*(np.roll(fine, -1, axis) - fine for axis in (0, 1))) / texel
     steepness = float(np.sqrt(np.mean(slope**2)))
     height = fine * (RELIEF_SLOPE / steepness if steepness > 0.0 else 0.0)
@@ -69,7 +69,7 @@ def relief(
 
 _TINTS = {"highlight": (0, 255, 255), "dark": (30, 30, 200), "vessel": (0, 255, 0)}
 _CLOSE = 320  # texels of the close-up
-_REDDEST = 0.92  # 99th percentile of linear red light over the texels, at most
+_MAX_RED = 0.92  # 99th percentile of linear red light over the texels, at most
 
 
 @dataclass(frozen=True)
@@ -228,7 +228,7 @@ def _color(ground, photographed, luminance: float) -> Float[np.ndarray, " 3"]:
     deviation = ground - ground.mean(axis=(0, 1))
     light = np.exp(deviation[::4, ::4] + photographed)
     gain = luminance / float(np.mean(light @ LUMINANCE))
-    gain = min(gain, _REDDEST / float(np.percentile(light, 99.0, axis=(0, 1)).max()))
+    gain = min(gain, _MAX_RED / float(np.percentile(light, 99.0, axis=(0, 1)).max()))
     return photographed + np.log(gain)
 
 
@@ -286,9 +286,9 @@ def write_report(path: Path, work: TextureResult) -> None:
         work: Result of `make_texture`.
     """
     rows = len(work.sources)
-    figure = make_figure(13, 3.3 * rows + 7.0)
-    parts = figure.add_gridspec(2, 1, height_ratios=(3.3 * rows, 7.0))
-    upper, lower = figure.add_subfigure(parts[0]), figure.add_subfigure(parts[1])
+    fig = make_figure(13, 3.3 * rows + 7.0)
+    parts = fig.add_gridspec(2, 1, height_ratios=(3.3 * rows, 7.0))
+    upper, lower = fig.add_subfigure(parts[0]), fig.add_subfigure(parts[1])
     grid = upper.subplots(rows, 4, squeeze=False)
     for axes, source in zip(grid, work.sources, strict=True):
         _draw_source(axes, source)
@@ -302,7 +302,7 @@ def write_report(path: Path, work: TextureResult) -> None:
     near.set(title="texture, close-up", xlabel="mm")
     vessels.imshow(-work.vessel_density[::4, ::4], cmap="gray", vmax=0.0)
     vessels.set(title="vessels placed", xticks=[], yticks=[])
-    figure.savefig(path, dpi=90)
+    fig.savefig(path, dpi=90)
 
 
 def _draw_source(axes, source: PhotoAnalysis) -> None:

@@ -192,8 +192,8 @@ def write_report(path: Path, calibration: PhotometricCalibration, frames: Frames
         calibration: The result.
         frames: Frames that it was estimated from.
     """
-    figure = make_figure(15, 9)
-    (circle, first, last), (vignette, color, noise) = figure.subplots(2, 3)
+    fig = make_figure(15, 9)
+    (circle, first, last), (vignette, color, noise) = fig.subplots(2, 3)
     _draw_circle(circle, calibration, frames)
     for axis, k in ((first, 0), (last, len(frames.rgb) // 2)):
         displayed = frames.rgb[k].copy()
@@ -204,7 +204,7 @@ def write_report(path: Path, calibration: PhotometricCalibration, frames: Frames
     _draw_vignetting(vignette, calibration)
     _draw_color(color, calibration, frames)
     _draw_noise(noise, calibration)
-    figure.savefig(path, dpi=90)
+    fig.savefig(path, dpi=90)
 
 
 def _draw_circle(axis, calibration: PhotometricCalibration, frames: Frames) -> None:

@@ -124,7 +124,7 @@ def make_frames(
 
     Args:
         photos: Photographs by one camera, of one size.
-        progress: Called with the number done and the total.
+        progress: Called with the count done and the total.
 
     Raises:
         InputError: If frames are fewer than `MIN_FRAMES`, differ in size, or none shows a wall.

@@ -24,7 +24,7 @@ ENVELOPE = 0.9
 _NUM_PARTS = 8
 _MAX_RISE = 0.3
 """Maximum k1 of a vignetting: with more, light would increase from the center, unlike any lens."""
-_FEWEST = 200
+_MIN_PIXELS = 200
 """Minimum number of pixels of all frames in a ring."""
 _BRIGHT = (0.5, 0.95)
 """Quantiles of luminance between which mucosa shows its color: neither shadow nor highlight."""
@@ -62,7 +62,7 @@ def radial_profile(frames: Frames, center: tuple[float, float]) -> RadialProfile
     for k in range(NUM_RINGS):
         values = relative[:, ring == k]
         values = values[np.isfinite(values)]
-        if values.size >= _FEWEST:
+        if values.size >= _MIN_PIXELS:
             middle = 0.5 * (edges[k] + edges[k + 1])
             rings.append((middle, float(np.quantile(values, ENVELOPE)), float(values.size)))
     return RadialProfile(*np.array(rings).reshape(-1, 3).T)
@@ -187,7 +187,7 @@ def wall_color(frames: Frames) -> WallColor | None:
     for linear, luminance, exposed in zip(
         frames.linear, frames.luminance, frames.exposed, strict=True
     ):
-        if exposed.sum() < _FEWEST:
+        if exposed.sum() < _MIN_PIXELS:
             continue
         low, high = np.quantile(luminance[exposed], _BRIGHT)
         bright = exposed & (luminance >= low) & (luminance <= high)

@@ -82,8 +82,8 @@ def _write_picture(path: Path, mesh: Mesh, comparison: Comparison) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
-    figure = make_figure(13.0, 5.0)
-    views = figure.subplots(1, 3, width_ratios=[1, 1, 0.7])
+    fig = make_figure(13.0, 5.0)
+    views = fig.subplots(1, 3, width_ratios=[1, 1, 0.7])
     points_mm = mesh.vertices / MM
     for view, (across, up, towards) in zip(views, ((0, 2, 1), (0, 1, 2)), strict=False):
         order = np.argsort(points_mm[:, towards])
@@ -102,15 +102,15 @@ def _write_picture(path: Path, mesh: Mesh, comparison: Comparison) -> None:
         view.set_xlabel("xyz"[across] + " [mm]")
         view.set_ylabel("xyz"[up] + " [mm]")
     scale = ScalarMappable(Normalize(0.0, _SCALE / MM), "turbo")
-    figure.colorbar(scale, ax=views[1], label="error [mm]")
+    fig.colorbar(scale, ax=views[1], label="error [mm]")
     views[2].hist(comparison.distances / MM, bins=60, range=(0.0, _SCALE / MM), color="#446688")
     views[2].set_xlabel("error [mm]")
     views[2].set_ylabel("vertices")
-    figure.suptitle(
+    fig.suptitle(
         f"RMSE {comparison.errors.rmse / MM:.2f} mm, "
         f"median {comparison.errors.median / MM:.2f} mm, "
         f"95 % below {comparison.errors.percentile_95 / MM:.2f} mm; "
         f"{100.0 * comparison.completeness:.0f} % of the wall within 2 mm"
     )
     with atomic_write(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=110)
+        fig.savefig(temporary, format="png", dpi=110)

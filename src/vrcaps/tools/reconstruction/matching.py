@@ -36,7 +36,7 @@ def opencv() -> Any:
 
 _WINDOW = 0.1
 """Side of the median's window, relative to the image's shorter side."""
-_LEAST = 24
+_MIN_EXCESS = 24
 """Minimum excess of a highlight [of 255]; Otsu's threshold always separates, even noise."""
 _GLOW = 1 / 140
 """Width of the glow around a highlight, relative to the image's shorter side."""
@@ -58,7 +58,7 @@ def highlights(rgb: UInt8[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
     brighter = np.maximum(most / np.maximum(around[1], 1.0), 1.0)
     excess = np.clip(least - around[0] * brighter, 0.0, 255.0).astype(np.uint8)
     threshold, _ = cv2.threshold(excess, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
-    mask = (excess > max(threshold, _LEAST)).astype(np.uint8)
+    mask = (excess > max(threshold, _MIN_EXCESS)).astype(np.uint8)
     glow = 2 * max(1, round(_GLOW * side)) + 1
     disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (glow, glow))
     return cv2.dilate(mask, disk) > 0
@@ -195,7 +195,7 @@ def homography_pair(
 
 
 def is_trusted(num_inliers: int, num_matches: int) -> bool:
-    """True if a pair of images is accepted, by its number of inliers (Brown 2007, eq. 13)."""
+    """True if a pair of images is accepted, from its count of inliers (Brown 2007, eq. 13)."""
     return num_inliers > _MIN_INLIERS + _INLIER_PART * num_matches
 
 

@@ -236,23 +236,23 @@ def write_coverage_figure(path: Path, coverage: EpisodeCoverage, *, title: str =
         coverage: Coverage of an episode.
         title: Title above the figure.
     """
-    figure = make_figure(*_SIZE_INCH)
-    figure.suptitle(title)
-    grid = figure.add_gridspec(3, 2, height_ratios=[1.5, 0.5, 0.8])
+    fig = make_figure(*_SIZE_INCH)
+    fig.suptitle(title)
+    grid = fig.add_gridspec(3, 2, height_ratios=[1.5, 0.5, 0.8])
     organ = replace(coverage.organ, label=vertex_level(coverage).astype(np.uint8))
     wall = wall_of(organ.vertices, organ.faces)
     low, high = organ.vertices.min(axis=0), organ.vertices.max(axis=0)
     center, half = 0.5 * (low + high), 0.52 * float((high - low).max())
     for column, (name, axes) in enumerate(VIEWS.items()):
-        view = figure.add_subplot(grid[0, column])
+        view = fig.add_subplot(grid[0, column])
         view.imshow(outside_view(organ, wall, axes, center, half, colors=LEVEL_COLORS))
         view.set_axis_off()
         view.set_title(name, fontsize=10)
-    _draw_unrolled(figure.add_subplot(grid[1, :]), organ, wall)
-    _draw_over_time(figure.add_subplot(grid[2, 0]), coverage)
-    _draw_segments(figure.add_subplot(grid[2, 1]), coverage)
-    figure.legend(handles=_legend(), loc="outside lower center", ncols=4, frameon=False)
-    figure.savefig(path, dpi=_DPI)
+    _draw_unrolled(fig.add_subplot(grid[1, :]), organ, wall)
+    _draw_over_time(fig.add_subplot(grid[2, 0]), coverage)
+    _draw_segments(fig.add_subplot(grid[2, 1]), coverage)
+    fig.legend(handles=_legend(), loc="outside lower center", ncols=4, frameon=False)
+    fig.savefig(path, dpi=_DPI)
 
 
 def _legend() -> list[Any]:

@@ -51,7 +51,7 @@ _OWN_STYLE = """
 .columns { display: grid; gap: 0 3em; grid-template-columns: repeat(auto-fit, minmax(460px, 1fr)); }
 .columns { margin-bottom: 1em; } .columns h2 { margin-top: 1em; }
 .bar { display: flex; width: 220px; height: 12px; background: #f0f0f0; }
-td.said { text-align: left; }
+td.text { text-align: left; }
 .tiles { display: grid; gap: 8px; grid-template-columns: repeat(auto-fill, minmax(140px, 1fr)); }
 figure { margin: 0; } figure img { display: block; width: 100%; }
 figcaption { color: #555; font-size: 11px; line-height: 1.3; overflow-wrap: anywhere; }
@@ -171,7 +171,7 @@ def _bar_table(
             f"<i style='background:{SPLIT_COLORS[split]};width:{100.0 * n / longest:.2f}%'></i>"
             for split, n in frames.items()
         )
-        bar = f"<td class='said'><div class='bar'>{parts}</div></td>"
+        bar = f"<td class='text'><div class='bar'>{parts}</div></td>"
         body += f"<tr><td>{html.escape(str(name))}</td>{cells}{bar}</tr>"
     table = f"<div class='wide'><table><tr>{head}</tr>{body}</table></div>"
     return f"<div><h2>{title}</h2>{table}</div>"
@@ -261,11 +261,11 @@ def _caption(shot: SampledFrame) -> str:
     return f"{_dot(shot.member.split)}{html.escape(text)}"
 
 
-def _tile(shown: NDArray, caption: str, is_categorical: bool) -> str:
+def _tile(pixels: NDArray, caption: str, is_categorical: bool) -> str:
     """Thumbnail: JPEG, or PNG for categorical images."""
     from PIL import Image
 
-    image = Image.fromarray(np.ascontiguousarray(shown))
+    image = Image.fromarray(np.ascontiguousarray(pixels))
     method = Image.Resampling.NEAREST if is_categorical else Image.Resampling.BOX
     scale = _TILE / max(image.size)
     size = (max(round(image.width * scale), 1), max(round(image.height * scale), 1))

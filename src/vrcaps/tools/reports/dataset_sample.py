@@ -156,16 +156,16 @@ _HIGHEST = 99.5
 
 def histogram_picture(sample: Sample) -> bytes:
     """Draw the three histograms side by side, as a PNG."""
-    figure = make_figure(*_SIZE_INCH)
-    views = figure.subplots(1, 3)
+    fig = make_figure(*_SIZE_INCH)
+    views = fig.subplots(1, 3)
     _draw(views[0], _pixels(sample, "depth", MM), "depth [mm]", "fraction of pixels [%]")
     _draw(
         views[1], _pixels(sample, "brightness", 1.0), "gray level", "fraction of pixels [%]", 255.0
     )
     _draw(views[2], _speeds(sample), "speed of the capsule [mm/s]", "fraction of frames [%]")
     handles = views[2].get_legend_handles_labels()
-    figure.legend(*handles, loc="outside upper center", ncols=len(SPLITS), frameon=False)
-    return png_bytes(figure, _DPI)
+    fig.legend(*handles, loc="outside upper center", ncols=len(SPLITS), frameon=False)
+    return png_bytes(fig, _DPI)
 
 
 def _pixels(sample: Sample, name: str, unit: float) -> dict[str, NDArray]:

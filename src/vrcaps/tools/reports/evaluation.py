@@ -130,15 +130,15 @@ _POINTS = 241
 
 def summary_picture(subjects: Sequence[Subject]) -> bytes:
     """Draw all subjects side by side, as a PNG."""
-    figure = make_figure(*_SIZE_INCH)
-    grid = figure.add_gridspec(2, 3, height_ratios=[1.3, 1.0])
+    fig = make_figure(*_SIZE_INCH)
+    grid = fig.add_gridspec(2, 3, height_ratios=[1.3, 1.0])
     for column in range(len(POINT_LEVELS)):
-        _draw_over_time(figure.add_subplot(grid[0, column]), subjects, column)
-    _draw_coverage(figure.add_subplot(grid[1, :2]), subjects)
-    _draw_times(figure.add_subplot(grid[1, 2]), subjects)
-    handles = figure.axes[0].get_legend_handles_labels()
-    figure.legend(*handles, loc="outside upper center", ncols=min(len(subjects), 5), frameon=False)
-    return png_bytes(figure, _DPI)
+        _draw_over_time(fig.add_subplot(grid[0, column]), subjects, column)
+    _draw_coverage(fig.add_subplot(grid[1, :2]), subjects)
+    _draw_times(fig.add_subplot(grid[1, 2]), subjects)
+    handles = fig.axes[0].get_legend_handles_labels()
+    fig.legend(*handles, loc="outside upper center", ncols=min(len(subjects), 5), frameon=False)
+    return png_bytes(fig, _DPI)
 
 
 def _draw_over_time(view: Axes, subjects: Sequence[Subject], column: int) -> None:
@@ -222,8 +222,8 @@ Coverage stays constant after the end of an episode. Lines: mean over episodes w
 confidence band, by 1,000 bootstrap samples of whole organs (of episodes if there is one organ).
 Pale: 10th to 90th percentile. Star: VR-Caps, {PAPER_COVERAGE} % at {PAPER_TIME} s in one stomach.
 Times: median over episodes, where an episode that did not reach the target counts as the longest,
-and the number that reached it. Forces: median over episodes of percentiles over the actions of an
-episode."""
+and the number of episodes that reached it. Forces: median over episodes of percentiles over the
+actions of an episode."""
 
 
 def write_page(folder: Path, subjects: Sequence[Subject]) -> list[Path]:

@@ -107,7 +107,7 @@ class _Picture:
 
     def length(self, label: int) -> float:
         """Length of the centerline in a segment [m]."""
-        return sum(end - start for number, start, end in self.spans if number == label)
+        return sum(end - start for other, start, end in self.spans if other == label)
 
     def name(self, label: int) -> str:
         return self.organ.label_names[label].replace("_", " ")
@@ -133,8 +133,8 @@ def write_overview(organ: OrganSurface, path: Path, *, facts: OrganMeasures | No
     inside = rows_inside * (min(_STRIP / per_row, 2.2) + 0.3)
     unrolled = picture.rows * (picture.row_height + 0.5) + 0.35
     heights = [0.75, 5.0, inside, unrolled] + ([] if picture.is_short else [2.1])
-    figure = make_figure(_WIDTH, sum(heights), layout=None, facecolor="white")
-    parts = list(np.ravel(figure.subfigures(len(heights), 1, height_ratios=heights)))  # type: ignore[arg-type]
+    fig = make_figure(_WIDTH, sum(heights), layout=None, facecolor="white")
+    parts = list(np.ravel(fig.subfigures(len(heights), 1, height_ratios=heights)))  # type: ignore[arg-type]
     _draw_title(parts[0], picture)
     _draw_outside(parts[1], picture)
     _draw_inside(parts[2], picture, positions, per_row)
@@ -145,7 +145,7 @@ def write_overview(organ: OrganSurface, path: Path, *, facts: OrganMeasures | No
     else:
         _draw_unrolled(parts[3], picture)
         _draw_diameter(parts[4], picture)
-    figure.savefig(path, dpi=_DPI)
+    fig.savefig(path, dpi=_DPI)
 
 
 def marked_lesions(organ: OrganSurface) -> list[Marked]:

@@ -46,8 +46,8 @@ def chained_homographies(
         images: Images of one component.
         pairs: Pairs of overlapping images.
     """
-    reference, found = chained(count, images, pairs, lambda pair: pair.homography)
-    return reference, {image: _normalized(matrix) for image, matrix in found.items()}
+    reference, chain = chained(count, images, pairs, lambda pair: pair.homography)
+    return reference, {image: _normalized(matrix) for image, matrix in chain.items()}
 
 
 def adjusted(
@@ -152,7 +152,7 @@ def _normalized(homography: np.ndarray) -> np.ndarray:
     return homography / homography[2, 2]
 
 
-_WIDEST = 2.5
+_MAX_TANGENT = 2.5
 """Maximum tangent to the axis in a mosaic: 68°; beyond, a plane stretches too far."""
 _MAX_SCALE = 3.0
 """Scale factor above which an image is excluded."""
@@ -215,10 +215,10 @@ def mosaic_camera(
     lens = pinhole_of(camera)
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     corners *= (camera.width - 1, camera.height - 1)
-    mapped_corners = np.concatenate([mapped(H, corners) for H in homographies])
+    points = np.concatenate([mapped(H, corners) for H in homographies])
     center, focal = np.array([lens.cx, lens.cy]), np.array([lens.fx, lens.fy])
-    low = np.floor(np.maximum(mapped_corners.min(axis=0), center - _WIDEST * focal)).astype(int)
-    high = np.ceil(np.minimum(mapped_corners.max(axis=0), center + _WIDEST * focal)).astype(int)
+    low = np.floor(np.maximum(points.min(axis=0), center - _MAX_TANGENT * focal)).astype(int)
+    high = np.ceil(np.minimum(points.max(axis=0), center + _MAX_TANGENT * focal)).astype(int)
     left, top = (-low).tolist()
     width, height = (high - low + 1).tolist()
     moved = replace(lens, cx=lens.cx + left, cy=lens.cy + top)

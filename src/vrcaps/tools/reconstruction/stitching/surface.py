@@ -343,29 +343,29 @@ _MARK = np.array([40, 255, 80], np.uint8)
 _LINES = 60
 
 
-def write_stitched(folder: Path, found: Stitched) -> None:
+def write_stitched(folder: Path, result: Stitched) -> None:
     """Write `highlights.png`, `matches.png`, `matches.csv`, `mosaic.png` and `depth.png`.
 
     Raises:
         MissingExtraError: If OpenCV is not installed.
     """
     images = {
-        "highlights.png": highlights_picture(found.sequence.image("rgb", found.mosaic.reference)),
-        "matches.png": matches_picture(found),
-        "mosaic.png": found.mosaic.rgb,
-        "depth.png": CHANNELS["depth"].encoding.encode(found.mosaic.depth),
+        "highlights.png": highlights_picture(result.sequence.image("rgb", result.mosaic.reference)),
+        "matches.png": matches_picture(result),
+        "mosaic.png": result.mosaic.rgb,
+        "depth.png": CHANNELS["depth"].encoding.encode(result.mosaic.depth),
     }
     write_images([(folder / name, image) for name, image in images.items()])
-    used = set(found.mosaic.images)
+    used = set(result.mosaic.images)
     rows = [
         {
-            "first_frame": int(found.frames[pair.first]),
-            "second_frame": int(found.frames[pair.second]),
+            "first_frame": int(result.frames[pair.first]),
+            "second_frame": int(result.frames[pair.second]),
             "matches": pair.num_matches,
             "inliers": len(pair.points_first),
             "is_stitched": {pair.first, pair.second} <= used,
         }
-        for pair in found.pairs
+        for pair in result.pairs
     ]
     write_csv(folder / "matches.csv", rows)
 
@@ -384,11 +384,11 @@ def highlights_picture(rgb: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h 
     return np.concatenate([rgb, marked, without_highlights(rgb)], axis=1)
 
 
-def matches_picture(found: Stitched) -> UInt8[np.ndarray, "h k 3"]:
+def matches_picture(result: Stitched) -> UInt8[np.ndarray, "h k 3"]:
     """Draw the pair of images with the most inliers, connected by lines."""
     cv2 = opencv()
-    pair: Pair = max(found.pairs, key=lambda one: len(one.points_first))
-    images = [found.sequence.image("rgb", k) for k in (pair.first, pair.second)]
+    pair: Pair = max(result.pairs, key=lambda one: len(one.points_first))
+    images = [result.sequence.image("rgb", k) for k in (pair.first, pair.second)]
     picture = np.concatenate(images, axis=1)
     shift = (images[0].shape[1], 0.0)
     chosen = np.unique(np.linspace(0, len(pair.points_first) - 1, _LINES).astype(int))

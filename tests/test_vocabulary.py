@@ -171,7 +171,7 @@ RAISING = re.compile(r"(\w+(Error|Warning)|require\w*|warn|_stop)$")
 """Functions and classes whose text arguments are messages."""
 
 _EXCLUDED = """
-    cli data env formats motion policy recording render world
+    data formats motion recording render
 """
 EXCLUDED = frozenset(_EXCLUDED.split())
 """Packages and pages whose prose is not revised yet."""

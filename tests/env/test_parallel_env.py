@@ -77,5 +77,5 @@ def test_a_missing_action_is_one_line() -> None:
 
 def test_nothing_is_drawn_before_the_first_reset() -> None:
     env = CapsuleParallelEnv(short_settings(organs=ORGANS), render_mode="rgb_array")
-    with pytest.raises(InputError, match=r"No episode has begun.* Call reset first\."):
+    with pytest.raises(InputError, match=r"No episode has started.* Call reset first\."):
         env.render()

@@ -104,7 +104,7 @@ def test_bad_snapshots_say_so(tmp_path):
     envs = CapsuleVectorEnv(settings, 2)
     with pytest.raises(InputError, match=r"number of worlds is 1\. Allowed: 2"):
         envs.restore(snapshot)
-    with pytest.raises(InputError, match=r"put back is one\. Allowed: all before"):
+    with pytest.raises(InputError, match=r"restore is one\. Allowed: all before"):
         envs.restore(snapshot, 0)
     with pytest.raises(InputError, match=r"a reset before a snapshot"):
         envs.snapshot()

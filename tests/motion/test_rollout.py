@@ -249,7 +249,7 @@ def test_rejects_a_twin_with_other_triangles(lying: Model) -> None:
             {"wrenches": (Wrench(),), "wrench_file": "a.csv"},
             "wrenches and wrench_file are both given",
         ),
-        ({"posture_changes": (PostureChange("prone", time=-1.0),)}, "a turn begins at -1.0 s"),
+        ({"posture_changes": (PostureChange("prone", time=-1.0),)}, "a turn starts at -1.0 s"),
         ({"insufflation": (Insufflation(0.0, 9.0),)}, r"insufflation: entry 0 is 9.0 at 0.0 s"),
         ({"wrenches": (Wrench(np.nan),)}, "wrenches: entry 0 is not finite"),
     ],

@@ -9,9 +9,8 @@ from tests.support.small_envs import small_settings
 from vrcaps.env.actuation import Wrench
 from vrcaps.env.randomization import Start
 from vrcaps.env.vector_env import CapsuleVectorEnv
-from vrcaps.policy.baselines import Walk
+from vrcaps.policy.baselines import Walk, make_route
 from vrcaps.policy.catalog import BASELINES, read_policy
-from vrcaps.policy.route import make_route
 
 
 def tube_env(num_worlds: int = 2) -> CapsuleVectorEnv:

@@ -145,11 +145,11 @@ def test_wrong_entries() -> None:
         check_insufflation((Insufflation(2.0), Insufflation(1.0)), "insufflation")
     with pytest.raises(UnknownNameError, match="No posture named 'upside'"):
         check_posture_changes((PostureChange("upside"),), "posture_changes")
-    with pytest.raises(InputError, match=r"begins at -1.0 s. Allowed: 0 s or later"):
+    with pytest.raises(InputError, match=r"starts at -1.0 s. Allowed: 0 s or later"):
         check_posture_changes((PostureChange("prone", time=-1.0),), "posture_changes")
     with pytest.raises(InputError, match=r"takes 0.0 s. Allowed: above 0 s"):
         check_posture_changes((PostureChange("prone", duration=0.0),), "posture_changes")
-    with pytest.raises(InputError, match=r"turn to supine begins at 2 s, before the one to prone"):
+    with pytest.raises(InputError, match=r"turn to supine starts at 2 s, before the one to prone"):
         check_posture_changes(
             (PostureChange("prone", time=0.0, duration=5.0), PostureChange("supine", time=2.0)),
             "posture_changes",

@@ -301,8 +301,8 @@ class SteeringProgram:
 
     def _recorded_command(self, time: float, dt: float) -> JoystickCommand:
         """Last joystick command at or before a time; neutral before the first."""
-        number = bisect_right(self._joystick, time, key=lambda entry: entry.time)
-        return self._joystick[number - 1] if number else JoystickCommand(0.0)
+        count = bisect_right(self._joystick, time, key=lambda entry: entry.time)
+        return self._joystick[count - 1] if count else JoystickCommand(0.0)
 
     def observe(self, world: World) -> CapsuleView:
         """Capsule state for the controller; reads the sensors used for localization."""

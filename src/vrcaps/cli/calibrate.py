@@ -219,7 +219,7 @@ class CalibratePhotometric:
     not cropped."""
 
     out: Path
-    """Capsule file to write, ending in .toml. NAME-effects.toml, a scenario, and NAME.png, a figure
+    """Capsule file to write, ending in .toml. NAME-effects.toml, a scenario, and NAME.png, a plot
     of the results, are written next to it."""
 
     capsule: str = "mirocam"
@@ -300,8 +300,8 @@ def _photometric_table(calibration: PhotometricCalibration, *, has_reference: bo
     table = Table("parameter", "estimate", show_lines=False)
     circle = "not detected: no circular dark rim"
     if calibration.circle is not None:
-        found = calibration.circle
-        circle = f"radius {found.radius:.1f} px, center {found.cx:.1f}, {found.cy:.1f}"
+        c = calibration.circle
+        circle = f"radius {c.radius:.1f} px, center {c.cx:.1f}, {c.cy:.1f}"
     table.add_row("image circle", circle)
     fall = calibration.vignetting
     profile = f"1 {fall.k1:+.3f} ρ² {fall.k2:+.3f} ρ⁴, ρ in halves of the shorter side"
@@ -316,7 +316,7 @@ def _photometric_table(calibration: PhotometricCalibration, *, has_reference: bo
         red, _, blue = calibration.gains
         table.add_row("red and blue against the reference", f"× {red:.3f}, × {blue:.3f}")
         table.add_row("brightness against the reference", f"× {calibration.brightness:.3f}")
-    noise = "hidden by coding, or too few even places"
+    noise = "hidden by coding, or too few even regions"
     if calibration.noise is not None:
         well, read = calibration.noise.full_well, calibration.noise.read_noise
         noise = f"full well {well:.0f} electrons, read noise {read:.1f} electrons"

@@ -67,7 +67,7 @@ _TICK = 1.0
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
-    """Progress bar on stderr, updated with the number done and the total; lines in a log file.
+    """Progress bar on stderr, updated with the counts done and in total; lines in a log file.
 
     Args:
         title: Description of the task.
@@ -92,7 +92,7 @@ def progress_bars(
     """Bar of counted items, and one of simulated time that appears when it is first updated.
 
     Args:
-        counted: Description of the items, updated with the number done and the total.
+        counted: Description of the items, updated with the counts done and in total.
         timed: Description of the simulation, updated with the current and the total time [s].
     """
     from rich.progress import TextColumn

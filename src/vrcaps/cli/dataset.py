@@ -74,15 +74,15 @@ class Make:
         runner = _runner(self.workers, self.ray)
         plan = read_plan(self.plan)
         units = Units(plan)
-        numbers = _slice(self.units, len(units))
+        indices = _slice(self.units, len(units))
         if self.dry_run:
-            _estimate(plan, units, numbers or range(len(units)), self.out)
+            _estimate(plan, units, indices or range(len(units)), self.out)
             return
         with progress_bar("recording") as progress:
             made = make_dataset(
                 plan,
                 self.out,
-                numbers=numbers,
+                numbers=indices,
                 runner=runner,
                 progress=progress,
                 source=str(self.plan),
@@ -181,21 +181,21 @@ def _slice(text: str | None, count: int) -> range | None:
         return None
     first, colon, last = text.partition(":")
     try:
-        numbers = range(int(first or 0), min(int(last or count), count))
+        indices = range(int(first or 0), min(int(last or count), count))
     except ValueError:
-        numbers = range(0)
-    if not colon or not numbers or numbers[0] < 0:
+        indices = range(0)
+    if not colon or not indices or indices[0] < 0:
         raise InputError(f"--units is {text!r}. Allowed: FIRST:END from 0:1 to 0:{count}.")
-    return numbers
+    return indices
 
 
-def _estimate(plan: Plan, units: Units, numbers: Sequence[int], out: str) -> None:
+def _estimate(plan: Plan, units: Units, indices: Sequence[int], out: str) -> None:
     """Print an estimate of a run.
 
     Args:
         plan: Plan of the data set.
         units: Its units.
-        numbers: Indices of the units to make.
+        indices: Indices of the units to make.
         out: Folder or URL of the data set.
 
     Raises:
@@ -211,14 +211,14 @@ def _estimate(plan: Plan, units: Units, numbers: Sequence[int], out: str) -> Non
     check_plan(units)
     store = open_store(out)
     require_target(store, plan)
-    complete = set(complete_units(store, [units.name(number) for number in numbers]))
-    missing = [number for number in numbers if units.name(number) not in complete]
+    complete = set(complete_units(store, [units.name(index) for index in indices]))
+    missing = [index for index in indices if units.name(index) not in complete]
     splits = ", ".join(f"{units.splits.count(s)} {s}" for s in SPLITS)
     console.print(
         f"{plan.settings.name}: {len(units.splits)} patients ({splits}), {len(units)} recordings."
     )
-    if len(numbers) < len(units):
-        console.print(f"Selected: recordings {numbers[0]} to {numbers[-1]}.")
+    if len(indices) < len(units):
+        console.print(f"Selected: recordings {indices[0]} to {indices[-1]}.")
     if complete:
         console.print(f"{len(complete)} of them exist.")
     if not missing:
@@ -341,9 +341,9 @@ def _print_counts(rows: Sequence[Row]) -> None:
     groups.append({"all": count(rows)})
     for group in groups:
         for name, c in group.items():
-            numbers = (f"{n:,}" for n in (c.patients, c.recordings, c.frames))
-            table.add_row(name, *numbers, duration_text(c.seconds), size_text(c.num_bytes))
+            counts = (f"{n:,}" for n in (c.patients, c.recordings, c.frames))
+            table.add_row(name, *counts, duration_text(c.seconds), size_text(c.num_bytes))
         table.add_row()
     console.print(table)
-    lesions = (f"{number:,} {kind}" for kind, (number, _, _) in lesion_counts(rows).items())
+    lesions = (f"{n:,} {kind}" for kind, (n, _, _) in lesion_counts(rows).items())
     console.print(f"Lesions: {', '.join(lesions) or 'none'}.")

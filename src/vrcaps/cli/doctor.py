@@ -17,7 +17,7 @@ _MIN_FREE_GB = 5.0
 
 @dataclass(frozen=True)
 class Doctor:
-    """Report what is installed and usable, and how to fix what is missing.
+    """Report the installed and usable parts, and how to install missing ones.
 
     Version, CPU features and threads, catalogs, the folders of cache and weights, and the packages
     of each extra.
@@ -74,8 +74,8 @@ def _weights() -> str:
     from vrcaps.learn.hub import read_index, weights_folder
 
     try:
-        place = weights_folder()
-        return f"{', '.join(read_index(place))} in {place}"
+        folder = weights_folder()
+        return f"{', '.join(read_index(folder))} in {folder}"
     except VrcapsError as error:
         return f"none: {error}"
 

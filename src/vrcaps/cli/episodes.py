@@ -51,7 +51,7 @@ class Check:
 
 
 COVERAGE_FOLDER = "coverage"
-TABLE, MESH, FIGURE = "coverage.parquet", "coverage.glb", "coverage.png"
+TABLE, MESH, PLOT = "coverage.parquet", "coverage.glb", "coverage.png"
 
 
 @dataclass(frozen=True)
@@ -64,12 +64,12 @@ class Coverage:
     also well exposed, sharp and not under liquid.
 
     Writes a table over time (coverage.parquet), the organ with the coverage of each vertex
-    (coverage.glb) and a figure (coverage.png).
+    (coverage.glb) and a plot (coverage.png).
 
     For example:
       vrcaps record --out runs/colon --frames 300 --coverage
       vrcaps coverage runs/colon
-      vrcaps coverage runs/colon --max-incidence 60 --out figures/colon
+      vrcaps coverage runs/colon --max-incidence 60 --out plots/colon
     """
 
     episode: Positional[Path]
@@ -104,29 +104,29 @@ class Coverage:
             max_incidence=math.radians(self.max_incidence),
         )
         with progress_bar("measuring coverage") as progress:
-            found = episode_coverage(read_episode(self.episode), criteria, progress)
+            result = episode_coverage(read_episode(self.episode), criteria, progress)
         out = self.out or self.episode / COVERAGE_FOLDER
         out.mkdir(parents=True, exist_ok=True)
         with console.status("drawing"):
-            write_coverage_table(out / TABLE, found)
-            write_coverage_mesh(out / MESH, found)
-            write_coverage_figure(out / FIGURE, found, title=f"{found.organ.name}: coverage")
-        _report(found)
-        console.print(f"Wrote {out / TABLE}, {out / MESH} and {out / FIGURE}.")
+            write_coverage_table(out / TABLE, result)
+            write_coverage_mesh(out / MESH, result)
+            write_coverage_figure(out / PLOT, result, title=f"{result.organ.name}: coverage")
+        _report(result)
+        console.print(f"Wrote {out / TABLE}, {out / MESH} and {out / PLOT}.")
 
 
-def _report(found: EpisodeCoverage) -> None:
+def _report(result: EpisodeCoverage) -> None:
     from rich.table import Table
 
     table = Table(title="Coverage [%]")
     table.add_column("segment")
     for level in COVERAGE_LEVELS:
         table.add_column(level, justify="right")
-    fractions = {level: found.by_segment(level) for level in COVERAGE_LEVELS}
+    fractions = {level: result.by_segment(level) for level in COVERAGE_LEVELS}
     for segment in fractions["visible"]:
         row = (f"{100.0 * fractions[level].get(segment, 0.0):.1f}" for level in COVERAGE_LEVELS)
         table.add_row(segment.replace("_", " "), *row)
-    whole = (f"{100.0 * found.coverage.fraction(level):.1f}" for level in COVERAGE_LEVELS)
+    whole = (f"{100.0 * result.coverage.fraction(level):.1f}" for level in COVERAGE_LEVELS)
     table.add_row("whole organ", *whole)
     console.print(table)
 

@@ -168,15 +168,15 @@ class FromCt:
         wall, labels = self._wall(), scan
         if self.labels is not None:
             scan, labels = common_part(scan, read_volume(self.labels, is_label_map=True))
-        numbers = [check_label(labels, label) for label in self.label]
-        for label, number in zip(self.label, numbers, strict=True):
-            path = self._path(label, len(numbers))
+        values = [check_label(labels, label) for label in self.label]
+        for label, value in zip(self.label, values, strict=True):
+            path = self._path(label, len(values))
             name = label if not label.isdigit() else "wall"
             with _steps(path.stem) as report:
                 organ = organ_from_label(
-                    labels, number, wall=wall, name=path.stem, label_name=name, report=report
+                    labels, value, wall=wall, name=path.stem, label_name=name, report=report
                 )
-            if self.labels is not None and (warning := misplaced(scan, labels, number)):
+            if self.labels is not None and (warning := misplaced(scan, labels, value)):
                 organ.metadata["notes"].append(warning)
             yield path, organ
 

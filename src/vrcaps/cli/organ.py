@@ -182,8 +182,8 @@ class Make:
         files = {out: organ}
         if clean is not None:
             files[out.with_name(f"{out.stem}-clean.glb")] = clean
-        with ThreadPoolExecutor(1) as beside:  # the files are written while the figure is drawn
-            written = {path: beside.submit(write_organ, path, own) for path, own in files.items()}
+        with ThreadPoolExecutor(1) as writer:  # the files are written while the overview is drawn
+            written = {path: writer.submit(write_organ, path, own) for path, own in files.items()}
             report_organ(organ, out.with_name(f"{out.stem}-overview.png"))
             for path, done in written.items():
                 done.result()

@@ -61,7 +61,7 @@ def use_threads(threads: int | None) -> None:
     """Limit the threads of core and denoiser; only before the first parallel work.
 
     Raises:
-        InputError: If the number is not positive.
+        InputError: If there would be fewer than one.
     """
     if threads is None:
         return
@@ -241,6 +241,6 @@ class Demo:
 
 
 def _free_folder(wanted: Path) -> Path:
-    """Path itself, or with the first suffix number under which no folder exists."""
-    numbered = (wanted.with_name(f"{wanted.name}-{number}") for number in count(2))
-    return next(folder for folder in chain([wanted], numbered) if not folder.exists())
+    """Path itself, or with the first suffix -2, -3, … under which no folder exists."""
+    others = (wanted.with_name(f"{wanted.name}-{suffix}") for suffix in count(2))
+    return next(folder for folder in chain([wanted], others) if not folder.exists())

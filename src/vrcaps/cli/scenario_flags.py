@@ -117,9 +117,9 @@ MotionFlags = _flags(
     motion=(
         _MOTIONS | None,
         None,
-        "How the capsule moves: along the centerline, from place to place at random to look at "
-        "lesions and wall, along a recorded path (--set motion.path=…), or by gravity, contact, "
-        "muscle and magnets.",
+        "Motion of the capsule: along the centerline, between random positions to look at lesions "
+        "and wall, along a recorded path (--set motion.path=…), or by gravity, contact, muscle "
+        "and magnets.",
     ),
 )
 ImageFlags = _flags(

@@ -81,8 +81,8 @@ class Episode:
     def __reduce__(self) -> tuple[Any, ...]:
         """Support pickling; a copy creates its organs again and continues with the same bytes."""
         s = self.simulation
-        begun = [k for k in range(s.num_worlds) if self.view.patient_number(k) >= 0]
-        worlds = {k: s.snapshot(k) for k in begun}
+        running = [k for k in range(s.num_worlds) if self.view.patient_number(k) >= 0]
+        worlds = {k: s.snapshot(k) for k in running}
         return _restored, (self.settings, s.num_worlds, self.render_mode, worlds)
 
     def __deepcopy__(self, memo: object) -> Episode:
@@ -120,9 +120,9 @@ class Episode:
                 np.all((actions >= space.start) & (actions < space.start + space.n))
             )
         if not valid:
-            shown = " ".join(str(actions).split())
+            given = " ".join(str(actions).split())
             raise InputError(
-                f"The action is {shown[:200]}. Allowed: {count} of {space}. {_limits(space)}"
+                f"The action is {given[:200]}. Allowed: {count} of {space}. {_limits(space)}"
             )
         return actions
 
@@ -181,7 +181,7 @@ class Episode:
             InputError: If a world has no episode yet.
         """
         if any(self.view.patient_number(k) < 0 for k in range(self.view.num_worlds)):
-            raise InputError("No episode has begun, so there is nothing to draw. Call reset first.")
+            raise InputError("No episode has started, so there is no image. Call reset first.")
         return [image.copy() for image in self.view.cameras.images(View(), "rgb")]
 
 

@@ -113,8 +113,8 @@ class Patient:
         face, weights = self.points.face, self.points.weights
         weights = np.column_stack([weights, 1.0 - weights.sum(axis=1)])
         corners = self.model.vertices_world[self.model.organ.faces[face]]
-        places = np.einsum("kc,kcx->kx", weights, corners) * self.points.fractions[:, 1:]
-        sums = [np.bincount(self.points.cell, x, minlength=self.num_cells) for x in places.T]
+        positions = np.einsum("kc,kcx->kx", weights, corners) * self.points.fractions[:, 1:]
+        sums = [np.bincount(self.points.cell, x, minlength=self.num_cells) for x in positions.T]
         return np.stack(sums, axis=-1) / np.maximum(self.cell_area, 1e-12)[:, None]
 
 
@@ -155,10 +155,10 @@ class Patients:
     def __len__(self) -> int:
         return len(self._organs)
 
-    def __getitem__(self, number: int) -> Patient:
-        if number not in self._patients:
-            self._patients[number] = self._make(self._organ(self._organs[number]))
-        return self._patients[number]
+    def __getitem__(self, index: int) -> Patient:
+        if index not in self._patients:
+            self._patients[index] = self._make(self._organ(self._organs[index]))
+        return self._patients[index]
 
     def _make(self, organ: OrganSurface) -> Patient:
         model = Model(organ, self.device, posture_transform(self._posture))

@@ -202,7 +202,7 @@ def frontier_length(
     """Length of the frontier between seen and unseen wall, in circumferences of the gut.
 
     It is the discrete isotropic total variation of the map, Σ sqrt(Δ_along² + Δ_around²), divided
-    by its number of columns; cells without wall do not count.
+    by the number of its columns; cells without wall do not count.
 
     Args:
         fraction: Seen fraction of each cell of the maps.

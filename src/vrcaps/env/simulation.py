@@ -97,20 +97,20 @@ class Simulation:
             normal_force_total=_read_only(worlds.normal_force_total),
         )
 
-    def reset(self, index: int, rng: np.random.Generator, number: int | None = None) -> None:
+    def reset(self, index: int, rng: np.random.Generator, patient: int | None = None) -> None:
         """Start an episode in one world.
 
         Args:
             index: Index of the world.
             rng: Random generator.
-            number: Index of the patient; None draws one.
+            patient: Index of the patient; None draws one.
 
         Raises:
             InputError: If the organ cannot be created, or the capsule does not fit in it.
         """
         settings = self.settings
         drawn = rng.integers(len(self.worlds.patients))
-        model = self.worlds.enter(index, int(drawn if number is None else number))
+        model = self.worlds.enter(index, int(drawn if patient is None else patient))
         start, self.worlds.arc_length[index] = settings.start.draw(model, rng)
         self._start[index] = start.T_world_capsule
         self._factors[index], self.worlds.effects_seed[index] = settings.randomization.draw(rng)

@@ -49,8 +49,8 @@ class EnvSnapshot:
 
     Example:
         >>> snapshot = env.snapshot()
-        >>> write_env_snapshot(Path("begun.npz"), snapshot)
-        >>> observation = env.restore(read_env_snapshot(Path("begun.npz")))
+        >>> write_env_snapshot(Path("start.npz"), snapshot)
+        >>> observation = env.restore(read_env_snapshot(Path("start.npz")))
 
     Attributes:
         settings: Fingerprint of the environment's settings.

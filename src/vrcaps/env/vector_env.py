@@ -139,10 +139,10 @@ class CapsuleVectorEnv(gymnasium.vector.VectorEnv):
         self._begin(np.flatnonzero(over))
         return self.episode.observe(), step.reward, step.terminated, step.truncated, infos
 
-    def _begin(self, numbers: np.ndarray) -> None:
-        for index in numbers:
+    def _begin(self, indices: np.ndarray) -> None:
+        for index in indices:
             self.episode.begin(int(index), self._generators[index])
-        self._is_over[numbers] = False
+        self._is_over[indices] = False
 
     @staticmethod
     def _masked(measures: dict[str, np.ndarray], mask: np.ndarray) -> dict[str, Any]:
@@ -173,10 +173,10 @@ class CapsuleVectorEnv(gymnasium.vector.VectorEnv):
         """
         given = "one" if index is not None else "all"
         is_allowed = self._was_reset or index is None
-        require(is_allowed, "Worlds to put back", given, "all before the first reset")
-        numbers = self._chosen(index)
-        restore_snapshot(self.episode.simulation, snapshot, numbers, self._generators)
-        self._is_over[numbers] = [world.is_over for world in snapshot.worlds]
+        require(is_allowed, "Worlds to restore", given, "all before the first reset")
+        indices = self._chosen(index)
+        restore_snapshot(self.episode.simulation, snapshot, indices, self._generators)
+        self._is_over[indices] = [world.is_over for world in snapshot.worlds]
         self._was_reset = True
         return self.episode.observe()
 

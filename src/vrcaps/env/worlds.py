@@ -72,9 +72,9 @@ class EnvWorlds:
         """Return the index of a world's organ in the settings; -1 before its first episode."""
         return int(self._patient[index])
 
-    def enter(self, index: int, number: int) -> Model:
-        """Set the patient of one world; returns its model."""
-        self._patient[index] = number
+    def enter(self, index: int, patient: int) -> Model:
+        """Set the index of the patient of one world; return its model."""
+        self._patient[index] = patient
         model = self.patient(index).model
         self.course.begin(index, model)
         return model

@@ -59,11 +59,11 @@ class Samples:
     def __len__(self) -> int:
         return len(self.frames)
 
-    def get(self, number: int) -> Sample | None:
+    def get(self, position: int) -> Sample | None:
         """Return a sample; None if its files are damaged."""
-        if number in self._kept:
-            return self._kept[number]
-        sequence, index = self.frames[number]
+        if position in self._kept:
+            return self._kept[position]
+        sequence, index = self.frames[position]
         name = f"{sequence.name}, frame {index}"
         if name in self.skipped:
             return None
@@ -75,17 +75,17 @@ class Samples:
         size = sum(getattr(array, "nbytes", 0) for array in sample.values())
         if self._num_bytes + size <= _KEPT_BYTES:
             self._num_bytes += size
-            self._kept[number] = sample
+            self._kept[position] = sample
         return sample
 
-    def next(self, number: int) -> Sample:
+    def next(self, position: int) -> Sample:
         """Return a sample, or the next readable one.
 
         Raises:
             InputError: If none can be read.
         """
         for step in range(len(self)):
-            sample = self.get((number + step) % len(self))
+            sample = self.get((position + step) % len(self))
             if sample is not None:
                 return sample
         raise InputError(f"No frame can be read: {next(iter(self.skipped.values()), 'none')}")

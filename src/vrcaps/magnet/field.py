@@ -21,7 +21,7 @@ from vrcaps.magnet.sources import InternalMagnet, Source, check_pose, magnet_row
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-_PLACES = {
+_FAULTS = {
     1: "is outside a field map. Give a map that covers it",
     2: "is in a dipole, on a wire or on the rim of a magnet. Move it away",
 }
@@ -74,8 +74,8 @@ class SourceSet:
             raise InputError(
                 f"Points of shape {points.shape}. Allowed: n rows of 3 finite numbers."
             )
-        flux, gradient, place = self.core.field(points)
-        _check_places(place, points)
+        flux, gradient, faults = self.core.field(points)
+        _check_faults(faults, points)
         return flux, gradient
 
     def wrench(
@@ -95,9 +95,10 @@ class SourceSet:
             raise InputError(f"Poses of shape {poses.shape}. Allowed: finite 4 x 4 matrices.")
         batch = poses.shape[:-2]
         poses = poses.reshape(-1, 4, 4)
-        places = np.concatenate([poses[:, :3, 3], quaternion_from_matrix(poses[:, :3, :3])], axis=1)
-        wrench, place = self.core.wrench(magnet_rows(magnets), places)
-        _check_places(place, poses[:, :3, 3])
+        quaternions = quaternion_from_matrix(poses[:, :3, :3])
+        rows = np.concatenate([poses[:, :3, 3], quaternions], axis=1)
+        wrench, faults = self.core.wrench(magnet_rows(magnets), rows)
+        _check_faults(faults, poses[:, :3, 3])
         return wrench[:, :3].reshape(*batch, 3), wrench[:, 3:].reshape(*batch, 3)
 
 
@@ -125,7 +126,7 @@ def wrench(
     return SourceSet(sources).wrench(magnets, T_world_capsule)
 
 
-def _check_places(place: np.ndarray, points: np.ndarray) -> None:
-    if place.any():
-        worst = int(np.argmax(place))
-        raise InputError(f"Point {worst} at {points[worst]} m {_PLACES[int(place[worst])]}.")
+def _check_faults(faults: np.ndarray, points: np.ndarray) -> None:
+    if faults.any():
+        worst = int(np.argmax(faults))
+        raise InputError(f"Point {worst} at {points[worst]} m {_FAULTS[int(faults[worst])]}.")

@@ -102,13 +102,13 @@ def _read_csv(path: Path) -> tuple[list[np.ndarray], np.ndarray]:
     table = rows[:, [names.index(name) for name in _COLUMNS]]
     axes = [np.unique(table[:, k]) for k in range(3)]
     shape = tuple(len(axis) for axis in axes)
-    places = tuple(np.searchsorted(axes[k], table[:, k]) for k in range(3))
-    filled = np.unique(np.ravel_multi_index(places, shape)).size
+    indices = tuple(np.searchsorted(axes[k], table[:, k]) for k in range(3))
+    filled = np.unique(np.ravel_multi_index(indices, shape)).size
     if not len(table) == filled == np.prod(shape):
         raise InputError(
-            f"{path}: {len(table)} rows, {filled} different places, do not fill a grid of "
+            f"{path}: {len(table)} rows, {filled} different points, do not fill a grid of "
             f"{shape[0]} x {shape[1]} x {shape[2]}. Give each point of a regular grid once."
         )
     values = np.empty((*shape, 3))
-    values[places] = table[:, 3:]
+    values[indices] = table[:, 3:]
     return axes, values

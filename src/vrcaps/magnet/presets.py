@@ -70,7 +70,7 @@ MAGNETS = {
         "In a wide capsule: 11 mm across, 10 mm long, 1.12 A·m²", 11 * MM, 10 * MM, "N52", 1.48
     ),
     "capsule-6x6": MagnetPreset(
-        "In a usual capsule beside its electronics: 6 mm, 0.2 A·m²", 6 * MM, 6 * MM, "N52", 1.48
+        "In a usual capsule, next to its electronics: 6 mm, 0.2 A·m²", 6 * MM, 6 * MM, "N52", 1.48
     ),
 }
 """Magnets by name. Force estimates are published for `cylinder-101.6` and `capsule-11x10`."""

@@ -24,7 +24,7 @@ NEODYMIUM_DENSITY = 7500.0
 MAGNETIC_CONSTANT = 1.25663706127e-6
 """μ₀ [N/A²] (CODATA 2022), as in the compiled core."""
 _ORTHONORMAL = 1e-6
-_LARGEST_LAYERS = 100
+_MAX_LAYERS = 100
 _MIN_POINTS = 4
 
 
@@ -76,7 +76,7 @@ def check_pose(name: str, pose: np.ndarray) -> None:
         InputError: If it is not a finite 4×4 matrix of a rotation and a position.
     """
     if not _is_rigid(np.asarray(pose)):
-        raise InputError(f"{name} is no rigid pose. Allowed: 4 x 4, a rotation and a place [m].")
+        raise InputError(f"{name} is no rigid pose. Allowed: 4 x 4, a rotation and a position [m].")
 
 
 def _is_rigid(pose: np.ndarray) -> bool:
@@ -239,8 +239,8 @@ class Solenoid:
         require(self.turns >= 1, "Solenoid turns", self.turns, "1 or more")
         is_thin = 0.0 <= self.thickness < 2.0 * self.radius
         require(is_thin, "Solenoid thickness", self.thickness, "0 to below twice the radius")
-        is_count = 1 <= self.layers <= _LARGEST_LAYERS
-        require(is_count, "Solenoid layers", self.layers, f"1 to {_LARGEST_LAYERS}")
+        is_count = 1 <= self.layers <= _MAX_LAYERS
+        require(is_count, "Solenoid layers", self.layers, f"1 to {_MAX_LAYERS}")
         check_pose("T_world_magnet", self.T_world_magnet)
 
     def add_to(self, core: FieldSources) -> int:
@@ -337,8 +337,8 @@ class InternalMagnet:
     moment_capsule: tuple[float, float, float] = field(metadata={"unit": "a_m2", "key": "moment"})
 
     def __post_init__(self) -> None:
-        numbers = np.array([*self.position_capsule, *self.moment_capsule], float)
-        if numbers.shape != (6,) or not np.isfinite(numbers).all() or not numbers[3:].any():
+        values = np.array([*self.position_capsule, *self.moment_capsule], float)
+        if values.shape != (6,) or not np.isfinite(values).all() or not values[3:].any():
             raise InputError(
                 f"An internal magnet at {self.position_capsule} with the moment "
                 f"{self.moment_capsule}. Allowed: three finite numbers each, the moment not zero."

@@ -85,7 +85,7 @@ def _imported(path: str) -> Policy:
     module_name, _, class_name = path.partition(":")
     try:
         module = importlib.import_module(module_name)
-        cls = getattr(module, class_name, None)  # a module may import what it is asked for
+        cls = getattr(module, class_name, None)  # a module may import on access
     except (Exception, SystemExit) as error:  # a module may raise anything
         raise InputError(
             f"No policy at {path}: {_reason(error)}. Give package.module:Class, importable from "

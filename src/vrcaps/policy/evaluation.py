@@ -191,10 +191,10 @@ class Evaluation:
     def episode_curves(self, row: dict[str, Any]) -> dict[str, np.ndarray]:
         """Curves of one episode; only the last copy is used if an interrupted run wrote two."""
         own = (self.curves["seed"] == row["seed"]) & (self.curves["episode"] == row["episode"])
-        numbers = np.flatnonzero(own)
-        starts = np.flatnonzero(self.curves["time_s"][numbers] == 0.0)
-        numbers = numbers[starts[-1] :]
-        return {name: values[numbers] for name, values in self.curves.items()}
+        indices = np.flatnonzero(own)
+        starts = np.flatnonzero(self.curves["time_s"][indices] == 0.0)
+        indices = indices[starts[-1] :]
+        return {name: values[indices] for name, values in self.curves.items()}
 
     def over_time(
         self, level: CoverageLevel, time: Float[np.ndarray, " t"]

@@ -108,7 +108,7 @@ class Guide:
 
     Attributes:
         path: Path along the wall.
-        place: Arc length of the capsule along it [m].
+        arc_length: Arc length of the capsule along it [m].
     """
 
     def __init__(self, view: EnvView, index: int) -> None:
@@ -125,7 +125,7 @@ class Guide:
         workspace = Workspace(tuple(low), tuple(high), 0.5 * magnet.diameter + 3.0 * CM)
         self._solver = MagnetPoseSolver(SourceSet([magnet]), model.device.magnets, workspace)
         self._index, self._weight = index, model.device.mass * GRAVITY
-        self.path, self.place = _path(view, index), 0.0
+        self.path, self.arc_length = _path(view, index), 0.0
         T = view.T_world_capsule[index]
         self._position, self._velocity = T[:3, 3].copy(), np.zeros(3)
         self._heading = T[:3, :3].copy()
@@ -139,7 +139,7 @@ class Guide:
             (T[:3, 3] - self._position) / dt - self._velocity
         )
         self._position = T[:3, 3].copy()
-        here, ahead = self._places(self._position)
+        here, ahead = self._path_points(self._position)
         way = unit(ahead - self._position)
         pull, lift, pitch = self._pull(way, dt, float(view.time[self._index]))
         sink = min(_HEIGHT_GAIN * max(self._position[2] - here[2] - _HEIGHT, 0.0), _SINK)
@@ -149,16 +149,16 @@ class Guide:
         T_led[:3, :3] = self._led(T[:3, :3], unit(way + np.array([0.0, 0.0, pitch])), dt)
         return self._towards(view, T_led, dt)
 
-    def _places(
+    def _path_points(
         self, position: Float[np.ndarray, " 3"]
     ) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
         """Closest point on the path and the lookahead point [m]."""
         path = self.path
-        away = np.abs(path.arc_length - self.place)
+        away = np.abs(path.arc_length - self.arc_length)
         squares = np.sum((path.positions - position) ** 2, axis=1)
         here = int(np.where(away < _NEARBY, squares, np.inf).argmin())
-        self.place = float(path.arc_length[here])
-        ahead = int(np.searchsorted(path.arc_length, self.place + _AHEAD))
+        self.arc_length = float(path.arc_length[here])
+        ahead = int(np.searchsorted(path.arc_length, self.arc_length + _AHEAD))
         return path.positions[here], path.positions[min(ahead, len(path.positions) - 1)]
 
     def _pull(
@@ -167,8 +167,8 @@ class Guide:
         """Pull along the path [N], lift beyond the weight [N], upward component of the heading."""
         error = _SPEED - float(self._velocity @ way)
         self._integral = float(np.clip(self._integral + _INTEGRAL * error * dt, *_PULL))
-        if self.place > self._best + _GAIN:
-            self._best, self._since, self._hops = self.place, time, 0
+        if self.arc_length > self._best + _GAIN:
+            self._best, self._since, self._hops = self.arc_length, time, 0
         if time - self._since > _PATIENCE:
             self._since, self._hops = time + _HOP, self._hops + 1
         left = self._since - time

@@ -13,8 +13,8 @@ from vrcaps.core.geometry import unit
 from vrcaps.core.transforms import look_along, transform_from
 from vrcaps.core.units import CM, MM
 from vrcaps.metrics.point_coverage import POINT_LEVELS, mark_points
+from vrcaps.policy.baselines import Route, Routes
 from vrcaps.policy.policy import Requirements
-from vrcaps.policy.route import Route, Routes
 from vrcaps.policy.servo import SERVO_ACTUATIONS, Goal, heading_error, servo_actions
 
 if TYPE_CHECKING:
@@ -53,14 +53,14 @@ class _Plan:
         position: Position of the view [m].
         heading: Direction of the front there.
         arc_length: End of the path along the centerline [m]; NaN if the path is straight.
-        began: Time at which the plan was made [s].
+        start: Time at which the plan was made [s].
         until: Time at which it is abandoned [s].
     """
 
     position: np.ndarray
     heading: np.ndarray
     arc_length: float
-    began: float
+    start: float
     until: float
 
 
@@ -83,13 +83,13 @@ class NextBestViewPolicy:
     def act(self, observations: dict[str, np.ndarray], env: CapsuleVectorEnv) -> np.ndarray:
         """Return actions towards the planned view, or towards a new one when it is reached."""
         view = env.view
-        places = []
+        goals = []
         for index in range(env.num_envs):
             plan = self._plans[index]
             if plan is None or _is_over(view, index, plan):
                 plan = self._plans[index] = self._best(view, index)
-            places.append((self._next(view, index, plan), plan.heading))
-        position, heading = (np.stack(part) for part in zip(*places, strict=True))
+            goals.append((self._next(view, index, plan), plan.heading))
+        position, heading = (np.stack(part) for part in zip(*goals, strict=True))
         return servo_actions(view, Goal(position, heading, _SPEED, _TURN))
 
     def _next(self, view: EnvView, index: int, plan: _Plan) -> np.ndarray:
@@ -115,16 +115,16 @@ class NextBestViewPolicy:
         time = np.maximum(way / _SPEED, turning) + _PAUSE
         gain = _gains(view, index, draw, points, headings)
         best = int(np.argmax(np.where(is_free, gain / time, -1.0)))
-        began = float(view.time[index])
-        until = began + 1.5 * float(time[best]) + _PAUSE
-        return _Plan(points[best], headings[best], float(arc_length[best]), began, until)
+        start = float(view.time[index])
+        until = start + 1.5 * float(time[best]) + _PAUSE
+        return _Plan(points[best], headings[best], float(arc_length[best]), start, until)
 
 
 def _is_over(view: EnvView, index: int, plan: _Plan) -> bool:
     """Return whether a view is reached, takes too long, or the capsule is stuck on the way."""
     T, now = view.T_world_capsule[index], view.time[index]
     speeds = np.linalg.norm(view.velocity_world[index], axis=1)
-    is_held = now > plan.began + _PAUSE and bool((speeds < _STILL).all())
+    is_held = now > plan.start + _PAUSE and bool((speeds < _STILL).all())
     off = heading_error(T[None, :3, :3], plan.heading[None])[0]
     is_there = np.linalg.norm(T[:3, 3] - plan.position) < _AT and np.linalg.norm(off) < _ALIGNED
     return bool(is_there or is_held or now > plan.until)

@@ -112,24 +112,24 @@ class Ppo:
 
         self.model.set_logger(Logger(None, []))
 
-    def run_round(self, number: int) -> dict[str, float]:
+    def run_round(self, index: int) -> dict[str, float]:
         """Run an episode in every world and update the policy.
 
         Args:
-            number: Index of the round, from 0; it determines the randomness.
+            index: Index of the round, from 0; it determines the randomness.
 
         Returns:
             Statistics of the round.
         """
         from stable_baselines3.common.utils import set_random_seed
 
-        seed = _seed(self.seed, "round", number)
+        seed = _seed(self.seed, "round", index)
         set_random_seed(seed)
         self.envs.seed(seed)
         self.model.set_env(self.envs)  # lets the next call reset the worlds
-        self.model.num_timesteps = number * self.actions_per_round
+        self.model.num_timesteps = index * self.actions_per_round
         if self.settings.is_annealed:
-            share = max(1.0 - number / self.num_rounds, 0.1)
+            share = max(1.0 - index / self.num_rounds, 0.1)
             self.learning_rate = share * self.settings.learning_rate
         watch = _watch(self.settings.num_envs)
         self.model.learn(
@@ -224,8 +224,8 @@ def require_learner() -> None:
     import_extra("stable_baselines3", "learn", package="stable-baselines3")
 
 
-def _seed(seed: int, purpose: str, number: int) -> int:
-    return int(rng.stream(seed, f"policy/ppo/{purpose}", number).integers(2**31))
+def _seed(seed: int, purpose: str, index: int) -> int:
+    return int(rng.stream(seed, f"policy/ppo/{purpose}", index).integers(2**31))
 
 
 def _below(tensors: dict[str, Any], prefix: str) -> dict[str, Any]:
@@ -274,11 +274,11 @@ def _watch(num_envs: int) -> Any:
             return True
 
         def means(self) -> dict[str, float]:
-            numbers = {
+            means = {
                 name: float(np.mean([row[name] for row in self.rows if name in row]))
                 for name, value in (self.rows[0] if self.rows else {}).items()
                 if isinstance(value, float | np.floating | np.bool_)
             }
-            return {"num_episodes": float(len(self.rows)), **numbers}
+            return {"num_episodes": float(len(self.rows)), **means}
 
     return Watch()

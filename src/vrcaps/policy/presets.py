@@ -65,7 +65,7 @@ def default() -> TrainingSettings:
 
 
 def ci() -> TrainingSettings:
-    """Smoke-test preset: runs in seconds, too short to learn."""
+    """Smoke-test preset: runs in seconds, with too few actions to improve."""
     ours = default()
     env = replace(ours.env, organs=_stomachs(1), episode_time=1.0, num_points=256)
     learner = replace(

@@ -94,19 +94,19 @@ def train(
     if start is not None:
         stated["start"] = file_sha256(start_file(start))
     require_learner()
-    begin = partial(
+    start_training = partial(
         begin_training,
         *(out, stated, _PACKAGES),
         is_forced=is_forced,
         growing=("learner.num_actions",),
     )
     if start is None:
-        begin()
+        start_training()
     with exact_torch(threads):
         learner = Ppo(settings.env, settings.learner, settings.seed)
         if start is not None:
             warm_start(learner, start_file(start))  # one that does not fit leaves no folder
-            begin()
+            start_training()
         if tensorboard is not None:
             learner.log_to(tensorboard)
         progress = run_training(_Run(settings, out, learner), report)
@@ -125,7 +125,7 @@ class _Run:
     def advance(self) -> None:
         """Run one round, the evaluation that is due after it, and write the checkpoint."""
         settings, learner, progress = self.settings, self.learner, self.progress
-        index, began = progress.step, time.perf_counter()
+        index, start = progress.step, time.perf_counter()
         done = index + 1
         row = {"round": float(done), "actions": float(done) * learner.actions_per_round}
         row |= learner.run_round(index)
@@ -141,7 +141,7 @@ class _Run:
             self._write_policy(POLICY, policy, done)
             if not every:
                 self._write_policy(BEST, policy, done)
-        row["seconds"] = time.perf_counter() - began
+        row["seconds"] = time.perf_counter() - start
         self.progress = replace(progress, step=done, rows=(*progress.rows, row), best=best)
         _write_checkpoint(self.out, learner, self.progress)
 

@@ -166,7 +166,7 @@ def _moved(magnet: Dipole | Cylinder, step: np.ndarray) -> Dipole | Cylinder:
 
 
 def _search(positions: np.ndarray, readings: np.ndarray, depths: tuple[float, float]) -> np.ndarray:
-    """Best pose on a grid on both sides of the array, with its best moment and background."""
+    """Best pose on a grid on both sides of the array, with its best estimate and background."""
     used = np.isfinite(readings).ravel()
     center = positions.mean(axis=0)
     axes = np.linalg.svd(positions - center)[2]
@@ -180,15 +180,15 @@ def _search(positions: np.ndarray, readings: np.ndarray, depths: tuple[float, fl
         indexing="ij",
     )
     best, pose = np.inf, np.eye(4)
-    for place in np.stack(grid, axis=-1).reshape(-1, 3) @ axes + center:
-        arms = positions - place
+    for position in np.stack(grid, axis=-1).reshape(-1, 3) @ axes + center:
+        arms = positions - position
         length = np.linalg.norm(arms, axis=1)[:, None, None]
         outer = arms[:, :, None] * arms[:, None, :] / length**2
         rows = MAGNETIC_CONSTANT / (4.0 * np.pi) * (3.0 * outer - np.eye(3)) / length**3
         rows = np.concatenate([rows, np.broadcast_to(_FLUX * np.eye(3), rows.shape)], axis=-1)
         rows = rows.reshape(-1, 6)[used]
-        found, *_ = np.linalg.lstsq(rows, readings.ravel()[used], rcond=None)
-        error = float(np.sum((rows @ found - readings.ravel()[used]) ** 2))
-        if error < best and found[:3].any():
-            best, pose = error, magnet_pose(place, found[:3])
+        estimate, *_ = np.linalg.lstsq(rows, readings.ravel()[used], rcond=None)
+        error = float(np.sum((rows @ estimate - readings.ravel()[used]) ** 2))
+        if error < best and estimate[:3].any():
+            best, pose = error, magnet_pose(position, estimate[:3])
     return pose

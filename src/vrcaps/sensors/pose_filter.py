@@ -163,21 +163,21 @@ def correct(
     """
     used = np.isfinite(readings).ravel()
     weight = 1.0 / sigma.ravel()[used]
-    found, covariance = belief, belief.covariance
+    estimate, covariance = belief, belief.covariance
     for _ in range(_MAX_ITERATIONS):
-        rest, rows = _innovation(found, positions, readings, magnet)
+        rest, rows = _innovation(estimate, positions, readings, magnet)
         rest, rows = weight * rest[used], weight[:, None] * rows[used]
-        back = found.error_from(belief)
+        back = estimate.error_from(belief)
         information = rows.T @ rows
         prior = belief.covariance[_SEEN]
         gain = np.linalg.solve(np.eye(9) + information @ prior[:, _SEEN], np.eye(9))
         # (P⁻¹ + HᵀH)⁻¹ Hᵀ r, without inverting the covariance of the whole state.
         error = prior.T @ (gain @ (rows.T @ (rest + rows @ back[_SEEN])))
         covariance = belief.covariance - prior.T @ (gain @ information) @ prior
-        found = belief.moved(error)
+        estimate = belief.moved(error)
         if (np.abs(error - back)[_SEEN] < _CONVERGED).all():
             break
-    return replace(found, covariance=0.5 * (covariance + covariance.T))
+    return replace(estimate, covariance=0.5 * (covariance + covariance.T))
 
 
 def _innovation(

@@ -81,6 +81,6 @@ def hall_array(pad: HallPad, model: Model) -> HallArray:
     """Sensors of a pad in the world, with their nominal gain and offset."""
     low, high = model.vertices_world.min(axis=0), model.vertices_world.max(axis=0)
     middle = 0.5 * (low + high)
-    place = np.array([middle[0], middle[1], low[2] - pad.gap])
-    grid = hall_grid(pad.width, pad.count, transform_from(np.eye(3), place))
+    position = np.array([middle[0], middle[1], low[2] - pad.gap])
+    grid = hall_grid(pad.width, pad.count, transform_from(np.eye(3), position))
     return replace(grid, range=pad.range)

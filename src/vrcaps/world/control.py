@@ -63,8 +63,8 @@ class Control:
                     f"Allowed: {shapes.get(name, ())}."
                 )
             if not np.isfinite(value).all():
-                shown = " ".join(str(value).split())
-                raise InputError(f"Control's {name} is {shown}. Allowed: finite numbers.")
+                given = " ".join(str(value).split())
+                raise InputError(f"Control's {name} is {given}. Allowed: finite numbers.")
         if not 0.2 <= self.insufflation <= 2.0:
             raise InputError(f"Control's insufflation is {self.insufflation}. Allowed: 0.2 to 2.")
         require(0.0 <= self.flush <= 1.0, "Control's flush", self.flush, "0 to 1")

@@ -104,9 +104,9 @@ def _divided(corners: np.ndarray, longest: float) -> np.ndarray:
     first, second = np.mgrid[: parts + 1, : parts + 1].reshape(2, -1)
     pointing, upside_down = first + second < parts, (first > 0) & (second > 0)
     upside_down &= first + second <= parts
-    places = np.stack([first, second], axis=1)
+    indices = np.stack([first, second], axis=1)
     shares = [
-        places[mask][:, None] + sign * np.array([[0, 0], [1, 0], [0, 1]])
+        indices[mask][:, None] + sign * np.array([[0, 0], [1, 0], [0, 1]])
         for mask, sign in ((pointing, 1), (upside_down, -1))
     ]
     share = np.concatenate(shares)[None] / parts

@@ -101,13 +101,14 @@ class LumenDynamics:
         self._wall = wall
         bubbles, chyme, self._liquid = model.contents.resolved
         self._sections: Sections | None = None
-        places = arc_length_samples(model.organ.centerline)
+        arc_length = arc_length_samples(model.organ.centerline)
         self._posture, none = model.T_world_patient, np.zeros(0)
-        self.liquid = LiquidLevel(self._rest.pools, none, self._posture, np.ones(len(places)))
+        self.liquid = LiquidLevel(self._rest.pools, none, self._posture, np.ones(len(arc_length)))
         centers = transform_points(invert(model.T_world_patient), self._rest.spheres.centers)
         curve = model.organ.centerline
         tangents = np.stack(
-            [np.interp(places, curve.arc_length, curve.frames[:, k, 2]) for k in range(3)], axis=1
+            [np.interp(arc_length, curve.arc_length, curve.frames[:, k, 2]) for k in range(3)],
+            axis=1,
         )
         laws = _ParticleLaws(
             liquid_density=self._liquid.density,
@@ -121,7 +122,7 @@ class LumenDynamics:
             seed=model.contents.seed,
         )
         at_rest = self._rest.spheres.at(centers)
-        self._particles = _core.Particles(wall, at_rest, laws, tangents, float(places[1]))
+        self._particles = _core.Particles(wall, at_rest, laws, tangents, float(arc_length[1]))
         self._push = np.zeros(6)
         lots = stream(model.contents.seed, "lumen/flush")
         self._lots = lots.random(len(self._rest.spheres))
@@ -188,8 +189,8 @@ class LumenDynamics:
     ) -> None:
         organ = self._model.organ
         self._sections = self._sections or cut_sections(organ)
-        places = arc_length_samples(organ.centerline)
-        scale = np.interp(self._sections.arc_length, places, lumen_scale)
+        arc_length = arc_length_samples(organ.centerline)
+        scale = np.interp(self._sections.arc_length, arc_length, lumen_scale)
         pools = level_pools(organ, self._sections, section_volume, T_world_patient, scale)
         self.liquid = LiquidLevel(pools, section_volume, T_world_patient, lumen_scale.copy())
 
@@ -206,12 +207,12 @@ class LumenDynamics:
         if level is None:
             return force, torque
         ends = transform_points(self._posture, np.array(axis) + self._center)
-        volume, place = submerged((ends[0], ends[1]), self._body.radius, level)
+        volume, centroid = submerged((ends[0], ends[1]), self._body.radius, level)
         if volume == 0.0:
             return force, torque
         up = self._up()
         lift = self._liquid.density * gravity * volume * up
-        middle = transform_points(invert(self._posture), place[None])[0] - self._center
+        middle = transform_points(invert(self._posture), centroid[None])[0] - self._center
         velocity = np.array(pose[2])
         whole = submerged((ends[0], ends[1]), self._body.radius, np.inf)[0]
         area = np.pi * self._body.radius**2 * volume / whole

@@ -40,7 +40,7 @@ class MagneticCoupling:
         self._core, self._set = core, SourceSet(sources)
         poses = [np.asarray(source.T_world_magnet, float) for source in self._set.sources]
         self.rows: Float[np.ndarray, "k 8"] = rows_from_poses(np.array(poses).reshape(-1, 4, 4))
-        self._has_place = np.array(
+        self._has_position = np.array(
             [not isinstance(s, UniformField) for s in self._set.sources], bool
         )
         if sources:
@@ -84,8 +84,8 @@ class MagneticCoupling:
         coupled = self._core.magnetic_coupling(T_world_capsule)
         if coupled is None:
             return None
-        force, torque, flux, gradient, place, point, angle = coupled
-        away = [math.dist(row[:3], point) for row in self.rows[self._has_place]]
+        force, torque, flux, gradient, fault, point, angle = coupled
+        away = [math.dist(row[:3], point) for row in self.rows[self._has_position]]
         return Coupling(
             force_world=np.array(force),
             torque_world=np.array(torque),
@@ -95,7 +95,7 @@ class MagneticCoupling:
             distance=min(away, default=math.inf),
             Ts_world_magnet=poses_from_rows(self.rows),
             strengths=self.rows[:, 7].copy(),
-            is_exact=place == 0,
+            is_exact=fault == 0,
         )
 
 

@@ -98,18 +98,18 @@ def insufflation_at(insufflation: tuple[Insufflation, ...], time: float) -> floa
     return float(row_at([(entry.time, entry.factor) for entry in insufflation], time)[0])
 
 
-def flush_between(flushes: tuple[Flush, ...], begin: float, end: float) -> float:
+def flush_between(flushes: tuple[Flush, ...], start: float, end: float) -> float:
     """Progress of a flush at the end of a step during which it was active, 0 to 1; else 0.
 
     Args:
         flushes: Flushes in order of time.
-        begin: Start of the step [s].
+        start: Start of the step [s].
         end: End of the step [s].
     """
     shares = [
         min(1.0, (end - flush.time) / flush.duration)
         for flush in flushes
-        if begin < flush.time + flush.duration and end > flush.time
+        if start < flush.time + flush.duration and end > flush.time
     ]
     return max(shares, default=0.0)
 
@@ -257,13 +257,13 @@ def check_posture_changes(changes: tuple[PostureChange, ...], where: str) -> Non
     for change in changes:
         posture_transform(change.posture)
         if not (np.isfinite(change.time) and change.time >= 0.0):
-            raise InputError(f"{where}: a turn begins at {change.time} s. Allowed: 0 s or later.")
+            raise InputError(f"{where}: a turn starts at {change.time} s. Allowed: 0 s or later.")
         if not (np.isfinite(change.duration) and change.duration > 0.0):
             raise InputError(f"{where}: a turn takes {change.duration} s. Allowed: above 0 s.")
     for before, after in itertools.pairwise(changes):
         if after.time < before.time + before.duration:
             raise InputError(
-                f"{where}: the turn to {after.posture} begins at {after.time:g} s, before the one "
+                f"{where}: the turn to {after.posture} starts at {after.time:g} s, before the one "
                 f"to {before.posture} ends at {before.time + before.duration:g} s. "
                 "Give them in order."
             )

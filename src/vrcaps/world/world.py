@@ -58,7 +58,7 @@ class World(Mechanics):
             InputError: If there is no muscle, or no front passes a position at which one starts.
         """
         if self.muscle is None:
-            raise InputError("This world has no muscle in which a front could begin. Add it first.")
+            raise InputError("This world has no muscle to start a front in. Add muscle first.")
         self.muscle = self.muscle.with_fronts(fronts)
 
     @property

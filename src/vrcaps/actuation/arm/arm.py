@@ -229,8 +229,8 @@ def inverse(
             finite.
     """
     _require_closed_form(arm)
-    found = arm.core.inverse(_poses(T_base_flange), [last_angle])[0]
-    return found[~np.isnan(found[:, 0])]
+    angles = arm.core.inverse(_poses(T_base_flange), [last_angle])[0]
+    return angles[~np.isnan(angles[:, 0])]
 
 
 def nearest(

@@ -267,8 +267,8 @@ def reachability(
     poses = np.asarray(Ts_world_magnet, float)
     flat = flange_pose_at(robot, poses).reshape(-1, 4, 4)
     angles = nearest(robot.arm, flat, np.array(robot.arm.home))
-    found = ~np.isnan(angles).any(axis=1)
+    is_solved = ~np.isnan(angles).any(axis=1)
     clear = np.zeros(len(flat))
-    if found.any():
-        clear[found] = clearances(robot, angles[found]).min(axis=1) >= 0.0
+    if is_solved.any():
+        clear[is_solved] = clearances(robot, angles[is_solved]).min(axis=1) >= 0.0
     return clear.reshape(poses.shape[:-2])

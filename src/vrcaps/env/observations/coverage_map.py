@@ -63,7 +63,7 @@ class MapObservation(Observation):
         rows, columns = s.grid
         half = 0.5 * self.size * self.factor ** np.arange(self.scales)[:, None]
         edges = half * np.linspace(-1.0, 1.0, self.size + 1)
-        row, column = (at[:, None, None] + edges for at in _place(s))
+        row, column = (at[:, None, None] + edges for at in _map_position(s))
         along, around = _overlap(row, rows), _repeated_overlap(column, columns)
         around = np.swapaxes(around, -1, -2)
         seen, area = (
@@ -81,13 +81,13 @@ def _whole(s: EnvView) -> Float[np.ndarray, "n 2 h w"]:
     rows, columns = s.grid
     made = np.zeros((s.num_worlds, 2, rows * columns))
     made[:, 0] = s.coverage.cell_fraction
-    row, column = (place.astype(int) for place in _place(s))
+    row, column = (index.astype(int) for index in _map_position(s))
     cell = np.minimum(row, rows - 1) * columns + column % columns
     made[np.arange(s.num_worlds), 1, cell] = 1.0
     return made.reshape(-1, 2, rows, columns)
 
 
-def _place(s: EnvView) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+def _map_position(s: EnvView) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Row and column of each capsule on the map, as fractional indices."""
     rows, columns = s.grid
     here = s.course.at(s.arc_length)

@@ -101,30 +101,30 @@ class LandmarksObservation(Observation):
             T_magnet = s.memory["magnet/T"]
             offset = T_magnet[:, None, :3, 3] - s.T_world_capsule[:, None, :3, 3]
             vectors += [_soft_vectors(offset, _FAR), T_magnet[:, None, :3, 2]]
-        told = np.concatenate(vectors, axis=1) @ axes
-        return self._ordered(s, here, told, distances[:, : len(RAYS)], facts)
+        turned = np.concatenate(vectors, axis=1) @ axes
+        return self._ordered(s, here, turned, distances[:, : len(RAYS)], facts)
 
     def _ordered(
         self,
         s: EnvView,
         here: CoursePoint,
-        told: np.ndarray,
+        turned: np.ndarray,
         distances: np.ndarray,
         facts: np.ndarray,
     ) -> Float[np.ndarray, "n k"]:
         """Concatenate all features in the order of the class docstring."""
         n, last = s.num_worlds, 7 + self.regions
-        regions = np.concatenate([told[:, 7:last], facts], axis=2)
+        regions = np.concatenate([turned[:, 7:last], facts], axis=2)
         parts = [
             (s.arc_length / s.course.length)[:, None],
             s.time[:, None] / s.episode_time,
             s.coverage.fraction,
-            told[:, :3].reshape(n, -1),
+            turned[:, :3].reshape(n, -1),
             _soft(here.radius[:, None], _DISTANCE),
-            told[:, 3:7].reshape(n, -1),
+            turned[:, 3:7].reshape(n, -1),
             _soft(distances, _DISTANCE),
             regions.reshape(n, -1),
-            told[:, last:].reshape(n, -1),
+            turned[:, last:].reshape(n, -1),
         ]
         if "navigate/goal" in s.memory:
             parts.append(_soft(s.memory["navigate/goal"] - s.arc_length, _FAR)[:, None])
@@ -132,12 +132,12 @@ class LandmarksObservation(Observation):
 
     def _guides(self, s: EnvView, here: CoursePoint) -> list[Float[np.ndarray, "n 1 3"]]:
         """Vectors to, along and ahead on the centerline, in the world frame."""
-        place = s.T_world_capsule[:, :3, 3]
+        position = s.T_world_capsule[:, :3, 3]
         ahead = s.course.at(s.arc_length + _AHEAD)
         vectors = [
-            _soft_vectors(here.point - place, _DISTANCE),
+            _soft_vectors(here.point - position, _DISTANCE),
             here.axes[:, 2],
-            _directions(ahead.point - place),
+            _directions(ahead.point - position),
         ]
         return [vector[:, None] for vector in vectors]
 

@@ -101,8 +101,7 @@ class SfmTask(BackboneTask):
         """Return the frames that have both neighbors.
 
         Raises:
-            InputError: If there are no images, no camera, too few frames, or no labels for
-                supervision.
+            InputError: If images, camera, enough frames, or labels for supervision are missing.
         """
         if "rgb" not in sequence.channels or sequence.camera is None:
             what = "images" if sequence.camera else "a calibrated camera"

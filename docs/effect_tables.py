@@ -32,7 +32,7 @@ def severity_table() -> str:
 
 def effect_table() -> str:
     """Name, short name and summary of each effect in order, as Markdown."""
-    lines = ["| effect | short | acts on | what it does |", "|---|---|---|---|"]
+    lines = ["| effect | short | acts on | description |", "|---|---|---|---|"]
     for name, kind in EFFECTS.items():
         short = f"`{kind.short}`" if kind.short else ""
         lines.append(f"| `{name}` | {short} | {kind.acts_on} | {kind.summary()} |")

@@ -170,12 +170,6 @@ separate, next to, and a noun."""
 RAISING = re.compile(r"(\w+(Error|Warning)|require\w*|warn|_stop)$")
 """Functions and classes whose text arguments are messages."""
 
-_EXCLUDED = """
-    data formats motion recording render
-"""
-EXCLUDED = frozenset(_EXCLUDED.split())
-"""Packages and pages whose prose is not revised yet."""
-
 
 def unclear(text: str) -> bool:
     """Whether a text opens with a question word or contains an idiom; code is ignored."""
@@ -225,7 +219,7 @@ def headings(page: str) -> Iterator[str]:
 
 
 def area(path: Path) -> str:
-    """Package of a source file, or path of a page: the granularity of `EXCLUDED`."""
+    """Package of a source file, or path of a page."""
     if path.is_relative_to(PACKAGE):
         return path.relative_to(PACKAGE).parts[0]
     return path.relative_to(ROOT).as_posix()
@@ -243,7 +237,7 @@ def unclear_prose(path: Path) -> list[str]:
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 
 
-@pytest.mark.parametrize("name", sorted({area(path) for path in (*FILES, *PAGES)} - EXCLUDED))
+@pytest.mark.parametrize("name", sorted({area(path) for path in (*FILES, *PAGES)}))
 def test_docstrings_messages_and_headings_state_their_subject(name: str) -> None:
     found = {
         path.name: texts
@@ -254,7 +248,6 @@ def test_docstrings_messages_and_headings_state_their_subject(name: str) -> None
 
 
 def test_docstrings_open_with_their_subject() -> None:
-    """In all packages, whether excluded or not."""
     found = [
         f"{path.relative_to(PACKAGE)}: {text}"
         for path in FILES
@@ -265,7 +258,6 @@ def test_docstrings_open_with_their_subject() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif("cli" in EXCLUDED, reason="its prose is not revised yet")
 @pytest.mark.parametrize("verb", sorted(cli._VERBS))
 def test_help_states_its_subject(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):

@@ -225,7 +225,7 @@ def test_what_the_pipeline_says_of_the_dome() -> None:
 
     def frame(effects: Effects, number: int = 0) -> Frame:
         pipeline = CameraPipeline(
-            renderer, camera, effects, number=number, fps=2.0, seed=11, channels=asked
+            renderer, camera, effects, camera_index=number, fps=2.0, seed=11, channels=asked
         )
         return pipeline.capture(step)
 

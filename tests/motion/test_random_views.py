@@ -117,7 +117,7 @@ def test_the_wall_makes_way_unless_it_is_rigid(model):
 
 def test_views_without_a_place_are_refused(model):
     far = RandomViews(nearest=0.5, farthest=0.6)
-    with pytest.raises(InputError, match=r"3 of 3 views find no place.*Allow less of both"):
+    with pytest.raises(InputError, match=r"3 of 3 views have no free position.*Allow less of both"):
         begun(model, far, frames=3)
 
 

@@ -44,7 +44,7 @@ def test_every_channel_is_declared_consistently(channel):
     assert channel.is_categorical == (kind in "bui" and channel.display != "image")
     assert bool(channel.needs) == (channel.stage == "motion")
     if channel.class_names:
-        assert channel.display == "classes" and channel.unit == "class"
+        assert channel.display == "class" and channel.unit == "class"
         assert f"1 {channel.class_names[1]}" in channel.description
 
 

@@ -59,7 +59,7 @@ class CapsuleCameras:
         """
         self.pipelines = {
             camera.name: CameraPipeline(
-                renderer, camera, effects, fps=fps, number=k, seed=seed, channels=channels
+                renderer, camera, effects, fps=fps, camera_index=k, seed=seed, channels=channels
             )
             for k, camera in enumerate(renderer.model.device.cameras)
         }

@@ -95,7 +95,7 @@ class CameraPipeline:
         effects: Effects | None = None,
         *,
         fps: float | None = None,
-        number: int = 0,
+        camera_index: int = 0,
         seed: int = 0,
         channels: Sequence[str] = ("rgb",),
     ) -> None:
@@ -106,7 +106,7 @@ class CameraPipeline:
             camera: Camera as changed by `Effects.device`, or the name of a camera of the device.
             effects: Effects, with each range of severities sampled; None for the capsule's own.
             fps: Frames per second; None for the capsule's own.
-            number: Index of the camera in the capsule.
+            camera_index: Index of the camera in the capsule.
             seed: Seed of all random numbers.
             channels: Channels of the frames.
 
@@ -123,12 +123,12 @@ class CameraPipeline:
         self.state = PipelineState()
         self._effects = effects
         self._fps = fps
-        self._seed, self._number = seed, number
+        self._seed, self._camera_index = seed, camera_index
         self._is_ideal = effects.is_ideal
         self._rate_adapts = effects.resolve("adaptive_frame_rate") is not None
         self._automatic: AutoExposure | None = effects.resolve("auto_exposure")
         image_effects = effects.of_kind(ImageEffect)
-        setup = CameraSetup(camera, number, fps, seed, image_effects)
+        setup = CameraSetup(camera, camera_index, fps, seed, image_effects)
         self._stages: dict[str, Stage] = {
             effect.name: effect.stage(setup) for effect in image_effects
         }
@@ -159,7 +159,7 @@ class CameraPipeline:
         make = partial(
             CameraPipeline,
             fps=self._fps,
-            number=self._number,
+            camera_index=self._camera_index,
             seed=self._seed,
             channels=self.channels,
         )
@@ -259,7 +259,7 @@ class CameraPipeline:
             "points": self._neighbor_points(radiance) if has_shutter else None,
             "is_backward": radiance.step.next is None,
             "stages": {name: params for name, params in stages.items() if params is not None},
-            "key": (self._seed, 64 * radiance.step.index + self._number),
+            "key": (self._seed, 64 * radiance.step.index + self._camera_index),
         }
 
     def meter(self, radiance: SceneRadiance, exposure: float = 1.0) -> float:

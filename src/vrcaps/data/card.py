@@ -271,9 +271,9 @@ def _configurations(rows: Sequence[Row]) -> dict[str, list[Row]]:
     for group in groups.values():
         capsules = dict.fromkeys(row.about["capsule"] for row in group)
         name = stem = "-".join(capsules) if len(capsules) < 4 else "frames"
-        number = 2
+        suffix = 2
         while name in named:
-            name, number = f"{stem}-{number}", number + 1
+            name, suffix = f"{stem}-{suffix}", suffix + 1
         named[name] = group
     return named
 
@@ -282,9 +282,9 @@ def _config_lines(rows: Sequence[Row]) -> Iterator[str]:
     sizes: dict[int, int] = {}
     for row in rows:
         sizes[row.patient] = sizes.get(row.patient, 0) + 1
-    for number, (name, group) in enumerate(_configurations(rows).items()):
+    for index, (name, group) in enumerate(_configurations(rows).items()):
         yield f"- config_name: {json.dumps(name)}"
-        if number == 0:
+        if index == 0:
             yield "  default: true"
         yield "  data_files:"
         for split in SPLITS:

@@ -158,11 +158,11 @@ def _fault_of(store: Store, name: str, checksum: str) -> str | None:
 def _faults_of_plan(units: Units, recorded: Mapping[str, _Entry]) -> Iterator[str]:
     """Entries that disagree with the plan."""
     for name, entry in recorded.items():
-        number = entry["number"]
-        if not 0 <= number < len(units) or units.name(number) != name:
+        index = entry["number"]
+        if not 0 <= index < len(units) or units.name(index) != name:
             yield f"{name} is no recording of the plan"
             continue
-        patient = number // units.per_patient
+        patient = index // units.per_patient
         planned = (patient, units.splits[patient])
         if (entry["patient"], entry["split"]) != planned:
             yield (

@@ -72,8 +72,8 @@ def rows_of(store: Store) -> list[Row]:
     for name, entry in units:
         if ABOUT not in entry:
             raise InputError(
-                f"{store.url}: the ledger's entry {name} is of an earlier version and does not say "
-                "what the recording holds. Make the data set again."
+                f"{store.url}: the ledger's entry {name} is of an earlier version and lacks the "
+                "summary of the recording. Make the data set again."
             )
     return [_row(name, entry) for name, entry in units]
 
@@ -122,14 +122,14 @@ def lesion_counts(rows: Sequence[Row]) -> dict[str, tuple[int, int, int]]:
     for row in rows:
         kinds = list(row.about["lesions"])
         for kind in dict.fromkeys(kinds):
-            numbers = patients.setdefault(kind, {})
-            numbers[row.patient] = max(numbers.get(row.patient, 0), kinds.count(kind))
+            counts = patients.setdefault(kind, {})
+            counts[row.patient] = max(counts.get(row.patient, 0), kinds.count(kind))
             recordings[kind] = recordings.get(kind, 0) + 1
-    counts = {
-        kind: (sum(numbers.values()), len(numbers), recordings[kind])
-        for kind, numbers in patients.items()
+    totals = {
+        kind: (sum(counts.values()), len(counts), recordings[kind])
+        for kind, counts in patients.items()
     }
-    return dict(sorted(counts.items(), key=lambda item: (-item[1][0], item[0])))
+    return dict(sorted(totals.items(), key=lambda item: (-item[1][0], item[0])))
 
 
 def segment_counts(rows: Sequence[Row]) -> dict[str, dict[str, int]]:

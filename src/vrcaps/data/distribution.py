@@ -35,11 +35,11 @@ class Choice:
 
     def check(self, path: str) -> None:
         """Raise InputError if nothing can be drawn."""
-        numbers = [_number(weight, path) for weight in self.weights]
-        fits = not numbers or (len(numbers) == len(self.choice) and min(numbers) >= 0.0)
-        if not self.choice or not fits or (numbers and sum(numbers) <= 0.0):
+        weights = [_number(weight, path) for weight in self.weights]
+        fits = not weights or (len(weights) == len(self.choice) and min(weights) >= 0.0)
+        if not self.choice or not fits or (weights and sum(weights) <= 0.0):
             raise InputError(
-                f"{path}: {len(self.choice)} choices with weights {numbers}. Allowed: at least one "
+                f"{path}: {len(self.choice)} choices with weights {weights}. Allowed: at least one "
                 "choice, and a weight of 0 or more for each."
             )
 
@@ -274,19 +274,19 @@ def slots(plain: Plain, path: str = "") -> Iterator[tuple[str, Any]]:
 
 def _number(value: Plain, path: str) -> float:
     try:
-        number = float(value)
+        parsed = float(value)
     except (TypeError, ValueError, OverflowError):
-        number = math.nan
-    if isinstance(value, bool) or not math.isfinite(number):
+        parsed = math.nan
+    if isinstance(value, bool) or not math.isfinite(parsed):
         raise InputError(f"{path}: {value!r} is no finite number.")
-    return number
+    return parsed
 
 
 def _check_limits(
     limits: Sequence[float], path: str, above: float = -math.inf
 ) -> tuple[float, float]:
-    numbers = [_number(x, path) for x in limits]
-    if len(numbers) != 2 or numbers[0] > numbers[1] or numbers[0] <= above:
+    values = [_number(x, path) for x in limits]
+    if len(values) != 2 or values[0] > values[1] or values[0] <= above:
         allowed = "two rising numbers" + (f" above {above:g}" if above > -math.inf else "")
-        raise InputError(f"{path}: limits are {numbers}. Allowed: {allowed}.")
-    return numbers[0], numbers[1]
+        raise InputError(f"{path}: limits are {values}. Allowed: {allowed}.")
+    return values[0], values[1]

@@ -88,7 +88,7 @@ def entry_of(unit: Unit, folder: Path) -> dict[str, Any]:
     """Build the entry of a unit from its files in a folder."""
     paths = files_in(folder)
     return {
-        "number": unit.number,
+        "number": unit.index,
         "patient": unit.patient,
         "split": unit.split,
         "files": {path.relative_to(folder).as_posix(): file_sha256(path) for path in paths},
@@ -102,17 +102,17 @@ def enter(store: Store, unit: Unit, entry: dict[str, Any]) -> None:
     store.write(f"{LEDGER}/{unit.name}.json", _json(entry))
 
 
-def enter_failure(store: Store, name: str, number: int, message: str, command: str) -> None:
+def enter_failure(store: Store, name: str, index: int, message: str, command: str) -> None:
     """Record the reason of a unit's failure, with the command that reproduces it.
 
     Args:
         store: Store of the data set.
         name: Name of the unit.
-        number: Index of the unit.
+        index: Index of the unit.
         message: Error message.
         command: Command that makes the unit again.
     """
-    failure = {"number": number, "error": message, "reproduce": command}
+    failure = {"number": index, "error": message, "reproduce": command}
     store.write(f"{FAILED}/{name}.json", _json(failure))
 
 

@@ -83,18 +83,18 @@ class FrameWindows:
     def __len__(self) -> int:
         return int(self._ends[-1])
 
-    def __getitem__(self, number: int) -> Any:
+    def __getitem__(self, index: int) -> Any:
         """One window.
 
         Raises:
             IndexError: If there is no window of this index.
             InputError: If an image cannot be read.
         """
-        return self.__getitems__([number])[0]
+        return self.__getitems__([index])[0]
 
-    def __getitems__(self, numbers: Sequence[int]) -> list[Any]:
+    def __getitems__(self, indices: Sequence[int]) -> list[Any]:
         """Return several windows; a `DataLoader` requests a batch this way."""
-        positions = [self._place(number) for number in numbers]
+        positions = [self._place(index) for index in indices]
         wanted = [
             (self.sequences[sequence], channel, int(frame))
             for sequence, frames in positions
@@ -121,13 +121,13 @@ class FrameWindows:
         first, *others = (sequence.values for sequence in self.sequences)
         return tuple(name for name in first if all(name in values for values in others))
 
-    def _place(self, number: int) -> tuple[int, NDArray]:
+    def _place(self, index: int) -> tuple[int, NDArray]:
         """Index of a window's sequence, and its frames there."""
-        if not -len(self) <= number < len(self):
-            raise IndexError(f"No window {number}. Allowed: 0 to {len(self) - 1}.")
-        number %= len(self)
-        sequence = int(np.searchsorted(self._ends, number, side="right"))
-        start = (number - (self._ends[sequence - 1] if sequence else 0)) * self.stride
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"No window {index}. Allowed: 0 to {len(self) - 1}.")
+        index %= len(self)
+        sequence = int(np.searchsorted(self._ends, index, side="right"))
+        start = (index - (self._ends[sequence - 1] if sequence else 0)) * self.stride
         return sequence, start + self.step * np.arange(self.length or 1)
 
     def _read(self, wanted: list[tuple[FrameSequence, str, int]]) -> list[NDArray]:
@@ -136,9 +136,9 @@ class FrameWindows:
         with ThreadPoolExecutor(self.threads) as pool:
             return list(pool.map(lambda item: item[0].image(*item[1:]), wanted))
 
-    def _sample(self, number: int, frames: NDArray, images: Any) -> Sample:
+    def _sample(self, index: int, frames: NDArray, images: Any) -> Sample:
         """Arrays of a window; takes its images from an iterator."""
-        sequence, sample = self.sequences[number], {}
+        sequence, sample = self.sequences[index], {}
         for channel in self.channels or ():
             sample[channel] = np.stack([next(images) for _ in frames])
         for name in self._shared_values:
@@ -150,7 +150,7 @@ class FrameWindows:
             poses = sample[CAMERA_POSE]
             sample[FIRST_POSE] = invert(poses[0]) @ poses
         return {name: np.asarray(value) for name, value in sample.items()} | {
-            "sequence": np.asarray(number)
+            "sequence": np.asarray(index)
         }
 
 
@@ -217,10 +217,10 @@ class FrameStream:
         from torch.utils.data import get_worker_info
 
         info = get_worker_info()
-        number, count = (0, 1) if info is None else (info.id, info.num_workers)
+        index, count = (0, 1) if info is None else (info.id, info.num_workers)
         self._epoch, self._done, self._skip = self._next_epoch, self._skip, 0
         self._next_epoch += 1
-        order = self.order(self._epoch, self.rank * count + number, self.num_ranks * count)
+        order = self.order(self._epoch, self.rank * count + index, self.num_ranks * count)
         return self._pass(order[self._done :])
 
     def order(self, epoch: int, worker: int, num_workers: int) -> NDArray:
@@ -236,24 +236,24 @@ class FrameStream:
             shards = rng.stream(self.seed, "data/stream/shards", epoch).permutation(shards)
         size = len(self.windows)
         own = [np.arange(k, min(k + self.shard, size)) for k in shards[worker::num_workers]]
-        numbers = np.concatenate([np.arange(0), *own])
+        indices = np.concatenate([np.arange(0), *own])
         if not self.shuffle:
-            return numbers
+            return indices
         generator = rng.stream(self.seed, "data/stream/buffer", epoch, worker, num_workers)
-        return _drawn_from_buffer(numbers, self.buffer, generator)
+        return _drawn_from_buffer(indices, self.buffer, generator)
 
     def _pass(self, order: NDArray) -> Iterator[Any]:
         threads = self.windows.threads
         windows = replace(self.windows, threads=0)
         if not threads:
-            for number in order:
+            for index in order:
                 self._done += 1
-                yield windows[number]
+                yield windows[index]
             return
         waiting: deque[Future[Any]] = deque()
         with ThreadPoolExecutor(threads) as pool:
-            for number in order:
-                waiting.append(pool.submit(windows.__getitem__, number))
+            for index in order:
+                waiting.append(pool.submit(windows.__getitem__, index))
                 if len(waiting) > 2 * threads:
                     self._done += 1
                     yield waiting.popleft().result()
@@ -262,13 +262,13 @@ class FrameStream:
                 yield future.result()
 
 
-def _drawn_from_buffer(numbers: NDArray, size: int, generator: np.random.Generator) -> NDArray:
+def _drawn_from_buffer(indices: NDArray, size: int, generator: np.random.Generator) -> NDArray:
     """Indices in the order in which a full buffer yields them."""
-    waiting, order = list(numbers[:size]), []
-    for number in numbers[size:]:
+    waiting, order = list(indices[:size]), []
+    for index in indices[size:]:
         position = generator.integers(len(waiting))
         order.append(waiting[position])
-        waiting[position] = number
+        waiting[position] = index
     return np.array([*order, *generator.permutation(np.array(waiting, int))], int)
 
 

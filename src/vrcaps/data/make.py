@@ -67,17 +67,17 @@ def make_dataset(
     """
     units, store = Units(plan), open_store(url)
     chosen = range(len(units)) if numbers is None else numbers
-    for number in chosen:
-        require(0 <= number < len(units), "A unit", number, f"0 to {len(units) - 1}")
+    for index in chosen:
+        require(0 <= index < len(units), "A unit", index, f"0 to {len(units) - 1}")
     check_plan(units)
     require_same_plan(store, plan)
-    complete = set(complete_units(store, [units.name(number) for number in chosen]))
-    missing = [number for number in chosen if units.name(number) not in complete]
+    complete = set(complete_units(store, [units.name(index) for index in chosen]))
+    missing = [index for index in chosen if units.name(index) not in complete]
     job = Job(plan, store.url, Path.cwd(), source, made_here())
     present, failed, earlier = len(chosen) - len(missing), {}, set(failures(store))
     with closing((runner or Pool()).run(job, missing)) as outcomes:
         for done, outcome in enumerate(outcomes, present + 1):
-            name = units.name(outcome.number)
+            name = units.name(outcome.index)
             if outcome.fault is not None:
                 failed[name] = outcome.fault
             if outcome.fault is not None or name in earlier:
@@ -101,4 +101,4 @@ def _note(store: Store, name: str, outcome: Outcome, job: Job) -> None:
         return
     if outcome.stops_all:
         raise StorageError(outcome.fault)
-    enter_failure(store, name, outcome.number, outcome.fault, job.command(outcome.number))
+    enter_failure(store, name, outcome.index, outcome.fault, job.command(outcome.index))

@@ -44,10 +44,10 @@ class Job:
     source: str = "PLAN"
     made_with: Mapping[str, str] | None = None
 
-    def command(self, number: int) -> str:
+    def command(self, index: int) -> str:
         """Command that makes one unit again."""
         source, url = shlex.quote(self.source), shlex.quote(self.url)
-        return f"vrcaps dataset make {source} --out {url} --units {number}:{number + 1} --workers 0"
+        return f"vrcaps dataset make {source} --out {url} --units {index}:{index + 1} --workers 0"
 
 
 @dataclass(frozen=True)
@@ -55,12 +55,12 @@ class Outcome:
     """Result of making a unit.
 
     Attributes:
-        number: Index of the unit.
+        index: Index of the unit.
         fault: Reason of the failure; None if the unit is complete.
         stops_all: Whether the fault is of the store, so that no other unit can be made either.
     """
 
-    number: int
+    index: int
     fault: str | None = None
     stops_all: bool = False
 
@@ -84,27 +84,27 @@ class Maker:
                 )
         self._units, self._store = Units(job.plan), open_store(job.url)
 
-    def make(self, number: int) -> Outcome:
+    def make(self, index: int) -> Outcome:
         """Make a unit; plan and storage errors are returned in the outcome."""
         try:
-            make_unit(self._units, self._store, number)
+            make_unit(self._units, self._store, index)
         except StorageError as error:
-            return Outcome(number, str(error), stops_all=True)
+            return Outcome(index, str(error), stops_all=True)
         except OSError as error:
-            return Outcome(number, str(error), stops_all=error.errno in _FULL)
+            return Outcome(index, str(error), stops_all=error.errno in _FULL)
         except VrcapsError as error:
-            return Outcome(number, str(error))
-        return Outcome(number)
+            return Outcome(index, str(error))
+        return Outcome(index)
 
-    def make_always(self, number: int) -> Outcome:
+    def make_always(self, index: int) -> Outcome:
         """Make a unit; all errors are returned in the outcome, including internal ones."""
         try:
-            return self.make(number)
+            return self.make(index)
         except Exception as error:  # any error: the other units are still to be made
-            return Outcome(number, f"{type(error).__name__}: {reason_of(error)}")
+            return Outcome(index, f"{type(error).__name__}: {reason_of(error)}")
 
 
-def make_unit(units: Units, store: Store, number: int) -> None:
+def make_unit(units: Units, store: Store, index: int) -> None:
     """Record one unit and commit it; wait if another process is making it.
 
     Raises:
@@ -113,7 +113,7 @@ def make_unit(units: Units, store: Store, number: int) -> None:
     """
     from vrcaps.core.locks import FolderInUseError, file_lock
 
-    unit = units[number]
+    unit = units[index]
     lock = store.staging(f"{unit.name}.lock")
     while not is_complete(store, unit.name):
         try:

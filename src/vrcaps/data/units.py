@@ -28,14 +28,14 @@ class Unit:
     """Recording of a data set.
 
     Attributes:
-        number: Index in the plan, from 0.
+        index: Index in the plan, from 0.
         patient: Index of the patient, from 0.
         split: `train`, `val` or `test`, by patient.
         name: Name of its folder.
         scenario: Scenario to record.
     """
 
-    number: int
+    index: int
     patient: int
     split: str
     name: str
@@ -62,34 +62,34 @@ class Units:
     def __len__(self) -> int:
         return self.plan.settings.patients * self.per_patient
 
-    def __getitem__(self, number: int) -> Unit:
+    def __getitem__(self, index: int) -> Unit:
         """Return one unit.
 
         Raises:
             IndexError: If there is no such unit.
             InputError: If the drawn scenario is invalid; the message names the unit.
         """
-        if not 0 <= number < len(self):
-            raise IndexError(f"No unit {number}. Allowed: 0 to {len(self) - 1}.")
+        if not 0 <= index < len(self):
+            raise IndexError(f"No unit {index}. Allowed: 0 to {len(self) - 1}.")
         try:
-            scenario = self.scenario(number)
+            scenario = self.scenario(index)
         except VrcapsError as error:
-            raise InputError(f"Unit {number} of the plan: {error}") from error
-        patient = number // self.per_patient
-        return Unit(number, patient, self.splits[patient], self.name(number), scenario)
+            raise InputError(f"Unit {index} of the plan: {error}") from error
+        patient = index // self.per_patient
+        return Unit(index, patient, self.splits[patient], self.name(index), scenario)
 
-    def scenario(self, number: int, others: Mapping[str, Any] | None = None) -> Scenario:
+    def scenario(self, index: int, others: Mapping[str, Any] | None = None) -> Scenario:
         """Scenario of a unit.
 
         Args:
-            number: Index of the unit.
+            index: Index of the unit.
             others: Values by path that replace the drawn ones.
 
         Raises:
             VrcapsError: If the drawn scenario is invalid.
         """
-        patient, index = divmod(number, self.per_patient)
-        repeat, combination = divmod(index, len(self._combinations))
+        patient, position = divmod(index, self.per_patient)
+        repeat, combination = divmod(position, len(self._combinations))
         values = self._combinations[combination]
         drawn = self._draw(patient, False) | values
         # Twins have the draws of the recording that shows the lesions.
@@ -109,9 +109,9 @@ class Units:
             raise UnknownNameError("organ", given.name, ORGANS)
         return scenario
 
-    def name(self, number: int) -> str:
+    def name(self, index: int) -> str:
         """Name of a unit: its patient and index."""
-        return f"p{number // self.per_patient:05d}-{number:06d}"
+        return f"p{index // self.per_patient:05d}-{index:06d}"
 
     @cached_property
     def splits(self) -> tuple[str, ...]:

@@ -66,7 +66,7 @@ def require_needs(form: Format, sequences: Sequence[FrameSequence]) -> None:
     """Check that a format can hold sequences.
 
     Raises:
-        InputError: If it cannot; the message says what is missing and what to do.
+        InputError: If it cannot; the message states the missing data and the remedy.
     """
     if not sequences:
         raise InputError("There is nothing to export: no recording matches the given options.")

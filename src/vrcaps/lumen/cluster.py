@@ -32,7 +32,7 @@ def sizes(total: int, mean: float, rng: np.random.Generator) -> Int[np.ndarray, 
 
 
 def pack(
-    number: Int[np.ndarray, " k"],
+    counts: Int[np.ndarray, " k"],
     radius: Float[np.ndarray, " n"],
     rng: np.random.Generator,
     *,
@@ -45,7 +45,7 @@ def pack(
     first sphere without overlap, or else the one with the least overlap.
 
     Args:
-        number: Number of spheres in each cluster.
+        counts: Number of spheres in each cluster.
         radius: Radii of all spheres, cluster after cluster [m].
         rng: Random generator.
         dimensions: 2 for rafts in the plane z = 0, 3 for clumps on it.
@@ -55,9 +55,9 @@ def pack(
         Positions relative to the first sphere of each cluster [m].
     """
     positions = np.zeros((len(radius), 3))
-    first = np.concatenate([[0], np.cumsum(number)])[:-1].astype(int)
-    for member in range(1, int(number.max(initial=0))):
-        start = first[number > member]
+    first = np.concatenate([[0], np.cumsum(counts)])[:-1].astype(int)
+    for member in range(1, int(counts.max(initial=0))):
+        start = first[counts > member]
         shape = (len(start), _TRIES)
         neighbor = start[:, None] + rng.integers(0, member, shape)
         direction = rng.standard_normal((*shape, 3))

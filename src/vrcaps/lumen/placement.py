@@ -70,12 +70,12 @@ def place_bubbles(
     radius = rafts.radii(bubbles)
     positions = rafts.spread(radius, dimensions=2, touch=1.0)
     centers = _on_wall(organ, wall, positions, LIFT_BUBBLE * radius)
-    number = 1 + np.arange(len(radius)) % 65535
+    instance = 1 + np.arange(len(radius)) % 65535
     return Spheres(
         centers=centers,
         radius=radius,
         kind=np.full(len(radius), BUBBLE, np.uint8),
-        instance=number.astype(np.uint16),
+        instance=instance.astype(np.uint16),
         color=np.tile(bubbles.color, (len(radius), 1)),
         arc_length=rafts.arc_length[rafts.owner],
     )
@@ -98,7 +98,7 @@ def place_chyme(
     distance = wall.signed_distance(positions)
     lifted = _on_wall(organ, wall, positions, _LIFT_CHYME * radius)
     centers = np.where((distance < _LIFT_CHYME * radius)[:, None], lifted, positions)
-    white = (rng.random(len(clumps.number)) < chyme.white)[clumps.owner]
+    white = (rng.random(len(clumps.counts)) < chyme.white)[clumps.owner]
     shade = rng.uniform(0.75, 1.1, len(radius))[:, None]
     color = np.where(white[:, None], chyme.white_color, chyme.yellow_color)
     instance = FIRST_CLUMP + clumps.owner % (65536 - FIRST_CLUMP)
@@ -127,10 +127,10 @@ class _Seeds:
         self.rng = rng
         edges, area = smooth_area(organ)
         self.total = int(rng.poisson(per_area * area[-1]))
-        self.number = sizes(self.total, mean_size, rng)
-        at = np.sort(rng.uniform(0.0, area[-1], len(self.number)))
+        self.counts = sizes(self.total, mean_size, rng)
+        at = np.sort(rng.uniform(0.0, area[-1], len(self.counts)))
         self.arc_length = np.interp(at, area, edges)
-        self.owner = np.repeat(np.arange(len(self.number)), self.number)
+        self.owner = np.repeat(np.arange(len(self.counts)), self.counts)
 
     def settle(self, towards: Float[np.ndarray, " 3"], fraction: float) -> None:
         """Anchor a fraction of the clusters in direction `towards`, the others all around."""
@@ -159,7 +159,7 @@ class _Seeds:
         self, radius: Float[np.ndarray, " n"], *, dimensions: int, touch: float
     ) -> Float[np.ndarray, "n 3"]:
         """Positions of all spheres around their anchors [m], slightly off the wall."""
-        flat = pack(self.number, radius, self.rng, dimensions=dimensions, touch=touch)
+        flat = pack(self.counts, radius, self.rng, dimensions=dimensions, touch=touch)
         least = np.eye(3)[np.argmin(np.abs(self.inward), axis=1)]
         first = np.cross(self.inward, least)
         first /= np.linalg.norm(first, axis=1, keepdims=True)

@@ -281,7 +281,7 @@ class _Lumen:
 
     def pools(self, organ: OrganSurface, sections: Sections, filled: list[_Basin]) -> Pools:
         """Dips that are deep enough as pools, and all liquid by section."""
-        section_volume, number = np.zeros(len(self.floor)), np.zeros(len(self.floor), np.uint16)
+        section_volume, pool = np.zeros(len(self.floor)), np.zeros(len(self.floor), np.uint16)
         kept = []
         for dip in filled:
             inside = slice(dip.first, dip.last + 1)
@@ -291,11 +291,11 @@ class _Lumen:
             section_volume[inside] += dip.volume * share / share.sum()
             if dip.level > self.floor[inside].min() + _SHALLOWEST:
                 kept.append(dip)
-                number[inside] = len(kept)
+                pool[inside] = len(kept)
         s = sections.arc_length
         return Pools(
             levels=np.array([dip.level for dip in kept]),
-            of_vertex=number[sections.of(organ.arc_length)],
+            of_vertex=pool[sections.of(organ.arc_length)],
             stretch=np.array([(s[dip.first], s[dip.last]) for dip in kept]).reshape(-1, 2),
             volume=np.array([dip.volume for dip in kept]),
             section_volume=section_volume,
@@ -341,11 +341,11 @@ def submerged(
     straight = float(np.linalg.norm(span))
     along = span / straight if straight > 0.0 else np.array([0.0, 0.0, 1.0])
     step = (straight + 2.0 * radius) / slices
-    place = step * (np.arange(slices) + 0.5) - radius
-    beyond = np.maximum(np.maximum(-place, place - straight), 0.0)
+    position = step * (np.arange(slices) + 0.5) - radius
+    beyond = np.maximum(np.maximum(-position, position - straight), 0.0)
     disc = np.sqrt(np.maximum(radius**2 - beyond**2, 0.0))
     lean = float(np.hypot(along[0], along[1]))
-    depth = level - (start[2] + place * along[2])
+    depth = level - (start[2] + position * along[2])
     # A disc spans `disc · lean` of height to each side of its center, its thickness the rest.
     chord = np.clip(depth / np.maximum(disc * lean, 0.5 * step * abs(along[2]) + 1e-15), -1.0, 1.0)
     area = disc**2 * (np.pi - np.arccos(chord) + chord * np.sqrt(1.0 - chord**2))
@@ -355,5 +355,5 @@ def submerged(
         return 0.0, middle
     up = (np.array([0.0, 0.0, 1.0]) - along[2] * along) / max(lean, 1e-12)
     sink = -2.0 / 3.0 * disc**3 * (1.0 - chord**2) ** 1.5
-    center = start + along * float((area * place).sum() * step / volume)
+    center = start + along * float((area * position).sum() * step / volume)
     return volume, center + up * float(sink.sum() * step / volume) * (lean > 1e-9)

@@ -99,7 +99,7 @@ def random_views(
     poses = np.empty((frames, 4, 4))
     is_of_lesion = rng.random(frames) < settings.lesion_fraction
     instance = model.organ.instance
-    lesions = [np.flatnonzero(instance == number) for number in np.unique(instance[instance > 0])]
+    lesions = [np.flatnonzero(instance == lesion) for lesion in np.unique(instance[instance > 0])]
     left = np.arange(frames)
     for _ in range(_MAX_DRAWS):
         targets = _targets(lesions, len(instance), is_of_lesion[left], rng)
@@ -109,10 +109,10 @@ def random_views(
         if not len(left):
             return poses
     raise InputError(
-        f"{model.device.name} in {model.organ.name}: {len(left)} of {frames} views find no place, "
-        f"in {_MAX_DRAWS} draws each, with nearest {settings.nearest:g} m and margin "
-        f"{settings.margin:g} m: {fit_text(model)} Allow less of both, inflate the organ, or take "
-        "a smaller capsule."
+        f"{model.device.name} in {model.organ.name}: {len(left)} of {frames} views have no "
+        f"free position in {_MAX_DRAWS} draws each, with nearest {settings.nearest:g} m and "
+        f"margin {settings.margin:g} m: {fit_text(model)} Allow less of both, inflate the organ, "
+        "or take a smaller capsule."
     )
 
 

@@ -166,10 +166,10 @@ def read_tum(path: str | Path, *, unit: str) -> Trajectory:
             the line.
     """
     scale = parse_length(unit)
-    numbers, values = tum_rows(path)
+    line_numbers, values = tum_rows(path)
     positions, xyzw = scale * values[:, 1:4], values[:, 4:8]
-    poses = transform_from(_rotations(path, numbers, np.roll(xyzw, 1, axis=1)), positions)
-    return _trajectory(path, numbers, values[:, 0], poses, ())
+    poses = transform_from(_rotations(path, line_numbers, np.roll(xyzw, 1, axis=1)), positions)
+    return _trajectory(path, line_numbers, values[:, 0], poses, ())
 
 
 def tum_rows(path: str | Path) -> tuple[list[int], Float[np.ndarray, "n 8"]]:
@@ -179,25 +179,25 @@ def tum_rows(path: str | Path) -> tuple[list[int], Float[np.ndarray, "n 8"]]:
         InputError: If the file cannot be read, a line is wrong or the layout differs.
     """
     rows = []
-    for number, line in enumerate(_read_lines(path), start=1):
+    for line_number, line in enumerate(_read_lines(path), start=1):
         text, _, comment = line.partition("#")
         if quaternion_order(comment) == "wxyz":
-            raise _no_tum(path, number, "its header names qw first")
+            raise _no_tum(path, line_number, "its header names qw first")
         if "," in text:
-            raise _no_tum(path, number, "it has commas")
+            raise _no_tum(path, line_number, "it has commas")
         if text.strip():
-            rows.append((number, text.split()))
-    numbers, values = _numbers(path, rows, columns=8)
+            rows.append((line_number, text.split()))
+    line_numbers, values = _numbers(path, rows, columns=8)
     if len(values) and np.abs(values[:, 0]).max() > _LATEST:
-        raise _no_tum(path, numbers[0], f"the time {rows[0][1][0]} is in nanoseconds")
-    return numbers, values
+        raise _no_tum(path, line_numbers[0], f"the time {rows[0][1][0]} is in nanoseconds")
+    return line_numbers, values
 
 
-def _no_tum(path: str | Path, number: int, reason: str) -> InputError:
+def _no_tum(path: str | Path, line_number: int, reason: str) -> InputError:
     return InputError(
-        f"{path} line {number} is not in the layout TUM: {reason}. TUM has seconds and qx qy qz qw "
-        "separated by blanks; CSV of EuRoC and TUM-VI (nanoseconds, qw first) has the format "
-        "'euroc'."
+        f"{path} line {line_number} is not in the layout TUM: {reason}. TUM has seconds and "
+        "qx qy qz qw separated by blanks; CSV of EuRoC and TUM-VI (nanoseconds, qw first) has the "
+        "format 'euroc'."
     )
 
 
@@ -216,21 +216,24 @@ def read_euroc_csv(path: str | Path, *, unit: str) -> Trajectory:
     """
     scale = parse_length(unit)
     rows = []
-    for number, line in enumerate(_read_lines(path), start=1):
+    for line_number, line in enumerate(_read_lines(path), start=1):
         cells = [cell.strip() for cell in line.partition("#")[0].split(",")]
         if quaternion_order(line) == "xyzw":
-            raise InputError(f"{path} line {number} names qx first. EuRoC's files have qw first.")
+            raise InputError(
+                f"{path} line {line_number} names qx first. EuRoC's files have qw first."
+            )
         if cells != [""] and not quaternion_order(line):
-            rows.append((number, cells[:8]))
-    numbers, values = _numbers(path, rows, columns=8)
+            rows.append((line_number, cells[:8]))
+    line_numbers, values = _numbers(path, rows, columns=8)
     wrong = np.flatnonzero(values[:, 0] != np.rint(values[:, 0]))
     if len(wrong):
         raise InputError(
-            f"{path} line {numbers[wrong[0]]} has the time {rows[wrong[0]][1][0]}. EuRoC's files "
-            "have whole nanoseconds; a file in seconds, separated by blanks, has the format 'tum'."
+            f"{path} line {line_numbers[wrong[0]]} has the time {rows[wrong[0]][1][0]}. EuRoC's "
+            "files have whole nanoseconds; a file in seconds, separated by blanks, has the format "
+            "'tum'."
         )
-    poses = transform_from(_rotations(path, numbers, values[:, 4:8]), scale * values[:, 1:4])
-    return _trajectory(path, numbers, _NANOSECOND * values[:, 0], poses, ())
+    poses = transform_from(_rotations(path, line_numbers, values[:, 4:8]), scale * values[:, 1:4])
+    return _trajectory(path, line_numbers, _NANOSECOND * values[:, 0], poses, ())
 
 
 def quaternion_order(header: str) -> str:
@@ -271,23 +274,23 @@ def read_unity_csv(
     if header != _HEADER:
         raise InputError(f"{path} starts with {header}, not the header {separator.join(_HEADER)}.")
     rows = [
-        (number, line.replace(",", ".").split(";") if separator == ";" else line.split(","))
-        for number, line in enumerate(lines[1:], start=2)
+        (line_number, line.replace(",", ".").split(";") if separator == ";" else line.split(","))
+        for line_number, line in enumerate(lines[1:], start=2)
         if line.strip()
     ]
     notes = []
     if rows and len(rows[-1][1]) < len(_HEADER):
         notes.append(f"Dropped line {rows[-1][0]}, the last, which is cut off.")
         rows.pop()
-    numbers, values = _numbers(path, rows, columns=len(_HEADER))
+    line_numbers, values = _numbers(path, rows, columns=len(_HEADER))
     world, camera = WORLD_FROM_Y_UP[handedness], Y_UP_CAMERA_FROM_CAMERA[handedness]
-    rotations = world @ _rotations(path, numbers, np.roll(values[:, 3:7], 1, axis=1)) @ camera
+    rotations = world @ _rotations(path, line_numbers, np.roll(values[:, 3:7], 1, axis=1)) @ camera
     poses = transform_from(rotations, scale * values[:, :3] @ world.T)
     if _first_jumps(poses):
-        notes.append(f"Dropped line {numbers[0]}, the first pose, from which the path jumps.")
-        numbers = numbers[1:]
+        notes.append(f"Dropped line {line_numbers[0]}, the first pose, from which the path jumps.")
+        line_numbers = line_numbers[1:]
         values, poses = values[1:], poses[1:]
-    return _trajectory(path, numbers, values[:, 7], poses, tuple(notes))
+    return _trajectory(path, line_numbers, values[:, 7], poses, tuple(notes))
 
 
 def _read_lines(path: str | Path) -> list[str]:
@@ -302,10 +305,10 @@ def _numbers(
 ) -> tuple[list[int], Float[np.ndarray, "n c"]]:
     """Line numbers and values of the rows; every value finite."""
     values = np.empty((len(rows), columns))
-    for index, (number, cells) in enumerate(rows):
+    for index, (line_number, cells) in enumerate(rows):
         if len(cells) != columns:
             raise InputError(
-                f"{path} line {number} has {len(cells)} values, not {columns}"
+                f"{path} line {line_number} has {len(cells)} values, not {columns}"
                 + (
                     ": decimal commas need ';' between values."
                     if len(cells) > columns
@@ -315,23 +318,25 @@ def _numbers(
         try:
             values[index] = [float(cell) for cell in cells]
         except ValueError as error:
-            raise InputError(f"{path} line {number} does not contain a number: {error}.") from error
+            raise InputError(
+                f"{path} line {line_number} does not contain a number: {error}."
+            ) from error
         if not np.all(np.isfinite(values[index])):
             raise InputError(
-                f"{path} line {number} contains a value that is not finite ({' '.join(cells)}). "
-                "Remove the line: the path is interpolated across it."
+                f"{path} line {line_number} contains a value that is not finite "
+                f"({' '.join(cells)}). Remove the line: the path is interpolated across it."
             )
-    return [number for number, _ in rows], values
+    return [line_number for line_number, _ in rows], values
 
 
 def _rotations(
-    path: str | Path, numbers: list[int], wxyz: Float[np.ndarray, "n 4"]
+    path: str | Path, line_numbers: list[int], wxyz: Float[np.ndarray, "n 4"]
 ) -> Float[np.ndarray, "n 3 3"]:
     length = np.linalg.norm(wxyz, axis=1)
     wrong = np.flatnonzero(np.abs(length - 1.0) > 0.01)
     if len(wrong):
         raise InputError(
-            f"{path} line {numbers[wrong[0]]} contains a quaternion of length "
+            f"{path} line {line_numbers[wrong[0]]} contains a quaternion of length "
             f"{length[wrong[0]]:.4g}, not 1."
         )
     return matrix_from_quaternion(wxyz)
@@ -349,7 +354,7 @@ def _first_jumps(poses: Float[np.ndarray, "n 4 4"]) -> bool:
 
 def _trajectory(
     path: str | Path,
-    numbers: list[int],
+    line_numbers: list[int],
     times: Float[np.ndarray, " n"],
     poses: Float[np.ndarray, "n 4 4"],
     notes: tuple[str, ...],
@@ -360,7 +365,7 @@ def _trajectory(
     wrong = np.flatnonzero(np.diff(times) <= 0.0)
     if len(wrong):
         raise InputError(
-            f"{path} line {numbers[wrong[0] + 1]}: time {times[wrong[0] + 1]:.6g} s does not come "
-            f"after {times[wrong[0]]:.6g} s. Times must increase."
+            f"{path} line {line_numbers[wrong[0] + 1]}: time {times[wrong[0] + 1]:.6g} s does not "
+            f"come after {times[wrong[0]]:.6g} s. Times must increase."
         )
     return trajectory_from_poses(times, poses, notes=notes)

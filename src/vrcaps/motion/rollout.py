@@ -239,8 +239,8 @@ class Rollout:
             command = self._command(time, np.zeros((2, 3)))
             yield Moment(resume.frame, self._shown(self.world.state, time, command), command, None)
         for index in range(first, self.frames):
-            begin = (index - 1) / self.fps if index else -self.settings.settle
-            state, command = self._advance(begin, index / self.fps, progress)
+            start = (index - 1) / self.fps if index else -self.settings.settle
+            state, command = self._advance(start, index / self.fps, progress)
             yield Moment(index, state, command, self._save(index) if is_due() else None)
 
     def _save(self, frame: int) -> MotionState:
@@ -260,17 +260,17 @@ class Rollout:
             self.program.restore(snapshot.controller)
 
     def _advance(
-        self, begin: float, end: float, progress: Callable[[float, float], None]
+        self, start: float, end: float, progress: Callable[[float, float], None]
     ) -> tuple[State, Command]:
         """Step the world from one time to another [s]."""
         magnet = self.settings.magnet
         step = self.settings.step if magnet is None else min(self.settings.step, magnet.period)
-        count = math.ceil((end - begin) / step * (1.0 - 1e-9))
+        count = math.ceil((end - start) / step * (1.0 - 1e-9))
         contacts, couplings = [], []
         wrenches = np.zeros((max(count, 1), 2, 3))
         for index in range(count):
-            times = [begin + (end - begin) * (index + k) / count for k in (0, 1)]
-            wrenches[index] = self._wrench(times[0]) if begin >= 0.0 else 0.0
+            times = [start + (end - start) * (index + k) / count for k in (0, 1)]
+            wrenches[index] = self._wrench(times[0]) if start >= 0.0 else 0.0
             control = replace(
                 self._magnet_control(times),
                 force_world=wrenches[index, 0],
@@ -298,8 +298,8 @@ class Rollout:
         """Command of the magnet between two times."""
         if self.program is None:
             return Control()
-        begin, end = times
-        return self.program.control(self.world, begin, end - begin, self._patient(end))
+        start, end = times
+        return self.program.control(self.world, start, end - start, self._patient(end))
 
     def _shown(self, state: State, time: float, command: Command) -> State:
         """State of a frame at exactly its time, with the wall of `shown`."""

@@ -38,7 +38,7 @@ def picture(
     display = CHANNELS[channel].display
     if display == "image":
         return values
-    if display in ("classes", "numbers"):
+    if display in ("class", "instance"):
         return _class_colors()[values.astype(int) % 256]
     if display == "index":
         return np.where(values[..., None] < 0, _BACKGROUND, _class_colors()[values % 255 + 1])
@@ -127,10 +127,10 @@ def legend(
         return f", hue is direction, up to {high:.1f} px"
     if declared.class_names:
         return f": {', '.join(declared.class_names[1:])}"
-    if declared.display not in ("classes", "numbers"):
+    if declared.display not in ("class", "instance"):
         return ""
     values = np.unique(np.concatenate([np.unique(image) for image in images]))
-    if declared.display == "classes":
+    if declared.display == "class":
         return f": {', '.join(label_names[i] for i in values if i > 0)}"
     return f": {', '.join(str(i) for i in values if i > 0) or 'none'}"
 

@@ -25,10 +25,10 @@ Stage = Literal["core", "motion", "dome"]
 frames, or the camera pipeline, which knows the matter on the dome."""
 
 Display = Literal[
-    "image", "color", "vector", "scalar", "classes", "numbers", "index", "mask", "flow"
+    "image", "color", "vector", "scalar", "class", "instance", "index", "mask", "flow"
 ]
 """Display of a channel: as is, as linear color, as vector components, by a color map, in distinct
-colors for classes, numbers or indices into a list, in black and white, or with direction as hue."""
+colors for classes, instances or list indices, in black and white, or with direction as hue."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Channel:
     @property
     def description(self) -> str:
         """Meaning, with the name of each value if names are the same for all organs."""
-        names = ", ".join(f"{number} {name}" for number, name in enumerate(self.class_names))
+        names = ", ".join(f"{value} {name}" for value, name in enumerate(self.class_names))
         return f"{self.meaning}: {names}" if names else self.meaning
 
     @property
@@ -81,7 +81,7 @@ class Channel:
     @property
     def is_categorical(self) -> bool:
         """True if its values are categories, so neighbors must not be averaged."""
-        return self.display in ("classes", "numbers", "index", "mask")
+        return self.display in ("class", "instance", "index", "mask")
 
     def shape(self, height: int, width: int) -> tuple[int, ...]:
         """Shape of its array."""
@@ -141,10 +141,10 @@ class Frame:
         "uint8",
         "segment or tissue class",
         numbers("class", "uint8"),
-        "classes",
+        "class",
     )
     instance: UInt16[np.ndarray, "h w"] | None = channel(
-        "uint16", "lesion number", numbers("number", "uint16"), "numbers"
+        "uint16", "lesion number", numbers("number", "uint16"), "instance"
     )
     albedo: Float[np.ndarray, "h w 3"] | None = channel(
         "float32",
@@ -200,7 +200,7 @@ class Frame:
         "uint8",
         "nearest thing that the pixel looks through",
         numbers("class", "uint8"),
-        "classes",
+        "class",
         class_names=("nothing", "bubble", "liquid"),
         if_empty=0,
     )
@@ -208,7 +208,7 @@ class Frame:
         "uint16",
         "bubble or pool that the pixel looks through",
         numbers("number", "uint16"),
-        "numbers",
+        "instance",
         if_empty=0,
     )
     foreground_depth: Float[np.ndarray, "h w"] | None = channel(
@@ -223,7 +223,7 @@ class Frame:
         "uint8",
         "how a pool's surface deflects the ray",
         numbers("class", "uint8"),
-        "classes",
+        "class",
         class_names=("straight", "refracted", "reflected"),
         if_empty=0,
     )
@@ -231,7 +231,7 @@ class Frame:
         "uint8",
         "what lies on the dome there",
         numbers("class", "uint8"),
-        "classes",
+        "class",
         class_names=("nothing", "drop", "smear"),
         stage="dome",
     )

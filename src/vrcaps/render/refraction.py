@@ -67,8 +67,8 @@ def surface_heights(
     levels[on_wall] = heights[pools.of_vertex[faces[face[on_wall]]].max(axis=-1)]
     on_sphere = face < -1
     arc_length = lumen_contents.spheres.arc_length[-2 - face[on_sphere]]
-    for (begin, end), height in zip(pools.stretch, pools.levels, strict=True):
-        inside = (arc_length >= begin) & (arc_length <= end)
+    for (start, end), height in zip(pools.stretch, pools.levels, strict=True):
+        inside = (arc_length >= start) & (arc_length <= end)
         levels[on_sphere] = np.where(inside, height, levels[on_sphere])
     levels[levels > eye[2]] = np.nan
     return levels

@@ -145,7 +145,7 @@ def test_instance_numbers_are_whole_and_in_range(written, tmp_path, number):
             row["instance"] = number
     path.write_text(json.dumps(truths))
     (found,) = Bop().read(tmp_path / "out")
-    with pytest.raises(InputError, match=rf"instance numbers in .* first is {number}\. Allowed"):
+    with pytest.raises(InputError, match=rf"instance IDs in .* first is {number}\. Allowed"):
         for k in range(len(found)):
             found.image("instance", k)
 

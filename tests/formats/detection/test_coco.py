@@ -176,7 +176,7 @@ def test_numbers_beyond_their_type_are_refused(tmp_path):
     path.write_text(json.dumps(content))
     (found,) = Coco().read(out)
     for channel, number in (("label", 300), ("instance", 70_000)):
-        with pytest.raises(InputError, match=rf"{channel} numbers of .* the first is {number}\."):
+        with pytest.raises(InputError, match=rf"{channel} values of .* the first is {number}\."):
             found.image(channel, 0)
 
 

@@ -131,8 +131,8 @@ def colmap_model(lens: AnyLens, name: str) -> tuple[str, dict[str, float]]:
     given = OpenCvLens.of(lens, name)
     center = (given.center[0] + HALF, given.center[1] + HALF)
     coefficients = _COEFFICIENTS[given.is_fisheye]
-    names, numbers = (*_TWO, *coefficients), (*given.focal, *center, *given.distortion)
-    values = dict(zip(names, numbers, strict=True))
+    parameters = (*given.focal, *center, *given.distortion)
+    values = dict(zip((*_TWO, *coefficients), parameters, strict=True))
     model = "OPENCV_FISHEYE"
     if not given.is_fisheye:
         model = "OPENCV" if any(given.distortion[:4]) else "PINHOLE"

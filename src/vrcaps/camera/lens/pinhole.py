@@ -155,8 +155,8 @@ class LensPinhole:
             plane = plane * np.minimum(1.0, limit / np.where(length > 0.0, length, 1.0))[..., None]
             if not np.any(np.abs(step) > 1e-15 * limit):
                 break
-        found = np.stack(self._distort(plane[..., 0], plane[..., 1]), axis=-1)
-        error = np.abs(found - distorted).max(axis=-1)
+        result = np.stack(self._distort(plane[..., 0], plane[..., 1]), axis=-1)
+        error = np.abs(result - distorted).max(axis=-1)
         return masked(plane, error <= 1e-12 * (1.0 + target))
 
     def _newton_step(self, plane: Any, distorted: Any) -> Any:

@@ -153,14 +153,14 @@ class CameraSetup:
 
     Attributes:
         camera: Camera with all camera effects applied.
-        number: Index of the camera in the capsule.
+        camera_index: Index of the camera in the capsule.
         fps: Frames per second.
         seed: Seed of all random numbers.
         effects: Image effects that are on.
     """
 
     camera: Camera
-    number: int = 0
+    camera_index: int = 0
     fps: float = 1.0
     seed: int = 0
     effects: tuple[ImageEffect, ...] = field(default_factory=tuple)

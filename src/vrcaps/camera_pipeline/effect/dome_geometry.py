@@ -26,7 +26,7 @@ _LENS = DepthOfField(0.5 * MM)
 
 def dome_rng(setup: CameraSetup, name: str) -> np.random.Generator:
     """Random numbers for `drop` or `smear` on the dome of a camera."""
-    rngs = stream(setup.seed, "camera/dome", setup.number).spawn(2)
+    rngs = stream(setup.seed, "camera/dome", setup.camera_index).spawn(2)
     return rngs[DOME_NAMES.index(name) - 1]
 
 

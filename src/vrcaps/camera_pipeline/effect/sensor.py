@@ -155,5 +155,7 @@ class SensorNoise(ImageEffect):
             "read_noise": self.read_noise,
             "white": float(2**self.bits - 1),
             "black": float(self.black_level),
-            "pattern": self.fixed_pattern((planes * camera.height, camera.width), setup.number),
+            "pattern": self.fixed_pattern(
+                (planes * camera.height, camera.width), setup.camera_index
+            ),
         }

@@ -22,14 +22,14 @@ _MAX_DEATHS = 3
 class Runner(Protocol):
     """Runner of units."""
 
-    def run(self, job: Job, numbers: Sequence[int]) -> Generator[Outcome, None, None]:
+    def run(self, job: Job, indices: Sequence[int]) -> Generator[Outcome, None, None]:
         """Make units; yields one outcome for each, in the order of completion.
 
         Running units are stopped when the iterator is closed.
 
         Args:
             job: Job of the units.
-            numbers: Indices of the units.
+            indices: Indices of the units.
 
         Raises:
             VrcapsError: If units cannot be run at all.
@@ -51,11 +51,11 @@ class UnitQueue:
     the cache; two workers that start with the same patient would both generate it.
     """
 
-    def __init__(self, numbers: Sequence[int], per_patient: int) -> None:
+    def __init__(self, indices: Sequence[int], per_patient: int) -> None:
         self._per_patient = per_patient
         self._waiting: dict[int, deque[int]] = {}
-        for number in numbers:
-            self._waiting.setdefault(number // per_patient, deque()).append(number)
+        for index in indices:
+            self._waiting.setdefault(index // per_patient, deque()).append(index)
         self._running: Counter[int] = Counter()
 
     def __bool__(self) -> bool:
@@ -74,22 +74,22 @@ class UnitQueue:
         if patient not in self._waiting:
             free = (p for p in self._waiting if not self._running[p])
             patient = next(free, next(iter(self._waiting)))
-        number = self._waiting[patient].popleft()
+        index = self._waiting[patient].popleft()
         if not self._waiting[patient]:
             del self._waiting[patient]
         self._running[patient] += 1
-        return number
+        return index
 
-    def end(self, number: int) -> None:
+    def end(self, index: int) -> None:
         """Mark a unit as no longer assigned to a worker."""
-        patient = number // self._per_patient
+        patient = index // self._per_patient
         self._running[patient] -= 1
         if not self._running[patient]:
             del self._running[patient]
 
-    def put_back(self, number: int) -> None:
+    def put_back(self, index: int) -> None:
         """Requeue a unit that has ended, before all others of its patient."""
-        self._waiting.setdefault(number // self._per_patient, deque()).appendleft(number)
+        self._waiting.setdefault(index // self._per_patient, deque()).appendleft(index)
 
 
 class WorkerDeaths:
@@ -98,28 +98,28 @@ class WorkerDeaths:
     def __init__(self) -> None:
         self._counts: Counter[int] = Counter()
 
-    def count(self, number: int, cause: str) -> Outcome | None:
+    def count(self, index: int, cause: str) -> Outcome | None:
         """Count a death; return the outcome if the unit is not retried.
 
         Args:
-            number: Index of the unit.
+            index: Index of the unit.
             cause: Cause of death, for the message.
         """
-        self._counts[number] += 1
-        if self._counts[number] < _MAX_DEATHS:
+        self._counts[index] += 1
+        if self._counts[index] < _MAX_DEATHS:
             return None
-        return Outcome(number, f"Its worker died {_MAX_DEATHS} times, last with {cause}.")
+        return Outcome(index, f"Its worker died {_MAX_DEATHS} times, last with {cause}.")
 
 
 @dataclass(frozen=True)
 class InProcess:
     """Make units in this process; internal errors of vrcaps are raised with their traceback."""
 
-    def run(self, job: Job, numbers: Sequence[int]) -> Generator[Outcome, None, None]:
+    def run(self, job: Job, indices: Sequence[int]) -> Generator[Outcome, None, None]:
         """Make units in order."""
         maker = Maker(job)
-        for number in numbers:
-            yield maker.make(number)
+        for index in indices:
+            yield maker.make(index)
 
 
 @dataclass(frozen=True)
@@ -132,10 +132,10 @@ class Pool:
 
     workers: int | None = None
 
-    def run(self, job: Job, numbers: Sequence[int]) -> Generator[Outcome, None, None]:
+    def run(self, job: Job, indices: Sequence[int]) -> Generator[Outcome, None, None]:
         """Make units; if a process dies, another retries its unit a limited number of times."""
-        count = min(self.workers or num_processors(), len(numbers))
-        run = _Run(job, numbers, count)
+        count = min(self.workers or num_processors(), len(indices))
+        run = _Run(job, indices, count)
         try:
             yield from run.outcomes()
         finally:
@@ -145,8 +145,8 @@ class Pool:
 class _Run:
     """Running processes, each with its current unit."""
 
-    def __init__(self, job: Job, numbers: Sequence[int], workers: int) -> None:
-        self._queue = UnitQueue(numbers, Units(job.plan).per_patient)
+    def __init__(self, job: Job, indices: Sequence[int], workers: int) -> None:
+        self._queue = UnitQueue(indices, Units(job.plan).per_patient)
         self._job, self._deaths = job, WorkerDeaths()
         self._threads = max(1, num_processors() // max(workers, 1))
         self._busy: dict[Connection, tuple[Any, int]] = {}
@@ -177,36 +177,36 @@ class _Run:
         self._give(ours, process)
 
     def _give(self, connection: Connection, process: Any, last: int | None = None) -> None:
-        number = self._queue.take(last)
-        self._busy[connection] = (process, number)
+        index = self._queue.take(last)
+        self._busy[connection] = (process, index)
         with suppress(BrokenPipeError):  # it has died; `wait` will report it
-            connection.send(number)
+            connection.send(index)
 
     def _answer(self, connection: Connection) -> Iterator[Outcome]:
-        process, number = self._busy[connection]
+        process, index = self._busy[connection]
         try:
             outcome = connection.recv()
         except (EOFError, ConnectionResetError):
             del self._busy[connection]
-            yield from self._replace(process, number)
+            yield from self._replace(process, index)
             return
         del self._busy[connection]
-        self._queue.end(number)
+        self._queue.end(index)
         if self._queue:
-            self._give(connection, process, number)
+            self._give(connection, process, index)
         else:
             with suppress(BrokenPipeError):
                 connection.send(None)
             process.join()
         yield outcome
 
-    def _replace(self, process: Any, number: int) -> Iterator[Outcome]:
+    def _replace(self, process: Any, index: int) -> Iterator[Outcome]:
         """Handle the death of a process: a new one retries its unit."""
         process.join()
-        self._queue.end(number)
-        outcome = self._deaths.count(number, f"exit code {process.exitcode}")
+        self._queue.end(index)
+        outcome = self._deaths.count(index, f"exit code {process.exitcode}")
         if outcome is None:
-            self._queue.put_back(number)
+            self._queue.put_back(index)
         self._start()
         if outcome is not None:
             yield outcome
@@ -217,5 +217,5 @@ def _work(job: Job, connection: Connection, threads: int) -> None:
     os.environ.setdefault("RAYON_NUM_THREADS", str(threads))
     maker = Maker(job)
     with suppress(EOFError, BrokenPipeError, KeyboardInterrupt):
-        while (number := connection.recv()) is not None:
-            connection.send(maker.make_always(number))
+        while (index := connection.recv()) is not None:
+            connection.send(maker.make_always(index))

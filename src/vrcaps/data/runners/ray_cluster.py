@@ -48,20 +48,20 @@ class RayCluster:
 
     def __post_init__(self) -> None:
         host, _, port = self.address.rpartition(":")
-        is_place = bool(host) and "/" not in host and port.isdigit() and 0 < int(port) < 2**16
-        if self.address not in (LOCAL, AUTO) and not is_place:
+        is_address = bool(host) and "/" not in host and port.isdigit() and 0 < int(port) < 2**16
+        if self.address not in (LOCAL, AUTO) and not is_address:
             raise InputError(
                 f"The address of Ray is {self.address!r}. Allowed: {LOCAL}, {AUTO} or HOST:PORT, "
                 "from a machine of the cluster."
             )
 
-    def run(self, job: Job, numbers: Sequence[int]) -> Generator[Outcome, None, None]:
+    def run(self, job: Job, indices: Sequence[int]) -> Generator[Outcome, None, None]:
         """Make units; if a worker dies, another retries its unit a limited number of times."""
-        if not numbers:
+        if not indices:
             return
         ray = import_extra("ray", "scale")
         with _connected(ray, self) as head:
-            yield from _outcomes(ray, job, numbers, self.workers, head)
+            yield from _outcomes(ray, job, indices, self.workers, head)
 
 
 @contextmanager
@@ -169,7 +169,7 @@ def _require_head(address: str) -> None:
 
 
 def _outcomes(
-    ray: Any, job: Job, numbers: Sequence[int], workers: int | None, head: str
+    ray: Any, job: Job, indices: Sequence[int], workers: int | None, head: str
 ) -> Iterator[Outcome]:
     """Outcomes of units, as many concurrent ones as there are processors.
 
@@ -180,30 +180,30 @@ def _outcomes(
     task = ray.remote(num_cpus=1, max_retries=0)(_make)
     # In a tuple the reference is not resolved: the worker fetches the job if it lacks it.
     shared, deaths = (ray.put(job),), WorkerDeaths()
-    queue = UnitQueue(numbers, Units(job.plan).per_patient)
+    queue = UnitQueue(indices, Units(job.plan).per_patient)
     running: dict[Any, int] = {}
     asked = time.monotonic()
     while queue or running:
         while queue and len(running) < max_running:
-            number = queue.take()
-            running[task.remote(shared, number)] = number
+            index = queue.take()
+            running[task.remote(shared, index)] = index
         ended, _ = ray.wait(list(running), timeout=_POLL)
         if time.monotonic() > asked + _POLL:
             if not _answers(head):
                 raise InputError(_lost(head, "does not answer"))
             asked = time.monotonic()
         for reference in ended:
-            number = running.pop(reference)
-            queue.end(number)
-            outcome = _outcome(ray, reference, number, deaths, head)
+            index = running.pop(reference)
+            queue.end(index)
+            outcome = _outcome(ray, reference, index, deaths, head)
             if outcome is None:
-                queue.put_back(number)
+                queue.put_back(index)
             else:
                 yield outcome
 
 
 def _outcome(
-    ray: Any, reference: Any, number: int, deaths: WorkerDeaths, head: str
+    ray: Any, reference: Any, index: int, deaths: WorkerDeaths, head: str
 ) -> Outcome | None:
     """Outcome of a finished task; None if its unit is retried."""
     try:
@@ -218,7 +218,7 @@ def _outcome(
         ) from error
     except ray.exceptions.RayError as error:
         # The worker or its machine died, or it took too much memory.
-        return deaths.count(number, type(error).__name__)
+        return deaths.count(index, type(error).__name__)
 
 
 def _lost(head: str, how: str) -> str:
@@ -238,15 +238,15 @@ def _answers(address: str) -> bool:
     return True
 
 
-def _make(shared: tuple[Any], number: int) -> Outcome:
+def _make(shared: tuple[Any], index: int) -> Outcome:
     """Remote task: make a unit in a worker of the cluster, on one processor.
 
     Args:
         shared: Reference to the job.
-        number: Index of the unit.
+        index: Index of the unit.
     """
     os.environ.setdefault("RAYON_NUM_THREADS", "1")
-    return _maker(*shared).make_always(number)
+    return _maker(*shared).make_always(index)
 
 
 @lru_cache(maxsize=1)

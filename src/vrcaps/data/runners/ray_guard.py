@@ -21,21 +21,21 @@ _PAUSE = 0.05
 
 def end_processes(token: str) -> int:
     """Kill the processes with a token in their environment; return their number."""
-    found = 0
+    count = 0
     for path in Path("/proc").iterdir():
         if path.name.isdigit() and int(path.name) != os.getpid():
             with contextlib.suppress(OSError):  # of another user, or already ended
                 variables = (path / "environ").read_bytes().split(b"\0")
                 if f"RAY_AUTH_TOKEN={token}".encode() in variables:
                     os.kill(int(path.name), signal.SIGKILL)
-                    found += 1
-    return found
+                    count += 1
+    return count
 
 
 def main() -> None:
     """Wait, then kill if the cluster was not shut down."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)  # Ctrl-C is for the watched process
+    for signal_id in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(signal_id, signal.SIG_IGN)  # Ctrl-C is for the watched process
     token = sys.stdin.readline().strip()
     if not token or sys.stdin.readline():
         return

@@ -87,9 +87,9 @@ class Bop:
             plain_pinhole(self, sequence)
             split = sequence.split or "train"
             scene = sum(name.startswith(f"{split}/") for name in names)
-            place = folder / split / f"{scene:06d}"
+            scene_folder = folder / split / f"{scene:06d}"
             models = _models(sequence, known)
-            infos = self._write_scene(place, sequence, models, advance)
+            infos = self._write_scene(scene_folder, sequence, models, advance)
             names[f"{split}/{scene:06d}"] = sequence
             if split == "test":
                 targets += _targets(infos, scene)
@@ -173,8 +173,8 @@ def _write_models(folder: Path, known: dict[str, Models]) -> None:
     folder.mkdir()
     infos = {}
     for model in (each for models in known.values() for each in models.values()):
-        write_bytes(folder / f"obj_{model.number:06d}.ply", model.ply())
-        infos[str(model.number)] = model.info()
+        write_bytes(folder / f"obj_{model.object_id:06d}.ply", model.ply())
+        infos[str(model.object_id)] = model.info()
     write_json(folder / "models_info.json", infos)
 
 
@@ -219,7 +219,7 @@ def _seen_lesions(
         truth = {
             "cam_R_m2c": T_camera_model[:3, :3].ravel().tolist(),
             "cam_t_m2c": (T_camera_model[:3, 3] / MM).tolist(),
-            "obj_id": model.number,
+            "obj_id": model.object_id,
             "instance": number,
         }
         lesions.append(_LesionView(mask, visible, truth, _info(part, mask, visible, depth)))
@@ -240,11 +240,11 @@ def _in_image(
     return image
 
 
-def _require_rigid(sequence: FrameSequence, number: int, offset: NDArray) -> None:
+def _require_rigid(sequence: FrameSequence, lesion_id: int, offset: NDArray) -> None:
     distance = float(np.nanmedian(np.abs(offset))) if np.isfinite(offset).any() else 0.0
     if distance > _SAME_WALL:
         raise InputError(
-            f"Lesion {number} of {sequence.name} is {distance / MM:.2g} mm from its position at "
+            f"Lesion {lesion_id} of {sequence.name} is {distance / MM:.2g} mm from its position at "
             "rest, because the wall moves. Allowed for bop: recordings of a wall at rest."
         )
 
@@ -295,13 +295,13 @@ def _read_scene(place: Path, split: str | None) -> FrameSequence:
     channels = {"rgb": by_number(images_in(color))}
     if (place / "depth").is_dir():
         channels["depth"] = by_number(images_in(place / "depth"))
-    numbers = list(channels["rgb"])
+    image_ids = list(channels["rgb"])
     paths = matched(channels)
     try:
-        rows = [cameras[str(number)] for number in numbers]
+        rows = [cameras[str(image_id)] for image_id in image_ids]
         fx, skew, cx, _, fy, cy, *_ = rows[0]["cam_K"]
         lens = LensPinhole(fx=fx, fy=fy, cx=cx, cy=cy, skew=skew)
-        values = {TIME: read_times(place, numbers, 1.0)}
+        values = {TIME: read_times(place, image_ids, 1.0)}
         if all("cam_R_w2c" in row for row in rows):
             rotation = np.array([row["cam_R_w2c"] for row in rows]).reshape(-1, 3, 3)
             translation = np.array([row["cam_t_w2c"] for row in rows]) * MM
@@ -312,7 +312,7 @@ def _read_scene(place: Path, split: str | None) -> FrameSequence:
             **({"depth": partial(_read_depth, paths["depth"], scales)} if "depth" in paths else {}),
         }
         if truths:
-            truth = [truths.get(str(number), []) for number in numbers]
+            truth = [truths.get(str(image_id), []) for image_id in image_ids]
             readers["instance"] = partial(_read_instance, place / "mask_visib", paths["rgb"], truth)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{place / _CAMERA} is not as BOP's: {error} is missing.") from error
@@ -342,6 +342,6 @@ def _read_instance(
     instance = np.zeros(read_rgb(images[index]).shape[:2], np.uint16)
     for k, row in enumerate(truths[index]):
         mask = read_plane(masks / f"{images[index].stem}_{k:06d}.png")
-        number = row.get("instance", k + 1)
-        instance[mask > 0] = narrow([number], np.uint16, f"instance numbers in {masks.parent}")
+        instance_id = row.get("instance", k + 1)
+        instance[mask > 0] = narrow([instance_id], np.uint16, f"instance IDs in {masks.parent}")
     return instance

@@ -88,8 +88,8 @@ class Coco:
                 file.images.append(json.dumps(_image(sequence, k, images, name, instance.shape)))
                 for row in self._annotations(instance, names, categories):
                     annotations += 1
-                    numbers = {"id": annotations, "image_id": images}
-                    file.annotations.append(json.dumps(numbers | row))
+                    ids = {"id": annotations, "image_id": images}
+                    file.annotations.append(json.dumps(ids | row))
                 advance()
         (folder / "annotations").mkdir()
         for split, file in files.items():
@@ -144,8 +144,8 @@ class _File:
         """Yield the file in pieces."""
         info = {"description": f"Made with vrcaps {_core.__version__}"}
         named = [
-            {"id": number, "name": name, "supercategory": name.split("-")[0]}
-            for name, number in categories.items()
+            {"id": label, "name": name, "supercategory": name.split("-")[0]}
+            for name, label in categories.items()
         ]
         yield f'{{"info": {json.dumps(info)},\n"licenses": [],\n'.encode()
         yield f'"categories": {json.dumps(named)},\n'.encode()
@@ -160,11 +160,11 @@ class _File:
 
 
 def _image(
-    sequence: FrameSequence, index: int, number: int, name: str, shape: tuple[int, ...]
+    sequence: FrameSequence, index: int, image_id: int, name: str, shape: tuple[int, ...]
 ) -> dict[str, Any]:
     """Row of an image; additional keys, unknown to COCO, give its origin."""
     return {
-        "id": number,
+        "id": image_id,
         "file_name": name,
         "width": shape[1],
         "height": shape[0],
@@ -228,11 +228,11 @@ def _read_file(path: Path, folder: Path) -> list[FrameSequence]:
     content = read_plain(path, "annotation")
     try:
         categories = sorted(content["categories"], key=lambda each: each["id"])
-        number = {each["id"]: k for k, each in enumerate(categories, 1)}
+        labels = {each["id"]: k for k, each in enumerate(categories, 1)}
         label_names = ("background", *(each["name"] for each in categories))
         annotations: dict[int, list[tuple[int, dict[str, Any]]]] = {}
         for each in content["annotations"]:
-            row = (number[each["category_id"]], each)
+            row = (labels[each["category_id"]], each)
             annotations.setdefault(each["image_id"], []).append(row)
         sequences: dict[str, list[dict[str, Any]]] = {}
         for image in content["images"]:
@@ -279,6 +279,6 @@ def _load(
     for position, (label, row) in sorted(rows, key=lambda each: -each[1][1].get("iscrowd", 0)):
         where = f"annotation {row.get('id')}"
         mask = mask_of(row["segmentation"], height, width, where)
-        number = label if channel == "label" else row.get("instance", position)
-        values[mask] = narrow([number], values.dtype, f"{channel} numbers of {folder}")
+        value = label if channel == "label" else row.get("instance", position)
+        values[mask] = narrow([value], values.dtype, f"{channel} values of {folder}")
     return values

@@ -142,8 +142,8 @@ class Images:
             channel = self._channel(sequence)
             mask = sequence.image(channel, index)
             if channel == "instance":
-                numbers = mask if sequence.episode is None else lesion_instances(mask)
-                mask = np.where(numbers > 0, 255, 0).astype(np.uint8)
+                instance = mask if sequence.episode is None else lesion_instances(mask)
+                mask = np.where(instance > 0, 255, 0).astype(np.uint8)
             files = [(root / _IMAGES[0] / name, image), (root / _MASKS[0] / name, mask)]
         for path, _ in files:
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -33,14 +33,14 @@ class LesionModel:
     """Wall patch of a lesion.
 
     Attributes:
-        number: ID of the object in a data set, from 1.
+        object_id: ID of the object in a data set, from 1.
         vertices: Relative to the center of its box, axes of the patient [m].
         faces: Counterclockwise as seen from the lumen.
         center_patient: Center of its box in the patient frame [m].
         wall: Ray-casting scene of the same surface.
     """
 
-    number: int
+    object_id: int
     vertices: Float[np.ndarray, "n 3"]
     faces: Int[np.ndarray, "m 3"]
     center_patient: Float[np.ndarray, " 3"]

@@ -298,9 +298,9 @@ def _read_depth(path: Path) -> NDArray:
 def _write_calibration(folder: Path, camera: Camera) -> None:
     """Write the lens of a camera as C3VD does, with a file that names the values."""
     pattern, names = _CALIBRATIONS[camera.lens.kind]
-    numbers = (camera.width, camera.height, *lens_values(camera.lens, names))
+    values = (camera.width, camera.height, *lens_values(camera.lens, names))
     path = folder / pattern.replace("*", "camera_")
-    write_bytes(path, (" ".join(f"{value:.17g}" for value in numbers) + "\n").encode())
+    write_bytes(path, (" ".join(f"{value:.17g}" for value in values) + "\n").encode())
     path = path.with_name(path.name.replace("values", "format"))
     write_bytes(path, f"width height {names}\n".encode())
 
@@ -380,8 +380,8 @@ def _read_endogslam(folder: Path, top: Path) -> Camera | None:
 
 def _write_ppsnet(folder: Path, lens: LensPinhole) -> None:
     """Write `camera.txt`, one line of six words."""
-    numbers = " ".join(map(repr, lens_values(lens, "fx fy cx cy")))
-    write_bytes(folder / _PPSNET, f"pinhole {numbers} 0\n".encode())
+    values = " ".join(map(repr, lens_values(lens, "fx fy cx cy")))
+    write_bytes(folder / _PPSNET, f"pinhole {values} 0\n".encode())
 
 
 def _read_ppsnet(folder: Path, image: Path) -> Camera:

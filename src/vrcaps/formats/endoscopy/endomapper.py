@@ -143,13 +143,13 @@ def _read_depth(kind: Depth, path: Path) -> NDArray:
 
 
 def _read_camera(path: Path) -> Camera:
-    numbers = {}
+    parameters = {}
     try:
         for line in path.read_text("utf-8-sig").splitlines():
             key, _, value = line.partition(":")
             if key.strip() in _KEYS:
-                numbers[key.strip()] = float(value)
-        fx, fy, cx, cy, cols, rows = (numbers[key] for key in _KEYS)
+                parameters[key.strip()] = float(value)
+        fx, fy, cx, cy, cols, rows = (parameters[key] for key in _KEYS)
     except (OSError, ValueError, KeyError) as error:
         raise InputError(
             f"Cannot read {path}: {error}. It holds a line `key: number` for {', '.join(_KEYS)}."

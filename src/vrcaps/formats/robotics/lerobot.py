@@ -92,8 +92,8 @@ class LeRobot:
         names: list[str] = []
         for group in groups.values():
             stem = _episode(group[0][1]).head["capsule"]["name"]
-            number = sum(name.startswith(stem) for name in names)
-            names.append(f"{stem}-{number + 1}" if number else stem)
+            index = sum(name.startswith(stem) for name in names)
+            names.append(f"{stem}-{index + 1}" if index else stem)
             root = inside(folder, names[-1]) if len(groups) > 1 else folder
             self._write_group(root, group, advance)
 
@@ -169,7 +169,7 @@ class LeRobot:
             **{name: own.values for name, own in _rows(cameras).items()},
             "timestamp": (np.arange(count) / fps).astype(np.float32),
             "frame_index": np.arange(count),
-            "episode_index": np.full(count, episode.number),
+            "episode_index": np.full(count, episode.index),
             "index": np.arange(count) + episode.first,
             "task_index": np.full(count, episode.task),
             "next.done": np.arange(count) == count - 1,
@@ -190,10 +190,10 @@ class LeRobot:
             if self.images:
                 columns[key] = images.files
             else:
-                path = root / "videos" / key / f"{_file(episode.number)}.mp4"
+                path = root / "videos" / key / f"{_file(episode.index)}.mp4"
                 path.parent.mkdir(parents=True, exist_ok=True)
                 write_bytes(path, images.film())
-        write_frames(root / "data" / f"{_file(episode.number)}.parquet", features, columns)
+        write_frames(root / "data" / f"{_file(episode.index)}.parquet", features, columns)
         return histograms
 
 
@@ -201,7 +201,7 @@ class LeRobot:
 class _Numbers:
     """Index of an episode, of its first frame in the data set, and of its task."""
 
-    number: int
+    index: int
     first: int
     task: int
 
@@ -249,9 +249,9 @@ def _episode(cameras: _Cameras) -> Any:
     return episode
 
 
-def _file(number: int) -> str:
+def _file(index: int) -> str:
     """Path of the file of an episode."""
-    return _FILE.format(chunk_index=number // _CHUNK, file_index=number % _CHUNK)
+    return _FILE.format(chunk_index=index // _CHUNK, file_index=index % _CHUNK)
 
 
 def _film_info(size: Sequence[int], fps: float) -> dict[str, Any]:
@@ -280,11 +280,11 @@ def _episode_row(
     own: Mapping[str, Mapping[str, list]],
 ) -> dict[str, Any]:
     """Row of an episode in the table of episodes."""
-    location = {"chunk_index": episode.number // _CHUNK, "file_index": episode.number % _CHUNK}
+    location = {"chunk_index": episode.index // _CHUNK, "file_index": episode.index % _CHUNK}
     frames = len(cameras[0])
     seconds = frames / _episode(cameras).head["fps"]
     row: dict[str, Any] = {
-        "episode_index": episode.number,
+        "episode_index": episode.index,
         "tasks": [task],
         "length": frames,
         "dataset_from_index": episode.first,

@@ -51,12 +51,12 @@ def read_dataset(folder: Path) -> Iterator[FrameSequence]:
     if not rows or "features" not in info:
         raise InputError(f"{folder} has no episodes in {EPISODES} or no features in {INFO}.")
     for row in rows:
-        number = row["episode_index"]
-        own = None if names is None else names[number]
+        index = row["episode_index"]
+        own = None if names is None else names[index]
         try:
             yield from _sequences_of(folder, info, row, own)
         except (KeyError, TypeError, IndexError) as error:
-            raise InputError(f"{folder}: episode {number} lacks {error}.") from error
+            raise InputError(f"{folder}: episode {index} lacks {error}.") from error
 
 
 def _sequences_of(
@@ -107,12 +107,12 @@ def _capsule_poses(features: Mapping[str, Any], frames: list[dict[str, Any]]) ->
     return transform_from(rotations, rows[:, :3])
 
 
-def _split_of(info: Mapping[str, Any], number: int) -> str | None:
+def _split_of(info: Mapping[str, Any], index: int) -> str | None:
     """Split of an episode: `splits` has ranges such as ``0:3``."""
     for name, text in info.get("splits", {}).items():
         first, _, end = str(text).partition(":")
         is_range = first.isdigit() and end.isdigit()
-        if name in SPLITS and is_range and int(first) <= number < int(end):
+        if name in SPLITS and is_range and int(first) <= index < int(end):
             return name
     return None
 

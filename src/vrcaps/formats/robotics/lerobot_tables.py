@@ -244,14 +244,14 @@ def write_tasks(path: Path, tasks: Sequence[str]) -> None:
     import pyarrow as pa
 
     text = {"pandas_type": "unicode", "numpy_type": "object", "metadata": None}
-    number = {"pandas_type": "int64", "numpy_type": "int64", "metadata": None}
+    integer = {"pandas_type": "int64", "numpy_type": "int64", "metadata": None}
     about = {
         "index_columns": [_PANDAS_INDEX],
         "column_indexes": [
             {"name": None, "field_name": None, **text, "metadata": {"encoding": "UTF-8"}}
         ],
         "columns": [
-            {"name": "task_index", "field_name": "task_index", **number},
+            {"name": "task_index", "field_name": "task_index", **integer},
             {"name": None, "field_name": _PANDAS_INDEX, **text},
         ],
         "creator": {"library": "pyarrow", "version": pa.__version__},

@@ -1,4 +1,4 @@
-"""Folders of sequences, and their frames: created, found, sorted by number, read on demand."""
+"""Folders of sequences, and their frames: created, located, in numeric order, read on demand."""
 
 from __future__ import annotations
 
@@ -161,11 +161,11 @@ def by_number(paths: Iterable[Path]) -> dict[int, Path]:
     """
     files: dict[int, Path] = {}
     for path in paths:
-        numbers = _NUMBER.findall(path.stem)
-        if not numbers:
+        indices = _NUMBER.findall(path.stem)
+        if not indices:
             raise InputError(f"{path} has no number of a frame in its name.")
-        if files.setdefault(int(numbers[-1]), path) != path:
-            raise InputError(f"{path} and {files[int(numbers[-1])].name} have the same number.")
+        if files.setdefault(int(indices[-1]), path) != path:
+            raise InputError(f"{path} and {files[int(indices[-1])].name} have the same number.")
     return dict(sorted(files.items()))
 
 

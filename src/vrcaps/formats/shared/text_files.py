@@ -212,10 +212,10 @@ def read_matrix_camera(path: Path, image: Path) -> Camera:
     Raises:
         InputError: If the file cannot be read, or does not hold nine numbers.
     """
-    numbers = read_text_numbers(path)
-    if len(numbers) != 9:
-        raise InputError(f"{path} holds {len(numbers)} numbers. Allowed: the 9 of a camera matrix.")
-    return camera_of(lens_from_matrix(numbers), image)
+    values = read_text_numbers(path)
+    if len(values) != 9:
+        raise InputError(f"{path} holds {len(values)} numbers. Allowed: the 9 of a camera matrix.")
+    return camera_of(lens_from_matrix(values), image)
 
 
 def camera_of(lens: AnyLens, image: Path) -> Camera:
@@ -253,15 +253,15 @@ def numbers_of(plain: Any, key: str, count: int, path: Path) -> list[float]:
     Raises:
         InputError: If they are missing.
     """
-    value = plain.get(key) if isinstance(plain, dict) else None
+    given = plain.get(key) if isinstance(plain, dict) else None
     try:
-        numbers = [float(number) for number in value]  # type: ignore[union-attr]
+        values = [float(value) for value in given]  # type: ignore[union-attr]
     except (TypeError, ValueError):
-        numbers = []
-    if len(numbers) != count:
-        text = reprlib.repr(value)[:80]
+        values = []
+    if len(values) != count:
+        text = reprlib.repr(given)[:80]
         raise InputError(f"{path} has for {key} {text}. Allowed: {count} numbers.")
-    return numbers
+    return values
 
 
 def yaml_list(values: Iterable[float]) -> str:

@@ -79,7 +79,7 @@ class Kitti:
                 path = root / "image_2" / f"{index:06d}.png"
                 write_images([(path, sequence.image("rgb", index))])
                 advance()
-            rows = [f"P{number}: {_row(matrix)}\n" for number in range(4)]
+            rows = [f"P{index}: {_row(matrix)}\n" for index in range(4)]
             calibration = "".join([*rows, f"Tr: {_row(np.eye(4)[:3])}\n"])
             write_bytes(root / _CALIBRATION, calibration.encode())
             write_times(root, sequence)
@@ -105,19 +105,19 @@ def _row(matrix: NDArray) -> str:
 
 def _read_one(root: Path) -> FrameSequence:
     images = {k: by_number(listed(root, f"image_{k}/*.png")) for k in _CAMERAS}
-    number = next((k for k in _CAMERAS if images[k]), None)
-    if number is None:
+    index = next((k for k in _CAMERAS if images[k]), None)
+    if index is None:
         raise InputError(f"{root} has neither image_2/*.png nor image_0/*.png.")
     if not (root / TIMES).exists():
         raise InputError(f"{root} has no {TIMES}.")
-    paths = matched({"rgb": images[number]})
-    matrix = _projections(root / _CALIBRATION).get(f"P{number}")
+    paths = matched({"rgb": images[index]})
+    matrix = _projections(root / _CALIBRATION).get(f"P{index}")
     if matrix is None:
-        raise InputError(f"{root / _CALIBRATION} has no row P{number}.")
-    values = {TIME: read_times(root, images[number], 1.0)}
+        raise InputError(f"{root / _CALIBRATION} has no row P{index}.")
+    values = {TIME: read_times(root, images[index], 1.0)}
     poses = root.parent.parent / "poses" / f"{root.name}.txt"
     if poses.exists():
-        rows = rows_of(read_rows(poses, 12), images[number], poses).reshape(-1, 3, 4)
+        rows = rows_of(read_rows(poses, 12), images[index], poses).reshape(-1, 3, 4)
         center = -np.linalg.solve(matrix[:, :3], matrix[:, 3])
         Ts_world_camera_0 = transform_from(rows[..., :3], rows[..., 3])
         values[CAMERA_POSE] = Ts_world_camera_0 @ transform_from(np.eye(3), center)
@@ -132,8 +132,8 @@ def _projections(path: Path) -> dict[str, NDArray]:
     matrices = {}
     try:
         for line in filter(None, path.read_text("utf-8-sig").splitlines()):
-            name, _, numbers = line.partition(":")
-            matrices[name] = np.array(numbers.split(), float).reshape(3, 4)
+            name, _, values = line.partition(":")
+            matrices[name] = np.array(values.split(), float).reshape(3, 4)
     except (OSError, ValueError) as error:
         raise InputError(f"Cannot read {path}: {error}.") from error
     return matrices

@@ -171,8 +171,8 @@ def _images_text(rig: Sequence[FrameSequence], points: SeenPoints) -> str:
     for k in range(len(rig[0])):
         for c, sequence in enumerate(rig):
             pose = _pose(invert(sequence.Ts_world_camera[k]))
-            number = _image_id(rig, c, k)
-            lines.append(f"{number} {pose} {c + 1} {_image_name(prefixes[c], k)}")
+            image_id = _image_id(rig, c, k)
+            lines.append(f"{image_id} {pose} {c + 1} {_image_name(prefixes[c], k)}")
             indices, pixels = points.seen[c][k]
             rows = zip(indices + 1, pixels + HALF, strict=True)
             lines.append(" ".join(f"{x:.4f} {y:.4f} {point}" for point, (x, y) in rows))
@@ -310,8 +310,8 @@ def seen_points(sequences: Sequence[FrameSequence], count: int) -> SeenPoints:
     seen = [[_seen(one, k, positions) for k in range(len(one))] for one in sequences]
     everywhere = np.concatenate([each for row in seen for each, _ in row])
     kept = np.bincount(everywhere, minlength=len(positions)) >= 2
-    number = np.cumsum(kept) - 1
-    tracks = [[(number[each[kept[each]]], at[kept[each]]) for each, at in row] for row in seen]
+    indices = np.cumsum(kept) - 1
+    tracks = [[(indices[each[kept[each]]], at[kept[each]]) for each, at in row] for row in seen]
     return SeenPoints(positions[kept], colors[kept], tracks)
 
 

@@ -44,7 +44,7 @@ from vrcaps.learn.settings import IMAGENET
 from vrcaps.learn.tasks.segmentation import LESION
 from vrcaps.learn.training import WEIGHTS
 from vrcaps.metrics.bootstrap import Interval
-from vrcaps.metrics.classification import confusion_matrix, f1_scores
+from vrcaps.metrics.labels import confusion_matrix, f1_scores
 
 ARMS = {"masks": ("scratch", "imagenet", "ours"), "classes": ("scratch", "ours")}
 MADE_OF = {"basis": "a", "first": "b"}

@@ -6,9 +6,18 @@ import pytest
 from vrcaps.core.errors import InputError
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.metrics.bootstrap import bootstrap, mean_band
-from vrcaps.metrics.classification import accuracy, confusion_matrix, f1_scores, matthews, roc_auc
 from vrcaps.metrics.images import psnr, ssim
-from vrcaps.metrics.masks import boundary_f_score, dice, hausdorff_95, iou
+from vrcaps.metrics.labels import (
+    accuracy,
+    boundary_f_score,
+    confusion_matrix,
+    dice,
+    f1_scores,
+    hausdorff_95,
+    iou,
+    matthews,
+    roc_auc,
+)
 from vrcaps.metrics.simcol3d import score_depth
 from vrcaps.metrics.surface import surface_distances, surface_errors
 

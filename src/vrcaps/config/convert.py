@@ -26,7 +26,7 @@ from cattrs import BaseValidationError, ClassValidationError, Converter, Iterabl
 from cattrs.errors import ForbiddenExtraKeysError, IterableValidationNote
 from cattrs.gen import make_dict_structure_fn, override
 
-from vrcaps.config.decimals import UNITS, as_floats, from_si, to_si
+from vrcaps.config.plain_files import UNITS, as_floats, from_si, to_si
 from vrcaps.core.errors import InputError, VrcapsError, nearest
 
 _INFINITE = "inf"

@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from vrcaps.config.convert import from_plain, to_plain
-from vrcaps.config.decimals import as_floats
 from vrcaps.config.limits import Range, check_fields
-from vrcaps.config.plain_files import read_plain
+from vrcaps.config.plain_files import as_floats, read_plain
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.data.distribution import slots
 

@@ -32,7 +32,7 @@ _BROKEN = (OSError, ValueError, LookupError, TypeError, AttributeError)
 _MAKERS = ("core", "mesh", "organ", "mucosa", "anatomy", "lesion")
 """Packages whose code determines an organ."""
 
-_MAKER_MODULES = ("config/convert", "config/decimals", "config/limits", "scenario/organ_source")
+_MAKER_MODULES = ("config/convert", "config/plain_files", "config/limits", "scenario/organ_source")
 """Other modules used by them, and their caller."""
 
 _MAX_BYTES = 10 * 10**9

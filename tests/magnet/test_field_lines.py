@@ -8,7 +8,7 @@ import pytest
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import invert, transform_points
 from vrcaps.core.units import MM
-from vrcaps.magnet.field_lines import field_lines, magnet_lines
+from vrcaps.magnet.field import field_lines, magnet_lines
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import Cylinder, Dipole, magnet_pose
 

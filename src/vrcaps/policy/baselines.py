@@ -126,21 +126,21 @@ class RandomPolicy:
 
     def reset(self, numbers: np.ndarray, seeds: Sequence[int]) -> None:
         """Start a random stream for each world."""
-        for number, seed in zip(np.asarray(numbers).tolist(), seeds, strict=True):
-            self._draws[number] = rng.stream(int(seed), "policy/random")
-            self._age[number] = 0
+        for index, seed in zip(np.asarray(numbers).tolist(), seeds, strict=True):
+            self._draws[index] = rng.stream(int(seed), "policy/random")
+            self._age[index] = 0
 
     def act(self, observations: dict[str, np.ndarray], env: CapsuleVectorEnv) -> np.ndarray:
         """Return the current actions."""
         is_walk = env.settings.actuation.kind in SERVO_ACTUATIONS
         space = env.single_action_space
-        for number in range(env.num_envs):
-            if self._age[number] % _HELD == 0:
-                draw = self._draws[number]
-                self._held[number] = (
+        for index in range(env.num_envs):
+            if self._age[index] % _HELD == 0:
+                draw = self._draws[index]
+                self._held[index] = (
                     unit(draw.normal(size=(2, 3))) if is_walk else _action(space, draw)
                 )
-            self._age[number] += 1
+            self._age[index] += 1
         held = np.stack([self._held[k] for k in range(env.num_envs)])
         if not is_walk:
             return held.astype(space.dtype)
@@ -205,8 +205,8 @@ class CenterlinePolicy:
 
     def reset(self, numbers: np.ndarray, seeds: Sequence[int]) -> None:
         """Reset the progress of some worlds."""
-        for number in np.asarray(numbers).tolist():
-            self._walks[number] = Walk()
+        for index in np.asarray(numbers).tolist():
+            self._walks[index] = Walk()
 
     def act(self, observations: dict[str, np.ndarray], env: CapsuleVectorEnv) -> np.ndarray:
         """Return actions towards the next position on the centerline."""

@@ -116,8 +116,8 @@ class MlpPolicy:
                 f"trained with {known}. Use the settings that it was trained with."
             )
         values = self.normalizer(np.concatenate(rows, axis=1))[:, None, :]
-        for number, (weight, bias) in enumerate(self.layers):
-            values = (np.tanh(values) if number else values) @ weight.T + bias
+        for index, (weight, bias) in enumerate(self.layers):
+            values = (np.tanh(values) if index else values) @ weight.T + bias
         return values[:, 0]
 
 
@@ -138,8 +138,8 @@ def write_mlp_policy(path: Path, policy: MlpPolicy, notes: dict[str, Any]) -> No
     plain = {name: to_plain(value, hints[name]) for name, value in policy.settings.items()}
     header = {"format": _FORMAT, "vrcaps": __version__, "settings": plain, "notes": notes}
     arrays = {"header": np.array(json.dumps(header, sort_keys=True))}
-    for number, (weight, bias) in enumerate(policy.layers):
-        arrays |= {f"layer_{number}/weight": weight, f"layer_{number}/bias": bias}
+    for index, (weight, bias) in enumerate(policy.layers):
+        arrays |= {f"layer_{index}/weight": weight, f"layer_{index}/bias": bias}
     normalizer = {k: np.asarray(v) for k, v in asdict(policy.normalizer).items()}
     write_arrays(path, arrays | {f"normalizer/{k}": v for k, v in normalizer.items()})
 

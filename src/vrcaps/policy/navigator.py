@@ -90,8 +90,8 @@ class NavigatorPolicy:
 
     def reset(self, numbers: np.ndarray, seeds: Sequence[int]) -> None:
         """Discard the paths of some worlds."""
-        for number in np.asarray(numbers).tolist():
-            self._guides.pop(number, None)
+        for index in np.asarray(numbers).tolist():
+            self._guides.pop(index, None)
 
     def act(self, observations: dict[str, np.ndarray], env: CapsuleVectorEnv) -> np.ndarray:
         """Return the magnets' twists for the next control period."""

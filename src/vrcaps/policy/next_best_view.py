@@ -76,9 +76,9 @@ class NextBestViewPolicy:
 
     def reset(self, numbers: np.ndarray, seeds: Sequence[int]) -> None:
         """Discard the plans of some worlds."""
-        for number, seed in zip(np.asarray(numbers).tolist(), seeds, strict=True):
-            self._draws[number] = rng.stream(int(seed), "policy/next-best-view")
-            self._plans[number] = None
+        for index, seed in zip(np.asarray(numbers).tolist(), seeds, strict=True):
+            self._draws[index] = rng.stream(int(seed), "policy/next-best-view")
+            self._plans[index] = None
 
     def act(self, observations: dict[str, np.ndarray], env: CapsuleVectorEnv) -> np.ndarray:
         """Return actions towards the planned view, or towards a new one when it is reached."""

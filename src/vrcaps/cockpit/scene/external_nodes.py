@@ -16,8 +16,7 @@ import numpy as np
 from vrcaps.cockpit.scene.nodes import add_shape, move
 from vrcaps.core.transforms import transform_from, transform_points
 from vrcaps.core.units import CM, MM
-from vrcaps.magnet.field import field
-from vrcaps.magnet.field_lines import magnet_lines
+from vrcaps.magnet.field import field, magnet_lines
 from vrcaps.magnet.sources import Cylinder
 
 if TYPE_CHECKING:

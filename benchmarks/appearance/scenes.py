@@ -17,8 +17,7 @@ from vrcaps.capsule.device import Device
 from vrcaps.core.transforms import invert, look_along, transform_from
 from vrcaps.core.units import DEG, MM
 from vrcaps.lesion import add_lesions, parse_lesion
-from vrcaps.lumen.bowel_preparation import prepared
-from vrcaps.lumen.contents import Contents
+from vrcaps.lumen.contents import Contents, prepared
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.world.model import Model, State
 

@@ -18,13 +18,13 @@ from vrcaps.capsule.device_file import read_device
 from vrcaps.core.color import luminance
 from vrcaps.core.transforms import look_along, transform_from, transform_points
 from vrcaps.core.units import MM
-from vrcaps.lumen.bowel_preparation import prepared
 from vrcaps.lumen.contents import (
     BUBBLE_SEVERITIES,
     CHYME_SEVERITIES,
     CM2,
     LIQUID_SEVERITIES,
     Contents,
+    prepared,
 )
 from vrcaps.organ.centerline import interpolate
 from vrcaps.render.renderer import Renderer

@@ -14,7 +14,6 @@ from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import rotation_from_vector, transform_from
 from vrcaps.core.units import MM
-from vrcaps.lumen.cluster import pack, sizes
 from vrcaps.lumen.contents import (
     BUBBLE_SEVERITIES,
     CHYME_SEVERITIES,
@@ -26,7 +25,7 @@ from vrcaps.lumen.contents import (
 )
 from vrcaps.lumen.lumen_contents import populate
 from vrcaps.lumen.particles import BUBBLE, FIRST_CLUMP, WHITE, Spheres
-from vrcaps.lumen.placement import dome_sites, place_bubbles, place_chyme, smooth_area
+from vrcaps.lumen.placement import dome_sites, pack, place_bubbles, place_chyme, sizes, smooth_area
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.world.model import Model
 

@@ -1,7 +1,7 @@
 """Capsule endoscopes as data: body, cameras, LEDs and magnets.
 
-`device.Device` is the data type, `led_spectrum` the light of its LEDs. `device_file.read_device`
-reads a device of the catalog in `devices/` or a custom TOML file.
+`device.Device` is the data type. `device_file.read_device` reads a device of the catalog in
+`devices/` or a custom TOML file.
 The names in `__init__.pyi` are loaded on first use.
 """
 

@@ -1,9 +1,9 @@
-from .bowel_preparation import PREPARATIONS as PREPARATIONS
-from .bowel_preparation import prepared as prepared
+from .contents import PREPARATIONS as PREPARATIONS
 from .contents import Bubbles as Bubbles
 from .contents import Chyme as Chyme
 from .contents import Contents as Contents
 from .contents import Liquid as Liquid
+from .contents import prepared as prepared
 from .lumen_contents import LumenContents as LumenContents
 from .lumen_contents import populate as populate
 from .particles import Spheres as Spheres

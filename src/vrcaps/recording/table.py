@@ -1,8 +1,9 @@
-"""Table `frames.parquet`: one row per frame, units in the column names."""
+"""Table `frames.parquet`: one row per frame, units in the column names; reader of Parquet files."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +12,7 @@ import numpy as np
 
 from vrcaps._core import Wall
 from vrcaps.core.errors import InputError, UnknownNameError, reading
-from vrcaps.core.files import write_bytes
+from vrcaps.core.files import MAX_BYTES, write_bytes
 from vrcaps.core.geometry import barycentric
 from vrcaps.core.transforms import (
     matrix_from_quaternion,
@@ -23,11 +24,11 @@ from vrcaps.core.transforms import (
 from vrcaps.motion.dynamics_settings import SPEED_ALONG_GUT
 from vrcaps.motion.motion import Motion, Step
 from vrcaps.organ.surface import face_label
-from vrcaps.recording.parquet_files import open_parquet
 from vrcaps.world.model import Model, MovingWall
 
 if TYPE_CHECKING:
     import pyarrow as pa
+    import pyarrow.parquet as pq
     from jaxtyping import Float
     from numpy.typing import NDArray
 
@@ -299,3 +300,29 @@ def require_table(table: FrameTable, cameras: tuple[str, ...], frames: int) -> N
             raise InputError(f"frames.parquet: column {name} does not hold numbers.")
     if len(table) != frames:
         raise InputError(f"frames.parquet has {len(table)} rows for {frames} frames.")
+
+
+@contextmanager
+def open_parquet(source: Path | bytes, name: object) -> Iterator[pq.ParquetFile]:
+    """Open a Parquet file during the block.
+
+    Args:
+        source: Path of the file, or its bytes.
+        name: Name of the file, for messages.
+
+    Raises:
+        InputError: If it is damaged or the block cannot read it, or if a row group declares more
+            than `MAX_BYTES`.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    with (
+        reading(name),
+        pq.ParquetFile(pa.BufferReader(source) if isinstance(source, bytes) else source) as file,
+    ):
+        about = file.metadata
+        sizes = [about.row_group(k).total_byte_size for k in range(about.num_row_groups)]
+        if not all(0 <= size <= MAX_BYTES for size in sizes):
+            raise ValueError(f"a row group declares {max(sizes)} bytes. Allowed: up to {MAX_BYTES}")
+        yield file

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.capsule.led_spectrum import PHOSPHOR, WAVELENGTHS, Spectrum, channel_weights
+from vrcaps.capsule.device import PHOSPHOR, WAVELENGTHS, Spectrum, channel_weights
 from vrcaps.core.color import LUMINANCE, log_linear_from_srgb, srgb_from_log_linear
 from vrcaps.lumen.contents import Bubbles, Liquid
 from vrcaps.mucosa.mucosa import ABSORPTION, MUCOSAE

@@ -27,8 +27,7 @@ from vrcaps.formats.shared.stored_images import decoded_rgb
 from vrcaps.recording.frame_files import require_pixels
 from vrcaps.recording.frame_sequence import CAMERA_POSE, SPLITS, TIME, FrameSequence
 from vrcaps.recording.layout import camera_from_plain
-from vrcaps.recording.parquet_files import open_parquet
-from vrcaps.recording.table import POSE_COLUMNS
+from vrcaps.recording.table import POSE_COLUMNS, open_parquet
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

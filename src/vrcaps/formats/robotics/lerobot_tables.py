@@ -12,9 +12,8 @@ import numpy as np
 
 from vrcaps.core.files import write_bytes
 from vrcaps.motion.dynamics_settings import DYNAMICS_COLUMNS
-from vrcaps.recording.parquet_files import open_parquet
 from vrcaps.recording.sensing import pad_column_names
-from vrcaps.recording.table import POSE_COLUMNS
+from vrcaps.recording.table import POSE_COLUMNS, open_parquet
 
 if TYPE_CHECKING:
     import pyarrow as pa

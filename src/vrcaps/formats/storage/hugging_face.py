@@ -33,7 +33,7 @@ from vrcaps.formats.storage.samples import (
     sequences_from,
     suffix,
 )
-from vrcaps.recording.parquet_files import open_parquet
+from vrcaps.recording.table import open_parquet
 from vrcaps.render.channels import CHANNELS
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ FLUX_UNITS = {"T": 1.0, "mT": 1e-3, "uT": 1e-6, "G": 1e-4}
 """Supported units of flux density, in tesla."""
 _COLUMNS = ("x", "y", "z", "bx", "by", "bz")
 _REGULAR = 1e-6
-_LEAST = 4
+_MIN_POINTS = 4
 
 
 def read_field_map(path: str | Path, *, length_unit: str, flux_unit: str) -> FieldMap:
@@ -56,9 +56,9 @@ def read_field_map(path: str | Path, *, length_unit: str, flux_unit: str) -> Fie
 
 
 def _check_axis(path: Path, name: str, axis: np.ndarray) -> None:
-    if axis.ndim != 1 or len(axis) < _LEAST:
+    if axis.ndim != 1 or len(axis) < _MIN_POINTS:
         raise InputError(
-            f"{path}: axis {name} has shape {axis.shape}. Allowed: {_LEAST} or more places."
+            f"{path}: axis {name} has shape {axis.shape}. Allowed: {_MIN_POINTS} or more points."
         )
     even = np.linspace(axis[0], axis[-1], len(axis))
     step = (axis[-1] - axis[0]) / (len(axis) - 1)

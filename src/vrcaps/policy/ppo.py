@@ -129,8 +129,8 @@ class Ppo:
         self.model.set_env(self.envs)  # lets the next call reset the worlds
         self.model.num_timesteps = index * self.actions_per_round
         if self.settings.is_annealed:
-            share = max(1.0 - index / self.num_rounds, 0.1)
-            self.learning_rate = share * self.settings.learning_rate
+            fraction = max(1.0 - index / self.num_rounds, 0.1)
+            self.learning_rate = fraction * self.settings.learning_rate
         watch = _watch(self.settings.num_envs)
         self.model.learn(
             self.actions_per_round,

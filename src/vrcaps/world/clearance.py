@@ -102,7 +102,7 @@ def push_inside(
 _LOOKS = 17
 """Number of points of the axis at which the distance to the wall is measured."""
 
-_LEAST = 1e-6
+_MIN_DISTANCE = 1e-6
 """Distance from the axis below which the direction is undefined [m]."""
 
 
@@ -138,7 +138,7 @@ class WallDisplacement:
         local = transform_points(invert(T_world_capsule), rest[near])
         local[:, 2] -= np.clip(local[:, 2], low, high)
         distance = np.linalg.norm(local, axis=1)
-        moved = (distance < reach) & (distance > _LEAST)
+        moved = (distance < reach) & (distance > _MIN_DISTANCE)
         near, distance = near[moved], distance[moved]
         fraction = np.clip((distance - least) / (reach - least), 0.0, 1.0)
         further = radius + radius * fraction ** ((reach - least) / radius) - distance

@@ -105,11 +105,11 @@ def _divided(corners: np.ndarray, longest: float) -> np.ndarray:
     pointing, upside_down = first + second < parts, (first > 0) & (second > 0)
     upside_down &= first + second <= parts
     indices = np.stack([first, second], axis=1)
-    shares = [
+    fractions = [
         indices[mask][:, None] + sign * np.array([[0, 0], [1, 0], [0, 1]])
         for mask, sign in ((pointing, 1), (upside_down, -1))
     ]
-    share = np.concatenate(shares)[None] / parts
+    fraction = np.concatenate(fractions)[None] / parts
     a, b, c = corners[:, None, None, 0], corners[:, None, None, 1], corners[:, None, None, 2]
-    pieces = a + share[..., :1] * (b - a) + share[..., 1:] * (c - a)
+    pieces = a + fraction[..., :1] * (b - a) + fraction[..., 1:] * (c - a)
     return pieces.reshape(-1, 3, 3)

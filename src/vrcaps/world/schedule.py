@@ -106,12 +106,12 @@ def flush_between(flushes: tuple[Flush, ...], start: float, end: float) -> float
         start: Start of the step [s].
         end: End of the step [s].
     """
-    shares = [
+    fractions = [
         min(1.0, (end - flush.time) / flush.duration)
         for flush in flushes
         if start < flush.time + flush.duration and end > flush.time
     ]
-    return max(shares, default=0.0)
+    return max(fractions, default=0.0)
 
 
 def row_at(rows: Sequence[tuple[float, ...]], time: float) -> Float[np.ndarray, " k"]:

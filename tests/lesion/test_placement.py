@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.geometry import wall_of
 from vrcaps.core.units import MM
 from vrcaps.lesion import (
     Bleeding,
@@ -17,7 +18,6 @@ from vrcaps.lesion import (
     add_lesions,
 )
 from vrcaps.lesion.placement import require_locations, require_possible
-from vrcaps.mesh.mesh import wall_of
 
 
 def add(tube, *lesions):

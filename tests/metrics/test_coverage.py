@@ -9,8 +9,7 @@ import trimesh
 from tests.support.seen_walls import HALF_FIELD, POSE, camera, tube
 from vrcaps.camera.camera import camera_rays
 from vrcaps.core.errors import InputError
-from vrcaps.core.geometry import triangle_areas
-from vrcaps.mesh.mesh import wall_of
+from vrcaps.core.geometry import triangle_areas, wall_of
 from vrcaps.metrics.coverage import (
     CoverageCriteria,
     CoverageMap,

@@ -10,16 +10,9 @@ from tests.support.seen_walls import HALF_FIELD, POSE, camera
 from tests.support.tubes import straight_tube
 from vrcaps.camera.camera import project_points
 from vrcaps.core.errors import InputError
-from vrcaps.core.geometry import triangle_areas
-from vrcaps.mesh.mesh import wall_of
+from vrcaps.core.geometry import octahedral_directions, triangle_areas, wall_of
 from vrcaps.metrics.coverage import CoverageCriteria, vertices_in_frustum
-from vrcaps.metrics.point_coverage import (
-    WallPoints,
-    direction_table,
-    mark_points,
-    octahedral_directions,
-    wall_points,
-)
+from vrcaps.metrics.point_coverage import WallPoints, direction_table, mark_points, wall_points
 from vrcaps.metrics.view_coverage import ViewCoverage
 from vrcaps.organ.surface import OrganSurface
 

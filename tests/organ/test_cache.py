@@ -14,9 +14,10 @@ import numpy as np
 import platformdirs
 import pytest
 
+from vrcaps.core.cache_folder import cache_folder
 from vrcaps.core.files import temporary_beside
 from vrcaps.organ import cache
-from vrcaps.organ.cache import cache_folder, cached_organ
+from vrcaps.organ.cache import cached_organ
 from vrcaps.organ.surface import Appearance, Centerline, OrganSurface
 
 

@@ -11,7 +11,7 @@ from tests.support.threads import digests_by_threads
 from vrcaps import _core
 from vrcaps.camera.camera import Led, camera_rays
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.mesh.mesh import wall_of
+from vrcaps.core.geometry import wall_of
 from vrcaps.render.batch import BATCH_CHANNELS, render_batch
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings

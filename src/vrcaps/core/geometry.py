@@ -1,4 +1,4 @@
-"""Vectors, triangles and the edge graph of a triangle mesh."""
+"""Vectors, directions, triangles, and the wall and edge graph of a triangle mesh."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from vrcaps._core import Wall
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -113,3 +115,23 @@ def detour(
     ahead = min(radius, length(step))
     tangent_point = radius * (cosine * back + sine * aside)
     return center + tangent_point + ahead * (cosine * aside - sine * back)
+
+
+def wall_of(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> Wall:
+    """Wall of a surface, for queries in the frame of its vertices [m]."""
+    return Wall(np.ascontiguousarray(vertices, float), np.ascontiguousarray(faces, np.int64))
+
+
+def octahedral_directions(size: int) -> Float[np.ndarray, "size size 3"]:
+    """Unit directions at the centers of the cells of an unfolded octahedron.
+
+    The cell in row i and column j has v = (2 i + 1) / size − 1 and u alike; |u| + |v| ≤ 1 is the
+    half with z ≥ 0 (Cigolle et al., J. Computer Graphics Techniques 3(2), 2014).
+    """
+    w = (2.0 * np.arange(size) + 1.0) / size - 1.0
+    v, u = np.meshgrid(w, w, indexing="ij")
+    z = 1.0 - np.abs(u) - np.abs(v)
+    x = np.where(z < 0.0, np.copysign(1.0 - np.abs(v), u), u)
+    y = np.where(z < 0.0, np.copysign(1.0 - np.abs(u), v), v)
+    directions = np.stack([x, y, z], axis=-1)
+    return directions / np.linalg.norm(directions, axis=-1, keepdims=True)

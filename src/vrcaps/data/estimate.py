@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import fmean
 
+from vrcaps.core.cache_folder import cache_in
 from vrcaps.core.files import files_in, scratch_folder
 from vrcaps.data.units import Unit, Units
-from vrcaps.organ.cache import cache_in, short_lived_organs
+from vrcaps.organ.cache import short_lived_organs
 from vrcaps.scenario.scenario import OrganGenerated, Scenario
 
 _FRAMES = 6

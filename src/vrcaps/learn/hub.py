@@ -22,10 +22,10 @@ from urllib.request import urlopen
 
 from vrcaps.config.convert import from_plain, to_plain
 from vrcaps.config.plain_files import decode_json
+from vrcaps.core.cache_folder import cache_folder
 from vrcaps.core.errors import InputError, StorageError, UnknownNameError, reason_of, require
 from vrcaps.core.files import file_sha256, write_bytes, write_json
 from vrcaps.data.store import open_store
-from vrcaps.organ.cache import cache_folder
 
 INDEX, VARIABLE, SUFFIX = "index.json", "VRCAPS_WEIGHTS", ".safetensors"
 _FORMAT = "vrcaps-published/1"

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.core.errors import InputError
+from vrcaps.core.geometry import wall_of
 from vrcaps.core.rng import stream
 from vrcaps.lesion import paint
 from vrcaps.lesion.base import Form, Lesion
 from vrcaps.lesion.mesh_patch import ExtractedPatch, as_organ, insert, whole_wall
 from vrcaps.lesion.placement import PlacedLesion, describe, require_locations
 from vrcaps.lesion.sites import SITES, PlacementContext, samples
-from vrcaps.mesh.mesh import wall_of
 from vrcaps.mesh.patch import Patch, ThinTrianglesError, refine, renewed_normals
 from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.surface import OrganSurface

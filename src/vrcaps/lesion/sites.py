@@ -11,12 +11,11 @@ import scipy
 
 from vrcaps._core import Wall
 from vrcaps.core.errors import InputError
-from vrcaps.core.geometry import edge_graph
+from vrcaps.core.geometry import edge_graph, wall_of
 from vrcaps.core.units import MM
 from vrcaps.lesion.base import Lesion, LesionSite, WallSamples
 from vrcaps.lesion.mesh_patch import NUM_FIELDS, ExtractedPatch, extract, within
 from vrcaps.lesion.placement import PlacedLesion, candidates, place_focal
-from vrcaps.mesh.mesh import wall_of
 from vrcaps.mesh.patch import Patch, log_map, refine
 from vrcaps.organ.surface import OrganSurface
 

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps._core import around_capsule
+from vrcaps.core.geometry import wall_of
 from vrcaps.core.rng import stream
 from vrcaps.core.transforms import transform_points
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.particles import Spheres, joined
 from vrcaps.lumen.placement import dome_sites, place_bubbles, place_chyme, place_dome_bubbles
 from vrcaps.lumen.pools import Pools, cut_sections, find_pools
-from vrcaps.mesh.mesh import wall_of
 from vrcaps.organ.surface import OrganSurface
 
 if TYPE_CHECKING:

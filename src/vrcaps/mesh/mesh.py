@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from vrcaps._core import Wall
 from vrcaps.core.geometry import triangle_areas, triangle_normals
 
 if TYPE_CHECKING:
@@ -47,11 +46,6 @@ def vertex_normals(
         )
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     return normals / np.where(length > 0.0, length, 1.0)
-
-
-def wall_of(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> Wall:
-    """Wall of a surface, for queries in the frame of its vertices [m]."""
-    return Wall(np.ascontiguousarray(vertices, float), np.ascontiguousarray(faces, np.int64))
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from vrcaps import _core
 from vrcaps.camera.camera import in_image, project_points
 from vrcaps.core import rng
 from vrcaps.core.errors import UnknownNameError, require
-from vrcaps.core.geometry import triangle_areas
+from vrcaps.core.geometry import octahedral_directions, triangle_areas
 from vrcaps.core.units import MM
 from vrcaps.metrics.coverage import CoverageCriteria, CoverageLevel, pixel_solid_angles
 
@@ -187,21 +187,6 @@ def _cells(
     rows, columns = grid
     row = (arc_length * rows).astype(int).clip(0, rows - 1)
     return row * columns + (angle * columns).astype(int).clip(0, columns - 1)
-
-
-def octahedral_directions(size: int) -> Float[np.ndarray, "size size 3"]:
-    """Unit directions at the centers of the cells of an unfolded octahedron.
-
-    The cell in row i and column j has v = (2 i + 1) / size − 1 and u alike; |u| + |v| ≤ 1 is the
-    half with z ≥ 0 (Cigolle et al., J. Computer Graphics Techniques 3(2), 2014).
-    """
-    w = (2.0 * np.arange(size) + 1.0) / size - 1.0
-    v, u = np.meshgrid(w, w, indexing="ij")
-    z = 1.0 - np.abs(u) - np.abs(v)
-    x = np.where(z < 0.0, np.copysign(1.0 - np.abs(v), u), u)
-    y = np.where(z < 0.0, np.copysign(1.0 - np.abs(u), v), v)
-    directions = np.stack([x, y, z], axis=-1)
-    return directions / np.linalg.norm(directions, axis=-1, keepdims=True)
 
 
 @lru_cache(maxsize=32)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.core.errors import require
-from vrcaps.mesh.mesh import wall_of
+from vrcaps.core.geometry import wall_of
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -12,10 +12,11 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.camera.camera import Camera, camera_rays
 from vrcaps.core.errors import InputError, VrcapsError, reason_of
+from vrcaps.core.geometry import wall_of
 from vrcaps.core.transforms import rotate_vectors
 from vrcaps.core.units import UM
 from vrcaps.lumen.lumen_contents import CHYME
-from vrcaps.mesh.mesh import Mesh, wall_of
+from vrcaps.mesh.mesh import Mesh
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.frame_files import wall_path
 from vrcaps.recording.layout import (

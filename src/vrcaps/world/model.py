@@ -12,10 +12,10 @@ import numpy as np
 from vrcaps._core import Wall
 from vrcaps.capsule.device import Device
 from vrcaps.core.errors import UnknownNameError, require
+from vrcaps.core.geometry import wall_of
 from vrcaps.core.transforms import rotation_from_vector, transform_from, transform_points
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.lumen_contents import CHYME, LumenContents, populate
-from vrcaps.mesh.mesh import wall_of
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.motility.layout import sample_coordinates
 

@@ -6,11 +6,11 @@ import pytest
 from tests.support.small_envs import GUT, SHORT_GUT, simulation_of
 from vrcaps import _core
 from vrcaps.core.errors import InputError
+from vrcaps.core.geometry import wall_of
 from vrcaps.core.transforms import transform_from
 from vrcaps.env.observations.landmarks import RAYS, LandmarksObservation
 from vrcaps.env.randomization import Start
 from vrcaps.env.tasks import NavigateTask
-from vrcaps.mesh.mesh import wall_of
 
 _SCALE = 0.02
 

@@ -10,10 +10,10 @@ import numpy as np
 
 from vrcaps._core import Wall
 from vrcaps.core.errors import InputError
+from vrcaps.core.geometry import octahedral_directions, wall_of
 from vrcaps.core.transforms import invert, transform_from, transform_points
 from vrcaps.core.units import MM
-from vrcaps.mesh.mesh import vertex_normals, wall_of
-from vrcaps.metrics.point_coverage import octahedral_directions
+from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.organ.surface import face_label
 from vrcaps.recording.organ_files import read_stored_organ
 

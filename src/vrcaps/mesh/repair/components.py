@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from vrcaps.core.errors import InputError
-from vrcaps.core.geometry import triangle_normals
+from vrcaps.core.geometry import triangle_normals, wall_of
 from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import (
     drop_unused_vertices,
@@ -20,7 +20,6 @@ from vrcaps.mesh.mesh import (
     flip_faces,
     keep_faces,
     signed_volume,
-    wall_of,
 )
 from vrcaps.mesh.repair.manifold import orient_consistently
 from vrcaps.mesh.repair.repair_report import Repair

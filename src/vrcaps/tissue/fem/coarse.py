@@ -9,9 +9,8 @@ import numpy as np
 import scipy
 
 from vrcaps.core.errors import InputError
-from vrcaps.core.geometry import triangle_areas
+from vrcaps.core.geometry import triangle_areas, wall_of
 from vrcaps.core.rng import stream
-from vrcaps.mesh.mesh import wall_of
 from vrcaps.tissue.fem.layer import EDGES, CoarseSurface, shapes, thinnest
 
 if TYPE_CHECKING:

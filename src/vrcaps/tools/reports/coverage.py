@@ -11,10 +11,9 @@ import numpy as np
 
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import write_bytes
-from vrcaps.core.geometry import triangle_areas
+from vrcaps.core.geometry import triangle_areas, wall_of
 from vrcaps.core.transforms import transform_points
 from vrcaps.core.units import CM
-from vrcaps.mesh.mesh import wall_of
 from vrcaps.metrics.coverage import (
     COVERAGE_LEVELS,
     CoverageCriteria,

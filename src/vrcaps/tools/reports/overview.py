@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps._core import Wall
+from vrcaps.core.geometry import wall_of
 from vrcaps.core.units import CM, MM
-from vrcaps.mesh.mesh import wall_of
 from vrcaps.organ.measure import OrganMeasures, arc_length_bins, measure_organ, segment_spans
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tools.report import make_figure

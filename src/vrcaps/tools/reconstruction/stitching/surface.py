@@ -26,10 +26,10 @@ from vrcaps.camera.camera import Camera, pixel_grid
 from vrcaps.core.color import linear_from_srgb, luminance
 from vrcaps.core.errors import InputError, require
 from vrcaps.core.files import write_csv
-from vrcaps.core.geometry import triangle_normals, unit
+from vrcaps.core.geometry import triangle_normals, unit, wall_of
 from vrcaps.core.transforms import rotation_from_vector, transform_points
 from vrcaps.core.units import MM
-from vrcaps.mesh.mesh import Mesh, wall_of
+from vrcaps.mesh.mesh import Mesh
 from vrcaps.metrics.trajectory import Similarity
 from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import CAMERA_POSE

@@ -32,6 +32,9 @@ from vrcaps.world.world import World
 RADIUS = 0.014
 UP, AHEAD = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
 
+SIMULATED = 0.5
+"""Timeout of a planner [s], in the time of the simulation."""
+
 
 @pytest.fixture(scope="module")
 def tube() -> Model:
@@ -189,7 +192,11 @@ def test_tries_anew_and_says_that_it_failed():
     )
     controller, world = begin(tied)
     planner = PointToPointPlanner(
-        controller, world.T_world_capsule, on_wall(controller.model, 0.12), attempts=2, timeout=0.5
+        controller,
+        world.T_world_capsule,
+        on_wall(controller.model, 0.12),
+        attempts=2,
+        timeout=SIMULATED,
     )
     run(planner, world, 8.0)
     assert planner.has_failed

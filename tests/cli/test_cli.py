@@ -330,12 +330,12 @@ def test_help_lists_tasks_without_loading_pytorch(words: list[str]) -> None:
 
 
 def test_missing_pytorch_is_one_line(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in [name for name in sys.modules if name.startswith("vrcaps.learn.task")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(SystemExit):
-        cli.main(["train", "depth", "--data", "runs/a", "--out", "runs/b"])
+        cli.main(["train", "depth", "--data", str(tmp_path), "--out", "runs/b"])
     text = capsys.readouterr().err
     assert "torch is not installed. Install it with: pip install 'vrcaps[learn]'" in text

@@ -137,7 +137,7 @@ def test_what_cannot_be_read_is_one_clear_line(remote, tmp_path):
         dataset.sequences(camera="side")
     with pytest.raises(InputError, match="memory://nothing holds no data set"):
         vrcaps.data.open("memory://nothing")
-    with pytest.raises(InputError, match="memory://nothing is no episode"):
+    with pytest.raises(InputError, match="memory://nothing is not an episode"):
         vrcaps.data.sequences_of("memory://nothing")
     open_store(remote).write(f"episodes/{episode.name}/front/rgb/000001.png", b"no image")
     with pytest.raises(InputError, match=r"Cannot read memory://.*000001\.png"):

@@ -58,7 +58,7 @@ def test_an_episode_that_was_copied_alone_says_what_is_missing(made: Path, tmp_p
     alone = vrcaps.read_episode(shutil.copytree(source, tmp_path / "x" / "y" / "alone"))
     assert alone[0]["depth"].shape == (36, 40)
     with pytest.raises(
-        InputError, match=r"keeps its organ at \.\./\.\./organs/\w+\.glb .* missing\. Copy it"
+        InputError, match=r"whose organ \.\./\.\./organs/\w+\.glb.* is missing\. Copy it"
     ):
         _ = alone.organ
     shutil.copytree(made / "organs", tmp_path / "x" / "organs")

@@ -14,6 +14,7 @@ import numpy as np
 import platformdirs
 import pytest
 
+import vrcaps.core.cache_folder as cache_module
 from vrcaps.core.cache_folder import cache_folder
 from vrcaps.core.files import temporary_beside
 from vrcaps.organ import cache
@@ -135,13 +136,13 @@ def test_without_a_home_the_folder_is_temporary(monkeypatch, tmp_path: Path):
     monkeypatch.setenv("VRCAPS_CACHE", "~/own")
     monkeypatch.setattr("os.path.expanduser", lambda path: path)  # no entry in the list of users
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    cache._temporary_folder.cache_clear()
+    cache_module._temporary_folder.cache_clear()
     with pytest.warns(UserWarning, match="no home folder.*Set VRCAPS_CACHE to an absolute path"):
         folder = cache_folder()
     monkeypatch.delenv("VRCAPS_CACHE")
     assert folder == cache_folder() and folder.parent == tmp_path
     assert folder.stat().st_mode & 0o777 == 0o700
-    cache._temporary_folder.cache_clear()
+    cache_module._temporary_folder.cache_clear()
 
 
 def test_a_folder_that_is_closed_is_a_warning(folder: Path, monkeypatch: pytest.MonkeyPatch):

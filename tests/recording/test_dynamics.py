@@ -253,7 +253,7 @@ def test_check_finds_faults_of_walls(whole, tmp_path):
     assert found["wall/000000.npy"] == "is missing"
     assert "not float32" in found["wall/000001.npy"]
     assert "cannot be read" in found["wall/000002.npy"]
-    assert "holds float64" in found["wall/000003.npy"]
+    assert "contains float64" in found["wall/000003.npy"]
     assert "agrees with wall/000004.npy" in found["front/ray_distance/000004.png"]
     assert "not finite" in found["wall/000005.npy"]
     episode = read_episode(out)

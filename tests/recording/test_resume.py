@@ -32,7 +32,7 @@ def _names(folder: Path) -> list[str]:
 
 
 def test_a_recorder_in_the_same_folder_is_refused(scenario: Scenario, tmp_path: Path) -> None:
-    me = f"Process {os.getpid()} on {platform.node()} is writing the episode .*Wait until it ends"
+    me = f"Process {os.getpid()} on {platform.node()} is writing the episode .*until it finishes"
     with recording_lock(tmp_path):
         with pytest.raises(InputError, match=me):
             record(scenario, tmp_path)

@@ -355,7 +355,7 @@ def test_more_reflections_are_brighter_and_labels_stay():
 
 def test_wrong_input():
     with pytest.raises(
-        InputError, match=r"goes with light radiosity or path, not direct\. Drop one"
+        InputError, match=r"requires light 'radiosity' or 'path', not 'direct'\. Change one"
     ):
         RenderSettings(light="direct", scattering=True)
     with pytest.raises(ValueError, match="albedo of 0 to 1, extinction above 0 and an index of 1"):

@@ -440,15 +440,15 @@ def test_a_run_with_ours_learns_masks_first(tmp_path, monkeypatch):
     arms = [(row.cell.arm, row.cell.fraction) for row in RowFile(run).rows.values()]
     named = [(arm, 0.5) for arm in TASKS["polyp-masks"].arms]
     assert sorted(arms) == sorted([*named, ("ours", 0.0), ("imagenet+ours", 0.0)])
-    first = [*(run / "weights").glob("masks-ours-*")]
+    first = [*(run / "weights").glob("segmentation-ours-*")]
     learners = [read_weights(one / WEIGHTS).task for one in first]
-    assert {(one.classes, one.size) for one in learners} == {(OUR_LESIONS, 32), ((LESION,), 32)}
+    assert {(one.classes, one.backbone.size) for one in learners} == {(OUR_LESIONS, 32), ((LESION,), 32)}
     given = tmp_path / "given"
     given.mkdir()
-    shutil.copy(first[0] / WEIGHTS, given / "masks-scratch.safetensors")
+    shutil.copy(first[0] / WEIGHTS, given / "segmentation-scratch.safetensors")
     setup = Setup({}, run, ("fake",), given, "smoke")
     found = first_weights(setup, Cell("bleeding-masks", "ours", 0.5, 0))
-    assert found == str(given / "masks-scratch.safetensors")
+    assert found == str(given / "segmentation-scratch.safetensors")
 
 
 def test_our_images_without_instances_are_refused(monkeypatch):
@@ -487,7 +487,7 @@ def test_a_run_goes_on_and_writes_its_page(tmp_path, monkeypatch, capsys):
     lines = (run / ROWS).read_text().splitlines()
     assert len(lines) == 2
     text = page.read_text()
-    assert "Polyp or colitis" in text and "| 50 % |" in text
+    assert "Classification of polyps and colitis" in text and "| 50 % |" in text
     (run / ROWS).write_text("\n".join(lines[:-1]) + "\n")
     capsys.readouterr()
     sim_to_real.main()

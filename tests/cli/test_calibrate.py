@@ -54,8 +54,8 @@ def test_photographs_become_a_capsule_with_a_picture_of_residuals(photos, tmp_pa
     out = tmp_path / "mine.toml"
     cli.main(arguments(photos, out, capsule="pillcam-colon2", camera="back"))
     text = "".join(capsys.readouterr().out.split())  # the terminal's width breaks lines
-    assert "Boardfoundin6of7photographs." in text
-    assert "Notfoundin:none.png." in text
+    assert "Detectedtheboardin6of7photographs." in text
+    assert "Notdetectedin:none.png." in text
     assert f"--capsule{out}--outRUN" in text
     device, pattern = read_device(out), read_device("pillcam-colon2")
     front, back = device.cameras

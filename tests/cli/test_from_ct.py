@@ -119,9 +119,9 @@ def test_a_folder_with_two_series_lists_them(scan, tmp_path, capsys) -> None:
         phantom.write_dicom(tmp_path / "mixed", part, series=series, first=first)
     out = ["--out", str(tmp_path / "x.glb")]
     error = fail([str(tmp_path / "mixed"), *out], capsys)
-    assert "holds 2 series. Choose one by number or UID with --series: 1: " in error
+    assert "contains 2 series. Choose one with --series, by index or UID: 1: " in error
     assert "; 2: " in error
-    assert "No one series '3'" in fail([str(tmp_path / "mixed"), "--series", "3", *out], capsys)
+    assert "No unique series '3'" in fail([str(tmp_path / "mixed"), "--series", "3", *out], capsys)
 
 
 def test_a_lumen_that_leaks_ends_in_one_line(scan, tmp_path, capsys) -> None:

@@ -63,7 +63,7 @@ def test_a_scanned_mesh_records_with_a_calibrated_capsule(tmp_path, capsys) -> N
     cli.main(["record", "--organ", str(scan), *flags, "--out", str(run)])
     cli.main(["check", str(run)])
     text = " ".join(capsys.readouterr().out.split())
-    assert "Board found in 4 of 8 photographs." in text
+    assert "Detected the board in 4 of 8 photographs." in text
     assert "Warning: half of the photographs or more are left out." in text
     repairs = " ".join(read_organ(run / "organ.glb").metadata["repairs"])
     for defect in ("duplicate triangle", "stray component", "flipped triangle", "hole"):

@@ -44,7 +44,7 @@ def test_it_shows_the_counts_and_has_the_same_bytes_at_a_url(
     text = page.read_text()
     assert "<b>48</b><span>images</span>" in text
     assert "Patients in different splits have the same organ" in text
-    assert "No recording shows a lesion" in text
+    assert "No recording contains a lesion" in text
     # Two channels of one organ, and each of the 8 times 3 times 2 images.
     assert text.count("data:image/jpeg") == 2 + len(sample(vrcaps.data.open(made)).frames)
     assert "src='http" not in text

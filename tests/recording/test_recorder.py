@@ -197,7 +197,7 @@ def test_different_device_or_version_is_refused(scenario, tmp_path):
         ("made_with", other, r"another made_with, numpy 1\.0 \(here \d.*\): bytes may differ"),
         ("made_with", None, r"another made_with, core_sha256 unknown \(here "),
         ("cameras", [], r"another cameras\. Give a new"),
-        ("extra", 1, r"another a key\."),
+        ("extra", 1, r"another set of keys\."),
     ):
         (out / "episode.json").write_text(json.dumps({**head, key: value}))
         with pytest.raises(InputError, match=match):

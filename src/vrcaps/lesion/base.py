@@ -243,12 +243,15 @@ class Form(Protocol):
 
     def signed_distance(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
         """Signed distance [m] to the footprint's border; positive inside."""
+        ...
 
     def displaced(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
         """Positions with the lesion [m]; unchanged outside the footprint."""
+        ...
 
     def chart(self, wall: WallSamples) -> Float[np.ndarray, "n 2"]:
         """Flat map [m] of the lesion's surface, with low enough distortion for painting."""
+        ...
 
     def paint(
         self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: AppearanceSample
@@ -260,6 +263,7 @@ class Form(Protocol):
             points: Positions of the samples with the lesion, relative to the site's center [m].
             clean: Appearance of the samples without it.
         """
+        ...
 
 
 LESIONS: Registry[Lesion] = Registry(

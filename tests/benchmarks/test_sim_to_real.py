@@ -442,13 +442,16 @@ def test_a_run_with_ours_learns_masks_first(tmp_path, monkeypatch):
     assert sorted(arms) == sorted([*named, ("ours", 0.0), ("imagenet+ours", 0.0)])
     first = [*(run / "weights").glob("segmentation-ours-*")]
     learners = [read_weights(one / WEIGHTS).task for one in first]
-    assert {(one.classes, one.backbone.size) for one in learners} == {(OUR_LESIONS, 32), ((LESION,), 32)}
+    assert {(one.classes, one.backbone.size) for one in learners} == {
+        (OUR_LESIONS, 32),
+        ((LESION,), 32),
+    }
     given = tmp_path / "given"
     given.mkdir()
-    shutil.copy(first[0] / WEIGHTS, given / "segmentation-scratch.safetensors")
+    shutil.copy(first[0] / WEIGHTS, given / "masks-scratch.safetensors")
     setup = Setup({}, run, ("fake",), given, "smoke")
     found = first_weights(setup, Cell("bleeding-masks", "ours", 0.5, 0))
-    assert found == str(given / "segmentation-scratch.safetensors")
+    assert found == str(given / "masks-scratch.safetensors")
 
 
 def test_our_images_without_instances_are_refused(monkeypatch):

@@ -26,6 +26,7 @@ from vrcaps.camera.lens import LensPinhole
 from vrcaps.config.convert import to_plain
 from vrcaps.core.errors import InputError
 from vrcaps.formats.io import read_format
+from vrcaps.learn.registry import FORMER_TASKS
 from vrcaps.learn.samples import Samples, samples_of
 from vrcaps.learn.settings import IMAGENET, SCRATCH
 from vrcaps.learn.task import Task as NetworkTask
@@ -108,7 +109,7 @@ def given_weights(setup: Setup, cell: Cell) -> Path | None:
     task = task_of(cell)
     names: tuple[str, ...] = ()
     if cell.arm == PUBLISHED:
-        names = (f"{task.kind}.safetensors",)
+        names = (f"{FORMER_TASKS.get(task.kind, task.kind)}.safetensors",)
     elif cell.arm.endswith("ours"):
         names = tuple(f"{one}-{_first_start(cell)}.safetensors" for one in (task.name, task.kind))
     return next((path for name in names if (path := setup.weights / name).is_file()), None)

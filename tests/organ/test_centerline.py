@@ -335,7 +335,7 @@ def test_bad_input():
         compute_centerline(mesh, start=np.array([1.0, 0, 0]))
     with pytest.raises(InputError, match="Give x, y, z in meters"):
         compute_centerline(mesh, end=np.array([np.nan, 0, 0]))
-    with pytest.raises(InputError, match="which is one place"):
+    with pytest.raises(InputError, match="the same position"):
         compute_centerline(mesh, start=arc()[50], end=arc()[50])
     sheet = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]])
     with pytest.raises(InputError, match="Give one that encloses a lumen"):
@@ -359,7 +359,7 @@ def test_bad_points():
         np.concatenate([mesh.vertices, mesh.vertices + np.array([0, 0, 0.1])]),
         np.concatenate([mesh.faces, mesh.faces + len(mesh.vertices)]),
     )
-    with pytest.raises(InputError, match="in 2 pieces"):
+    with pytest.raises(InputError, match="The wall has 2 components"):
         compute_centerline(two)
 
 

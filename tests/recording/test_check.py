@@ -128,7 +128,7 @@ def test_an_interrupted_recording_is_said_first(episode, key):
         (lambda h: h.update(format="other/1"), "has the format 'other/1'"),
         (lambda h: h["channels"]["depth"].update(scale=1.0), "channels.depth is not the encoding"),
         (lambda h: h["cameras"].clear(), "number of cameras is 0"),
-        (lambda h: h["cameras"][0].pop("exposure"), "is no camera"),
+        (lambda h: h["cameras"][0].pop("exposure"), "is not a camera"),
         (lambda h: h["cameras"][0]["lens"].update(kind="eye"), "cameras[0].lens.kind is 'eye'"),
         (lambda h: h["cameras"][0]["T_capsule_camera"][0].__setitem__(0, 2.0), "is not rigid"),
         (lambda h: h["scenario"].update(frames=6), "scenario has other frames or channels"),
@@ -176,15 +176,15 @@ def test_corrupted_files(episode, name, how):
         (
             "front/rgb/000000.png",
             lambda a: a[:-1],
-            "holds uint8 (35, 40, 3), not uint8 (36, 40, 3)",
+            "contains uint8 (35, 40, 3), not uint8 (36, 40, 3)",
         ),
-        ("front/rgb/000000.png", lambda a: a[..., 0], "holds uint8 (36, 40), not"),
+        ("front/rgb/000000.png", lambda a: a[..., 0], "contains uint8 (36, 40), not"),
         (
             "front/label/000002.png",
             lambda a: a.astype(np.uint16),
-            "holds uint16 (36, 40), not uint8",
+            "contains uint16 (36, 40), not uint8",
         ),
-        ("rear/position/000001.npy", lambda a: a.astype(float), "holds float64"),
+        ("rear/position/000001.npy", lambda a: a.astype(float), "contains float64"),
         ("front/depth/000000.png", lambda a: a + np.uint16(300), "where the lens is blind"),
         (
             "front/depth/000000.png",

@@ -126,7 +126,7 @@ def test_organ_and_capsule_in_memory(
     images = [(tmp_path / folder / name).read_bytes() for folder in ("moved", "second")]
     assert images[0] == images[1]
     other = replace(scenario, organ=replace(organ, name="other"))
-    with pytest.raises(InputError, match="holds an episode of another organ"):
+    with pytest.raises(InputError, match="contains an episode of another organ"):
         record(other, tmp_path / "moved")
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "notes.txt").write_text("precious")

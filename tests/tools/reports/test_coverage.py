@@ -64,7 +64,7 @@ def test_episode_without_triangles_says_what_to_record(recorded: Path) -> None:
     episode = read_episode(recorded)
     plain = [channel for channel in episode.channels if channel != "face"]
     object.__setattr__(episode, "channels", tuple(plain))
-    with pytest.raises(InputError, match=r"holds no face\. Record it with --coverage"):
+    with pytest.raises(InputError, match=r"has no face\. Record it with --coverage"):
         episode_coverage(episode)
 
 

@@ -292,7 +292,7 @@ def test_a_flat_wall_is_stitched_from_the_command_line(tmp_path, monkeypatch, ca
     flags = ["--method", "stitching", "--field-of-view-deg", "75", "--out", str(out)]
     main(["reconstruct", str(source), *flags])
     said = capsys.readouterr().out
-    assert "4 of 4 frames are stitched" in said
+    assert "Stitched 4 of 4 frames" in said
     assert float(said.partition("RMSE ")[2].partition(" mm")[0]) < 0.1
     pictures = {"highlights.png", "matches.png", "mosaic.png", "depth.png", "errors.png"}
     tables = {"matches.csv", "registration.csv", "errors.csv", "mesh.ply", "errors.ply"}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 from tests.support.small_envs import SHORT_GUT, small_settings
 from vrcaps.capsule.device_file import read_device
 from vrcaps.env.actuation import Wrench
-from vrcaps.env.patients import Patients
+from vrcaps.env.settings import EnvSettings
 from vrcaps.policy.catalog import read_policy
 from vrcaps.policy.evaluate import Plan, evaluate
 from vrcaps.policy.evaluation import Evaluation
@@ -43,8 +42,8 @@ def test_a_video_of_the_median_run(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     black = np.zeros((360, 360, 3), np.uint8)
     monkeypatch.setattr(run_video, "Renderer", lambda *_: None)
     monkeypatch.setattr(run_video, "exposed_image", lambda *_: black)
-    bare = partial(Patients, with_textures=False)
-    monkeypatch.setattr(run_video, "Patients", lambda s, d, **_: bare(s, d))
+    patients = EnvSettings.patients
+    monkeypatch.setattr(EnvSettings, "patients", lambda s, **_: patients(s, with_textures=False))
     settings = small_settings(
         organs=(SHORT_GUT,),
         actuation=Wrench(is_weightless=True),

@@ -77,3 +77,16 @@ def _encoded_steps() -> UInt8[np.ndarray, " n"]:
 def log_luminance(log_light: Float[np.ndarray, "*grid 3"]) -> Float[np.ndarray, "*grid"]:
     """Natural logarithm of the luminance."""
     return np.log(luminance(np.exp(log_light)))
+
+
+def mix(
+    a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "*n 3"], weight: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "n 3"]:
+    """Linear blend from `a` (weight 0) to `b` (weight 1).
+
+    Args:
+        a: First colors.
+        b: Second colors, or one color.
+        weight: Weight of `b`, 0 to 1.
+    """
+    return a + (b - a) * weight[:, None]

@@ -388,16 +388,3 @@ class SizedLesion(Lesion):
 
 
 register_family(Lesion, LESIONS)
-
-
-def mix(
-    a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "*n 3"], weight: Float[np.ndarray, " n"]
-) -> Float[np.ndarray, "n 3"]:
-    """Linear blend from `a` (weight 0) to `b` (weight 1).
-
-    Args:
-        a: First colors.
-        b: Second colors, or one color.
-        weight: Weight of `b`, 0 to 1.
-    """
-    return a + (b - a) * weight[:, None]

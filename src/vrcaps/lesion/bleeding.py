@@ -8,17 +8,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
+from vrcaps.core.color import mix
 from vrcaps.core.geometry import smoothstep
 from vrcaps.core.units import MM
-from vrcaps.lesion.base import (
-    AppearanceSample,
-    BloodFlow,
-    Form,
-    Lesion,
-    LesionSite,
-    WallSamples,
-    mix,
-)
+from vrcaps.lesion.base import AppearanceSample, BloodFlow, Form, Lesion, LesionSite, WallSamples
 from vrcaps.lesion.focal import FocalForm, under_blood
 from vrcaps.mesh.noise import fbm, low_pass
 

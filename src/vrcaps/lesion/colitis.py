@@ -9,15 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 
 from vrcaps.config.limits import Range
+from vrcaps.core.color import mix
 from vrcaps.core.geometry import smoothstep
 from vrcaps.core.units import CM, MM
-from vrcaps.lesion.base import (
-    AppearanceSample,
-    Lesion,
-    LesionSite,
-    WallSamples,
-    mix,
-)
+from vrcaps.lesion.base import AppearanceSample, Lesion, LesionSite, WallSamples
 from vrcaps.lesion.focal import FIBRIN, under_blood
 from vrcaps.mesh.noise import band_pass, fbm, low_pass
 from vrcaps.mucosa.mucosa import MUCUS_TINT

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
+from vrcaps.core.color import mix
 from vrcaps.core.geometry import smoothstep
 from vrcaps.core.units import MM
-from vrcaps.lesion.base import AppearanceSample, LesionSite, WallSamples, mix
+from vrcaps.lesion.base import AppearanceSample, LesionSite, WallSamples
 from vrcaps.mesh.noise import angular_harmonics, low_pass
 
 if TYPE_CHECKING:

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import numpy as np
 
 from vrcaps.config.limits import Range
+from vrcaps.core.color import mix
 from vrcaps.core.geometry import smoothstep
 from vrcaps.core.units import MM
-from vrcaps.lesion.base import AppearanceSample, LesionSite, Setting, SizedLesion, WallSamples, mix
+from vrcaps.lesion.base import AppearanceSample, LesionSite, Setting, SizedLesion, WallSamples
 from vrcaps.lesion.focal import FIBRIN, FocalForm, under_blood
 from vrcaps.mesh.noise import band_pass, fbm, low_pass
 

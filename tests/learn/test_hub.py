@@ -1,5 +1,6 @@
 """Published weights: found by name, checked, with a card that says how to make them again."""
 
+import hashlib
 import json
 import shutil
 from dataclasses import replace
@@ -295,6 +296,21 @@ def test_weights_of_a_web_server_are_pulled(run, tmp_path, home):
         server.shutdown()
     with pytest.raises(StorageError, match=r"from http://127.*: Connection refused\. Set VRCAPS_W"):
         pull(url)
+
+
+def test_files_larger_than_an_index_are_read_from_a_web_server(tmp_path, home, monkeypatch):
+    source, data = tmp_path / "source", bytes(1_200_000)
+    source.mkdir()
+    (source / f"{TASK}.safetensors").write_bytes(data)
+    digest = hashlib.sha256(data).hexdigest()
+    entry = hub.PublishedWeights(TASK, TASK, f"{TASK}.safetensors", digest, len(data), "zeros")
+    hub.add_to_index(source, entry)
+    server, url = serve(source)
+    monkeypatch.setenv(VARIABLE, url)
+    monkeypatch.setenv("VRCAPS_CACHE", str(tmp_path / "cache"))
+    with server:
+        assert find_weights(TASK).read_bytes() == data
+        server.shutdown()
 
 
 def test_an_unreachable_location_is_one_line(monkeypatch):

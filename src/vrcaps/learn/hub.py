@@ -167,9 +167,22 @@ def pull(
 
 
 def _copy(source: str, entry: PublishedWeights, folder: Path) -> None:
-    path = folder / entry.file
+    """Store a file and its card in a folder, unless the file is there already."""
+    try:
+        if _store(source, entry, folder / entry.file):
+            with suppress(InputError):  # a card is not required
+                write_bytes(folder / f"{entry.name}.md", _read(source, f"{entry.name}.md"))
+    except OSError as error:
+        raise StorageError(
+            f"Cannot write {folder / entry.file}: {reason_of(error)}. Give another folder (--out "
+            "FOLDER)."
+        ) from error
+
+
+def _store(source: str, entry: PublishedWeights, path: Path) -> bool:
+    """Store a published file with the checksum of the index; False if it is there already."""
     if path.is_file() and file_sha256(path) == entry.sha256:
-        return
+        return False
     data = _read(source, entry.file, entry.bytes)
     actual = hashlib.sha256(data).hexdigest()
     if actual != entry.sha256:
@@ -177,15 +190,9 @@ def _copy(source: str, entry: PublishedWeights, folder: Path) -> None:
             f"{source}/{entry.file} has sha256 {actual[:12]}…, but {INDEX} states "
             f"{entry.sha256[:12]}…. Try again, or report it to whoever published it."
         )
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        write_bytes(path, data)
-        with suppress(InputError):  # a card is not required
-            write_bytes(folder / f"{entry.name}.md", _read(source, f"{entry.name}.md"))
-    except OSError as error:
-        raise StorageError(
-            f"Cannot write {path}: {reason_of(error)}. Give another folder (--out FOLDER)."
-        ) from error
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_bytes(path, data)
+    return True
 
 
 def read_index(location: str) -> dict[str, PublishedWeights]:
@@ -248,10 +255,7 @@ def fetch(location: str, entry: PublishedWeights) -> Path:
         _check(path, entry)
         return path
     path = cache_folder() / "weights" / f"{entry.name}-{entry.sha256[:16]}{SUFFIX}"
-    if not path.is_file() or file_sha256(path) != entry.sha256:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_bytes(path, _read(location, entry.file))
-    _check(path, entry)
+    _store(location, entry, path)
     return path
 
 

@@ -7,7 +7,7 @@ included. Networks for depth are judged on real frames without learning from any
 
     vrcaps dataset make benchmarks/sim_to_real/plan.toml --out runs/ours --units 0:60
     python -m benchmarks.sim_to_real --real /data/endoscopy --ours runs/ours --run runs/transfer
-    python -m benchmarks.sim_to_real --run runs/transfer --report   # the page, of what is there
+    python -m benchmarks.sim_to_real --run runs/transfer --report   # the page only
 
 Each network is one row of `rows.jsonl`; the same command goes on where it was stopped, and computes
 none twice. Folders of real data are found by their names below `--real`: WCEBleedGen, HyperKvasir,

@@ -72,7 +72,7 @@ def jpeg(albedo: np.ndarray, quality: int) -> bytes:
 
 
 def stepped(name: str, value: float, code: Callable[[], bytes | None]) -> bytes:
-    """What `code` gives with another constant of `gltf_material`."""
+    """Result of `code` with another constant of `gltf_material`."""
     before = getattr(gltf_material, name)
     setattr(gltf_material, name, value)
     try:

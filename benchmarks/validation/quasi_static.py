@@ -3,7 +3,7 @@
 Generated stomachs and colons, a magnetic capsule at three positions of each, settled by the
 physics; from there the same commands under both dynamics: the twist of a free magnet outside that
 leads the capsule along the upper wall, and a wrench without any magnet. A wrench gives a capsule
-momentum, which quasi-static motion has not: that row says how far the two part then.
+momentum, which quasi-static motion neglects: that row states the resulting distance.
 
     python -m benchmarks.validation.quasi_static [--stomachs 10] [--colons 5]
 """

@@ -1,7 +1,7 @@
 """Draw what floats in the lumen, every grade in three organs, and write the table of grades.
 
 python -m docs.images.contents
-python -m docs.images.contents --only preparation   # what is left in a cleansed colon
+python -m docs.images.contents --only preparation   # residue in a cleansed colon
 """
 
 from __future__ import annotations

@@ -203,7 +203,7 @@ def check_spectrum(spectrum: Spectrum) -> None:
     """Check that a spectrum has rising wavelengths, power, and light in every color.
 
     Raises:
-        InputError: If it has not.
+        InputError: If one of these is missing.
     """
     wavelength, power = np.array(spectrum, float).reshape(-1, 2).T
     is_rising = len(wavelength) > 1 and bool((np.diff(wavelength) > 0.0).all())

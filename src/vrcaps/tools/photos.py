@@ -234,8 +234,8 @@ def fill(
 ) -> Float[np.ndarray, "h w c"]:
     """Fill unknown pixels smoothly from their surroundings by pull-push.
 
-    Known pixels are averaged to half the size until none is unknown, and the averages are pulled
-    back up into the gaps (Gortler et al. 1996, The Lumigraph, section 3.4). Known pixels do not
+    Known pixels are averaged to half the size until all are known, and the averages are copied
+    back into the gaps (Gortler et al. 1996, The Lumigraph, section 3.4). Known pixels do not
     change.
 
     Args:

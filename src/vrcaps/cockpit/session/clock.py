@@ -111,7 +111,7 @@ class View:
     """Simulation at one instant.
 
     Attributes:
-        index: Counter of the session's views, so that none is drawn twice.
+        index: Counter of the session's views, so that each is drawn once.
         frame: Index of the last completed frame.
         state: The world.
         T_world_patient: Posture of the patient.

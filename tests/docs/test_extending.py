@@ -13,9 +13,21 @@ import pytest
 
 from vrcaps.cli import main as run_command
 from vrcaps.env import CapsuleVectorEnv, env_settings
+from vrcaps.env.parts import ACTUATIONS, OBSERVATIONS, REWARDS
+from vrcaps.env.parts import TASKS as ENV_TASKS
 from vrcaps.formats import FORMATS
+from vrcaps.learn.registry import TASKS
+from vrcaps.lesion.base import LESIONS
 
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "extending.md"
+REGISTRIES = (ACTUATIONS, ENV_TASKS, FORMATS, LESIONS, OBSERVATIONS, REWARDS, TASKS)
+
+
+@pytest.fixture(autouse=True)
+def without_registered_classes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Remove the classes of each program, so that other tests see the package's own."""
+    for registry in REGISTRIES:
+        monkeypatch.setattr(registry, "_added", {})
 
 
 def programs(title: str) -> list[str]:

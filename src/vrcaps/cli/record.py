@@ -53,7 +53,7 @@ def run_recording(scenario: Scenario, out: Path, *, threads: int | None = None) 
 
 def _show_first_image(out: Path) -> None:
     """Print the path of the first color image, which can be opened while the others are made."""
-    if image := min(out.glob("*/rgb/*"), default=None):
+    if image := min(out.glob("*/rgb/[0-9]*"), default=None):
         console.print(f"First image: {image}.")
 
 

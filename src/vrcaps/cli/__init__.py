@@ -32,6 +32,11 @@ _VERBS = {
     "check": ("vrcaps.cli.episodes", "Check", "Verify an episode."),
     "coverage": ("vrcaps.cli.episodes", "Coverage", "Measure the coverage of the organ."),
     "reconstruct": ("vrcaps.cli.reconstruct", "Reconstruct", "Reconstruct the wall from images."),
+    "compare-looks": (
+        "vrcaps.cli.compare_looks",
+        "CompareLooks",
+        "Measure the distance of images to real ones.",
+    ),
     "dataset make": ("vrcaps.cli.dataset", "Make", "Generate a data set from a plan."),
     "dataset check": ("vrcaps.cli.dataset", "Check", "Verify a data set."),
     "dataset card": ("vrcaps.cli.dataset", "Card", "Write the data card of a data set."),

@@ -57,7 +57,7 @@ def bootstrap(
     Raises:
         InputError: If an argument is out of range.
     """
-    drawn = _drawn(count, groups, resamples, seed)
+    drawn = resampled_items(count, groups, resamples, seed)
     low, high = _limits(np.array([statistic(items) for items in drawn]), level)
     return Interval(float(statistic(np.arange(count))), float(low), float(high))
 
@@ -82,15 +82,25 @@ def mean_band(
     Raises:
         InputError: If an argument is out of range.
     """
-    drawn = _drawn(len(curves), groups, resamples, seed)
+    drawn = resampled_items(len(curves), groups, resamples, seed)
     low, high = _limits(np.array([curves[items].mean(axis=0) for items in drawn]), level)
     return low, high
 
 
-def _drawn(
+def resampled_items(
     count: int, groups: NDArray | None, resamples: int, seed: int
 ) -> Iterator[Int[np.ndarray, " k"]]:
-    """Indices of the items of each resample."""
+    """Yield the indices of the items of each resample, drawn with replacement.
+
+    Args:
+        count: Number of items.
+        groups: Group of each item [count]; whole groups are drawn. None draws items.
+        resamples: Number of draws.
+        seed: Seed of the draws.
+
+    Raises:
+        InputError: If a number is out of range.
+    """
     require(count > 0, "number of items", count, "1 or more")
     require(resamples > 1, "number of resamples", resamples, "2 or more")
     draws = rng.stream(seed, "metrics/bootstrap")

@@ -15,7 +15,7 @@ from vrcaps.core.rng import stream
 from vrcaps.tools.appearance.compare import HAND, Comparison, DescribedSet, nearest_to
 from vrcaps.tools.appearance.features import LEVELS
 from vrcaps.tools.appearance.statistics import GATES, STATISTICS
-from vrcaps.tools.reports.html import STYLE, data_url, html_table
+from vrcaps.tools.report import html_image, html_note, html_page, html_table
 
 if TYPE_CHECKING:
     from jaxtyping import UInt8
@@ -95,7 +95,7 @@ def write_report(
     nearest = _grid(
         [image for i, j in pairs for image in (real.images.views[i], ours.images.views[j])], 8
     )
-    write_bytes(folder / "index.html", _page(rows, medians, nearest, real, ours).encode())
+    write_bytes(folder / "index.html", _page(rows, medians, nearest, real, ours))
 
 
 def blind_sheet(
@@ -144,24 +144,30 @@ def _page(
     nearest: NDArray,
     real: DescribedSet,
     ours: DescribedSet,
-) -> str:
-    title = html.escape(f"Appearance of {ours.images.name} compared with {real.images.name}")
-    return f"""<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>{title}</title><style>{STYLE}</style></head>
-<body><h1>{title}</h1>
-<p>Reference: {len(real.images)} real images without near-duplicates. Smaller distances are nearer.
-KID: unbiased squared maximum mean discrepancy with a cubic kernel, and half the width of 90 % of
-the bootstrap resamples by patient. Coverage: fraction of real images with one of the set nearer
-than their fifth neighbor. R: pooled KID over that of the second real set.</p>
-{html_table(rows)}
-<h2>Medians of statistics</h2>
-{html_table(medians)}
-<h2>Nearest images</h2>
-<p class="note">Pairs of a real image (left) and the nearest image of the set
-{html.escape(ours.images.name)} (right), by pooled features.</p>
-<img src="{data_url(_png(nearest), "image/png")}" alt="pairs of nearest images">
-<h2>Blind sheet</h2>
-<p class="note">blind.png holds equally many images of both sets in random order; the answers are in
-blind_answers.json.</p>
-</body></html>
-"""
+) -> bytes:
+    title = f"Appearance of {ours.images.name} compared with {real.images.name}"
+    return html_page(
+        title,
+        (
+            f"<h1>{html.escape(title)}</h1>",
+            f"<p>Reference: {len(real.images)} real images without near-duplicates. Smaller "
+            "distances are nearer. KID: unbiased squared maximum mean discrepancy with a cubic "
+            "kernel, and half the width of 90 % of the bootstrap resamples by patient. Coverage: "
+            "fraction of real images with one of the set nearer than their fifth neighbor. R: "
+            "pooled KID over that of the second real set.</p>",
+            html_table(rows),
+            "<h2>Medians of statistics</h2>",
+            html_table(medians),
+            "<h2>Nearest images</h2>",
+            html_note(
+                "Pairs of a real image (left) and the nearest image of the set "
+                f"{html.escape(ours.images.name)} (right), by pooled features."
+            ),
+            html_image("pairs of nearest images", _png(nearest)),
+            "<h2>Blind sheet</h2>",
+            html_note(
+                "blind.png holds equally many images of both sets in random order; the answers "
+                "are in blind_answers.json."
+            ),
+        ),
+    )

@@ -86,7 +86,7 @@ sent), so it serves at most {1.0 / times.head:,.0f} units a second: {median / ti
 workers with units as short as these. The first unit ends {times.start:.1f} s later than it would
 take alone: a process starts and loads its modules. The simulation: each worker has a processor, its
 units take the measured times (scaled for long ones), the head serves one outcome after the other,
-100 units a worker. The ideal is what the workers alone would do. The limit is the recording
+100 units a worker. The ideal is the rate of the workers without a head. The limit is the recording
 itself; two processes on this machine share its memory and its files.
 
 {table(head, rows)}

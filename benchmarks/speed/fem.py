@@ -53,9 +53,9 @@ def main() -> None:
     text = f"""## Elastic-wall speed
 
 A generated colon of {len(organ.faces):,} triangles, pushed at one point; steps of
-{1e3 * _DT:g} ms. Processor time of all threads, median of {given.size} steps. In a world: what a
-step of the layer and the exchange of forces with a capsule on it take beyond a world whose wall
-does not move.
+{1e3 * _DT:g} ms. Processor time of all threads, median of {given.size} steps. In a world:
+additional time for a step of the layer and the exchange of forces with a capsule on it, compared
+with a world whose wall does not move.
 
 {table(HEAD, rows)}
 """
@@ -63,7 +63,7 @@ does not move.
 
 
 def row(organ: OrganSurface, deformation: FemDeformation, steps: int) -> tuple[str, ...]:
-    """What a step of a wall takes."""
+    """Time of a step of a wall."""
     begin = time.process_time()
     wall = FemWall(organ, deformation)
     middle = organ.vertices[np.argmin(np.abs(organ.arc_length - 0.5))]

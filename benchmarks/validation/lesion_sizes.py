@@ -80,11 +80,11 @@ def main() -> None:
 
 
 def section(rows: list[tuple[str, ...]]) -> str:
-    """The table and what it means."""
+    """Section with the table and its explanation."""
     return (
-        "## Largest lesions\n\n`python -m benchmarks.validation.lesion_sizes`: the largest "
-        "that each kind allows or, where it does not fit,\nthe largest that fits, "
-        "for, by tenths.\n\n"
+        "## Lesions of maximum size\n\n`python -m benchmarks.validation.lesion_sizes`: the maximum "
+        "size of each kind or,\nif it does not fit into the organ, the maximum that fits, in "
+        "steps of a tenth.\n\n"
         + table(("organ", "asked for", "size", "triangles of it", "cuts"), rows)
         + "\n\n*Cuts*: pairs of triangles of the lesion that cut the wall or each other."
     )

@@ -74,22 +74,22 @@ def main() -> None:
 
 `python -m benchmarks.validation.placing`: a generated, inflated stomach; capsule `magnetic`, wet
 walls with `physical` drag; magnet `cylinder-76.2` on the Panda, outside 3 cm of belly. Random
-places in body and antrum, each {NEAREST / CM:g} to {FARTHEST / CM:g} cm from the last. The heading
-asked for is the last one plus a Gaussian vector (standard deviation 0.5 along each axis), made
-parallel to the wall; the first is Gaussian alone. It is drawn again, Gaussian alone, where it is
-within {JOINT_ENDS / DEG:.0f}° of away from the arm's base, where its last joint ends. A
-`PointToPointPlanner` leads the capsule along the wall; the error is the distance of its center
-from where it would touch the wall at rest. *Placed*: it has been within 3 mm for a second, so that
-the error of those placed cannot be larger; *at the end*: of all targets, at that moment or when the
-planner gives up, after two attempts of up to 10 s more than the way takes. *Heading*: angle to the
-direction asked for. Published, for another set-up: 1.8 ± 2.1 mm. Failures to place are reported
-by the state; then the next target starts there.
+targets in body and antrum, each {NEAREST / CM:g} to {FARTHEST / CM:g} cm from the previous one. The
+target heading is the previous one plus a Gaussian vector (standard deviation 0.5 along each axis),
+projected onto the wall; the first is Gaussian alone. Headings within {JOINT_ENDS / DEG:.0f}° of the
+direction away from the arm's base, where its last joint reaches its limit, are replaced by Gaussian
+ones. A `PointToPointPlanner` moves the capsule along the wall; the error is the distance of its
+center from its position in contact with the wall at rest. *Placed*: within 3 mm for a second, so
+that the error of placed capsules is at most 3 mm; *at the end*: of all targets, at that moment or
+at the end of two attempts of up to 10 s more than the path takes. *Heading*: angle to the target
+heading. Published for another set-up: 1.8 ± 2.1 mm. Failures are listed by state; the next target
+starts from there.
 
 {table(HEAD, rows)}
 
-*late*: the capsule came near but not for a second; all else is what
-`MagnetController.status` says. The magnet is above the belly: from lower walls the capsule slides
-down or is drawn off."""
+*late*: the capsule came near, but not for a second; all other states are values of
+`MagnetController.status`. The magnet is above the belly: on lower walls the capsule slides
+down or is pulled off."""
     write_section(given.out, Path(__file__), text)
 
 

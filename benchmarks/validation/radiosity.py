@@ -175,7 +175,7 @@ def main() -> None:
 pixels, the six LEDs of MiroCam, views spread over the organ. Relative RMSE of radiance, direct
 light and all, of each setting; *{DEFAULT}* is the default. *Indirect light* is its fraction of the
 image, *radiosity / path* the ratio of its means, *shadows* the relative RMSE of direct light
-without shadows against direct light with them: what a setting without shadows is off by at least.
+without shadows against direct light with them: the minimum error of a setting without shadows.
 *Contracted*: a ring of 40 % of the radius 25 mm ahead, while form factors are known at rest.
 
 {table(ERRORS, rows)}

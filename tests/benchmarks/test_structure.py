@@ -5,8 +5,10 @@ from pathlib import Path
 import pytest
 
 from benchmarks.structure.imports import ImportGraph
-from benchmarks.structure.patterns import PATTERNS, Text
+from benchmarks.structure.patterns import PATTERNS, Pattern, Text
 from benchmarks.structure.walk import Walk
+
+REPOSITORY = Text(Path(__file__).resolve().parents[2])
 
 
 def write(folder: Path, files: dict[str, str]) -> Path:
@@ -68,3 +70,25 @@ def test_standard_sentences_match_no_pattern(tmp_path: Path) -> None:
     lines = '"""Resume an interrupted recording; place lesions."""\nclasses = num_found = 0\n'
     text = Text(write(tmp_path, {"src/vrcaps/x.py": lines}))
     assert not [p.name for p in PATTERNS if p.to_replace(text)]
+
+
+@pytest.mark.parametrize(
+    ("correct", "wrong"),
+    (
+        ("motion = settings.begin(model)", "# Networks begin with these weights."),
+        ("offset = file.tell()", '"""Tell the reason."""'),
+        ('page = "<figure></figure>"', "# All figures of the table."),
+        ('onnx = import_extra("onnx", "learn")', "# Networks learn depth."),
+        ('layout: Literal["masks", "classes"] = "masks"', 'TASK = "masks"'),
+    ),
+)
+def test_names_and_terms_are_kept(tmp_path: Path, correct: str, wrong: str) -> None:
+    text = Text(write(tmp_path, {"src/vrcaps/x.py": f"{correct}\n{wrong}\n"}))
+    assert [hit for p in PATTERNS for hit in p.to_replace(text)] == [f"src/vrcaps/x.py:2: {wrong}"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pattern", PATTERNS, ids=lambda pattern: pattern.name.split()[0])
+def test_each_pattern_meets_its_goal(pattern: Pattern) -> None:
+    hits = pattern.to_replace(REPOSITORY)
+    assert len(hits) <= pattern.goal, hits

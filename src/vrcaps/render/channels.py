@@ -168,7 +168,7 @@ class Frame:
         limits=_ALL,
     )
     face: Int[np.ndarray, "h w"] | None = channel(
-        "int32", "triangle of the wall, by its place in `organ.glb` from 0", index(), "index"
+        "int32", "triangle of the wall, by its index in `organ.glb`, from 0", index(), "index"
     )
     flow_forward: Float[np.ndarray, "h w 2"] | None = channel(
         "float32",
@@ -213,7 +213,7 @@ class Frame:
     )
     foreground_depth: Float[np.ndarray, "h w"] | None = channel(
         "float32",
-        "z in the camera frame where the foreground begins",
+        "z of the foreground in the camera frame",
         distance(),
         "scalar",
         limits=_ALL,

@@ -8,7 +8,7 @@ import yaml
 
 from vrcaps.cli import main
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.data.card import CARD, card_text, size_category, write_card
+from vrcaps.data.card import CARD, card_text, write_card
 from vrcaps.data.counts import (
     by_split,
     count,
@@ -44,6 +44,12 @@ def test_its_header_lists_the_tables_of_each_split(made: Path) -> None:
     assert read["license"] == "unknown"
     assert read["task_categories"] == ["depth-estimation"]
     assert read["size_categories"] == ["n<1K"]
+    assert read["annotations_creators"] == ["machine-generated"]
+    assert read["pretty_name"] in body.splitlines()[1]
+    assert [line for line in body.splitlines() if line.startswith("## ")] == [
+        *("## Dataset Description", "## Uses", "## Dataset Structure", "## Dataset Creation"),
+        *("## Bias, Risks, and Limitations", "## Licensing Information"),
+    ]
     (config,) = read["configs"]
     files = {one["split"]: one["path"] for one in config["data_files"]}
     found = {
@@ -101,14 +107,6 @@ def test_it_says_what_is_missing_and_what_effects_there_are(made: Path) -> None:
     assert "Light is reflected once" in text
     assert "no effects of lens" not in text
     assert "clean lumen" not in text
-
-
-@pytest.mark.parametrize(
-    ("frames", "name"),
-    [(999, "n<1K"), (1000, "1K<n<10K"), (10**6, "1M<n<10M"), (10**11, "10B<n<100B")],
-)
-def test_sizes_have_the_names_of_the_hub(frames: int, name: str) -> None:
-    assert size_category(frames) == name
 
 
 def test_bad_input_is_one_clear_line(made: Path, tmp_path: Path) -> None:

@@ -10,16 +10,19 @@ from pathlib import Path
 from threading import Thread
 
 import pytest
+import yaml
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 
 from tests.support.small_frames import small_sequence  # noqa: E402
 from vrcaps import cli  # noqa: E402
 from vrcaps.cli.parts import part_of  # noqa: E402
+from vrcaps.config.front_matter import front_matter  # noqa: E402
 from vrcaps.core.errors import InputError, StorageError, UnknownNameError  # noqa: E402
 from vrcaps.core.files import file_sha256, files_in  # noqa: E402
 from vrcaps.learn import hub, publishing  # noqa: E402
 from vrcaps.learn.augment import Augmentation  # noqa: E402
+from vrcaps.learn.checkpoint import read_weights  # noqa: E402
 from vrcaps.learn.evaluation import Evaluation, write_evaluation  # noqa: E402
 from vrcaps.learn.hub import INDEX, VARIABLE, find_weights, pull, read_index  # noqa: E402
 from vrcaps.learn.model_card import train_command  # noqa: E402
@@ -103,6 +106,50 @@ def test_card_states_training_and_metrics(run, place, tmp_path):
     assert again.sha256 == entry.sha256
     publish(run, place, notes="Other.")
     assert "Only in tests." not in (place / "super-resolution.md").read_text()
+
+
+def header_and_body(card):
+    """Header of a card as PyYAML reads it, and the text after it."""
+    start, header, body = card.split("---\n", 2)
+    assert not start
+    return yaml.safe_load(header), body
+
+
+def headings(body):
+    return [line for line in body.splitlines() if line.startswith("## ")]
+
+
+GENERATED = [
+    *("## Model description", "## How to use", "## Training data"),
+    *("## Training procedure", "## Evaluation results", "## Intended uses & limitations"),
+]
+"""Sections of each card, in the template of the Hub; the last one is written by hand."""
+
+
+def test_header_of_a_card_has_the_metadata_of_the_hub(run, place, tmp_path):
+    scored = _evaluated(tmp_path / "scored", file_sha256(run / BEST))
+    publish(run, place, evaluations=[scored], notes="Only in tests.")
+    header, body = header_and_body((place / "super-resolution.md").read_text())
+    assert header.pop("tags")[0] == "vrcaps"
+    result = {
+        "task": {"type": "image-to-image"},
+        "dataset": {"type": "cohort", "name": "cohort", "split": "test"},
+        "metrics": [{"type": "psnr", "value": 31.25}],  # ssim is not finite
+    }
+    assert header == {
+        "license": "apache-2.0",
+        "library_name": "vrcaps",
+        "pipeline_tag": "image-to-image",
+        "datasets": ["cohort"],
+        "metrics": ["psnr"],
+        "model-index": [{"name": "super-resolution", "results": [result]}],
+    }
+    assert headings(body) == GENERATED
+    publish(run, place, license_name="CC-BY-4.0")
+    header, body = header_and_body((place / "super-resolution.md").read_text())
+    assert (header["license"], header["metrics"]) == ("cc-by-4.0", ["psnr"])
+    assert "model-index" not in header
+    assert headings(body) == GENERATED
 
 
 def test_card_holds_the_plan_of_its_data(run, place, tmp_path):
@@ -397,9 +444,31 @@ def test_our_published_weights_are_whole_and_have_cards():
     }
 
 
+@pytest.mark.parametrize("name", sorted(path.stem for path in OURS.glob("*.md")))
+def test_our_cards_are_as_the_generator_writes_them(name):
+    text = (OURS / f"{name}.md").read_text("utf-8")
+    entry = read_index(str(OURS))[name]
+    trained = read_weights(OURS / entry.file)
+    header, body = header_and_body(text)
+    assert text.startswith(front_matter(header))
+    assert (header["license"], header["library_name"]) == ("apache-2.0", "vrcaps")
+    assert header["pipeline_tag"] == trained.task.pipeline_tag
+    is_pretrained = trained.metadata.get("origin") == "imagenet"
+    assert header.get("base_model") == (
+        "timm/tf_efficientnet_lite0.in1k" if is_pretrained else None
+    )
+    assert header["datasets"] == [Path(source).name for source in trained.metadata["data"]]
+    (result,) = header["model-index"][0]["results"]
+    assert {one["type"] for one in result["metrics"]} == set(header["metrics"])
+    score = next(x["value"] for x in result["metrics"] if x["type"] == trained.task.metric.name)
+    stated = entry.summary.partition(f"; {trained.task.metric.name} ")[2].split()[0]
+    assert score == pytest.approx(float(stated), rel=1e-3)
+    assert headings(body)[: len(GENERATED)] == GENERATED
+    for metric, value in trained.metadata["scores"].items():
+        assert f"| {metric} | {value:.4g} |" in body
+
+
 def test_former_checkpoints_are_read():
     """The published files still have the former names of tasks and settings."""
-    from vrcaps.learn.checkpoint import read_weights
-
     for entry in read_index(str(OURS)).values():
         assert read_weights(OURS / entry.file).task.kind == entry.task

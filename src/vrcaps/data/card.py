@@ -1,8 +1,9 @@
 """Data card: the README of a data set, written from its plan and its ledger.
 
-Its header is the YAML block that the Hugging Face Hub and `datasets` read
-(https://huggingface.co/docs/hub/datasets-cards). Each configuration lists the tables of frames that
-have the same columns, by split, so that `datasets.load_dataset(FOLDER, NAME)` reads them.
+Its header is the YAML block that the Hugging Face Hub and `datasets` read, and its sections have
+the titles of the Hub's template (https://huggingface.co/docs/hub/datasets-cards). Each
+configuration lists the tables of frames that have the same columns, by split, so that
+`datasets.load_dataset(FOLDER, NAME)` reads them.
 
 The same plan and ledger give the same bytes: it holds no date, host or path.
 """
@@ -14,6 +15,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from vrcaps.config.convert import to_plain
+from vrcaps.config.front_matter import front_matter, size_category
 from vrcaps.data.counts import (
     Count,
     Row,
@@ -72,13 +74,17 @@ def card_text(store: Store) -> str:
     """
     plan, rows = read_plan_of(store), rows_of(store)
     planned, failed = len(Units(plan)), len(failures(store))
-    parts = [_header(plan.settings, rows), f"# {plan.settings.name}\n", _opening(plan, rows)]
+    parts = [
+        *(_header(plan.settings, rows), f"# Dataset Card for {plan.settings.name}\n"),
+        *("## Dataset Description\n", _opening(plan, rows)),
+    ]
     if len(rows) < planned:
         parts.append(
             f"**Incomplete**: {len(rows)} of {planned} recordings are complete, {failed} failed.\n"
         )
     if rows:
-        parts += [_contents(rows), _channels(rows), _cameras(rows), _reading(rows)]
+        parts += [_reading(rows), "## Dataset Structure\n"]
+        parts += [_contents(rows), _channels(rows), _cameras(rows)]
     parts += [_making(plan, rows), _limits_text(rows), _license(plan)]
     return "\n".join(parts)
 
@@ -110,7 +116,7 @@ def _opening(plan: Plan, rows: Sequence[Row]) -> str:
 
 def _contents(rows: Sequence[Row]) -> str:
     """Tables of counts."""
-    parts = ["## Contents\n", _count_table("split", by_split(rows))]
+    parts = ["### Contents\n", _count_table("split", by_split(rows))]
     keys = {"organ": "organ", "capsule": "capsule", "posture": "posture", "motion": "motion"}
     for title, key in keys.items():
         parts.append(_count_table(title, count_by(rows, lambda row, key=key: row.about[key])))
@@ -140,7 +146,7 @@ def _channels(rows: Sequence[Row]) -> str:
         if c.name in channels
     ]
     return (
-        "## Image channels\n\n"
+        "### Image channels\n\n"
         + _table(("channel", "file", "value", "no value"), lines)
         + "\nOne file for each camera, channel and frame: "
         "`episodes/<recording>/<camera>/<channel>/000000.png`. `depth` is z in the camera frame, "
@@ -155,13 +161,13 @@ def _cameras(rows: Sequence[Row]) -> str:
         for row in rows
         for name, (lens, width, height) in row.about["cameras"].items()
     }
-    return "## Cameras\n\n" + _table(("capsule", "camera", "lens", "pixels"), sorted(cameras))
+    return "### Cameras\n\n" + _table(("capsule", "camera", "lens", "pixels"), sorted(cameras))
 
 
 def _reading(rows: Sequence[Row]) -> str:
     names = list(_configurations(rows))
     first = json.dumps(names[0])
-    return f"""## Reading
+    return f"""## Uses
 
 ```python
 import vrcaps
@@ -191,7 +197,7 @@ def _making(plan: Plan, rows: Sequence[Row]) -> str:
     lines = [(name, ", ".join(sorted(known))) for name, known in sorted(versions.items())]
     content = {"dataset": to_plain(plan.settings, DatasetSettings), "scenario": plan.scenario}
     plan_text = json.dumps(content, indent=1, ensure_ascii=False, default=str)
-    return f"""## Generation
+    return f"""## Dataset Creation
 
 By vrcaps, from the plan in `{PLAN}`: {plan.settings.patients:,} patients, {len(Units(plan)):,}
 recordings. The same plan, versions and kind of machine give the same bytes. Tables such as `choice`
@@ -206,7 +212,7 @@ and `uniform` are distributions; `each` makes a recording with every value.
 
 def _license(plan: Plan) -> str:
     name = plan.settings.license
-    return f"## License\n\n{_PLAIN_LICENSES.get(name, f'`{name}`.')}\n"
+    return f"## Licensing Information\n\n{_PLAIN_LICENSES.get(name, f'`{name}`.')}\n"
 
 
 def _count_table(title: str, counts: dict[Any, Count]) -> str:
@@ -224,11 +230,6 @@ def _table(head: tuple[str, ...], lines: Iterable[tuple[Any, ...]]) -> str:
     return "".join(f"| {' | '.join(row)} |\n" for row in rows)
 
 
-_SIZES = (
-    *((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M")),
-    *((10**7, "1M<n<10M"), (10**8, "10M<n<100M"), (10**9, "100M<n<1B"), (10**10, "1B<n<10B")),
-)
-_MAX_SIZE = "10B<n<100B"
 _TASKS = (
     ("depth-estimation", {"depth", "ray_distance"}),
     ("image-segmentation", {"label", "instance"}),
@@ -248,18 +249,18 @@ def _header(settings: DatasetSettings, rows: Sequence[Row]) -> str:
     tasks = [name for name, needs in _TASKS if needs & channels]
     if any(row.about["steered"] for row in rows):
         tasks.append("robotics")
-    lines = ["---", f"pretty_name: {json.dumps(settings.name)}", f"license: {settings.license}"]
-    lines += ["task_categories:", *(f"- {name}" for name in tasks)] if tasks else []
-    lines += ["size_categories:", f"- {size_category(sum(row.frames for row in rows))}"]
-    lines += ["tags:", "- synthetic", "- medical", "- endoscopy", "- capsule-endoscopy", "- vrcaps"]
-    if rows:
-        lines += ["configs:", *_config_lines(rows)]
-    return "\n".join([*lines, "---", ""])
-
-
-def size_category(frames: int) -> str:
-    """Size category of the Hub for a number of rows."""
-    return next((name for limit, name in _SIZES if frames < limit), _MAX_SIZE)
+    return front_matter(
+        {
+            "pretty_name": settings.name,
+            "license": settings.license,
+            "task_categories": tasks,
+            "size_categories": [size_category(sum(row.frames for row in rows))],
+            "annotations_creators": ["machine-generated"],
+            "source_datasets": ["original"],
+            "tags": ("synthetic", "medical", "endoscopy", "capsule-endoscopy", "vrcaps"),
+            "configs": list(_configs(rows)),
+        }
+    )
 
 
 def _configurations(rows: Sequence[Row]) -> dict[str, list[Row]]:
@@ -278,21 +279,18 @@ def _configurations(rows: Sequence[Row]) -> dict[str, list[Row]]:
     return named
 
 
-def _config_lines(rows: Sequence[Row]) -> Iterator[str]:
+def _configs(rows: Sequence[Row]) -> Iterator[dict[str, Any]]:
+    """Configurations with the paths of their tables by split; the first is the default."""
     sizes: dict[int, int] = {}
     for row in rows:
         sizes[row.patient] = sizes.get(row.patient, 0) + 1
     for index, (name, group) in enumerate(_configurations(rows).items()):
-        yield f"- config_name: {json.dumps(name)}"
-        if index == 0:
-            yield "  default: true"
-        yield "  data_files:"
-        for split in SPLITS:
-            paths = _paths([row for row in group if row.split == split], sizes)
-            if paths:
-                yield f"  - split: {split}"
-                yield "    path:"
-                yield from (f"    - {json.dumps(path)}" for path in paths)
+        paths = {
+            split: _paths([row for row in group if row.split == split], sizes) for split in SPLITS
+        }
+        files = [{"split": split, "path": own} for split, own in paths.items() if own]
+        default = {} if index else {"default": True}
+        yield {"config_name": name, **default, "data_files": files}
 
 
 def _paths(rows: Sequence[Row], sizes: dict[int, int]) -> list[str]:
@@ -358,4 +356,4 @@ def _limits_text(rows: Sequence[Row]) -> str:
     without = sum(not row.about["contents"] for row in rows)
     if without:
         limits.append(f"{without:,} of {len(rows):,} recordings show an empty, clean lumen.")
-    return "## Known limits\n\n" + "".join(f"- {line}\n" for line in limits)
+    return "## Bias, Risks, and Limitations\n\n" + "".join(f"- {line}\n" for line in limits)

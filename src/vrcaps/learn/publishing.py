@@ -132,7 +132,8 @@ def _training(run: Path, trained: TrainedNetwork) -> Training:
             raise
         raise InputError(f"The training in {run} is damaged: {error}.") from error
     frames = (max(1, round(settings.fraction * num_training)), num_validation)
-    return Training(settings, frames, made_with, step, done, scores, _plans(settings))
+    origin = str(trained.metadata.get("origin", ""))
+    return Training(settings, frames, made_with, step, done, scores, _plans(settings), origin)
 
 
 def _plans(settings: TrainSettings) -> dict[str, dict[str, Any]]:

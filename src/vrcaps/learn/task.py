@@ -76,6 +76,7 @@ class Task:
         predicts_lengths: Whether the network infers lengths: its input is then the tissue alone, at
             the camera's own exposure.
         free_axes: Axes of the inputs and the output of any size, by index, for ONNX.
+        pipeline_tag: Task of https://huggingface.co/tasks, for model cards; empty if there is none.
     """
 
     kind: ClassVar[str]
@@ -86,6 +87,7 @@ class Task:
     fallback_class: ClassVar[str] = ""
     predicts_lengths: ClassVar[bool] = False
     free_axes: ClassVar[Mapping[int, str]] = {0: "batch"}
+    pipeline_tag: ClassVar[str] = ""
 
     @property
     def input_size(self) -> int:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+import yaml
 from PIL import Image
 
 from vrcaps.core.errors import InputError
@@ -54,7 +55,11 @@ def test_files_are_numbered_of_the_stated_size_and_equal_bytes(sequences, tmp_pa
     for name in names[0]:
         assert (outs[0] / name).read_bytes() == (outs[1] / name).read_bytes()
     readme = (outs[0] / "README.md").read_text()
-    assert "  - split: test\n    path: data/test-*\n---\n" in readme
+    start, header, body = readme.split("---\n", 2)
+    read = yaml.safe_load(header)
+    assert not start and "## Dataset Structure" in body
+    assert read["size_categories"] == ["n<1K"]
+    assert {"split": "test", "path": "data/test-*"} in read["configs"][0]["data_files"]
     assert (
         "| `depth` | z of the surface in the camera frame [m] | stored · 1e-05 + 0 | 0 |" in readme
     )

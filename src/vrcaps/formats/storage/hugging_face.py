@@ -16,6 +16,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
+from vrcaps.config.front_matter import front_matter, size_category
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import write_bytes
@@ -82,7 +83,8 @@ class HuggingFace:
                 name = f"{split or _SPLIT}-{number:05d}-of-{len(paths):05d}.parquet"
                 path.rename(target / name)
         names = [split or _SPLIT for split in splits]
-        write_bytes(folder / "README.md", _readme(names, columns).encode())
+        num_frames = sum(map(len, sequences))
+        write_bytes(folder / "README.md", _readme(names, columns, num_frames).encode())
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
         """Return the sequences of all files; images are read on demand.
@@ -232,10 +234,17 @@ def _column(path: Path, group: int, name: str) -> Any:
         return file.read_row_group(group, [name]).column(0)
 
 
-def _readme(splits: list[str], columns: _Columns) -> str:
-    """README with a header that names the splits, and the meaning of the columns."""
-    files = "".join(f"  - split: {name}\n    path: data/{name}-*\n" for name in splits)
-    return f"---\nconfigs:\n- config_name: default\n  data_files:\n{files}---\n\n{_table(columns)}"
+def _readme(splits: list[str], columns: _Columns, num_frames: int) -> str:
+    """Dataset card: a header with the splits, and the meaning of the columns."""
+    files = [{"split": name, "path": f"data/{name}-*"} for name in splits]
+    header = front_matter(
+        {
+            "tags": ("endoscopy", "capsule-endoscopy", "medical", "vrcaps"),
+            "size_categories": [size_category(num_frames)],
+            "configs": [{"config_name": "default", "data_files": files}],
+        }
+    )
+    return f"{header}\n# Dataset Card\n\n## Dataset Structure\n\n{_table(columns)}"
 
 
 def _table(columns: _Columns) -> str:

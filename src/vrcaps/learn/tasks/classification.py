@@ -59,6 +59,7 @@ class ClassificationTask(BackboneTask):
     augmentation: Augmentation = field(default_factory=lambda: Augmentation(1.3, 1.25, 1.3, 0.7))
 
     kind: ClassVar[str] = "classification"
+    pipeline_tag: ClassVar[str] = "image-classification"
     output_text: ClassVar[str] = "logit of each class [b c]"
     presets: ClassVar[Presets] = {
         **BackboneTask.presets,

@@ -63,6 +63,7 @@ class DepthTask(BackboneTask):
     augmentation: Augmentation = field(default_factory=lambda: Augmentation(1.2, 1.2, 1.15, 0.6))
 
     kind: ClassVar[str] = "depth"
+    pipeline_tag: ClassVar[str] = "depth-estimation"
     input_names: ClassVar[tuple[str, ...]] = ("image", "ray")
     output_text: ClassVar[str] = "ln(depth z / 30 mm) of each pixel [b 1 s s]"
     metric: ClassVar[Metric] = Metric("abs_rel", is_error=True)

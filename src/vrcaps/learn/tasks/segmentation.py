@@ -51,6 +51,7 @@ class SegmentationTask(BackboneTask):
     augmentation: Augmentation = field(default_factory=lambda: Augmentation(1.3, 1.25, 1.3, 0.6))
 
     kind: ClassVar[str] = "segmentation"
+    pipeline_tag: ClassVar[str] = "image-segmentation"
     output_text: ClassVar[str] = "logit of each class in each pixel, above 0 inside [b c s s]"
     metric: ClassVar[Metric] = Metric("dice", is_error=False)
     fallback_class: ClassVar[str] = LESION

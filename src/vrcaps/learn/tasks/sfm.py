@@ -89,6 +89,7 @@ class SfmTask(BackboneTask):
     supervision: Annotated[float, Range(0.0, MAX_WEIGHT)] = 0.0
 
     kind: ClassVar[str] = "sfm"
+    pipeline_tag: ClassVar[str] = "depth-estimation"
     input_names: ClassVar[tuple[str, ...]] = ("image", "ray")
     output_text: ClassVar[str] = "ln(distance along the ray / 30 mm), up to a scale [b 1 s s]"
     metric: ClassVar[Metric] = Metric("loss", is_error=True)

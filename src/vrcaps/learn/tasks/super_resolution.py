@@ -87,6 +87,7 @@ class SuperResolutionTask(Task):
     feature_encoder: str = ENCODER
 
     kind: ClassVar[str] = "super-resolution"
+    pipeline_tag: ClassVar[str] = "image-to-image"
     output_text: ClassVar[str] = "color from 0 to 1 at the larger size [b 3 fs fs]"
     presets: ClassVar[Presets] = {
         "ci": {"task.size": 64},

@@ -29,8 +29,7 @@ from vrcaps.core.transforms import look_along, transform_from
 from vrcaps.core.units import MM
 from vrcaps.lesion import LesionPair, add_lesions, parse_lesion
 from vrcaps.mesh.self_intersection import self_intersections
-from vrcaps.organ.centerline import interpolate
-from vrcaps.organ.surface import OrganSurface
+from vrcaps.organ.surface import OrganSurface, interpolate
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
 from vrcaps.world.model import Model, State

@@ -26,7 +26,7 @@ from vrcaps.lumen.contents import (
     Contents,
     prepared,
 )
-from vrcaps.organ.centerline import interpolate
+from vrcaps.organ.surface import interpolate
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
 from vrcaps.world.model import Model, State

@@ -18,8 +18,7 @@ from vrcaps.core.color import luminance
 from vrcaps.core.transforms import invert, look_along, transform_from
 from vrcaps.core.units import MM
 from vrcaps.lesion import LesionPair, add_lesions, parse_lesion
-from vrcaps.organ.centerline import interpolate
-from vrcaps.organ.surface import OrganSurface
+from vrcaps.organ.surface import OrganSurface, interpolate
 from vrcaps.world.model import State
 
 ROWS = {

@@ -29,9 +29,8 @@ from vrcaps.core.geometry import smoothstep
 from vrcaps.core.rng import truncated_normal
 from vrcaps.core.units import CM, MM
 from vrcaps.mesh.self_intersection import self_intersections
-from vrcaps.organ.centerline import interpolate
 from vrcaps.organ.measure import measure_organ
-from vrcaps.organ.surface import OrganSurface
+from vrcaps.organ.surface import OrganSurface, interpolate
 
 pytestmark = pytest.mark.slow
 

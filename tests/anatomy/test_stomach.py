@@ -63,7 +63,7 @@ def test_every_segment_is_there_in_order(stomach: OrganSurface):
 
 @pytest.mark.slow
 def test_gut_coordinates_give_back_the_vertices(stomach: OrganSurface):
-    from vrcaps.organ.centerline import interpolate
+    from vrcaps.organ.surface import interpolate
 
     points, _, _ = interpolate(stomach.centerline, stomach.arc_length)
     distance = np.linalg.norm(stomach.vertices - points, axis=1)

@@ -490,3 +490,13 @@ def test_unknown_name():
 def test_missing_file(tmp_path):
     with pytest.raises(InputError, match=r"No capsule file at .*mine\.toml.* one of: colonoscope"):
         read_device(tmp_path / "mine.toml")
+
+
+def test_a_custom_file_is_read_each_time_and_one_of_the_catalog_once(tmp_path):
+    assert read_device("mirocam") is read_device("mirocam")
+    path = tmp_path / "mirocam.toml"
+    write_device(path, replace(read_device("mirocam"), mass=5e-3))
+    assert read_device(path).mass == 5e-3
+    write_device(path, replace(read_device("mirocam"), mass=6e-3))
+    assert read_device(path).mass == 6e-3
+    assert read_device("mirocam").mass not in (5e-3, 6e-3)

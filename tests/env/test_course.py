@@ -11,7 +11,7 @@ from vrcaps.capsule.device_file import read_device
 from vrcaps.core.transforms import transform_points
 from vrcaps.env.course import Course
 from vrcaps.env.memory import Memory
-from vrcaps.organ.centerline import interpolate
+from vrcaps.organ.surface import interpolate
 from vrcaps.world.model import Model, posture_transform
 
 

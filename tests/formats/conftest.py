@@ -11,7 +11,7 @@ from vrcaps.capsule.device import Device
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.recorder import record
-from vrcaps.scenario.organ_source import OrganSource
+from vrcaps.scenario.build import OrganSource
 from vrcaps.scenario.scenario import Scenario
 
 LENSES = {

@@ -7,7 +7,7 @@ from vrcaps.capsule.device_file import device_names, read_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import transform_points
 from vrcaps.motion.fly_through import FlyThrough, _free_part, fly_through
-from vrcaps.motion.trajectory import camera_clearance, camera_poses
+from vrcaps.world.clearance import vital_clearance
 from vrcaps.world.model import Model
 
 
@@ -32,7 +32,7 @@ def test_every_device_stays_inside(tube, device):
         (2, replace(wild, start=0.9, end=0.1)),
     ):
         trajectory = _fly(model, settings, seed=seed)
-        assert camera_clearance(model, trajectory).min() > 0.0
+        assert vital_clearance(model, trajectory.Ts_world_capsule).min() > 0.0
         assert model.wall.signed_distance(trajectory.Ts_world_capsule[:, :3, 3]).min() > 0.0
         Ts = trajectory.Ts_world_capsule
         identity = Ts[:, :3, :3] @ np.swapaxes(Ts[:, :3, :3], 1, 2)
@@ -44,7 +44,7 @@ def test_margin_is_kept_where_there_is_room(model):
     """With a drift of nearly the whole radius the margin still holds away from the ends."""
     settings = FlyThrough(start=0.2, end=0.8, whole=True, drift=0.98, tilt=0.6, margin=0.004)
     trajectory = _fly(model, settings, frames=400)
-    assert camera_clearance(model, trajectory).min() > 0.98 * 0.004
+    assert vital_clearance(model, trajectory.Ts_world_capsule).min() > 0.98 * 0.004
 
 
 def test_without_wandering_it_rides_the_centerline(model):
@@ -52,7 +52,7 @@ def test_without_wandering_it_rides_the_centerline(model):
     settings = FlyThrough(whole=True, drift=0.0, tilt=0.0, roll=0.0, speed_variation=0.0)
     trajectory = _fly(model, settings, frames=300)
     camera = model.device.cameras[0]
-    front = camera_poses(trajectory.Ts_world_capsule, camera.T_capsule_camera)[:, :3, 3]
+    front = (trajectory.Ts_world_capsule @ camera.T_capsule_camera)[:, :3, 3]
     line = transform_points(model.T_world_patient, model.organ.centerline.points)
     distance = np.linalg.norm(front[:, None] - line[None], axis=-1).min(axis=1)
     assert distance.max() < 1e-3  # half the sampling of the polyline
@@ -122,7 +122,7 @@ def test_default_speed_is_a_centimeter_a_second_or_what_the_stretch_allows(model
 
     def traveled(settings: FlyThrough, frames: int) -> float:
         poses = _fly(model, settings, frames=frames).Ts_world_capsule
-        front = camera_poses(poses, camera.T_capsule_camera)[:, :3, 3]
+        front = (poses @ camera.T_capsule_camera)[:, :3, 3]
         return float(np.linalg.norm(np.diff(front, axis=0), axis=1).sum())
 
     assert traveled(FlyThrough(**still), 100) == pytest.approx(0.099, rel=0.02)

@@ -6,8 +6,7 @@ import pytest
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import DEG, MM
 from vrcaps.motion.random_views import RandomViews, _cone
-from vrcaps.motion.trajectory import camera_clearance, camera_poses
-from vrcaps.world.clearance import capsule_clearance
+from vrcaps.world.clearance import capsule_clearance, vital_clearance
 from vrcaps.world.model import Model
 
 STRAIGHT = RandomViews(tilt=0.0, nearest=5.0 * MM, farthest=40.0 * MM, obliqueness=60.0 * DEG)
@@ -19,7 +18,7 @@ def begun(model, settings, *, frames=60, seed=0):
 
 def first_cameras(model, trajectory):
     camera = model.device.cameras[0]
-    return camera_poses(trajectory.Ts_world_capsule, camera.T_capsule_camera)
+    return trajectory.Ts_world_capsule @ camera.T_capsule_camera
 
 
 def seen_along_the_axis(model, trajectory):
@@ -48,7 +47,7 @@ def lesion_of_face(model, faces):
 def test_views_are_free_and_at_rest(model):
     settings = RandomViews(margin=3.0 * MM)
     trajectory = begun(model, settings, frames=200)
-    assert camera_clearance(model, trajectory).min() >= 0.999 * settings.margin
+    assert vital_clearance(model, trajectory.Ts_world_capsule).min() >= 0.999 * settings.margin
     assert capsule_clearance(model, trajectory.Ts_world_capsule).min() > 0.0
     assert not trajectory.linear_velocities_world.any()
     assert not trajectory.angular_velocities_world.any()

@@ -14,9 +14,8 @@ import numpy as np
 import platformdirs
 import pytest
 
-import vrcaps.core.cache_folder as cache_module
-from vrcaps.core.cache_folder import cache_folder
-from vrcaps.core.files import temporary_beside
+import vrcaps.core.files as files_module
+from vrcaps.core.files import cache_folder, temporary_beside
 from vrcaps.organ import cache
 from vrcaps.organ.cache import cached_organ
 from vrcaps.organ.surface import Appearance, Centerline, OrganSurface
@@ -136,13 +135,13 @@ def test_without_a_home_the_folder_is_temporary(monkeypatch, tmp_path: Path):
     monkeypatch.setenv("VRCAPS_CACHE", "~/own")
     monkeypatch.setattr("os.path.expanduser", lambda path: path)  # no entry in the list of users
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    cache_module._temporary_folder.cache_clear()
+    files_module._temporary_folder.cache_clear()
     with pytest.warns(UserWarning, match="no home folder.*Set VRCAPS_CACHE to an absolute path"):
         folder = cache_folder()
     monkeypatch.delenv("VRCAPS_CACHE")
     assert folder == cache_folder() and folder.parent == tmp_path
     assert folder.stat().st_mode & 0o777 == 0o700
-    cache_module._temporary_folder.cache_clear()
+    files_module._temporary_folder.cache_clear()
 
 
 def test_a_folder_that_is_closed_is_a_warning(folder: Path, monkeypatch: pytest.MonkeyPatch):
@@ -193,7 +192,7 @@ def test_every_module_that_makers_import_counts():
     counted = {path.resolve() for path in cache._files(package)}
     missing = {
         found.relative_to(package).as_posix()
-        for path in counted - {package / "scenario" / "organ_source.py"}
+        for path in counted - {package / "scenario" / "build.py"}
         for found in _imported(path, package)
         if found not in counted
     }

@@ -16,9 +16,10 @@ from vrcaps.mesh.mesh import Mesh, triangle_distance, vertex_normals, wall_dista
 from vrcaps.mesh.read_mesh import read_mesh
 from vrcaps.mesh.repair import repair
 from vrcaps.organ import centerline
-from vrcaps.organ.centerline import centerline_from_points, compute_centerline, interpolate
+from vrcaps.organ.centerline import centerline_from_points, compute_centerline
 from vrcaps.organ.lumen_grid import LumenGrid, grid_crossings, mean_radius, num_handles, voxelize
 from vrcaps.organ.lumen_path import smooth_path
+from vrcaps.organ.surface import interpolate
 
 RADIUS = 10 * MM
 

@@ -23,8 +23,7 @@ from vrcaps.recording.check import check_episode
 from vrcaps.recording.episode import read_episode
 from vrcaps.recording.recorder import record
 from vrcaps.recording.resume import Checkpoint, read_checkpoint
-from vrcaps.scenario.build import build
-from vrcaps.scenario.organ_source import OrganSource
+from vrcaps.scenario.build import OrganSource, build
 from vrcaps.scenario.scenario import Scenario, read_scenario, scenario_from_plain, scenario_to_plain
 from vrcaps.tissue.contact_laws import Drag, WinklerFoundation
 from vrcaps.world.schedule import Insufflation, PostureChange, Wrench

@@ -230,7 +230,7 @@ import signal
 import sys
 from pathlib import Path
 from vrcaps.core.errors import VrcapsError
-from vrcaps.scenario.organ_source import OrganSource
+from vrcaps.scenario.build import OrganSource
 from vrcaps.recording.recorder import record
 from vrcaps.scenario.scenario import read_scenario
 {setup}

@@ -123,7 +123,7 @@ def test_goes_on_with_the_same_readings(model):
 
 @pytest.mark.slow
 def test_an_episode_has_the_readings(tmp_path, monkeypatch, base_scenario, organ):
-    from vrcaps.scenario.organ_source import OrganSource
+    from vrcaps.scenario.build import OrganSource
 
     monkeypatch.setattr(OrganSource, "load_healthy", lambda _: organ)
     asked = replace(base_scenario, capsule="magnetic", sensors=ALL, frames=3, channels=("label",))

@@ -15,7 +15,7 @@ from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.recording.recorder import record
 from vrcaps.render.channels import CHANNELS
-from vrcaps.scenario.organ_source import OrganSource
+from vrcaps.scenario.build import OrganSource
 from vrcaps.scenario.scenario import OrganFile, Scenario
 
 __all__ = ["base_scenario", "device_file", "mesh_file", "organ", "recorded", "scenario"]

@@ -14,8 +14,7 @@ from vrcaps.core.errors import InputError, require
 from vrcaps.core.geometry import length
 from vrcaps.core.transforms import invert, rotate_vectors, transform_points
 from vrcaps.core.units import MM
-from vrcaps.organ.centerline import polyline_points
-from vrcaps.organ.surface import Centerline
+from vrcaps.organ.surface import Centerline, polyline_points
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from importlib import import_module
 from typing import TYPE_CHECKING, get_args
 
@@ -60,26 +60,26 @@ def generate_organ(
         UnknownNameError: If the catalog has no such organ or mucosa.
         InputError: If the seed is negative, or there is no such distension or texture.
     """
-    from vrcaps.anatomy.full_tract.patient import draw_patient_anatomy
-
     if name not in ORGANS:
         raise UnknownNameError("organ", name, ORGANS)
     if seed < 0:
         raise InputError(f"Seed {seed} is negative. Allowed: 0, 1, 2, …")
+    if distension not in (None, *DISTENSIONS):
+        raise InputError(f"Distension is {distension!r}. Allowed: {', '.join(DISTENSIONS)}.")
     if mucosa is not None:
         return _with_mucosa(name, seed, distension, mucosa)
-    patient = draw_patient_anatomy(seed, distension)
 
     def make() -> OrganSurface:
+        from vrcaps.anatomy.full_tract.patient import draw_patient_anatomy
         from vrcaps.mucosa.bake import bake_appearance
 
-        organ = _generator(name)(patient)
+        organ = _generator(name)(draw_patient_anatomy(seed, distension))
         if organ.appearance is not None:
             return organ
         appearance = bake_appearance(organ, seed=seed, mucosa=ORGANS[name].mucosa)
         return replace(organ, appearance=appearance)
 
-    return cached_organ(f"{name}-{seed}-{fingerprint(asdict(patient))}", make)
+    return cached_organ(f"{name}-{seed}-{fingerprint({'distension': distension})}", make)
 
 
 def _with_mucosa(name: str, seed: int, distension: str | None, mucosa: str) -> OrganSurface:

@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 
     Kind = TypeVar("Kind", bound=Effect)
 
+_SETTLED_EXPOSURE = AutoExposure(time_constant=0.0)
+
 
 @dataclass(frozen=True)
 class Effects:
@@ -91,7 +93,7 @@ class Effects:
         """
         own: dict[str, Any] = dict.fromkeys(_OF_CAMERA, 0)
         if device.auto_exposure:
-            own["auto_exposure"] = AutoExposure(time_constant=0.0)
+            own["auto_exposure"] = _SETTLED_EXPOSURE
         if device.lowest_frame_rate is not None:
             own["adaptive_frame_rate"] = AdaptiveFrameRate(
                 device.lowest_frame_rate, device.frame_rate
@@ -145,7 +147,7 @@ class Effects:
         cameras = device.cameras
         for effect in self.of_kind(CameraEffect):
             cameras = tuple(effect.on(camera) for camera in cameras)
-        return replace(device, cameras=cameras)
+        return device if cameras is device.cameras else replace(device, cameras=cameras)
 
     def organ(self, organ: OrganSurface) -> OrganSurface:
         """Return the organ with the scene effects applied."""

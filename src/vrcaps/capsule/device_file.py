@@ -162,6 +162,7 @@ register_shorthand(Device, _expand_device)
 
 
 _DEVICES = CatalogFolder(Path(__file__).parent / "devices", "capsule")
+_parsed: dict[str, Device] = {}  # devices of the catalog that this process has read
 
 
 def device_names() -> tuple[str, ...]:
@@ -172,11 +173,19 @@ def device_names() -> tuple[str, ...]:
 def read_device(name_or_path: str | Path) -> Device:
     """Read a device of the catalog by its name, or a custom device by the path of its TOML file.
 
+    A file of the catalog is parsed once per process, a custom file each time.
+
     Raises:
         UnknownNameError: If the catalog has no device of that name.
         InputError: If the file does not exist, or describes an impossible device.
     """
-    return read_device_file(_DEVICES.find(name_or_path))
+    if (known := _parsed.get(str(name_or_path))) is not None:
+        return known
+    path = _DEVICES.find(name_or_path)
+    device = read_device_file(path)
+    if path.parent == _DEVICES.path:
+        _parsed[path.stem] = device
+    return device
 
 
 def device_of(given: str | Device) -> Device:

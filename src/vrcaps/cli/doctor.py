@@ -58,7 +58,7 @@ def _cache() -> str:
     """State of the cache folder."""
     import shutil
 
-    from vrcaps.core.cache_folder import cache_folder
+    from vrcaps.core.files import cache_folder
 
     folder = cache_folder()
     existing = next((path for path in (folder, *folder.parents) if path.exists()), folder)

@@ -16,8 +16,7 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.units import CM, LENGTH_UNITS, MM
 from vrcaps.organ.organ_file import is_organ_file
 from vrcaps.organ.segments import Distension
-from vrcaps.scenario.organ_source import parse_lesions
-from vrcaps.scenario.scenario import OrganFile, organ_named
+from vrcaps.scenario.scenario import OrganFile, organ_named, parse_lesions
 
 if TYPE_CHECKING:
     from vrcaps.organ.measure import OrganMeasures

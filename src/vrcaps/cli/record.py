@@ -16,7 +16,7 @@ from vrcaps.cli.console import console, progress_bars
 from vrcaps.cli.organ import lesion_lines
 from vrcaps.cli.scenario_flags import ImageFlags, MotionFlags, OrganFlags, changes
 from vrcaps.core.errors import InputError
-from vrcaps.scenario.organ_source import parse_lesions
+from vrcaps.scenario.scenario import parse_lesions
 from vrcaps.scenario.settings import changed, parse_change, settings
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from functools import cache
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
-from vrcaps.core.errors import UnknownNameError, require
+from vrcaps.core.errors import InputError, UnknownNameError
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,8 @@ def check_fields(instance: Any, of: str = "") -> None:
         if value is None:
             continue
         if range_ is not None:
-            require(value in range_, owner + name, value, str(range_))
+            if value not in range_:
+                raise InputError(f"{owner}{name} is {value}. Allowed: {range_}.")
         elif isinstance(value, str) and value not in known:
             raise UnknownNameError(name.replace("_", " "), value, known)
 

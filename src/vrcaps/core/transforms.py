@@ -196,6 +196,18 @@ def rotation_vector(
     return np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 2.0) * wxyz[..., 1:]
 
 
+def velocities_between(
+    Ts_world_a: Float[np.ndarray, "n 4 4"],
+    Ts_world_b: Float[np.ndarray, "n 4 4"],
+    duration: Float[np.ndarray, " n"] | float,
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+    """Mean linear [m/s] and angular [rad/s] velocity from poses a to poses b in `duration` [s]."""
+    duration = np.asarray(duration)[..., None]
+    linear = (Ts_world_b[:, :3, 3] - Ts_world_a[:, :3, 3]) / duration
+    angular = rotation_vector(Ts_world_a[:, :3, :3], Ts_world_b[:, :3, :3]) / duration
+    return linear, angular
+
+
 def rotation_from_vector(vector: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
     """Rotation matrix of an axis times an angle [rad]."""
     half = 0.5 * np.linalg.norm(vector, axis=-1, keepdims=True)

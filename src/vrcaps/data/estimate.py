@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import fmean
 
-from vrcaps.core.cache_folder import cache_in
-from vrcaps.core.files import files_in, scratch_folder
+from vrcaps.core.files import cache_in, files_in, scratch_folder
 from vrcaps.data.units import Unit, Units
 from vrcaps.organ.cache import short_lived_organs
 from vrcaps.scenario.scenario import OrganGenerated, Scenario

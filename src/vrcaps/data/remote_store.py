@@ -16,9 +16,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from vrcaps.core.cache_folder import cache_folder
 from vrcaps.core.errors import InputError, MissingExtraError, StorageError
-from vrcaps.core.files import files_in
+from vrcaps.core.files import cache_folder, files_in
 
 _TRANSFERS = 8
 """Concurrent reads or writes; each needs at most the file's size of memory, or 100 MB."""

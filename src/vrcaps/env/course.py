@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.core.transforms import rotate_vectors, transform_points
-from vrcaps.organ.centerline import interpolate
+from vrcaps.organ.surface import interpolate
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

@@ -22,9 +22,8 @@ from urllib.request import urlopen
 
 from vrcaps.config.convert import from_plain, to_plain
 from vrcaps.config.plain_files import decode_json
-from vrcaps.core.cache_folder import cache_folder
 from vrcaps.core.errors import InputError, StorageError, UnknownNameError, reason_of, require
-from vrcaps.core.files import file_sha256, write_bytes, write_json
+from vrcaps.core.files import cache_folder, file_sha256, write_bytes, write_json
 from vrcaps.data.store import open_store
 
 INDEX, VARIABLE, SUFFIX = "index.json", "VRCAPS_WEIGHTS", ".safetensors"

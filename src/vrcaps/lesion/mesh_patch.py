@@ -11,8 +11,7 @@ import scipy
 from vrcaps.core.geometry import edge_graph
 from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.mesh.patch import Patch, rim
-from vrcaps.organ.centerline import interpolate
-from vrcaps.organ.surface import OrganSurface
+from vrcaps.organ.surface import OrganSurface, interpolate
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

@@ -203,7 +203,7 @@ class _Seeds:
 
     def settle(self, towards: Float[np.ndarray, " 3"], fraction: float) -> None:
         """Anchor a fraction of the clusters in direction `towards`, the others all around."""
-        from vrcaps.organ.centerline import interpolate
+        from vrcaps.organ.surface import interpolate
 
         points, frames, self.lumen_radius = interpolate(self.organ.centerline, self.arc_length)
         count = len(points)

@@ -69,7 +69,7 @@ class Sections:
 
 def cut_sections(organ: OrganSurface) -> Sections:
     """Compute cross-sections of an organ's lumen from the gut coordinates of its vertices."""
-    from vrcaps.organ.centerline import interpolate
+    from vrcaps.organ.surface import interpolate
 
     length = organ.centerline.length
     edges = np.linspace(0.0, length, max(4, round(length / _SPACING)) + 1)

@@ -15,8 +15,7 @@ import numpy as np
 
 from vrcaps.capsule.device import Device
 from vrcaps.core.transforms import rotation_from_vector, transform_from
-from vrcaps.organ.centerline import interpolate
-from vrcaps.organ.surface import Centerline
+from vrcaps.organ.surface import Centerline, interpolate
 from vrcaps.world.clearance import corrected
 
 if TYPE_CHECKING:
@@ -130,7 +129,7 @@ def follower_offsets(device: Device) -> tuple[float, float]:
 
     They are at the outermost cameras, but at least as far out as the ends of the body's axis.
     """
-    heights = [camera.T_capsule_camera[2, 3] for camera in device.cameras]
+    heights = [float(camera.position[2]) for camera in device.cameras]
     axis = device.length / 2.0 - device.radius
     return max(axis, *heights), max(axis, *(-height for height in heights))
 

@@ -18,7 +18,7 @@ import numpy as np
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError, require
 from vrcaps.core.rng import stream
-from vrcaps.core.transforms import transform_points
+from vrcaps.core.transforms import transform_points, velocities_between
 from vrcaps.core.units import MM
 from vrcaps.motion.centerline_follower import (
     BandLimitedNoise,
@@ -26,12 +26,13 @@ from vrcaps.motion.centerline_follower import (
     follower_offsets,
     make_noise,
 )
-from vrcaps.motion.trajectory import Trajectory, require_inside, velocities_between
+from vrcaps.motion.trajectory import Trajectory
 from vrcaps.world.clearance import (
     WallDisplacement,
     capsule_clearance,
     fit_text,
     push_inside,
+    require_inside,
     vital_clearance,
 )
 from vrcaps.world.model import Model
@@ -149,7 +150,7 @@ def fly_through(
     velocities = velocities_between(pose_at(times - step), pose_at(times + step), 2.0 * step)
     wall_displacement = None if settings.rigid_wall else WallDisplacement(model, shown or model)
     trajectory = Trajectory(times, pose_at(times), *velocities, notes, wall_displacement)
-    require_inside(model, trajectory)
+    require_inside(model, trajectory.Ts_world_capsule)
     return trajectory
 
 

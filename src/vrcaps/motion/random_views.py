@@ -12,9 +12,9 @@ import numpy as np
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError, require
 from vrcaps.core.rng import stream
-from vrcaps.core.transforms import look_along, rotation_from_vector, transform_from
+from vrcaps.core.transforms import invert, look_along, rotation_from_vector, transform_from
 from vrcaps.core.units import DEG, MM
-from vrcaps.motion.trajectory import Trajectory, capsule_poses
+from vrcaps.motion.trajectory import Trajectory
 from vrcaps.world.clearance import WallDisplacement, capsule_clearance, fit_text, vital_clearance
 from vrcaps.world.model import Model
 
@@ -152,7 +152,7 @@ def _drawn(
     upright = look_along(forward, _across(forward))
     roll = rotation_from_vector(rng.uniform(-math.pi, math.pi, (count, 1)) * np.eye(3)[2])
     cameras = transform_from(upright @ roll, centers)
-    poses = capsule_poses(cameras, model.device.cameras[0].T_capsule_camera)
+    poses = cameras @ invert(model.device.cameras[0].T_capsule_camera)
 
     is_seen = np.asarray(model.wall.signed_distance(centers)) >= settings.margin
     some = np.flatnonzero(is_seen)

@@ -18,19 +18,15 @@ from vrcaps.config.file_ref import FileRef, file_ref, path_of
 from vrcaps.config.limits import check_fields
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.transforms import (
+    invert,
     matrix_from_quaternion,
     require_rigid,
     rotation_vector,
     transform_from,
 )
 from vrcaps.core.units import DEG, parse_length
-from vrcaps.motion.trajectory import (
-    Trajectory,
-    capsule_poses,
-    require_inside,
-    resample,
-    trajectory_from_poses,
-)
+from vrcaps.motion.trajectory import Trajectory, resample, trajectory_from_poses
+from vrcaps.world.clearance import require_inside
 from vrcaps.world.model import Model
 
 if TYPE_CHECKING:
@@ -107,7 +103,7 @@ def replay(model: Model, settings: Replay, *, frames: int, fps: float) -> Trajec
         placement = model.T_world_patient @ placement
     poses = placement @ recorded.Ts_world_capsule
     if settings.pose == "camera":
-        poses = capsule_poses(poses, model.device.cameras[0].T_capsule_camera)
+        poses = poses @ invert(model.device.cameras[0].T_capsule_camera)
     path = trajectory_from_poses(recorded.times - recorded.times[0], poses, notes=recorded.notes)
     sampled = resample(path, settings.start + np.arange(frames) / fps)
     trajectory = Trajectory(
@@ -118,7 +114,7 @@ def replay(model: Model, settings: Replay, *, frames: int, fps: float) -> Trajec
         sampled.notes,
     )
     if not settings.allow_outside:
-        require_inside(model, trajectory)
+        require_inside(model, trajectory.Ts_world_capsule)
     return trajectory
 
 

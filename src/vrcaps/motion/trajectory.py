@@ -10,7 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import invert, rotation_from_vector, rotation_vector, transform_from
+from vrcaps.core.transforms import (
+    rotation_from_vector,
+    rotation_vector,
+    transform_from,
+    velocities_between,
+)
 from vrcaps.core.units import MM
 from vrcaps.motion.motion import MotionState, Step, with_neighbors
 from vrcaps.world.clearance import WallDisplacement, capsule_clearance, fit_text
@@ -103,18 +108,6 @@ def trajectory_from_poses(
     return Trajectory(times, Ts_world_capsule, linear, angular, notes)
 
 
-def velocities_between(
-    Ts_world_a: Float[np.ndarray, "n 4 4"],
-    Ts_world_b: Float[np.ndarray, "n 4 4"],
-    duration: Float[np.ndarray, " n"] | float,
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """Mean linear [m/s] and angular [rad/s] velocity from poses a to poses b in `duration` [s]."""
-    duration = np.asarray(duration)[..., None]
-    linear = (Ts_world_b[:, :3, 3] - Ts_world_a[:, :3, 3]) / duration
-    angular = rotation_vector(Ts_world_a[:, :3, :3], Ts_world_b[:, :3, :3]) / duration
-    return linear, angular
-
-
 def resample(trajectory: Trajectory, times: Float[np.ndarray, " k"]) -> Trajectory:
     """Resample a trajectory: linear in position, spherical-linear in rotation.
 
@@ -145,52 +138,6 @@ def resample(trajectory: Trajectory, times: Float[np.ndarray, " k"]) -> Trajecto
     span = own[left + 1] - own[left]
     linear, angular = velocities_between(poses[left], poses[left + 1], span)
     return Trajectory(times, Ts_world_capsule, linear, angular, trajectory.notes)
-
-
-def camera_poses(
-    Ts_world_capsule: Float[np.ndarray, "n 4 4"], T_capsule_camera: Float[np.ndarray, "4 4"]
-) -> Float[np.ndarray, "n 4 4"]:
-    """Poses of a camera from the poses of its capsule."""
-    return Ts_world_capsule @ T_capsule_camera
-
-
-def capsule_poses(
-    Ts_world_camera: Float[np.ndarray, "n 4 4"], T_capsule_camera: Float[np.ndarray, "4 4"]
-) -> Float[np.ndarray, "n 4 4"]:
-    """Poses of the capsule from the poses of its camera."""
-    return Ts_world_camera @ invert(T_capsule_camera)
-
-
-def camera_clearance(model: Model, trajectory: Trajectory) -> Float[np.ndarray, "n c"]:
-    """Distance of each of the capsule's c cameras to the wall at rest [m], positive inside."""
-    centers = np.stack(
-        [
-            camera_poses(trajectory.Ts_world_capsule, camera.T_capsule_camera)[:, :3, 3]
-            for camera in model.device.cameras
-        ],
-        axis=1,
-    )
-    return model.wall.signed_distance(centers.reshape(-1, 3)).reshape(centers.shape[:2])
-
-
-def require_inside(model: Model, trajectory: Trajectory) -> None:
-    """Check that every camera stays inside the lumen.
-
-    Raises:
-        InputError: If a camera is outside at any instant; states the first and their number.
-    """
-    clearance = camera_clearance(model, trajectory)
-    outside = np.argwhere(~(clearance > 0.0))
-    if len(outside) == 0:
-        return
-    frame, camera = outside[0]
-    raise InputError(
-        f"Camera {model.device.cameras[camera].name!r} is {-clearance[frame, camera] / MM:.1f} mm "
-        f"outside the lumen of {model.organ.name!r} at frame {frame} "
-        f"({len(np.unique(outside[:, 0]))} of {len(trajectory)} frames are outside). Check the "
-        "path's unit, handedness and placement, or accept them: allow_outside, on the command "
-        "line motion.allow_outside=true."
-    )
 
 
 _SPACING = 2.0 * MM

@@ -17,8 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from vrcaps.core.build_info import ORGAN_PACKAGES, core_sha256, versions
-from vrcaps.core.cache_folder import cache_folder
-from vrcaps.core.files import atomic_write, is_temporary, read_arrays
+from vrcaps.core.files import atomic_write, cache_folder, is_temporary, read_arrays
 from vrcaps.organ.surface import OrganSurface, organ_from_arrays, organ_to_arrays
 
 Stored = TypeVar("Stored")
@@ -29,7 +28,7 @@ _BROKEN = (OSError, ValueError, LookupError, TypeError, AttributeError)
 _MAKERS = ("core", "mesh", "organ", "mucosa", "anatomy", "lesion")
 """Packages whose code determines an organ."""
 
-_MAKER_MODULES = ("config/convert", "config/plain_files", "config/limits", "scenario/organ_source")
+_MAKER_MODULES = ("config/convert", "config/plain_files", "config/limits", "scenario/build")
 """Other modules used by them, and their caller."""
 
 _MAX_BYTES = 10 * 10**9

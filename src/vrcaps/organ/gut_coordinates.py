@@ -9,8 +9,7 @@ import scipy
 
 from vrcaps.core.geometry import edge_graph
 from vrcaps.mesh.mesh import vertex_normals
-from vrcaps.organ.centerline import interpolate
-from vrcaps.organ.surface import Centerline
+from vrcaps.organ.surface import Centerline, interpolate
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

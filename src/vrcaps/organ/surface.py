@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int, UInt8, UInt16
@@ -35,6 +36,54 @@ class Centerline:
     def length(self) -> float:
         """Length of the curve [m]."""
         return float(self.arc_length[-1])
+
+
+def polyline_points(
+    centerline: Centerline, arc_length: Float[np.ndarray, "*batch"] | float
+) -> Float[np.ndarray, "*batch 3"]:
+    """Points [m] at arc lengths [m], interpolated linearly between the samples.
+
+    Much faster than `interpolate`. Arc lengths are clamped to the ends.
+    """
+    knots = centerline.arc_length
+    return np.stack([np.interp(arc_length, knots, axis) for axis in centerline.points.T], axis=-1)
+
+
+def interpolate(
+    centerline: Centerline, arc_length: Float[np.ndarray, "*batch"]
+) -> tuple[
+    Float[np.ndarray, "*batch 3"], Float[np.ndarray, "*batch 3 3"], Float[np.ndarray, "*batch"]
+]:
+    """Points [m], frames and radius [m] at any arc lengths along a centerline.
+
+    Points lie on the cubic Hermite curve through the samples and their tangents; frames rotate
+    at a constant rate between samples; the radius is linear. Arc lengths are clamped to the ends.
+
+    Args:
+        centerline: The curve.
+        arc_length: Arc lengths [m]; any shape.
+    """
+    at = np.clip(arc_length, 0.0, centerline.length)
+    knots = centerline.arc_length
+    below = np.clip(np.searchsorted(knots, at, side="right") - 1, 0, len(knots) - 2)
+    gap = knots[below + 1] - knots[below]
+    t = (at - knots[below]) / gap
+    start, stop = centerline.points[below], centerline.points[below + 1]
+    frames, following = centerline.frames[below], centerline.frames[below + 1]
+    pull = (t * (1.0 - t) ** 2 * gap)[..., None] * frames[..., 2]
+    pull -= (t**2 * (1.0 - t) * gap)[..., None] * following[..., 2]
+    points = start + (t**2 * (3.0 - 2.0 * t))[..., None] * (stop - start) + pull
+    relative = np.swapaxes(frames, -1, -2) @ following
+    turn = (
+        scipy.spatial.transform.Rotation.from_matrix(relative.reshape(-1, 3, 3))
+        .as_rotvec()
+        .reshape(*t.shape, 3)
+    )
+    partial = scipy.spatial.transform.Rotation.from_rotvec(
+        (t[..., None] * turn).reshape(-1, 3)
+    ).as_matrix()
+    frames = frames @ partial.reshape(*t.shape, 3, 3)
+    return points, frames, np.interp(at, knots, centerline.radius)
 
 
 HEIGHT_STEP = 2.0**-24

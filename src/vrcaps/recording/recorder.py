@@ -28,7 +28,6 @@ from vrcaps.recording.layout import (
     SHEET_PNG,
     make_head,
 )
-from vrcaps.recording.organ_files import with_stored_organ
 from vrcaps.recording.pictures import Preview, contact_sheet
 from vrcaps.recording.resume import (
     Checkpoint,
@@ -39,6 +38,7 @@ from vrcaps.recording.resume import (
     remove_damaged,
     require_free,
     require_same,
+    with_stored_organ,
     write_checkpoint,
 )
 from vrcaps.recording.sensing import SensorReadings

@@ -7,16 +7,26 @@ import shutil
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from vrcaps.config.plain_files import decode_json
 from vrcaps.core.errors import InputError
-from vrcaps.core.files import is_temporary, read_arrays, sync_folder, write_arrays, write_json
+from vrcaps.core.files import (
+    file_sha256,
+    is_temporary,
+    read_arrays,
+    scratch_folder,
+    sync_folder,
+    write_arrays,
+    write_json,
+)
 from vrcaps.core.locks import file_lock
 from vrcaps.motion.motion import MotionState
+from vrcaps.organ.organ_file import write_organ
+from vrcaps.organ.surface import OrganSurface
 from vrcaps.recording.episode import Episode
 from vrcaps.recording.frame_files import read_image, wall_path
 from vrcaps.recording.layout import (
@@ -32,7 +42,7 @@ from vrcaps.recording.layout import (
 )
 from vrcaps.recording.pictures import require_preview
 from vrcaps.recording.table import FrameTable, read_table, write_table
-from vrcaps.scenario.scenario import SOURCE_ORGAN, Scenario, scenario_to_plain
+from vrcaps.scenario.scenario import SOURCE_ORGAN, OrganFile, Scenario, scenario_to_plain
 
 LOCK = ".recording.lock"
 
@@ -72,6 +82,30 @@ def require_free(out: Path) -> None:
         raise InputError(
             f"{out} contains other files ({names[0]!r}, …). Give a new or empty folder."
         )
+
+
+def with_stored_organ(scenario: Scenario, out: Path) -> Scenario:
+    """Replace an in-memory organ of a scenario by the organ file in an episode's folder.
+
+    Args:
+        scenario: Scenario to record.
+        out: Folder of the episode: empty, or an episode of the same organ.
+
+    Raises:
+        InputError: If the folder holds an episode of another organ.
+    """
+    if not isinstance(scenario.organ, OrganSurface):
+        return scenario
+    path = out / SOURCE_ORGAN
+    if not (out / EPISODE_JSON).exists():
+        write_organ(path, scenario.organ)
+        return replace(scenario, organ=OrganFile(str(path)))
+    with scratch_folder() as folder:
+        written = folder / SOURCE_ORGAN
+        write_organ(written, scenario.organ)
+        if not path.exists() or file_sha256(written) != file_sha256(path):
+            raise InputError(f"{out} contains an episode of another organ. Give an empty folder.")
+    return replace(scenario, organ=OrganFile(str(path)))
 
 
 def require_same(out: Path, scenario: Scenario) -> None:

@@ -1,8 +1,7 @@
 """Scenarios: everything that defines a recording, as one tree of dataclasses.
 
 `scenario.Scenario` is the tree, read from and written to TOML or JSON; `settings` changes it by
-path (`--set`). `build` resolves its open settings and creates the model of the world and the
-motion; `organ_source` loads the organ with its appearance and lesions.
+path (`--set`). `build` resolves its open settings and creates organ, model of the world and motion.
 The names in `__init__.pyi` are loaded on first use.
 """
 

@@ -1,10 +1,10 @@
+from .build import OrganSource as OrganSource
 from .build import ResolvedScenario as ResolvedScenario
 from .build import resolve as resolve
-from .organ_source import OrganSource as OrganSource
-from .organ_source import parse_lesions as parse_lesions
 from .scenario import OrganFile as OrganFile
 from .scenario import OrganGenerated as OrganGenerated
 from .scenario import Scenario as Scenario
+from .scenario import parse_lesions as parse_lesions
 from .scenario import read_lesions as read_lesions
 from .scenario import read_scenario as read_scenario
 from .scenario import scenario_from_plain as scenario_from_plain

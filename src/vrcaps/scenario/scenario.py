@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -13,8 +14,9 @@ from vrcaps.config.file_ref import FileRef, file_ref
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.config.plain_files import read_plain
 from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.rng import stream
 from vrcaps.core.units import parse_length
-from vrcaps.lesion import Lesion
+from vrcaps.lesion import Lesion, draw_lesions, parse_lesion
 from vrcaps.lumen.contents import Contents
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.motion.registry import AnyMotion
@@ -28,6 +30,9 @@ from vrcaps.world.model import posture_transform
 
 SOURCE_ORGAN = "source_organ.glb"
 """File in the folder of an episode with the organ, if it was recorded from memory."""
+
+PREVALENCE = "prevalence"
+"""Source that replaces a file of lesions: a random number of them, as in screening patients."""
 
 MAX_FRAMES = 10**6
 """Maximum number of frames of a recording: their names have six digits."""
@@ -226,6 +231,36 @@ def read_lesions(path: str | Path) -> tuple[Lesion, ...]:
     if not isinstance(plain, dict) or set(plain) != {"lesions"}:
         raise InputError(f"{path} is not a lesion file. Allowed: tables [[lesions]] only.")
     return from_plain(tuple[Lesion, ...], plain["lesions"], at="lesions")
+
+
+def parse_lesions(
+    texts: Sequence[str], source: str | None, seed: int, organ: str
+) -> tuple[Lesion, ...]:
+    """Lesions of a file or of the prevalence table, followed by those given individually.
+
+    Args:
+        texts: Lesions in the syntax of `parse_lesion`.
+        source: Path of a file, ``prevalence``, or None.
+        seed: Seed of the patient, for the table.
+        organ: Name or file of the organ that receives them; the table is for the colon.
+
+    Raises:
+        InputError: If a text or the file cannot be read, or the table is for another organ.
+        UnknownNameError: If a lesion or a key is unknown.
+    """
+    from vrcaps.anatomy.catalog import ORGANS, organ_segments
+
+    if source == PREVALENCE:
+        colons = [name for name in ORGANS if "sigmoid" in organ_segments(name)]
+        if organ in ORGANS and organ not in colons:
+            raise InputError(
+                f"prevalence is a table of the colon, but the organ is {organ}. Allowed with it: "
+                f"{', '.join(colons)}. Give single lesions, or a file of your own."
+            )
+        first: tuple[Lesion, ...] = draw_lesions(None, stream(seed, "lesions/drawn"))
+    else:
+        first = () if source is None else read_lesions(Path(source))
+    return (*first, *(parse_lesion(text) for text in texts))
 
 
 def scenario_to_plain(scenario: Scenario) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import invert, rotation_from_vector, transform_from, transform_points
 from vrcaps.core.units import MM
 from vrcaps.organ.measure import lumen_diameters, unit_question
@@ -25,7 +26,7 @@ def capsule_clearance(model: Model, poses: Float[np.ndarray, "n 4 4"]) -> Float[
     """Distance to the wall [m] of the origin, each camera, and both ends of the body's axis."""
     axis = model.device.length / 2.0 - model.device.radius
     points = [np.zeros(3)]
-    points += [camera.T_capsule_camera[:3, 3] for camera in model.device.cameras]
+    points += [np.array(camera.position, float) for camera in model.device.cameras]
     points += [np.array([0.0, 0.0, axis]), np.array([0.0, 0.0, -axis])]
     points_world = transform_points(poses, np.array(points)[None])
     distance = model.wall.signed_distance(points_world.reshape(-1, 3))
@@ -35,6 +36,26 @@ def capsule_clearance(model: Model, poses: Float[np.ndarray, "n 4 4"]) -> Float[
 def vital_clearance(model: Model, poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, " n"]:
     """Minimum distance to the wall [m] of origin and cameras, which must be positive."""
     return capsule_clearance(model, poses)[:, : 1 + len(model.device.cameras)].min(axis=1)
+
+
+def require_inside(model: Model, poses: Float[np.ndarray, "n 4 4"]) -> None:
+    """Check that every camera stays inside the lumen at all poses ``Ts_world_capsule``.
+
+    Raises:
+        InputError: If a camera is outside in any frame; states the first and their number.
+    """
+    clearance = capsule_clearance(model, poses)[:, 1 : 1 + len(model.device.cameras)]
+    outside = np.argwhere(~(clearance > 0.0))
+    if len(outside) == 0:
+        return
+    frame, camera = outside[0]
+    raise InputError(
+        f"Camera {model.device.cameras[camera].name!r} is {-clearance[frame, camera] / MM:.1f} mm "
+        f"outside the lumen of {model.organ.name!r} at frame {frame} "
+        f"({len(np.unique(outside[:, 0]))} of {len(poses)} frames are outside). Check the "
+        "path's unit, handedness and placement, or accept them: allow_outside, on the command "
+        "line motion.allow_outside=true."
+    )
 
 
 def fit_text(model: Model) -> str:

@@ -14,8 +14,8 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.mesh.self_intersection import self_intersections
-from vrcaps.organ.centerline import centerline_from_points, interpolate
-from vrcaps.organ.surface import Centerline, OrganSurface
+from vrcaps.organ.centerline import centerline_from_points
+from vrcaps.organ.surface import Centerline, OrganSurface, interpolate
 from vrcaps.organ.uv_charts import TubeChart, chart_coordinates
 
 if TYPE_CHECKING:

@@ -17,12 +17,13 @@ from vrcaps.config.file_ref import FileRef
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import is_new_folder, remove_stale, write_bytes, write_json
 from vrcaps.motion.dynamics import Dynamics
-from vrcaps.scenario.organ_source import PREVALENCE, parse_lesions
 from vrcaps.scenario.scenario import (
+    PREVALENCE,
     SOURCE_ORGAN,
     OrganGenerated,
     Scenario,
     organ_named,
+    parse_lesions,
     scenario_to_plain,
 )
 

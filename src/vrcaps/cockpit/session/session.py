@@ -20,7 +20,7 @@ from vrcaps.cockpit.session.operator import Operator
 from vrcaps.core.errors import InputError, UnknownNameError, VrcapsError
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.rollout import Rollout
-from vrcaps.recording.organ_files import with_stored_organ
+from vrcaps.recording.resume import with_stored_organ
 from vrcaps.scenario.build import ResolvedScenario, build, resolve
 from vrcaps.scenario.scenario import MAX_FRAMES, Scenario
 from vrcaps.tissue.motility.migrating_complex import Front

@@ -10,8 +10,7 @@ import numpy as np
 
 from vrcaps.core.errors import UnknownNameError
 from vrcaps.core.units import CM, MM
-from vrcaps.organ.centerline import polyline_points
-from vrcaps.organ.surface import Centerline, OrganSurface
+from vrcaps.organ.surface import Centerline, OrganSurface, polyline_points
 from vrcaps.tissue.motility.segment import ZONES, organ_divisions
 
 if TYPE_CHECKING:

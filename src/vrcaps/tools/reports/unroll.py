@@ -15,8 +15,7 @@ import numpy as np
 
 from vrcaps._core import Wall, num_threads
 from vrcaps.core.geometry import barycentric, triangle_areas
-from vrcaps.organ.centerline import interpolate
-from vrcaps.organ.surface import OrganSurface, face_label
+from vrcaps.organ.surface import OrganSurface, face_label, interpolate
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int, UInt16

@@ -13,8 +13,7 @@ from vrcaps.capsule.device_file import read_device
 from vrcaps.core.geometry import barycentric, unit
 from vrcaps.core.transforms import invert, transform_from
 from vrcaps.core.units import MM
-from vrcaps.organ.centerline import interpolate
-from vrcaps.organ.surface import OrganSurface, face_label
+from vrcaps.organ.surface import OrganSurface, face_label, interpolate
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
 from vrcaps.world.model import Model, State

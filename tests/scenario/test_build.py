@@ -4,7 +4,7 @@ import pytest
 
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.lesion import Colitis, Polyp
-from vrcaps.scenario.organ_source import parse_lesions
+from vrcaps.scenario.scenario import parse_lesions
 
 
 def test_file_first_then_one_by_one(tmp_path):

@@ -56,10 +56,15 @@ def _described(effect: Effect | None) -> str:
     for field in fields(effect):  # type: ignore[arg-type]
         value = getattr(effect, field.name)
         if value != field.default:
-            numbers = [f"{v:g}" for v in (value if isinstance(value, tuple) else (value,))]
-            text = numbers[0] if len(numbers) == 1 else f"({', '.join(numbers)})"
-            parts.append(f"{field.name} {text}")
+            parts.append(f"{field.name} {_number_text(value)}")
     return ", ".join(parts)
+
+
+def _number_text(value: object) -> str:
+    """A number, or a tuple of numbers or of tuples."""
+    if isinstance(value, tuple):
+        return f"({', '.join(map(_number_text, value))})"
+    return f"{value:g}"
 
 
 if __name__ == "__main__":

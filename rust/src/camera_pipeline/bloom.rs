@@ -201,7 +201,7 @@ fn blurred(cells: &[f32], (rows, columns): (usize, usize), sigma: f32) -> Vec<f3
 
 /// Sums of numbers that are `step` apart, weighted by a kernel.
 #[inline(always)]
-fn convolve(source: &[f32], kernel: &[f32], step: usize, out: &mut [f32]) {
+pub fn convolve(source: &[f32], kernel: &[f32], step: usize, out: &mut [f32]) {
     let begin = sums::<64>(source, kernel, step, 0, out);
     let begin = sums::<16>(source, kernel, step, begin, out);
     sums::<1>(source, kernel, step, begin, out);

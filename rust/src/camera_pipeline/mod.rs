@@ -10,6 +10,7 @@ mod dct;
 mod demosaic;
 mod depth_of_field;
 mod dome;
+mod isp;
 mod jpeg;
 mod jpeg_tables;
 mod motion_blur;
@@ -41,6 +42,7 @@ pub fn register_testing(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(sensor_noise::read_sensor, m)?)?;
     m.add_function(wrap_pyfunction!(demosaic::demosaic, m)?)?;
     m.add_function(wrap_pyfunction!(planes::develop, m)?)?;
+    m.add_function(wrap_pyfunction!(isp::isp, m)?)?;
     m.add_function(wrap_pyfunction!(jpeg::jpeg, m)?)?;
     m.add_function(wrap_pyfunction!(jpeg::jpeg_bytes, m)?)?;
     m.add_function(wrap_pyfunction!(jpeg::jpeg_quality, m)?)?;

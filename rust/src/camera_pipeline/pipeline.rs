@@ -5,11 +5,12 @@ use super::bloom::{Bloom, Scattered};
 use super::demosaic::{demosaic_line, mirrored_about};
 use super::depth_of_field::{Padded, bring_near};
 use super::dome::{Drops, Smears, totals};
+use super::isp::Isp;
 use super::jpeg::Compression;
 use super::motion_blur::{LitMask, SharpImage, extend_edges, inside, with_margin};
 use super::motion_field::{MotionField, Shutter};
 use super::optical_flow::Points;
-use super::planes::{Line, Scaling, amplify, develop_row, interleave, rows, shade_row};
+use super::planes::{Line, Scaling, amplify, interleave, rows, shade_row};
 use super::sensor_noise::{Readout, Sensor, streams};
 use super::stages::{
     ColorGains, Distances, FrameParams, FrameStageParams, StageParams, of_image, size_mismatch,
@@ -43,6 +44,7 @@ pub struct CameraPipeline {
     sensor: Option<SensorOfCamera>,
     bayer_filter: Option<[usize; 4]>,
     colors: ColorGains,
+    isp: Isp,
     jpeg: Option<Compression>,
     /// Buffers of earlier frames, whose memory is used again. Nobody waits for the lock: a forked
     /// process may have a copy that is locked forever.
@@ -97,6 +99,7 @@ impl CameraPipeline {
             return Err(size_mismatch());
         }
         let lit = of_image(&lit, size)?.to_vec();
+        let isp = Isp::new(&given, size, &lit);
         let mask = |times| (Shutter::of(times), install(|| LitMask::new(size, &lit)));
         let shutter = given.shutter().map(mask);
         let sites = (if bayer.is_some() { height } else { 3 * height }, width);
@@ -117,6 +120,7 @@ impl CameraPipeline {
             sensor: SensorOfCamera::of(&given, sites)?,
             bayer_filter: bayer,
             colors: given.white_balance.unwrap_or(([1.0; 3], [1.0; 3])),
+            isp,
             jpeg: given.jpeg.map(|(quality, max_bytes)| Compression { quality, max_bytes }),
             buffers: Mutex::new(Vec::new()),
         })
@@ -350,46 +354,47 @@ impl CameraPipeline {
         }
     }
 
-    /// Bloom, sensor, white balance and 8 bits.
+    /// Bloom, sensor and image signal processor up to 8 bits.
     fn read_sensor(&self, frame: &Frame<'_>, scattered: Option<&Scattered>, buffers: &mut Buffers) {
-        let ((height, width), size) = (self.size, self.size);
-        let Buffers { planes, spare, codes, .. } = buffers;
-        let lit = |y: usize| &self.lit[y * width..][..width];
+        let (size, Buffers { planes, spare, codes, .. }) = (self.size, buffers);
+        let (height, width) = size;
         let lines = rows(planes, size).into_par_iter().enumerate();
         let mosaic = frame.sensor.as_ref().zip(self.bayer_filter);
-        let Some((sensor, colors)) = mosaic else {
+        if let Some((sensor, colors)) = mosaic {
+            lines.zip(spare.par_chunks_mut(width)).for_each(|((y, mut line), read)| {
+                if let Some(scattered) = scattered {
+                    scattered.mix_into(y, &mut line);
+                }
+                let [first, second] = [0, 1].map(|k| colors[y % 2 * 2 + k]);
+                sensor.read([&*line[first], &*line[second]], [first, second], y, read);
+            });
+            let padded = mirrored_about(&spare[..height * width], size);
+            let lines = rows(planes, size).into_par_iter().zip(rows(codes, size)).enumerate();
+            lines.for_each(|(y, (mut line, mut codes))| {
+                demosaic_line(&padded, y, colors, &mut line);
+                self.isp.develop(&mut line, frame.gains, self.lit_row(y), &mut codes);
+            });
+        } else {
             lines.zip(rows(codes, size)).for_each_init(
                 || vec![0.0; width],
-                |read, ((y, mut line), codes)| {
+                |read, ((y, mut line), mut codes)| {
                     if let Some(scattered) = scattered {
                         scattered.mix_into(y, &mut line);
                     }
-                    for (k, codes) in codes.into_iter().enumerate() {
-                        let mut values = &*line[k];
-                        if let Some(sensor) = &frame.sensor {
-                            sensor.read([values; 2], [k; 2], k * height + y, read);
-                            values = read;
+                    if let Some(sensor) = &frame.sensor {
+                        for (k, row) in line.iter_mut().enumerate() {
+                            sensor.read([&**row; 2], [k; 2], k * height + y, read);
+                            row.copy_from_slice(read);
                         }
-                        develop_row(values, frame.gains[k], lit(y), codes);
                     }
+                    self.isp.develop(&mut line, frame.gains, self.lit_row(y), &mut codes);
                 },
             );
-            return;
-        };
-        lines.zip(spare.par_chunks_mut(width)).for_each(|((y, mut line), read)| {
-            if let Some(scattered) = scattered {
-                scattered.mix_into(y, &mut line);
-            }
-            let [first, second] = [0, 1].map(|k| colors[y % 2 * 2 + k]);
-            sensor.read([&*line[first], &*line[second]], [first, second], y, read);
-        });
-        let padded = mirrored_about(&spare[..height * width], size);
-        let lines = rows(planes, size).into_par_iter().zip(rows(codes, size)).enumerate();
-        lines.for_each(|(y, (mut line, codes))| {
-            demosaic_line(&padded, y, colors, &mut line);
-            for (k, codes) in codes.into_iter().enumerate() {
-                develop_row(line[k], frame.gains[k], lit(y), codes);
-            }
-        });
+        }
+        self.isp.filter(planes, spare, &self.lit, (codes, size));
+    }
+
+    fn lit_row(&self, y: usize) -> &[bool] {
+        &self.lit[y * self.size.1..][..self.size.1]
     }
 }

@@ -1,6 +1,7 @@
 //! The registry of stages: what each takes, once and with each frame.
 
 use super::dome::{GivenDrops, GivenSmears};
+use super::isp::Matrix;
 use super::optical_flow::GivenPoints;
 use super::sensor_noise::{GivenSensor, Readout};
 use numpy::{Element, PyReadonlyArray2, PyUntypedArrayMethods};
@@ -55,6 +56,14 @@ stages! {
         bayer_filter: [usize; 4],
         /// Gain and response of each color.
         white_balance: ([f64; 3], [f64; 3]),
+        /// Matrix of linear colors.
+        color_matrix: Matrix,
+        /// Exponent and factor, see `isp::encode_row`.
+        tone_curve: (f32, f32),
+        /// Standard deviations for luma and chroma [px].
+        denoising: (f32, f32),
+        /// Amount, standard deviation [px] and threshold [1/255 of white].
+        sharpening: (f32, f32, f32),
         /// Quality, and limit of the file [bytes].
         jpeg: (u32, Option<usize>),
     }

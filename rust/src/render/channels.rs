@@ -371,14 +371,19 @@ fn fill<T>(pixel: &mut [T], value: impl Fn(usize) -> T) {
     }
 }
 
-/// 8-bit sRGB of a linear value (IEC 61966-2-1), rounded to nearest.
+/// sRGB encoding of a linear value (IEC 61966-2-1), 0 to 1.
 #[inline(always)]
-pub fn srgb(linear: f32) -> u8 {
+pub fn encode(linear: f32) -> f32 {
     let x = clamp(linear, 0.0, 1.0);
     let curve = 1.055 * pow(x, 1.0 / 2.4) - 0.055;
-    let encoded = if x <= 0.003_130_8 { 12.92 * x } else { curve };
+    if x <= 0.003_130_8 { 12.92 * x } else { curve }
+}
+
+/// 8-bit sRGB of a linear value, rounded to nearest.
+#[inline(always)]
+pub fn srgb(linear: f32) -> u8 {
     // Adding 2²³ rounds to a whole number and leaves it in the low bits.
-    (encoded * 255.0 + 8_388_608.0).to_bits() as u8
+    (encode(linear) * 255.0 + 8_388_608.0).to_bits() as u8
 }
 
 /// 8-bit sRGB image [h w 3] of linear radiance [h w 3] times `exposure`.

@@ -20,6 +20,7 @@ from vrcaps.camera_pipeline.effect.exposure import (
     MotionBlur,
     RollingShutter,
 )
+from vrcaps.camera_pipeline.effect.lighting import LedBalance
 from vrcaps.camera_pipeline.effect.optics import (
     Bloom,
     DepthOfField,
@@ -28,9 +29,17 @@ from vrcaps.camera_pipeline.effect.optics import (
     LateralChromaticAberration,
     Vignetting,
 )
-from vrcaps.camera_pipeline.effect.processing import Jpeg, WhiteBalance
+from vrcaps.camera_pipeline.effect.processing import (
+    ColorMatrix,
+    Denoising,
+    Jpeg,
+    Sharpening,
+    ToneCurve,
+    WhiteBalance,
+)
 from vrcaps.camera_pipeline.effect.scene import DomeBubbles, SpecularReflection
 from vrcaps.camera_pipeline.effect.sensor import BayerFilter, Resolution, SensorNoise
+from vrcaps.camera_pipeline.units import unit_effects
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.rng import stream
 
@@ -62,6 +71,7 @@ class Effects:
 
     specular: Severity | SpecularReflection | None = None
     dome_bubbles: Severity | DomeBubbles | None = None
+    led_balance: Severity | LedBalance | None = None
     field_of_view: Severity | FieldOfView | None = None
     distortion: Severity | Distortion | None = None
     resolution: Severity | Resolution | None = None
@@ -77,6 +87,10 @@ class Effects:
     sensor_noise: Severity | SensorNoise | None = None
     bayer_filter: Literal[0] | BayerFilter | None = None
     white_balance: Severity | WhiteBalance | None = None
+    color_matrix: Severity | ColorMatrix | None = None
+    tone_curve: Severity | ToneCurve | None = None
+    denoising: Severity | Denoising | None = None
+    sharpening: Severity | Sharpening | None = None
     jpeg: Severity | Jpeg | None = None
     adaptive_frame_rate: Literal[0] | AdaptiveFrameRate | None = None
 
@@ -84,14 +98,25 @@ class Effects:
         for name, kind in EFFECTS.items():
             _check(kind, getattr(self, name))
 
-    def of_device(self, device: Device) -> Effects:
+    @classmethod
+    def none(cls) -> Effects:
+        """Effects of an ideal camera with fixed exposure: `none` of `parse_effects`."""
+        return cls(**dict.fromkeys(_OF_CAMERA, 0))
+
+    def of_device(self, device: Device, seed: int | None = None) -> Effects:
         """Return the effects with each None replaced by the capsule's own.
 
-        A capsule with automatic exposure has it settled in every frame; one that states a minimum
-        frame rate adapts its frame rate. All other effects of the camera are off; the scene is
-        unchanged.
+        A capsule with an image chain has that of the unit of the seed, one with automatic exposure
+        has it settled in every frame, and one that states a minimum frame rate adapts its frame
+        rate. All other effects of the camera are off; the scene is unchanged.
+
+        Args:
+            device: The capsule.
+            seed: Seed of the unit; None for the nominal values of its model.
         """
         own: dict[str, Any] = dict.fromkeys(_OF_CAMERA, 0)
+        if device.image_chain is not None:
+            own |= unit_effects(device.image_chain, seed)
         if device.auto_exposure:
             own["auto_exposure"] = _SETTLED_EXPOSURE
         if device.lowest_frame_rate is not None:
@@ -100,9 +125,9 @@ class Effects:
             )
         return replace(self, **{k: v for k, v in own.items() if getattr(self, k) is None})
 
-    def without_device(self, device: Device) -> Effects:
+    def without_device(self, device: Device, seed: int | None = None) -> Effects:
         """Return the inverse of `of_device`: None for each effect equal to the capsule's own."""
-        own = Effects().of_device(device)
+        own = Effects().of_device(device, seed)
         same = [name for name in _OF_CAMERA if getattr(self, name) == getattr(own, name)]
         return replace(self, **dict.fromkeys(same))
 
@@ -207,6 +232,8 @@ SHORT_NAMES = {kind.short: name for name, kind in EFFECTS.items() if kind.short}
 """Short names of effects."""
 
 _ALL, _RANDOM, _NONE = "all", "random", "none"
+DEFAULT = "default"
+"""Name of the capsule's own camera, see `parse_effects`."""
 
 
 class _All(Effect):
@@ -218,10 +245,11 @@ class _All(Effect):
 def parse_effects(text: str) -> Effects:
     """Parse effects from a text such as `specular=3,dof=1`.
 
-    Items are separated by commas; later items override earlier ones: `none` for an ideal camera
-    with fixed exposure, `NAME=SEVERITY`, `NAME=FIRST..LAST` to sample a severity, `all=SEVERITY`
-    for every effect, `random` for `all=0..4`; `ae=settled`, `bayer=rggb`, and `afr=MIN..MAX` in
-    frames per second. Effects that are not named are the capsule's own.
+    Items are separated by commas; later items override earlier ones: `default` for the capsule's
+    own camera, `none` for an ideal camera with fixed exposure, `NAME=SEVERITY`, `NAME=FIRST..LAST`
+    to sample a severity, `all=SEVERITY` for every effect, `random` for `all=0..4`; `ae=settled`,
+    `bayer=rggb`, and `afr=MIN..MAX` in frames per second. Effects that are not named are the
+    capsule's own.
 
     Raises:
         UnknownNameError: If an effect does not exist.
@@ -236,10 +264,14 @@ def parse_effects(text: str) -> Effects:
             values |= dict.fromkeys(SEVERITIES, (0, MAX_SEVERITY))
         elif name == _NONE and not equals:
             values |= dict.fromkeys(_OF_CAMERA, 0)
+        elif name == DEFAULT and not equals:
+            values |= dict.fromkeys(_OF_CAMERA)
         elif name == _ALL:
             values |= dict.fromkeys(SEVERITIES, _All.parse(value))
         elif name in EFFECTS:
             values[name] = 0 if value == "0" else EFFECTS[name].parse(value)
         else:
-            raise UnknownNameError("effect", name, (*EFFECTS, *SHORT_NAMES, _ALL, _RANDOM, _NONE))
+            raise UnknownNameError(
+                "effect", name, (*EFFECTS, *SHORT_NAMES, _ALL, _RANDOM, _NONE, DEFAULT)
+            )
     return Effects(**values)

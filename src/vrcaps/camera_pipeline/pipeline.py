@@ -116,7 +116,7 @@ class CameraPipeline:
         """
         device = renderer.model.device
         camera = device.camera(camera) if isinstance(camera, str) else camera
-        effects = Effects().of_device(device) if effects is None else effects
+        effects = Effects().of_device(device, seed) if effects is None else effects
         fps = device.frame_rate if fps is None else fps
         self.renderer, self.camera = renderer, camera
         self.channels = tuple(channels)

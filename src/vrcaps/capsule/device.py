@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.camera.camera import Camera, check_names
+from vrcaps.capsule.image_chain import ImageChain
 from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.magnet.sources import InternalMagnet
 
@@ -39,6 +40,7 @@ class Device:
             motion of the image; None for a constant frame rate.
         auto_exposure: Whether the cameras expose automatically; otherwise each camera has its own
             fixed exposure.
+        image_chain: Lens, sensor and image processor as built; None for an ideal lens and sensor.
         magnets: Magnets in the capsule.
         led_spectrum: Wavelengths [nm], increasing, and relative power of its white LEDs; linear in
             between, zero outside. None is a blue LED under a yellow phosphor.
@@ -55,6 +57,7 @@ class Device:
     frame_rate: float = field(default=2.0, metadata={"unit": "hz"})
     lowest_frame_rate: float | None = field(default=None, metadata={"unit": "hz"})
     auto_exposure: bool = True
+    image_chain: ImageChain | None = None
     magnets: tuple[InternalMagnet, ...] = ()
     led_spectrum: Spectrum | None = None
     source: str = ""

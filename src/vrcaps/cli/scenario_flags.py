@@ -84,8 +84,9 @@ def _entry(flag: str, setting: Setting) -> tuple[str, Any, Any]:
 _LESION = """Lesion to put into the organ; repeat for more. A kind, then what differs from its
 defaults: polyp-Ip:size=12mm,segment=sigmoid, colitis-2, bleeding-3. vrcaps organ list has all."""
 _EFFECTS = """Camera effects by severity 0 to 4, such as dof=1,noise=2, noise=1..3 (a range, sampled
-by the seed), all=2, random, ae=settled, bayer=rggb, afr=4..35; none is an ideal camera of fixed
-exposure. An effect that is not named is the capsule's own. vrcaps organ list has all effects."""
+by the seed), all=2, random, ae=settled, bayer=rggb, afr=4..35; default is the capsule's own camera,
+none an ideal camera of fixed exposure. An effect that is not named is the capsule's own. vrcaps
+organ list has all effects."""
 
 OrganFlags = _flags(
     "Organ",
@@ -179,9 +180,11 @@ def _patient_changes(flags: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
 
 
 def _effect_changes(text: str) -> Iterator[tuple[str, Any]]:
-    from vrcaps.camera_pipeline.effects import Effects, parse_effects
+    from vrcaps.camera_pipeline.effect.base import SceneEffect
+    from vrcaps.camera_pipeline.effects import DEFAULT, EFFECTS, Effects, parse_effects
     from vrcaps.config.convert import to_plain
 
+    is_reset = DEFAULT in (item.strip() for item in text.split(","))
     for name, value in to_plain(parse_effects(text), Effects).items():
-        if value is not None:
+        if value is not None or (is_reset and not issubclass(EFFECTS[name], SceneEffect)):
             yield f"effects.{name}", value

@@ -64,7 +64,7 @@ def resolve(scenario: Scenario) -> ResolvedScenario:
     organ = resolve_organ(organ_named(given) if isinstance(given, str) else given)
     fps = device.frame_rate if scenario.fps is None else scenario.fps
     channels = tuple(channel for channel in CHANNELS if channel in scenario.channels)
-    effects = scenario.effects.of_device(device).sample(scenario.seed)
+    effects = scenario.effects.of_device(device, scenario.seed).sample(scenario.seed)
     motion = with_checksums(scenario.motion)
     scenario = replace(
         scenario, organ=organ, motion=motion, fps=fps, channels=channels, effects=effects

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from vrcaps.camera_pipeline.effects import Effects
+from vrcaps.camera_pipeline.effects import Effects, parse_effects
 from vrcaps.capsule.device import Device
 from vrcaps.config.convert import from_plain, to_plain
 from vrcaps.config.file_ref import FileRef, file_ref
@@ -135,7 +135,8 @@ class Scenario:
         clean_twin: Whether to render the same patient without the lesions, with the same motion.
         contents: Contents of the lumen.
         effects: Effects of lens and sensor; None for an effect is the capsule's own, and a range
-            is sampled to one severity by the seed.
+            is sampled to one severity by the seed. A file can also contain a text as of
+            `parse_effects`, such as none.
         sensors: Further measurements in each frame: motion, magnetic field and position of the
             capsule.
     """
@@ -195,7 +196,7 @@ def read_plain_scenario(path: str | Path) -> Any:
     path = Path(path)
     plain = read_plain(path, "scenario")
     if not (isinstance(plain, dict) and "format" in plain):
-        return plain
+        return _with_effects_of_text(plain)
     plain = plain.get("scenario")
     organ = plain.get("organ") if isinstance(plain, dict) else None
     file = organ.get("path") if isinstance(organ, dict) else None
@@ -204,11 +205,19 @@ def read_plain_scenario(path: str | Path) -> Any:
     return _with_former_defaults(plain)
 
 
+def _with_effects_of_text(plain: Any) -> Any:
+    """Scenario whose effects, if they are a text such as `none`, are the table of that text."""
+    if isinstance(plain, dict) and isinstance(text := plain.get("effects"), str):
+        return {**plain, "effects": to_plain(parse_effects(text), Effects)}
+    return plain
+
+
 def _with_former_defaults(plain: Any) -> Any:
     """Scenario of an episode, completed with the defaults of the version that recorded it.
 
     In earlier versions, a fly-through without a speed covered the whole stretch, and an adaptive
-    frame rate was off if it was null in an episode with a stated exposure.
+    frame rate was off if it was null in an episode with a stated exposure. An episode states all
+    effects of its version: later ones are off.
     """
     if not isinstance(plain, dict):
         return plain
@@ -216,8 +225,9 @@ def _with_former_defaults(plain: Any) -> Any:
     if isinstance(motion, dict) and motion.get("kind") == FlyThrough.kind:
         plain = {**plain, "motion": {"whole": motion.get("speed") is None, **motion}}
     if isinstance(effects, dict) and effects.get("auto_exposure") is not None:
-        rate = effects.get("adaptive_frame_rate") or 0
-        plain = {**plain, "effects": {**effects, "adaptive_frame_rate": rate}}
+        stated = {name: value for name, value in effects.items() if value is not None}
+        off = to_plain(Effects.none(), Effects)
+        plain = {**plain, "effects": {**off, **stated}}
     return plain
 
 
@@ -286,4 +296,4 @@ def scenario_from_plain(plain: Any, *, units: bool = False) -> Scenario:
     """
     if not isinstance(plain, dict):
         raise InputError(f"A scenario is a table of keys, not {type(plain).__name__}.")
-    return from_plain(Scenario, plain, at="", units=units)
+    return from_plain(Scenario, _with_effects_of_text(plain), at="", units=units)

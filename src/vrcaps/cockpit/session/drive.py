@@ -190,7 +190,7 @@ def chosen_scenario(scenario: Scenario, choice: Choice) -> Scenario:
         before = device_of(scenario.capsule)
         if scenario.fps == before.frame_rate:
             changed["fps"] = None  # the capsule's own
-        changed["effects"] = changed["effects"].without_device(before)
+        changed["effects"] = changed["effects"].without_device(before, scenario.seed)
     return replace(scenario, **changed)
 
 

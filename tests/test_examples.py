@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import ast
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from tests.support.waiting import WATCHDOG
+from tests.support.programs import run_program
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.scenario.scenario import OrganFile, read_scenario
@@ -19,21 +17,9 @@ ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("[0-9]*.py"))
 
 
-RUN = """
-import runpy, sys, warnings
-warnings.filterwarnings("error", module="vrcaps|__main__")
-del sys.argv[0]
-runpy.run_path(sys.argv[0], run_name="__main__")
-"""
-"""A program whose own warnings, and those of vrcaps, are errors."""
-
-
 def output_of(program: Path, folder: Path, *arguments: str) -> str:
-    """What a program prints that runs in a folder."""
-    command = [sys.executable, "-c", RUN, str(program), *arguments]
-    result = subprocess.run(
-        command, capture_output=True, text=True, timeout=WATCHDOG, cwd=folder, check=False
-    )
+    """Text printed by a program in a folder; its warnings, and those of vrcaps, are errors."""
+    result = run_program(program, *arguments, folder=folder, warnings="vrcaps|__main__")
     assert result.returncode == 0, result.stderr
     return result.stdout
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from tests.support.programs import run_program
 
 PACKAGE = Path(__file__).parents[1] / "extension_package" / "vrcaps_extension.py"
 MAX_LINES = 30
@@ -30,13 +31,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run_command(site: Path, *arguments: str) -> str:
     """Output of a vrcaps command with the package installed."""
     path = os.pathsep.join([str(site), os.environ.get("PYTHONPATH", "")])
-    result = subprocess.run(
-        [sys.executable, "-c", RUN, *arguments],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "PYTHONPATH": path, "COLUMNS": "200"},
-        check=False,
-    )
+    result = run_program(RUN, *arguments, environment={"PYTHONPATH": path, "COLUMNS": "200"})
     assert result.returncode == 0, result.stderr
     return result.stdout
 
@@ -85,11 +80,5 @@ print(observations["velocity"].shape, rewards.shape, bool((rewards <= 0.0).all()
 @pytest.mark.slow
 def test_an_environment_has_the_parts_by_name(site: Path) -> None:
     path = os.pathsep.join([str(site), *sys.path])
-    result = subprocess.run(
-        [sys.executable, "-c", ROLLOUT],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "PYTHONPATH": path},
-        check=False,
-    )
+    result = run_program(ROLLOUT, environment={"PYTHONPATH": path})
     assert result.stdout == "(2, 3) (2,) True\n", result.stderr

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import os
 import re
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from tests.support.waiting import WATCHDOG
+from tests.support.programs import run_program
 
 ROOT = Path(__file__).parents[2]
 ELSEWHERE = {"README.md", "docs/tutorials/quickstart.md", "docs/how-to/extending.md"}
@@ -137,13 +136,7 @@ def program_of(page: str) -> str:
 @pytest.mark.parametrize("page", PAGES)
 def test_the_programs_of_a_page_run(page: str, tmp_path: Path) -> None:
     (tmp_path / "program.py").write_text(program_of(page), encoding="utf-8")
-    result = subprocess.run(
-        [sys.executable, "program.py"],
-        capture_output=True,
-        text=True,
-        timeout=WATCHDOG,
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])},
-        check=False,
-    )
+    path = os.pathsep.join([str(ROOT), *sys.path])
+    program = tmp_path / "program.py"
+    result = run_program(program, folder=tmp_path, environment={"PYTHONPATH": path})
     assert result.returncode == 0, result.stderr[-3000:]

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import subprocess
-import sys
 from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
+from tests.support.programs import run_program
 from tests.support.shapes import looking
 from vrcaps.camera.camera import Camera
 from vrcaps.render.renderer import Renderer
+
+VARIABLES = ("RAYON_NUM_THREADS", "OIDN_NUM_THREADS")
 
 
 def digests_by_threads(test: Path, threads: Iterable[int]) -> tuple[list[int], set[str]]:
@@ -28,13 +28,7 @@ def digests_by_threads(test: Path, threads: Iterable[int]) -> tuple[list[int], s
         "print(_core.num_threads(), test.digest())"
     )
     results = [
-        subprocess.run(
-            [sys.executable, "-c", code],
-            env={**os.environ, "RAYON_NUM_THREADS": str(count), "OIDN_NUM_THREADS": str(count)},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout.split()
+        run_program(code, environment=dict.fromkeys(VARIABLES, str(count))).stdout.split()
         for count in threads
     ]
     return [int(count) for count, _ in results], {checksum for _, checksum in results}

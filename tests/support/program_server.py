@@ -1,0 +1,125 @@
+"""Server of `tests.support.programs`: it loads packages once and runs each program in a fork.
+
+It reads one JSON object per line from standard input and writes the exit status of each program.
+No package of the project is loaded before the fork, so a program imports vrcaps afresh.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import importlib
+import json
+import os
+import runpy
+import sys
+import traceback
+import types
+import warnings
+from typing import Any
+
+PACKAGES = (
+    "numpy",
+    "scipy.interpolate",
+    "scipy.ndimage",
+    "scipy.optimize",
+    "scipy.sparse.linalg",
+    "scipy.spatial",
+    "trimesh",
+    "skimage.measure",
+    "PIL.Image",
+    "av",
+    "pyarrow.parquet",
+    "matplotlib.figure",
+    "rich.console",
+    "tyro",
+    "cattrs",
+    "torch",
+    "gymnasium",
+)
+"""Packages that programs import; what is not installed is left out."""
+
+
+def load() -> None:
+    """Import the packages of others."""
+    os.environ["MPLBACKEND"] = "agg"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for name in PACKAGES:
+            with contextlib.suppress(ImportError):
+                importlib.import_module(name)
+    loaded = sorted(name for name in sys.modules if name.partition(".")[0] == "vrcaps")
+    assert not loaded, loaded
+
+
+def run(job: dict[str, Any]) -> int:
+    """Run a program like the interpreter; return its exit status."""
+    faulthandler.dump_traceback_later(job["timeout"], exit=True)
+    os.chdir(job["folder"])
+    os.environ.clear()
+    os.environ.update(job["environment"])
+    given = [path for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
+    sys.path[:] = list(dict.fromkeys([*given, *sys.path]))
+    sys.argv = job["arguments"]
+    try:
+        if job["code"] is None:
+            sys.path.insert(0, os.path.dirname(sys.argv[0]))
+            if job["warnings"]:
+                warnings.filterwarnings("error", module=job["warnings"])
+            runpy.run_path(sys.argv[0], run_name="__main__")
+        else:
+            sys.path.insert(0, "")
+            module = types.ModuleType("__main__")
+            sys.modules["__main__"] = module
+            exec(compile(job["code"], "<string>", "exec"), module.__dict__)
+    except SystemExit as error:
+        if isinstance(error.code, str):
+            sys.stderr.write(f"{error.code}\n")
+            return 1
+        return error.code or 0
+    except BaseException:
+        traceback.print_exc()
+        return 1
+    return 0
+
+
+def fork(job: dict[str, Any]) -> int:
+    """Exit status of a program in a child process; negative for a signal."""
+    child = os.fork()
+    if child == 0:
+        status = 1
+        try:
+            for path, stream in ((job["stdout"], 1), (job["stderr"], 2)):
+                file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+                os.dup2(file, stream)
+                os.close(file)
+            os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+            status = run(job)
+        finally:
+            end(status)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+def end(status: int) -> None:
+    """Leave a child as the interpreter does: join threads, call exit functions, flush."""
+    import atexit
+    import threading
+
+    with contextlib.suppress(BaseException):
+        threading._shutdown()  # type: ignore[attr-defined]
+        atexit._run_exitfuncs()
+        sys.stdout.flush()
+        sys.stderr.flush()
+    os._exit(status)
+
+
+def main() -> None:
+    """Answer until standard input ends."""
+    load()
+    for line in sys.stdin:
+        sys.stdout.write(f"{fork(json.loads(line))}\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

@@ -28,7 +28,7 @@ def kinds() -> str:
 
 
 def library() -> str:
-    """How many named lesions each kind has."""
+    """Number of named lesions of each kind."""
     rows = []
     for kind, cls in LESIONS.items():
         names = list(cls.library())

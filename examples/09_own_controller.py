@@ -24,7 +24,7 @@ class Frontier:
 
     requires = Requirements(observations=("map",), actuations=("wrench",))
 
-    def reset(self, numbers: np.ndarray, seeds: Sequence[int]) -> None:
+    def reset(self, indices: np.ndarray, seeds: Sequence[int]) -> None:
         """Do nothing: the policy has no state."""
 
     def act(self, observations: dict[str, np.ndarray], env: CapsuleVectorEnv) -> np.ndarray:

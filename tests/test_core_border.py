@@ -28,7 +28,7 @@ SHAPES += [(4, 4), (1, 4), (2, 4), (5, 4), (2, 6), (2, 7), (2, 8), (1, 10), (121
 SHAPES += [(0, 4, 4), (2, 3, 4), (1, 8, 8), (8, 8, 3), (2, 2, 1), (2, 2, 2, 3), (1, 0, 3, 2)]
 NUMBERS = [0.0, 1.0, -1.0, 1e-3, 0.3, np.nan, np.inf, -np.inf, 1e300]
 CALLS, FEW = 40, {"Radiosity.__init__": 2}
-"""Of each function from each thread, and of those that take long."""
+"""Calls of each function from each thread, and of slow functions."""
 
 
 def _array(kind: str, rng: np.random.Generator) -> np.ndarray:
@@ -158,7 +158,7 @@ def _arguments(
 
 
 def _call(called: Callable, plain: list[object], named: dict[str, object]) -> str | None:
-    """What it panics with, if it does."""
+    """Message with which a call panics; None if it does not."""
     try:
         called(*plain, **named)
     except Exception:
@@ -174,7 +174,7 @@ def things() -> dict[str, object]:
 
 
 def _panics(things: dict[str, object], seed: int) -> dict[str, str]:
-    """What panics, with the message of the first."""
+    """Functions that panic, with the message of the first panic."""
     found: dict[str, str] = {}
     for name, called, node in _functions(things):
         rng = np.random.default_rng([seed, *name.encode()])

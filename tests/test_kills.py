@@ -71,7 +71,7 @@ def killed(at: int, function: str, *words: str) -> None:
 
 
 def checksums(folder: Path) -> dict[str, str]:
-    """Of all files, hidden ones too."""
+    """Checksums of all files, including hidden ones."""
     return {p.relative_to(folder).as_posix(): file_sha256(p) for p in files_in(folder)}
 
 

@@ -172,7 +172,7 @@ RAISING = re.compile(r"(\w+(Error|Warning)|require\w*|warn|_stop)$")
 
 
 def unclear(text: str) -> bool:
-    """Whether a text opens with a question word or contains an idiom; code is ignored."""
+    """Return whether a text opens with a question word or contains an idiom; code is ignored."""
     prose = "\n".join(line for line in text.splitlines() if "runs/" not in line)
     return bool(OPENING.match(text) or IDIOMS.search(re.sub(r"`[^`]*`", "`x`", prose)))
 
@@ -251,6 +251,18 @@ def test_docstrings_open_with_their_subject() -> None:
     found = [
         f"{path.relative_to(PACKAGE)}: {text}"
         for path in FILES
+        for text in docstrings(ast.parse(path.read_text(encoding="utf-8")))
+        if OPENING.match(text)
+    ]
+    assert not found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("folder", ["tests", "benchmarks", "docs", "examples"])
+def test_docstrings_outside_the_package_open_with_their_subject(folder: str) -> None:
+    found = [
+        f"{path.relative_to(ROOT)}: {text}"
+        for path in sorted((ROOT / folder).rglob("*.py"))
         for text in docstrings(ast.parse(path.read_text(encoding="utf-8")))
         if OPENING.match(text)
     ]

@@ -29,7 +29,7 @@ WHITE_SPREAD = np.array([0.12, 0.0, 0.20])
 from many makers' cameras. Over classes the ratios of mean red and blue to green deviate by 0.12 to
 0.48 and 0.06 to 0.55, medians 0.18 and 0.27; this is what patients do not account for."""
 JPEG_QUALITY = {"clean_colon": 94, "polyp": 75, "colitis": 75}
-"""Of the real files, by how their class begins; capsule frames are PNG files."""
+"""JPEG quality of the real files, by the prefix of their class; capsule frames are PNG files."""
 EFFECTS = {
     True: Effects(
         chromatic_aberration=(0, 2), vignetting=(0, 1), bloom=(0, 1), sensor_noise=(1, 2)
@@ -45,14 +45,14 @@ EFFECTS = {
         bayer_filter=BayerFilter("rggb"),
     ),
 }
-"""Of colonoscopes and of capsules: severities sampled for each frame, as each is another camera's.
+"""Effects of colonoscopes (True) and capsules: severities sampled for each frame.
 Those of noise were chosen by gradients of all frames, the others beforehand."""
 _LIT = AutoExposure(time_constant=1.0, max_light=1e9)
 """All of the exposure by light, none by gain."""
 
 
 def is_colonoscopy(name: str) -> bool:
-    """Whether a class of real frames was taken by colonoscopes."""
+    """Return whether a class of real frames was taken by colonoscopes."""
     return not name.startswith("capsule")
 
 

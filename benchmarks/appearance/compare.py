@@ -47,7 +47,7 @@ MIXED = 24
 
 
 def has_overlays(name: str) -> bool:
-    """Whether its frames come from HyperKvasir, whose recorders print text and boxes."""
+    """Return whether its frames come from HyperKvasir, whose recorders print text and boxes."""
     return name.startswith(("polyp", "colitis"))
 
 

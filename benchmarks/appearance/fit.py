@@ -48,11 +48,11 @@ CLASSES = {
 """Classes of real frames that show a tissue, and frames of ours of each patient, about."""
 PATIENTS = 2
 IMAGE_SCALE = 0.5
-"""Of the images, against those compared: means and spreads hardly change."""
+"""Scale of the images, relative to those compared: means and spreads hardly change."""
 STEP = 0.25
 """Change of the logarithm of the level by which its slope is probed."""
 LEVEL_WEIGHT = 0.3
-"""Of the spread of L* beside a* and b*: it has many causes."""
+"""Weight of the spread of L* compared with a* and b*: it has many causes."""
 ROUNDS = 4
 TOLERANCE = 1.2
 """Distance of `Looks.fitted` from the real frames' at which a palette is left as it stands, so
@@ -65,7 +65,7 @@ CARRIERS = (
 )
 """Fields of a mucosa that may carry spreads, gradients and highlights."""
 LESS = 0.7
-"""What each of them is multiplied by, in turn."""
+"""Factor by which each of them is multiplied, in turn."""
 COARSE = 4.0
 """Texels per mm while they are compared."""
 
@@ -84,7 +84,7 @@ class Looks:
 
 
 def looks(sets: dict[str, list[np.ndarray]]) -> Looks:
-    """Of discs by class; each class counts the same."""
+    """Looks of discs by class; each class has the same weight."""
     means, spreads = [], []
     for name, discs in sets.items():
         valid = valid_pixels(has_overlays(name))
@@ -95,7 +95,7 @@ def looks(sets: dict[str, list[np.ndarray]]) -> Looks:
 
 
 def real_looks(tissue: str) -> Looks:
-    """Of the real frames of a tissue."""
+    """Looks of the real frames of a tissue."""
     folder = DATA / "real_frames"
     return looks({name: read_folder(list((folder / name).iterdir())) for name in CLASSES[tissue]})
 

@@ -78,7 +78,7 @@ def flight(organ: OrganSurface, capsule: str, number: int, seed: int = 0) -> tup
 
 
 def of_segments(name: str, capsule: str, each: int) -> list[Tile]:
-    """Of each segment the frames that show most of it from nearby, one of each part of it."""
+    """Frames of each segment that show most of it from nearby, one of each of its parts."""
     organ = vrcaps.generate_organ(name, seed=0)
     model, states = flight(organ, capsule, 60)
     seen = frames(model, states)
@@ -285,7 +285,7 @@ def contact_sheet(tiles: list[Tile], columns: int) -> Image.Image:
 
 
 def image_path(sheet: Sheet) -> Path:
-    """Where a sheet is written."""
+    """Path of a sheet."""
     return ROOT / "docs" / "images" / f"gallery_{sheet.name}.jpg"
 
 

@@ -24,7 +24,7 @@ from vrcaps.world.model import Model, State
 SIDE_PX = 256
 SETTINGS = vrcaps.RenderSettings(supersampling=2, shadows=True, light="radiosity")
 CHANNELS = ("radiance", "ray_distance", "foreground_label", "foreground_depth")
-"""What the cameras of the comparison need."""
+"""Requirements of the cameras of the comparison."""
 CONTENTS = (Contents(), Contents(bubbles=2, chyme=1, liquid=1))
 """In the small bowel: every second frame has some."""
 PREPARED = (prepared(3), prepared(2))
@@ -67,7 +67,7 @@ class Shot:
 
     @property
     def camera(self) -> Camera:
-        """That it was seen with."""
+        """Camera of the view."""
         return self.renderer.model.device.cameras[0]
 
 
@@ -76,7 +76,7 @@ Scene = tuple[Model, list[State]]
 
 
 def scenes(name: str, patients: int, frames: int) -> Iterator[Scene]:
-    """What stands beside a class of real frames.
+    """Simulated scenes that correspond to a class of real frames.
 
     Args:
         name: Folder of the real frames.

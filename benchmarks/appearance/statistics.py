@@ -1,4 +1,4 @@
-"""How far our frames are from real ones, and how far others are: color, gradient, highlights."""
+"""Distances between simulated and real frames, and among real ones: color, gradient, highlights."""
 
 from __future__ import annotations
 

@@ -169,7 +169,7 @@ def _stamp(figure: Figure) -> tuple[str, str]:
 
 
 def is_current(figure: Figure) -> bool:
-    """Whether a section was measured with the current sources of its command."""
+    """Return whether a section was measured with the current sources of its command."""
     return _stamp(figure)[0] == sources(figure.name)
 
 

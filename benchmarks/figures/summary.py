@@ -95,7 +95,7 @@ FIGURES = (
         "relative RMSE ≤ {most relative RMSE}",
     ),
 )
-"""What is measured, the section that has it, and the figure: `{column | first cell}` of a row, or
+"""Measured property, its section, and its value: `{column | first cell}` of a row, or
 the `{least column}` or `{most column}` of all rows."""
 
 _TEXT = """# Summary

@@ -1,4 +1,4 @@
-"""What of the simulator matters: our images made without one thing each, from one small plan."""
+"""Ablation of the simulator: our images without one component each, from one small plan."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ VARIANTS: Mapping[str, str] = {
 }
 """Folder of our images by what they lack."""
 FRACTION = 0.1
-"""Of the real images that networks learn from after ours."""
+"""Fraction of the real images on which networks are trained after ours."""
 _SIDE = 64
 
 

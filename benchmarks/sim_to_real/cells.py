@@ -81,7 +81,7 @@ def ordered_cells(
 
 
 def _is_asked(arm: str, fraction: float) -> bool:
-    """Whether an arm is run at a fraction of the real images."""
+    """Return whether an arm is run at a fraction of the real images."""
     if arm == LONG:
         return fraction == 1.0
     if arm == GENERAL:
@@ -91,7 +91,7 @@ def _is_asked(arm: str, fraction: float) -> bool:
 
 @dataclass(frozen=True)
 class Row:
-    """What one cell found.
+    """Result of one cell.
 
     Attributes:
         cell: The cell.
@@ -137,7 +137,7 @@ class RowFile:
         self.rows[row.key] = row
 
     def has(self, cell: Cell, made_of: Mapping[str, str]) -> bool:
-        """Whether there is a row of a cell, of these settings and data."""
+        """Return whether there is a row of a cell with these settings and data."""
         return cell_key(cell, made_of) in self.rows
 
 

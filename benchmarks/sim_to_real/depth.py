@@ -29,7 +29,7 @@ from vrcaps.recording.frame_sequence import FrameSequence
 _STEP = 4
 """Every so many pixels of a dense map count, along rows and columns."""
 _BETWEEN = -1
-"""What parts the lists of views of one point from those of the next."""
+"""Separator between the lists of views of two points."""
 
 Estimate = Callable[[np.ndarray, Camera], np.ndarray]
 """Depth [h w], up to scale, of an image [h w 3] that a camera took."""

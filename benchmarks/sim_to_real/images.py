@@ -147,7 +147,7 @@ def _gray(image: np.ndarray, side: int) -> np.ndarray:
 
 
 def _detail(image: np.ndarray) -> np.ndarray:
-    """What is finer than a quarter of an image, away from its edge, as a vector of length 1."""
+    """Detail finer than a quarter of an image, away from its edge, as a unit vector."""
     from scipy.ndimage import gaussian_filter
 
     gray = _gray(image, _DETAIL_SIDE)

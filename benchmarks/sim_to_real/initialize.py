@@ -37,7 +37,7 @@ from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.tools.reconstruction.estimates import with_depth
 
 STARTS = {SCRATCH: SCRATCH, IMAGENET: IMAGENET, LONG: IMAGENET}
-"""What arms begin with that learn from no other images before."""
+"""Initialization of arms without pre-training on other images."""
 PUBLISHED = "published"
 """Weights of vrcaps as they are: `depth.safetensors` of the folder of weights."""
 _MAX_LARGE, _MAX_DEPTH = 400, 2000
@@ -47,7 +47,7 @@ _UNITYCAM = (156.0418, 155.7529, 178.5604, 181.8043, 360.0)
 
 
 def first_weights(setup: Setup, cell: Cell) -> str:
-    """What training of a cell begins with: `scratch`, `imagenet`, or a file of weights.
+    """Initialization of the training of a cell: `scratch`, `imagenet`, or a file of weights.
 
     Weights that were learned on other images are made once, and kept.
 
@@ -116,7 +116,7 @@ def given_weights(setup: Setup, cell: Cell) -> Path | None:
 
 
 def is_possible(setup: Setup, task: Task, arm: str) -> bool:
-    """Whether there are images or weights for an arm."""
+    """Return whether there are images or weights for an arm."""
     if arm == GENERAL:
         return is_installed()
     if arm.endswith("unitycam"):
@@ -128,7 +128,7 @@ def is_possible(setup: Setup, task: Task, arm: str) -> bool:
 
 
 def lacks(setup: Setup, task: Task) -> str:
-    """Why our data set cannot serve a task; empty if it can."""
+    """Reason why our data set cannot serve a task; empty if it can."""
     cell = Cell(task.name, "ours", 0.0, 0)
     if task.kind not in ("classes", "masks"):
         return ""

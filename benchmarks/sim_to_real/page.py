@@ -101,7 +101,7 @@ def _arm_key(row: Row) -> tuple[str, str, str]:
 
 
 def about(rows: Sequence[Row]) -> str:
-    """How many networks there are, what they took, and how long each learned."""
+    """Number of networks, their cost, and the length of each training."""
     hours = sum(row.seconds for row in rows) / 3600.0
     presets = sorted({row.made_of["preset"] for row in rows})
     tasks = {row.cell.task for row in rows}
@@ -207,7 +207,7 @@ def difference_part(task: Task, found: Found, fractions: Sequence[float]) -> lis
 
 
 def verdict(interval: Interval) -> str:
-    """What an interval of a difference says."""
+    """Conclusion from an interval of a difference."""
     if interval.low > 0.0:
         return "better"
     return "**worse**" if interval.high < 0.0 else "not significant"

@@ -174,7 +174,7 @@ def complete(setup: Setup, cells: Sequence[Cell], rows: RowFile, workers: int) -
 
 
 def _first_name(setup: Setup, cell: Cell) -> str:
-    """What a cell's network learns before real images, by where it is kept."""
+    """Pre-training of a cell's network, by the folder of its weights."""
     if (given := given_weights(setup, cell)) is not None:
         return str(given)
     task = task_of(cell)

@@ -1,4 +1,4 @@
-"""What the experiment is made of, and what all its trainings have in common."""
+"""Setup of the experiment, shared by all its trainings."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from vrcaps.training.compute import ComputeSettings
 
 @dataclass(frozen=True)
 class Setup:
-    """What an experiment is made of.
+    """Setup of an experiment.
 
     Attributes:
         real: Folders of real data by layout.
@@ -41,7 +41,7 @@ class Setup:
 
     @property
     def machine(self) -> ComputeSettings:
-        """What computes."""
+        """Device and number of threads."""
         return ComputeSettings(self.device)
 
     def effort(self, task: Task) -> Effort:

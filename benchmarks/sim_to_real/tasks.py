@@ -35,7 +35,7 @@ from vrcaps.metrics.labels import dice
 from vrcaps.recording.image_classes import NORMAL
 
 FRACTIONS = (0.1, 1.0, 0.25, 0.05, 0.5)
-"""Of the real training images, the most telling first."""
+"""Fractions of the real training images, the most informative first."""
 DEPTH = "depth"
 OUR_LESIONS = ("polyp", "bleeding", "colitis", "ulcer")
 """Kinds of lesions that masks are learned of on ours."""
@@ -45,7 +45,7 @@ OUR_CLASSES = (NORMAL, *OUR_LESIONS)
 
 @dataclass(frozen=True)
 class Effort:
-    """How long a network learns, and on images of what size.
+    """Length of a training, and the size of its images.
 
     Attributes:
         size: Side of the images, or of the large crops of super-resolution [px].
@@ -119,7 +119,7 @@ class Task:
 
     @property
     def arms(self) -> tuple[str, ...]:
-        """What training on real images begins with."""
+        """Initialization of the training on real images."""
         if self.kind == "super-resolution":
             return ("scratch", "ours", "unitycam", GENERAL)
         arms = ("scratch", "imagenet", "ours", "imagenet+ours")
@@ -131,7 +131,7 @@ class Task:
         return tuple(kind for kind in self.kinds if kind != "normal")
 
     def first_learners(self, effort: Effort) -> tuple[NetworkTask, ...]:
-        """What is learned from our images before the real ones, one after another.
+        """Tasks of the pre-training on our images, one after another.
 
         One network learned masks of all kinds of lesions. It went on to masks of any lesion, with
         which all tasks of masks begin, and to classes of images, for those of classes: a mask says
@@ -167,7 +167,7 @@ class Task:
         return _read(self, folder, effort)
 
     def values(self, found: EvaluationResult) -> dict[str, list[float]]:
-        """What the figure follows from, of each image that was judged."""
+        """Values of each evaluated image from which the metric is computed."""
         pairs = list(zip(found.outputs, found.samples, strict=True))
         if self.kind == "classes":
             chance = class_probabilities(np.stack(found.outputs))[:, 1]

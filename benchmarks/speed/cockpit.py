@@ -68,7 +68,7 @@ STEADY = """
   return window.frames_drawn > 30;
 }
 """
-"""Whether the browser draws: without a graphics card its first frames take seconds."""
+"""Return whether the browser draws: without a graphics card its first frames take seconds."""
 PRESSES = """
 const note = (event) => { if (!event.repeat) window.pressed = performance.now(); };
 window.addEventListener("keydown", note, true);

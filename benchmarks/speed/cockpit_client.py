@@ -19,7 +19,7 @@ from websockets.sync.client import ClientConnection, connect
 
 HEAD_BYTES = 16
 REPEAT = 0.25
-"""How often [s] a held axis is told again, as the page does."""
+"""Interval [s] at which a held axis is sent again, as on the page."""
 
 
 @dataclass

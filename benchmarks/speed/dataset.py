@@ -42,7 +42,7 @@ SEED = 0
 
 @dataclass(frozen=True)
 class Times:
-    """What was measured [s].
+    """Measured times [s].
 
     Attributes:
         units: Of each unit in one process.
@@ -169,7 +169,7 @@ def ledger_row(folder: Path, count: int) -> list[str]:
 
 
 def plan_text() -> str:
-    """What a plan costs: a unit, and the splits of a large cohort."""
+    """Cost of a plan: a unit, and the splits of a large cohort."""
     settings = DatasetSettings("scale", patients=10_000, stratify=("organ.name",))
     units = Units(Plan(settings, COHORT))
     began = time.perf_counter()

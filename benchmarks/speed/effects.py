@@ -110,7 +110,7 @@ def _recorded(effects: str, light: RenderSettings) -> float:
 
 
 def _subject(name: str, effects: str, light: RenderSettings) -> Subject:
-    """What makes the images of a scenario."""
+    """Pipeline that renders the images of a scenario."""
     resolved = resolve(_scenario(effects, light, FRAMES))
     scenario = resolved.scenario
     model, motion = build(resolved)

@@ -29,7 +29,7 @@ from vrcaps.env.settings import env_settings
 STEPS_PER_ACTION = 5
 COUNTS = (1, 4, 16, 64, 256)
 SECONDS = 3.0
-"""Of the clock, at least, for each row."""
+"""Minimum time of the measurement of each row [s]."""
 CORE = (
     *("step_worlds", "world_states", "worlds_inside"),
     *("settle_worlds", "mark_points", "wall_distances"),

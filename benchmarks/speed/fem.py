@@ -93,7 +93,7 @@ def row(organ: OrganSurface, deformation: FemDeformation, steps: int) -> tuple[s
 
 
 def world_row(organ: OrganSurface, deformation: FemDeformation, steps: int) -> tuple[str, ...]:
-    """What the layer and the exchange take of a world in which a capsule lies on the wall."""
+    """Cost of the layer and the exchange of forces in a world with a capsule on the wall."""
     model = Model(organ, read_device("mirocam"))
     line = organ.centerline
     place = int(np.argmin(np.abs(line.arc_length - 0.7)))

@@ -29,7 +29,7 @@ from benchmarks.common.scripts import options, table, write_section
 
 BATCH, WORKERS, CHANNELS = 8, 2, ("rgb", "depth")
 SECONDS, ROUNDS = 4.0, 5
-"""Of the clock for each rate; times that a first batch is waited for."""
+"""Measured time for each rate [s]; number of measurements of the first batch."""
 LATENCIES_MS = (1, 20, 50)
 MIN_RATE, MAX_SECONDS = 300.0, 2.0
 PLAN = """
@@ -83,7 +83,7 @@ def made_dataset(folder: Path, frames: int) -> Path:
 
 
 def local_loaders(folder: Path) -> Iterator[tuple[str, Any]]:
-    """What gives batches of the local data set, by name."""
+    """Readers of batches of the local data set, by name."""
     from torch.utils.data import DataLoader
 
     from vrcaps.data import FrameStream, FrameWindows

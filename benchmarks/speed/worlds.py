@@ -115,7 +115,7 @@ def made(model: Model, share: float, dynamics: DynamicsKind) -> World:
 
 
 def commands(magnets: list[np.ndarray], number: int, lift: float = 0.0) -> list[Control]:
-    """Where the magnets are after so many steps, and a force that lifts [N]."""
+    """Positions of the magnets after a number of steps, and a force that lifts [N]."""
     way = np.zeros((4, 4))
     way[0, 3] = SPEED * FRAME * number
     return [

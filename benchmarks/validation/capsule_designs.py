@@ -1,4 +1,4 @@
-"""Which cameras see a stomach soonest: one policy and one planner with four designs of a capsule.
+"""Coverage of a stomach over time: one policy and one planner with four capsule designs.
 
 Writes a section of docs/results/validation.md and docs/images/capsule_designs.png. Interrupted, the
 same command resumes.

@@ -198,7 +198,7 @@ def run(jobs: list[tuple[str, int, str | None]], store: Path, processes: int) ->
 
 
 def read(store: Path) -> Iterator[dict]:
-    """What was done before."""
+    """Results of previous runs."""
     if store.exists():
         yield from map(json.loads, store.read_text(encoding="utf-8").splitlines())
 
@@ -248,7 +248,7 @@ def probabilities(values: np.ndarray, mean: float, deviation: float) -> tuple[fl
 
 
 def walls_table(lines: list[dict]) -> str:
-    """What was made at each distension, and what is wrong with it."""
+    """Organs at each distension, and their faults."""
     rows = []
     for distension in (None, "inflated", "collapsed"):
         chosen = [line for line in lines if line["distension"] == distension]

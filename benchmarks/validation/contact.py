@@ -225,7 +225,7 @@ WALK_HEAD = ("organ", "triangles", "substeps", "escaped", "not a number", "deepe
 
 @dataclass
 class Walk:
-    """What happened in one organ."""
+    """Events in one organ."""
 
     name: str
     triangles: int
@@ -286,7 +286,7 @@ def walk(name: str, organ: OrganSurface, num_steps: int) -> Walk:
 
 
 def _start(organ: OrganSurface, tissue: Tissue) -> World:
-    """Where the lumen is widest."""
+    """World with the capsule at the widest position of the lumen."""
     model, line = Model(organ, read_device("mirocam")), organ.centerline
     widest, pose = int(np.argmax(line.radius)), np.eye(4)
     pose[:3, :3], pose[:3, 3] = line.frames[widest], line.points[widest]

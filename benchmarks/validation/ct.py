@@ -127,7 +127,7 @@ def main() -> None:
 
 
 def section(rows: list[tuple[str, ...]]) -> str:
-    """What stands on the page."""
+    """Section of the page."""
     return (
         "## CT\n\n`python -m benchmarks.validation.ct`: organs scanned at 0.7 × 0.7 × 1.0 mm, "
         "oblique, with partial\nvolume, blur (0.5 mm) and noise (25 HU), in a body with fat, "

@@ -56,7 +56,7 @@ class Measured:
 
     @property
     def holds(self) -> bool:
-        """Whether the claim holds."""
+        """Return whether the claim holds."""
         return bool(
             np.median(self.clipped) <= MAX_CLIPPED
             and self.clipped.max() <= MAX_CLIPPED_ANY

@@ -1,4 +1,4 @@
-"""What Open Image Denoise does for path tracing: error with and without it, by samples.
+"""Effect of Open Image Denoise on path tracing: error with and without it, by samples.
 
 Error is the root of the mean squared difference from the truth, over the mean radiance. The truth
 has noise too: two images of it that share no path, r and s, give the squared error of an image x as

@@ -52,7 +52,7 @@ HEAD = (
 
 @dataclass(frozen=True)
 class Drive:
-    """What came of one drive.
+    """Result of one drive.
 
     Attributes:
         folder: Where it is kept.

@@ -29,7 +29,7 @@ from vrcaps.core.files import file_sha256, files_in
 STORE = ROOT / "build" / "exactly_once.json"
 ROWS = [(runner, workers) for workers in (1, 2, 4) for runner in ("pool", "Ray")]
 WORDS = {"pool": "spawn_main", "Ray": "ray::_make"}
-"""What the command lines of workers hold; one of Ray has this name while it makes a unit."""
+"""Texts in the command lines of workers; a worker of Ray has this name while it makes a unit."""
 HEAD = (
     *("runner", "workers", "workers killed", "of it while recording", "heads killed"),
     *("units in the ledger", "each once", "faults of `dataset check`", "same bytes"),
@@ -41,7 +41,7 @@ LONGEST = 600.0
 
 @dataclass(frozen=True)
 class Kills:
-    """What was killed.
+    """Counts of killed processes.
 
     Attributes:
         workers: Number of workers.

@@ -289,7 +289,7 @@ def stale(folder: Path) -> list[str]:
 
 
 def checksums(folder: Path) -> dict[str, str]:
-    """Of each file that a run of the same command gives again."""
+    """Checksum of each file that a run of the same command reproduces."""
     return {
         path.relative_to(folder).as_posix(): file_sha256(path)
         for path in files_in(folder)

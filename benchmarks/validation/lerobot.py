@@ -71,7 +71,7 @@ def main() -> None:
 
 
 def scenarios() -> dict[str, vrcaps.Scenario]:
-    """What is recorded."""
+    """Scenario of the recording."""
     common = {"frames": _FRAMES, "fps": _FPS, "channels": ("rgb", "depth")}
     stomach = vrcaps.OrganGenerated("stomach", distension="inflated")
     steering = vrcaps.MagnetSteering(

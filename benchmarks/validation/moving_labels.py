@@ -138,7 +138,7 @@ def hidden(
     points: np.ndarray,
     pixels: np.ndarray,
 ) -> np.ndarray:
-    """Whether points [n 3] at pixels [n 2] are out of an image or behind another piece of wall."""
+    """Return whether points [n 3] at pixels [n 2] are outside an image or behind another wall."""
     eye = T_world_camera[:3, 3]
     way = points - eye
     length = np.linalg.norm(way, axis=1)

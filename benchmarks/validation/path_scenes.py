@@ -1,4 +1,4 @@
-"""What the scripts about path tracing look at: lumens lit by point LEDs, beside Mitsuba 3."""
+"""Scenes of the scripts about path tracing: lumens lit by point LEDs, also in Mitsuba 3."""
 
 from __future__ import annotations
 

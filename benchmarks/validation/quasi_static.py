@@ -36,7 +36,7 @@ PLACES = (0.3, 0.5, 0.7)
 SPEED, TURN = 15.0 * MM, np.radians(10.0)
 PUSH, PUSHED, LIFT, LIFTED = 0.02, 15, 0.3, 15
 HEIGHT = {"stomach": 0.09, "colon": 0.12}
-"""Of the magnet above the upper wall [m]."""
+"""Height of the magnet above the upper wall [m]."""
 COMMANDS = ("magnet", "wrench")
 HEAD = (
     "organs, command",

@@ -93,7 +93,7 @@ def walks(albedo: float, ior: float, count: int) -> tuple[np.ndarray, np.ndarray
 
 
 def total_row(ior: float, albedo: float, count: int) -> tuple[str, ...]:
-    """How much comes back of what has entered."""
+    """Fraction of the incoming light that returns."""
     _, share = walks(albedo, ior, count)
     found, error = share.mean(), share.std() / np.sqrt(count)
     passes = 1.0 - fresnel(np.array(1.0), ior)
@@ -116,7 +116,7 @@ def total_row(ior: float, albedo: float, count: int) -> tuple[str, ...]:
 
 
 def profile_rows(ior: float, albedo: float, count: int) -> list[tuple[str, ...]]:
-    """Where it comes back: walks over diffusion in each ring."""
+    """Profile of the returning light: walks over diffusion in each ring."""
     radius, share = walks(albedo, ior, count)
     medium = Medium((1.0 - albedo) / FREE, albedo / FREE, ior)
     cells = [f"{ior:g}", f"{albedo:g}"]

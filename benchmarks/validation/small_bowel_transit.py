@@ -111,7 +111,7 @@ def transit(muscle: Muscle, capsule: Slider, lumen: np.ndarray) -> float:
 def shift(
     capsule: Slider, place: float, samples: np.ndarray, radius: np.ndarray, friction: float
 ) -> float:
-    """How far the capsule slips [m]: up to where friction holds it."""
+    """Displacement of the capsule [m], limited by friction."""
     rear = place - capsule.along[-1] / 2.0
     axial, grip = capsule.forces(np.interp(rear + capsule.along, samples, radius))
     if abs(axial) <= friction * grip:

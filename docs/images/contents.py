@@ -32,7 +32,7 @@ from vrcaps.render.settings import RenderSettings
 from vrcaps.world.model import Model, State
 
 ORGANS = {"small-bowel": (0.31, 0.62), "stomach": (0.55, 0.75), "colon": (0.3, 0.7)}
-"""Where along each organ its pictures are taken, as shares of the centerline."""
+"""Positions of the pictures of each organ, as fractions of the centerline."""
 
 GRADES = ((0, 0, 0), (1, 1, 1), (2, 2, 2), (3, 3, 2), (4, 4, 3))
 """Bubbles, chyme and liquid of each column."""

@@ -53,7 +53,7 @@ LUMINANCE = 0.15  # mean linear luminance of each frame; that of real capsule fr
 def best_view(
     organ: OrganSurface, wall: Wall, number: int, camera: Camera
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Of many places in the lumen the one from which a camera sees a lesion best.
+    """Position in the lumen from which a camera sees a lesion best.
 
     That is: it takes `SHARE` of the view, more counted in the middle, all of it is seen, no other
     lesion is, and little stands nearer than it does. What narrows the lumen is looked at along it.

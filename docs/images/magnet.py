@@ -27,7 +27,7 @@ from vrcaps.world.model import Model, posture_transform
 
 SECONDS, FPS = 8.0, 1.0
 WIDTH, HEIGHT = (-68.0, 32.0), (-20.0, 62.0)
-"""What is drawn [cm]."""
+"""Limits of the drawing [cm]."""
 SKIN = "#c98f76"
 
 

@@ -1,4 +1,4 @@
-"""What holds a magnet keeps its limits, arrives, and never jumps."""
+"""Magnet actuators keep their limits, arrive, and never jump."""
 
 from __future__ import annotations
 

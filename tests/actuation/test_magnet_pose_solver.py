@@ -66,7 +66,7 @@ def test_guess_points_the_field_along_the_moment():
 
 
 def test_farthest_is_where_the_coaxial_pull_is_the_force():
-    """Of point dipoles; less than a millinewton is not asked for."""
+    """Maximum distance of point dipoles; forces below a millinewton are not requested."""
     dipole = Dipole(500.0)
     magnets = (InternalMagnet((0, 0, 0), (0, 0, 1.12)),)
     solver = MagnetPoseSolver(SourceSet([dipole]), magnets, Workspace())

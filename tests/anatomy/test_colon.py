@@ -51,7 +51,7 @@ def colon(request: pytest.FixtureRequest, mean_colon: OrganSurface) -> OrganSurf
 
 
 def edge_faces(faces: np.ndarray) -> np.ndarray:
-    """How many faces use each undirected edge."""
+    """Number of faces that use each undirected edge."""
     halves = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     return np.unique(halves, axis=0, return_counts=True)[1]
 

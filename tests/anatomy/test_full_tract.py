@@ -49,7 +49,7 @@ def coarse_tract(seed: int) -> OrganSurface:
 
 
 def digest(organ: OrganSurface) -> str:
-    """Of all arrays of a surface."""
+    """Digest of all arrays of a surface."""
     names = ("vertices", "faces", "normals", "uv", "label", "arc_length", "theta", "radius")
     line = ("points", "arc_length", "radius", "frames")
     arrays = [getattr(organ, n) for n in names] + [getattr(organ.centerline, n) for n in line]

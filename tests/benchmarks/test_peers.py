@@ -22,7 +22,7 @@ def test_welded_mesh_is_the_same_wall(stage: Stage) -> None:
 
 @pytest.mark.slow
 def test_embree_casts_the_rays_that_we_cast(stage: Stage) -> None:
-    """What is timed is the same work: the distances agree."""
+    """Both timed subjects do the same work: the distances agree."""
     pytest.importorskip("embreex")
     (subject,) = embree.subjects(stage)
     answer = subject.frame(1)

@@ -84,7 +84,7 @@ def luma(codes: np.ndarray) -> np.ndarray:
 
 
 def test_sharpening_is_pillows_unsharp_mask(rng: np.random.Generator) -> None:
-    """Of a gray image; Pillow approximates the Gaussian by three boxes."""
+    """Unsharp mask of a gray image; Pillow approximates the Gaussian by three boxes."""
     values = smooth_scene(rng)[:1].repeat(3, axis=0)
     codes = np.rint(255.0 * values[0])
     seen = finished(linear(codes / 255.0)[None].repeat(3, axis=0), Sharpening(1.5, 2.0, 0.0))

@@ -200,7 +200,7 @@ FOCAL = 40.0
 
 
 def rays_to(x: np.ndarray, y: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Where places of an image [px] are seen by a pinhole, at depth 1."""
+    """Points at depth 1 that a pinhole sees at positions of an image [px]."""
     height, width = size
     return np.stack([(x - width / 2) / FOCAL, (y - height / 2) / FOCAL, np.ones_like(x)], -1)
 

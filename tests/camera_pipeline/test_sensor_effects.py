@@ -20,7 +20,7 @@ MONO = (1.0, 1.0, 1.0)
 def readout(
     noise: SensorNoise, gain: float, response: tuple[float, float, float]
 ) -> dict[str, object]:
-    """What the core reads the sensor by."""
+    """Parameters by which the core reads the sensor."""
     params = noise.params(CameraSetup(make_camera(pinhole(8))))
     return params | {"gain": gain, "response": response, "light": 1.0}
 

@@ -161,7 +161,7 @@ def test_an_option_in_a_text_exists_and_takes_its_value(words: list[str]) -> Non
 
 
 def resolves(words: list[str]) -> bool:
-    """Whether options of `record` give a scenario, with some motion or lens effect."""
+    """Return whether options of `record` give a scenario, for some motion or lens effect."""
     reasons = []
     for more in ([], *(["--motion", kind] for kind in MOTIONS)):
         command = cli._parse(["record", "--out", "o", *more, *words])

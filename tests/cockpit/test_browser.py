@@ -1,4 +1,4 @@
-"""What a browser says of keys and gamepad, and what is no such thing."""
+"""Messages of a browser about keys and gamepad, and rejection of all others."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ def live_image(tab: Page) -> str:
 
 
 def on_screen(tab: Page, cockpit: Cockpit, point: np.ndarray) -> tuple[float, float]:
-    """Where a point of the world is on the screen [px]."""
+    """Position of a point of the world on the screen [px]."""
     (client,) = cockpit.page.server.get_clients().values()
     camera, box = client.camera, tab.locator("canvas").first.bounding_box()
     assert box is not None
@@ -153,7 +153,7 @@ def test_a_gamepad_and_keys_steer_beyond_the_dead_zone(tab, cockpit):
     operator, clock = cockpit.session.operator, cockpit.session.clock
 
     def axes_of(stick: list[float]) -> list[float]:
-        """What a stick's position becomes, as soon as the command has changed."""
+        """Command of a stick at a position, as soon as it has changed."""
         number = len(operator.commands()[1])
         tab.evaluate(f"window.pad.axes = {json.dumps(stick)}")
         wait_until(tab, lambda: len(operator.commands()[1]) > number)

@@ -1,4 +1,4 @@
-"""Who may open the page: by the list of sockets, by requests without the token, by nonsense."""
+"""Access to the page: list of sockets, requests without the token, malformed requests."""
 
 from __future__ import annotations
 

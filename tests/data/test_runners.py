@@ -1,4 +1,4 @@
-"""What runs units: a pool and a Ray cluster, whose processes are killed; what is refused."""
+"""Runners of units: a pool and a Ray cluster, whose processes are killed; refused settings."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""What varies from episode to episode: factors, lenses, and effects on images."""
+"""Randomization per episode: factors, lenses, and effects on images."""
 
 import numpy as np
 import pytest

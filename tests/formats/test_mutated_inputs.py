@@ -36,7 +36,7 @@ def test_mutated_inputs_are_read_or_refused_in_one_line(targets):
 
 
 class PanicException(BaseException):
-    """Of the name that the core's panics have."""
+    """Exception with the name of the core's panics."""
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What goes wrong as a network learns or estimates: damaged images, a loss that is no number."""
+"""Failures during training and prediction: damaged images, a loss that is not finite."""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What is hidden of images, so that classes are not told by corners, inserts and text."""
+"""Masked parts of images, so that corners, inserts and text do not reveal the class."""
 
 from dataclasses import replace
 from types import SimpleNamespace

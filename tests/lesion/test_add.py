@@ -212,7 +212,7 @@ def test_masks_equal_the_geodesic_footprint(tube, monkeypatch):
 
 
 def footprint(form, eye, rays):
-    """Whether rays meet the cylinder inside the form's outline."""
+    """Return whether rays meet the cylinder inside the form's outline."""
     a = (rays[..., :2] ** 2).sum(axis=-1)
     b = rays[..., :2] @ eye[:2]
     c = eye[:2] @ eye[:2] - RADIUS**2

@@ -67,7 +67,7 @@ def poses(organ):
 
 
 def inside(patient, scene, footprint, pose, rays):
-    """Whether rays first meet the wall inside the footprint, measured on the clean wall."""
+    """Return whether rays first meet the wall inside the footprint, measured on the clean wall."""
     eye = np.broadcast_to(pose[:3, 3], rays.shape)
     face, ray, hit = scene.intersects_id(
         eye, rays @ pose[:3, :3].T, multiple_hits=False, return_locations=True

@@ -1,4 +1,4 @@
-"""What is left in colons of each Boston score."""
+"""Residue in colons of each Boston score."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ def test_a_plain_box(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["<i1", "<u1", "<i2", "<u2"])
 def test_normalized_integers_stand_for_fractions(tmp_path: Path, kind: str) -> None:
-    """Of 1, and of -1 to 1 for signed ones; padded to 4 bytes."""
+    """Unsigned integers map to 0 to 1, signed ones to -1 to 1; rows are padded to 4 bytes."""
     glb, largest = SmallGlb(), np.iinfo(np.dtype(kind)).max
     width = 4 // np.dtype(kind).itemsize if np.dtype(kind).itemsize == 1 else 4
     values = np.zeros((8, width), kind)

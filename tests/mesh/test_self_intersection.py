@@ -12,7 +12,7 @@ from vrcaps.mesh.self_intersection import cluster_intersections, self_intersecti
 
 
 def are_apart(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Whether some axis separates two triangles, pair by pair (Gottschalk et al. 1996)."""
+    """Return whether an axis separates two triangles, pair by pair (Gottschalk et al. 1996)."""
     edges = [t[:, k] - t[:, k - 1] for t in (one, other) for k in range(3)]
     normals = [np.cross(edges[0], edges[1]), np.cross(edges[3], edges[4])]
     axes = [*normals, *(np.cross(a, b) for a in edges[:3] for b in edges[3:])]

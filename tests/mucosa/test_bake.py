@@ -184,7 +184,7 @@ def test_the_size_follows_the_wall_and_the_density(baked):
 
 @pytest.mark.slow
 def test_squeezed_faces_get_the_density_too(tube):
-    """Where u crowds a tenth of the wall, the whole gets more texels for its sake."""
+    """If u is crowded on a tenth of the wall, the whole texture gets more texels."""
     u = tube.uv[..., 0]
     crowded = np.where(u < 0.9, u * 0.93 / 0.9, 0.93 + (u - 0.9) * 0.7)
     organ = replace(tube, uv=np.stack([crowded, tube.uv[..., 1]], axis=-1))
@@ -222,7 +222,7 @@ def test_color_does_not_depend_on_where_the_texture_begins(tube, baked):
 
 @pytest.mark.slow
 def test_no_seam_between_charts(tube, baked):
-    """Where two charts meet, the same point of the wall has the same color in both."""
+    """At the seam of two charts, the same point of the wall has the same color in both."""
     organ = in_charts(tube, 4)
     appearance = bake_appearance(organ, seed=4)
     edges = np.sort(np.stack([tube.faces, np.roll(tube.faces, -1, axis=1)], axis=-1), axis=-1)
@@ -458,7 +458,7 @@ def test_mucus_covers_its_share_of_the_wall():
 
 
 def test_mucus_follows_the_palette():
-    """Of half the base color, all of the wall is half as bright, mucus too."""
+    """Half the base color makes the whole wall half as bright, including mucus."""
     square, mucosa = make_square(60.0 * MM), replace(MUCOSAE["colon"], mucus=0.5)
     dark = replace(mucosa, base_color=tuple(0.5 * c for c in mucosa.base_color))
     full, half = (

@@ -144,7 +144,7 @@ def pouched_tube():
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [pouched_tube, lambda: tube(arc())])
 def test_noise_on_the_wall_does_not_move_the_ends(make):
-    """Of 0.02 to 0.1 mm it moves the length by less than 0.5 %, in pouches and on flat ends."""
+    """Noise of 0.02 to 0.1 mm changes the length by less than 0.5 %, also in pouches."""
     mesh = make()
     normals = vertex_normals(mesh.vertices, mesh.faces)
     length = compute_centerline(mesh).length

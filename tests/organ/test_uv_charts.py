@@ -114,7 +114,7 @@ def test_charts_lie_apart_in_the_unit_square(fold):
 
 @pytest.mark.slow
 def test_faces_do_not_overlap_in_a_chart():
-    """Of points drawn all over the texture none lies in two faces, by barycentric signs."""
+    """Random points of the texture lie in at most one face, by barycentric signs."""
     uv = chart_coordinates(tube(7 * MM))
     points = np.random.default_rng(0).uniform(size=(400, 2))
     start, stop = uv, np.roll(uv, -1, axis=1)

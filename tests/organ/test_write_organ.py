@@ -154,7 +154,7 @@ def test_normals_are_the_slope_of_the_relief():
 
 
 def test_a_fine_relief_is_averaged_for_viewers(organ, monkeypatch):
-    """Of a plane's relief, four texels have the mean of their middle: the slope stays."""
+    """On a plane, the mean of four texels is the height at their center: the slope is unchanged."""
     from vrcaps.organ import gltf_material
 
     look = replace(organ.appearance, height=np.add.outer(np.arange(32.0), 2 * np.arange(64.0)))

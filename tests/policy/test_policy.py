@@ -18,7 +18,7 @@ from vrcaps.policy.policy import Policy, Requirements
 @pytest.fixture
 def odd_modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Modules whose names lead to no policy."""
-    methods = "def reset(self, numbers, seeds): ...\n    def act(self, observations, env): ..."
+    methods = "def reset(self, indices, seeds): ...\n    def act(self, observations, env): ..."
     (tmp_path / "odd_policies.py").write_text(
         "import os\n"
         "def Called(): os.abort()\n"

@@ -1,4 +1,4 @@
-"""What a frame is a picture of."""
+"""Class of the image of a frame."""
 
 import numpy as np
 

@@ -305,7 +305,7 @@ def test_a_bubble_at_the_eye(organ: OrganSurface, ball: tuple[float, ...]) -> No
 
 
 def test_a_bubble_mirrors_the_wall_at_twice_the_angle(organ: OrganSurface) -> None:
-    """What its surroundings' color adds, against the share and the place that each pixel mirrors.
+    """Light added by the surroundings' color, compared with the fraction mirrored by each pixel.
 
     A shell met at angle θ turns a ray by π − 2θ; the middle mirrors what no LED lights.
     """

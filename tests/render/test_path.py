@@ -28,7 +28,7 @@ LOOKS = {
 
 
 TEXEL_STEPS = 2047
-"""Of the square root of a color, as a texel holds it."""
+"""Number of steps of the square root of a color in a texel."""
 
 
 def _look(albedo: int, roughness: int, ior: float, clearcoat: float) -> Appearance:

@@ -110,7 +110,7 @@ def test_indirect_light_only_adds_and_scales_with_the_leds(rng: np.random.Genera
 
 
 def test_a_white_wall_stays_finite() -> None:
-    """Where nothing is absorbed the sum of all reflections has no end; it is cut."""
+    """Without absorption, the sum of all reflections diverges; it is truncated."""
     camera = make_camera()
     model = make_model(sphere(3, appearance=_matt(255)), camera)
     found = _radiance(model, camera, looking((0.004, -0.006, 0.003)), light="radiosity")

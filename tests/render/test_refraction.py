@@ -28,7 +28,7 @@ STRAIGHT, REFRACTED, REFLECTED = range(3)
 CLEAR = Liquid(absorption=(0.0, 0.0, 0.0), scattering=(0.0, 0.0, 0.0))
 PLAIN = Appearance(np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), np.uint8), np.zeros((1, 1)))
 ALBEDO, ROUGHNESS = np.array([0.52, 0.22, 0.16]), 0.5
-"""Of an organ without an appearance."""
+"""Refraction in an organ without an appearance."""
 CHANNELS = ("ray_distance", "depth", "position", "normal", "refraction_label", "foreground_label")
 
 

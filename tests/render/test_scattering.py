@@ -186,7 +186,7 @@ def test_nothing_is_lost_in_white_tissue():
 
 @pytest.mark.slow
 def test_profile_far_from_the_beam_is_that_of_diffusion():
-    """Where light has forgotten its way: more than six free ways off."""
+    """Diffusion holds beyond six mean free paths, where light has lost its direction."""
     count, edges = 120_000, np.array([6e-3, 9e-3, 14e-3])
     for ior in (1.0, TISSUE_IOR):
         place, share = _walks(_plane(), (0.995,) * 3, (1000.0,) * 3, ior, count)

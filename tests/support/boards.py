@@ -46,5 +46,5 @@ def held(
 
 
 def corners(camera: Camera, poses: np.ndarray, board: Board) -> np.ndarray:
-    """Where the camera sees the inner corners [px], shape (v, n, 2)."""
+    """Image positions of the inner corners [px], shape (v, n, 2)."""
     return camera.lens.project(transform_points(poses, board.points))

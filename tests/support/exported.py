@@ -1,4 +1,4 @@
-"""What all formats' tests ask of an export."""
+"""Checks of exports that all tests of formats share."""
 
 import numpy as np
 

@@ -27,7 +27,7 @@ def clamped(layer: Layer) -> np.ndarray:
 
 
 def patch_error() -> float:
-    """Of inside nodes of curved elements under linear displacements of the border, relative."""
+    """Relative error at inner nodes of curved elements under linear boundary displacements."""
     rng = np.random.default_rng(3)
     layer = extrude(bumpy(rng), 4e-3, 2)
     _, stiffness, _ = whole_matrices(layer, FREE)

@@ -24,7 +24,7 @@ WALL = np.array([0.9, 0.45, 0.30])
 
 @dataclass(frozen=True)
 class Figures:
-    """What the camera does."""
+    """Properties of the simulated camera."""
 
     vignetting: tuple[float, float] = (0.0, 0.0)
     gains: tuple[float, float, float] = (1.0, 1.0, 1.0)

@@ -54,7 +54,7 @@ class Witness:
 
 
 class Footprint:
-    """Whether points of the clean wall lie in a lesion's footprint.
+    """Return whether points of the clean wall lie in a lesion's footprint.
 
     Args:
         organ: Before any lesion.
@@ -116,7 +116,7 @@ class Polar:
 
 
 def _component(faces, count, vertices, center) -> np.ndarray:
-    """Which faces hang together with the vertex nearest to the center."""
+    """Mask of the faces connected to the vertex nearest to the center."""
     ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
     graph = coo_array((np.ones(len(ends)), ends.T), shape=(count, count))
     _, part = connected_components(graph, directed=False)

@@ -30,10 +30,10 @@ navigator.getGamepads = () => [window.pad, null, null, null];
 """A gamepad as a browser would show it; runs before the page."""
 
 DEAD_ZONE = 0.12
-"""Of sticks, as the page's program has it."""
+"""Dead zone of sticks, as in the page's program."""
 
 _REACH = 0.2
-"""How far beyond the organ the magnet is led [m]."""
+"""Maximum distance of the magnet from the organ [m]."""
 
 _LEAST = 0.05
 """Simulated time between looks at the page [s]: shorter ones tell no speed."""
@@ -101,7 +101,7 @@ class PadPilot:
         self._guide = Guide(self._seen, 0)  # type: ignore[arg-type]
 
     def axes(self) -> np.ndarray | None:
-        """How to push now; None where too little time has passed since the last look."""
+        """Position of the sticks now; None if too little time has passed since the last look."""
         view = self._session.view
         assert view is not None
         passed = view.state.time - float(self._seen.time[0])

@@ -53,7 +53,7 @@ class PoseSolverTwin:
         )
 
     def residuals(self, pose: np.ndarray) -> np.ndarray:
-        """What counts of a pose: force and torque missed, way and turn made."""
+        """Residual of a pose: missing force and torque, translation and rotation."""
         w = self.target
         force, torque = self.wrench(pose)
         moved = pose - self.start

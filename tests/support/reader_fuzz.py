@@ -107,7 +107,7 @@ def _mutated(rng: np.random.Generator, whole: bytes, suffix: str) -> bytes:
 
 
 def outcome_of(target: Target) -> tuple[str, str]:
-    """What reading a target comes to, with the line of an error."""
+    """Outcome of reading a target, with the line of an error."""
     try:
         with _limited():
             target.read(target.folder)

@@ -36,7 +36,7 @@ def advance_reference(
     s: ControllerGains,
     dt: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float, bool]:
-    """What `vrcaps._core.advance_reference` gives."""
+    """Expected result of `vrcaps._core.advance_reference`."""
     (place, look, side), at, axis = leader, capsule[:3, 3], capsule[:3, 2]
     free, press, share = (
         target.controlled_axes,

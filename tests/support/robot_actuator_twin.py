@@ -76,7 +76,7 @@ def limits(actuator: RobotActuator, dt: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def outside(actuator: RobotActuator, pose: np.ndarray) -> float:
-    """How far a magnet is out of the workspace [m]."""
+    """Distance of a magnet from the workspace [m]."""
     place = pose[:3, 3]
     return float(
         np.linalg.norm(place - np.clip(place, actuator.workspace.low, actuator.workspace.high))

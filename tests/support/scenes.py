@@ -1,4 +1,4 @@
-"""What the tests of magnets share: random poses and places, and arms."""
+"""Scenes shared by the tests of magnets: random poses and positions, and arms."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ def _chunks(count: int, width: int) -> list[slice]:
 
 
 def is_visible(corners: np.ndarray, eye: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Whether the first 0.9999 of the way from `eye` to each point [n 3] is free."""
+    """Return whether the first 0.9999 of the segment from `eye` to each point [n 3] is free."""
     found = np.isfinite(points).all(axis=1)
     offset = np.where(found[:, None], points, 0.0) - eye
     first, _, _ = nearest_hits(corners, np.broadcast_to(eye, offset.shape), offset)

@@ -1,4 +1,4 @@
-"""What a world refuses: the message names the field, and the state stays as it was."""
+"""Input that a world refuses: the message names the field, and the state is unchanged."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a capsule presses, against what the core's contact says and closed forms."""
+"""Indentation by a capsule, compared with the core's contact and closed forms."""
 
 from __future__ import annotations
 

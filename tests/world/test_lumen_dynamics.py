@@ -1,4 +1,4 @@
-"""What floats moves as it should, pushes the capsule fairly, and goes on to the same bytes."""
+"""Motion of floating contents, its reaction on the capsule, and resumption to the same bytes."""
 
 from __future__ import annotations
 
@@ -258,7 +258,7 @@ def test_particles_and_the_capsules_side_hold_no_bubble(gut: OrganSurface) -> No
 
 
 def test_riding_bubbles_let_go_at_their_rate_and_burst_at_theirs(gut: OrganSurface) -> None:
-    """Of n that ride, n (1 − rate dt)^k are left; in the dry none lets go."""
+    """Of n attached bubbles, n (1 − rate dt)^k remain after k steps; none detaches when dry."""
     way = np.random.default_rng(2).standard_normal((600, 3))
     way[:, 0] = np.abs(way[:, 0]) + 0.1
     places = 5.6 * MM * way / np.linalg.norm(way, axis=1, keepdims=True)

@@ -60,7 +60,7 @@ def _is_relative(name: str) -> bool:
 
 
 def _is_control(character: str) -> bool:
-    """Whether a character is a backslash, or one that a terminal does not show as text."""
+    """Return whether a character is a backslash, or one that a terminal does not show as text."""
     return (
         character == "\\"
         or unicodedata.category(character) in _UNSEEN

@@ -139,7 +139,7 @@ def complete_units(store: Store, asked: Sequence[str] | None = None) -> list[str
 
 
 def is_complete(store: Store, name: str) -> bool:
-    """Whether a unit is complete."""
+    """Return whether a unit is complete."""
     return store.has(f"{LEDGER}/{name}.json")
 
 

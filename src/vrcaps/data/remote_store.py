@@ -55,7 +55,7 @@ class RemoteStore:
             return self._system.cat_file(self._path(name))
 
     def has(self, name: str) -> bool:
-        """Whether a file exists."""
+        """Return whether a file exists."""
         with self._storage_errors("read"):
             self._system.invalidate_cache()
             return self._system.isfile(self._path(name))
@@ -91,7 +91,7 @@ class RemoteStore:
                 self._system.rm_file(self._path(name))
 
     def is_empty(self) -> bool:
-        """Whether the store is empty."""
+        """Return whether the store is empty."""
         return not self._list(self._root)
 
     def names(self, folder: str) -> list[str]:

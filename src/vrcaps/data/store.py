@@ -33,7 +33,7 @@ class Store(Protocol):
         ...
 
     def has(self, name: str) -> bool:
-        """Whether a file exists."""
+        """Return whether a file exists."""
         ...
 
     def write(self, name: str, data: bytes) -> None:
@@ -49,7 +49,7 @@ class Store(Protocol):
         ...
 
     def is_empty(self) -> bool:
-        """Whether there are no visible files."""
+        """Return whether there are no visible files."""
         ...
 
     def names(self, folder: str) -> list[str]:
@@ -82,7 +82,7 @@ class LocalStore:
         return (self.folder / name).read_bytes()
 
     def has(self, name: str) -> bool:
-        """Whether a file exists."""
+        """Return whether a file exists."""
         return (self.folder / name).is_file()
 
     def write(self, name: str, data: bytes) -> None:
@@ -123,7 +123,7 @@ class LocalStore:
             (self.folder / name).unlink(missing_ok=True)
 
     def is_empty(self) -> bool:
-        """Whether the folder holds only hidden files."""
+        """Return whether the folder holds only hidden files."""
         if self.folder.exists() and not self.folder.is_dir():
             return False
         return not self.folder.is_dir() or all(p.name[0] == "." for p in self.folder.iterdir())

@@ -193,7 +193,7 @@ class CameraImages:
     def _renderer(self, index: int, render: RenderSettings) -> tuple[Renderer, _WorldWall]:
         """Renderer of a world's patient."""
         s = self._worlds
-        key = (s.patient_number(index), render)
+        key = (s.patient_index(index), render)
         if key not in self._renderers:
             wall = _WorldWall()
             model = replace(s.patient(index).model, T_world_patient=np.eye(4))

@@ -81,7 +81,7 @@ class Episode:
     def __reduce__(self) -> tuple[Any, ...]:
         """Support pickling; a copy creates its organs again and continues with the same bytes."""
         s = self.simulation
-        running = [k for k in range(s.num_worlds) if self.view.patient_number(k) >= 0]
+        running = [k for k in range(s.num_worlds) if self.view.patient_index(k) >= 0]
         worlds = {k: s.snapshot(k) for k in running}
         return _restored, (self.settings, s.num_worlds, self.render_mode, worlds)
 
@@ -180,7 +180,7 @@ class Episode:
         Raises:
             InputError: If a world has no episode yet.
         """
-        if any(self.view.patient_number(k) < 0 for k in range(self.view.num_worlds)):
+        if any(self.view.patient_index(k) < 0 for k in range(self.view.num_worlds)):
             raise InputError("No episode has started, so there is no image. Call reset first.")
         return [image.copy() for image in self.view.cameras.images(View(), "rgb")]
 

@@ -117,9 +117,9 @@ class EnvView:
         """Return the patient of a world."""
         return self._worlds.patient(index)
 
-    def patient_number(self, index: int) -> int:
+    def patient_index(self, index: int) -> int:
         """Return the index of a world's organ in the settings; -1 before its first episode."""
-        return self._worlds.patient_number(index)
+        return self._worlds.patient_index(index)
 
 
 @dataclass(frozen=True)

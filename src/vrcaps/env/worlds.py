@@ -66,9 +66,9 @@ class EnvWorlds:
 
     def patient(self, index: int) -> Patient:
         """Return the patient of a world."""
-        return self.patients[self.patient_number(index)]
+        return self.patients[self.patient_index(index)]
 
-    def patient_number(self, index: int) -> int:
+    def patient_index(self, index: int) -> int:
         """Return the index of a world's organ in the settings; -1 before its first episode."""
         return int(self._patient[index])
 

@@ -157,7 +157,7 @@ def read_source(text: str) -> tuple[FrameSequence, ...]:
 
 
 def _holds_images(folder: Path) -> bool:
-    """Whether a folder has images or folders of them, and is not an episode or a data set."""
+    """Return whether a folder has images, also in subfolders, and is no episode or data set."""
     if not folder.is_dir() or any((folder / name).exists() for name in (EPISODE_JSON, PLAN)):
         return False
     paths = (path for depth in ("*", "*/*") for path in listed(folder, depth))

@@ -127,7 +127,7 @@ def widest_field(camera: Camera) -> float:
 
 
 def _sees(camera: Camera, angles: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Whether rays at these angles to the axis, to its right, reach the image."""
+    """Return whether rays at these angles to the axis, to its right, reach the image."""
     rays = np.stack([np.sin(angles), np.zeros_like(angles), np.cos(angles)], axis=-1)
     return in_image(camera, _snapped(project_points(camera, rays)))
 

@@ -230,7 +230,7 @@ def _with_lesion(
 
 
 def _cuts_wall(wall: Patch, instance: int) -> bool:
-    """Whether a lesion caused a self-intersection of the wall."""
+    """Return whether a lesion caused a self-intersection of the wall."""
     own = (wall.instance == instance) & (wall.moved != wall.clean).any(axis=1)
     if not own.any():
         return False

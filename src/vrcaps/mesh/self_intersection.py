@@ -149,7 +149,7 @@ def _is_cut(
     shared: Int[np.ndarray, " k"],
     tolerance: float,
 ) -> Bool[np.ndarray, " k"]:
-    """Whether the triangles of each pair intersect; heights within the tolerance [m] count as zero.
+    """Return whether each pair of triangles intersects; heights within the tolerance [m] are zero.
 
     Triangles that share a vertex and have no other vertex on the other's plane do not intersect.
     """
@@ -183,7 +183,7 @@ def _any_edge_through(
     other: Float[np.ndarray, "k 3 3"],
     side: Int[np.ndarray, "k 3"],
 ) -> Bool[np.ndarray, " k"]:
-    """Whether an edge of the first triangle passes through the second, for each pair.
+    """Return whether an edge of the first triangle passes through the second, for each pair.
 
     An edge p q with its ends on both sides of the plane of a b c passes through if the volumes
     of p q a b, p q b c and p q c a have one sign. `side` gives the side of each corner.
@@ -207,7 +207,7 @@ def _overlap(
     normal: Float[np.ndarray, "k 3"],
     tolerance: float,
 ) -> Bool[np.ndarray, " k"]:
-    """Whether coplanar triangles share an area, i.e. none of their edges separates them."""
+    """Return whether coplanar triangles share an area, i.e. none of their edges separates them."""
     is_apart = np.zeros(len(one), bool)
     for triangle in (one, other):
         for k in range(3):

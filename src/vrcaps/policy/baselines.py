@@ -124,9 +124,9 @@ class RandomPolicy:
         self._age: dict[int, int] = {}
         self._held: dict[int, np.ndarray] = {}
 
-    def reset(self, numbers: np.ndarray, seeds: Sequence[int]) -> None:
+    def reset(self, indices: np.ndarray, seeds: Sequence[int]) -> None:
         """Start a random stream for each world."""
-        for index, seed in zip(np.asarray(numbers).tolist(), seeds, strict=True):
+        for index, seed in zip(np.asarray(indices).tolist(), seeds, strict=True):
             self._draws[index] = rng.stream(int(seed), "policy/random")
             self._age[index] = 0
 
@@ -203,9 +203,9 @@ class CenterlinePolicy:
         self._routes = Routes()
         self._walks: dict[int, Walk] = {}
 
-    def reset(self, numbers: np.ndarray, seeds: Sequence[int]) -> None:
+    def reset(self, indices: np.ndarray, seeds: Sequence[int]) -> None:
         """Reset the progress of some worlds."""
-        for index in np.asarray(numbers).tolist():
+        for index in np.asarray(indices).tolist():
             self._walks[index] = Walk()
 
     def act(self, observations: dict[str, np.ndarray], env: CapsuleVectorEnv) -> np.ndarray:

@@ -81,7 +81,7 @@ class MlpPolicy:
         """Observations and actuation that it was trained with."""
         return Requirements(self.settings, self._names, (self.settings["actuation"].kind,))
 
-    def reset(self, numbers: np.ndarray, seeds: Sequence[int]) -> None:
+    def reset(self, indices: np.ndarray, seeds: Sequence[int]) -> None:
         """Do nothing; the policy has no state."""
 
     def act(self, observations: dict[str, np.ndarray], env: CapsuleVectorEnv) -> np.ndarray:

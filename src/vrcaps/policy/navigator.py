@@ -88,9 +88,9 @@ class NavigatorPolicy:
     def __init__(self) -> None:
         self._guides: dict[int, Guide] = {}
 
-    def reset(self, numbers: np.ndarray, seeds: Sequence[int]) -> None:
+    def reset(self, indices: np.ndarray, seeds: Sequence[int]) -> None:
         """Discard the paths of some worlds."""
-        for index in np.asarray(numbers).tolist():
+        for index in np.asarray(indices).tolist():
             self._guides.pop(index, None)
 
     def act(self, observations: dict[str, np.ndarray], env: CapsuleVectorEnv) -> np.ndarray:

@@ -74,9 +74,9 @@ class NextBestViewPolicy:
         self._draws: dict[int, np.random.Generator] = {}
         self._plans: dict[int, _Plan | None] = {}
 
-    def reset(self, numbers: np.ndarray, seeds: Sequence[int]) -> None:
+    def reset(self, indices: np.ndarray, seeds: Sequence[int]) -> None:
         """Discard the plans of some worlds."""
-        for index, seed in zip(np.asarray(numbers).tolist(), seeds, strict=True):
+        for index, seed in zip(np.asarray(indices).tolist(), seeds, strict=True):
             self._draws[index] = rng.stream(int(seed), "policy/next-best-view")
             self._plans[index] = None
 

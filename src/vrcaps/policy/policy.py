@@ -69,11 +69,11 @@ class Policy(Protocol):
         """Requirements on the environment."""
         ...
 
-    def reset(self, numbers: np.ndarray, seeds: Sequence[int]) -> None:
+    def reset(self, indices: np.ndarray, seeds: Sequence[int]) -> None:
         """Reset the state of some worlds in which an episode starts.
 
         Args:
-            numbers: Indices of the worlds.
+            indices: Indices of the worlds.
             seeds: Seeds of their episodes, one for each.
         """
         ...

@@ -152,7 +152,7 @@ class _Recording:
         return self.present.issuperset(self.files(frame))
 
     def is_whole(self) -> bool:
-        """Whether all files that depend on the motion exist."""
+        """Return whether all files that depend on the motion exist."""
         table = (self.out / FRAMES_PARQUET).exists()
         return table and all(self.is_there(frame) for frame in range(self.scenario.frames))
 

@@ -152,7 +152,7 @@ def test_a_path_is_followed_without_a_jump(panda):
 
 
 def test_the_arm_goes_through_a_straight_shoulder(panda):
-    """Where q2 passes 0, q1 and q3 are free and would swing: q7 gives way instead."""
+    """With q2 at 0, q1 and q3 are free and would swing; q7 moves instead."""
     start = np.array([0.186, -0.004, 0.139, -2.229, 0.247, 2.273, 0.17])
     poses = np.tile(forward(panda, start), (100, 1, 1))
     poses[:, 1, 3] += np.linspace(0, 0.02, 100)

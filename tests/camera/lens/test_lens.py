@@ -1,4 +1,4 @@
-"""What holds for every lens model, over random parameters."""
+"""Properties of every lens model, for random parameters."""
 
 import inspect
 import math

@@ -1,4 +1,4 @@
-"""What the organ in the page is colored by, where it is cut, and what the capsule touches."""
+"""Coloring and cutting of the organ on the page, and marks of contact."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_a_cut_leaves_out_what_lies_below_the_plane(gut):
 
 
 def test_a_path_has_a_point_only_where_the_capsule_has_gone_on():
-    """What was driven after a time to which it goes back is forgotten."""
+    """Going back to an earlier time discards the path driven after it."""
     drawn: list[int] = []
     scene: Any = SimpleNamespace(
         add_line_segments=lambda name, lines, **more: drawn.append(len(lines))

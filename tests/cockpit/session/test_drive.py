@@ -1,4 +1,4 @@
-"""What is chosen for the next drive changes that and no more."""
+"""Settings chosen for the next drive change only that setting."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ class Broken:
 
     requires = Requirements()
 
-    def reset(self, numbers, seeds):
+    def reset(self, indices, seeds):
         pass
 
     def act(self, observations, env):

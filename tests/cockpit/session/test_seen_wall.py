@@ -1,4 +1,4 @@
-"""What was seen is the same whether it was watched or gone back to."""
+"""The seen wall is the same when watched live and when replayed."""
 
 from __future__ import annotations
 

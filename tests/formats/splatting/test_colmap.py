@@ -28,7 +28,7 @@ LENSES = {
 
 @pytest.mark.parametrize("model", LENSES)
 def test_pycolmap_reprojects_our_points(model, tmp_path):
-    """Where its cameras show a point is where ours do, half a pixel on, and on the wall."""
+    """Its cameras project points as ours, shifted by half a pixel; the points are on the wall."""
     sequence = ellipsoid_sequence(LENSES[model], 50, 42)
     out = export(Colmap(points=400), [sequence], tmp_path / "out")
     found = read_colmap_model(out / "ball_front/sparse/0")

@@ -66,7 +66,7 @@ def test_files_are_numbered_of_the_stated_size_and_equal_bytes(sequences, tmp_pa
 
 
 def test_arrow_reads_images_as_files(sequences, tmp_path):
-    """What Pillow would cut to 8 bits is plain bytes, not an image."""
+    """Images that Pillow would cut to 8 bits are stored as plain bytes."""
     out = export(HuggingFace(), sequences, tmp_path / "out")
     table = pq.read_table(out / "data/train-00000-of-00001.parquet")
     row = table.slice(1, 1).to_pylist()[0]

@@ -61,7 +61,7 @@ def nodal_force(world: World) -> np.ndarray:
 
 
 def energy(world: World) -> float:
-    """Of motion, weight, foundation and layer [J]."""
+    """Energy of motion, weight, foundation and layer [J]."""
     state = world.state
     assert world.layer is not None
     assert state.contact is not None

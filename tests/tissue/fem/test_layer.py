@@ -56,7 +56,7 @@ def test_embedding_is_exact_for_linear_fields(tube: OrganSurface) -> None:
 
 
 def test_low_pass_keeps_what_is_broad() -> None:
-    """Of an undulation of length d stays 1 − s² with s = 1/(1 + (d/wavelength)⁴)."""
+    """An undulation of length d keeps the fraction 1 − s² with s = 1/(1 + (d/wavelength)⁴)."""
     tube = straight_tube(0.02, 0.12, 0.002)
     line = tube.vertices[:, 2]
     for wave in (0.04, 0.02):

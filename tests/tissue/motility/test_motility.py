@@ -1,4 +1,4 @@
-"""What motility as a whole accepts."""
+"""Accepted settings of motility as a whole."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ def muscle_of(segment: SegmentMotility, length: float = 0.5, seed: int = 0, **kw
 
 
 def contractions(lumen_scale: np.ndarray, below: float = 0.8) -> int:
-    """How often the lumen becomes narrower than a share of its radius."""
+    """Number of times that the lumen becomes narrower than a fraction of its radius."""
     return int(np.sum((lumen_scale[1:] < below) & (lumen_scale[:-1] >= below)))
 
 

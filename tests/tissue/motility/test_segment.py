@@ -1,4 +1,4 @@
-"""What a segment's motility accepts, and the published figures."""
+"""Accepted settings of the motility of a segment, and the published values."""
 
 from __future__ import annotations
 

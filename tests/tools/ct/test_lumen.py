@@ -1,4 +1,4 @@
-"""Which gas is gut, and what is said where there is none."""
+"""Selection of the gas in the gut, and errors if there is none."""
 
 import numpy as np
 import pytest

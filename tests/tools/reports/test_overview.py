@@ -72,7 +72,7 @@ def test_lesions_are_listed_with_and_without_records(tube: OrganSurface) -> None
 @pytest.mark.slow
 @pytest.mark.parametrize("dtype", [np.int32, np.int64])
 def test_overview_is_an_image_file(tube: OrganSurface, dtype: type, tmp_path: Path) -> None:
-    """Of a plain tube, and of one with many segments and a lesion."""
+    """Overview of a plain tube, and of one with many segments and a lesion."""
     from PIL import Image
 
     if dtype is np.int64:

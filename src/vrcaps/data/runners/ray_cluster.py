@@ -229,7 +229,7 @@ def _lost(head: str, how: str) -> str:
 
 
 def _answers(address: str) -> bool:
-    """Whether an address accepts connections."""
+    """Return whether an address accepts connections."""
     host, _, port = address.rpartition(":")
     try:
         socket.create_connection((host.strip("[]"), int(port)), timeout=_CONNECT).close()

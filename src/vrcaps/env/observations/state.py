@@ -147,7 +147,7 @@ class LocatedCapsules:
     def _tracker(self, index: int) -> CapsuleTracker:
         """Tracker of a world's patient and seed; its state is that of its last use."""
         view = self._view
-        key = (int(self._seed[index]), view.patient_number(index))
+        key = (int(self._seed[index]), view.patient_index(index))
         current = self._trackers.get(index)
         if current is None or current[0] != key:
             model, T = view.batch.worlds[index].model, view.T_world_capsule[index].copy()

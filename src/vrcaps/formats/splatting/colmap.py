@@ -343,7 +343,7 @@ def _seen(
 def _is_at_depth(
     depth: Float[np.ndarray, "h w"], pixels: Float[np.ndarray, "n 2"], z: Float[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
-    """Whether z lies within the depths of the four pixels around each position."""
+    """Return whether z lies within the depths of the four pixels around each position."""
     height, width = depth.shape
     corners = []
     for step in (np.floor, np.ceil):

@@ -175,7 +175,7 @@ def _list_of(column: tuple[Any, Any]) -> tuple[Any, Any]:
 
 
 def _is_image(channel: str) -> bool:
-    """Whether Pillow reads a channel's files losslessly: not for 16-bit PNG with three planes."""
+    """Return whether Pillow reads a channel's files losslessly: false for 16-bit color PNG."""
     encoding = CHANNELS[channel].encoding
     return encoding.suffix == ".png" and (encoding.dtype == "uint8" or encoding.planes == 1)
 

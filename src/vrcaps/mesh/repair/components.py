@@ -308,7 +308,7 @@ def _size(mesh: Mesh) -> float:
 
 
 def _lies_within(inner: Mesh, outer: Mesh) -> bool:
-    """Whether a surface lies within another one, whose open ends count as closed."""
+    """Return whether a surface lies within another one, whose open ends count as closed."""
     outer, _ = orient_consistently(outer)
     outer = close_loops(outer, find_loops(outer))
     if signed_volume(outer) > 0.0:

@@ -5,13 +5,18 @@ python docs/effect_tables.py
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 from vrcaps.camera_pipeline.effect.base import MAX_SEVERITY, Effect
 from vrcaps.camera_pipeline.effects import EFFECTS
+from vrcaps.capsule.device_file import read_device
+from vrcaps.capsule.image_chain import ImageChain, UnitVariation
 
 PAGE = Path(__file__).parent / "concepts" / "effects.md"
+
+DEVICES = ("mirocam", "pillcam-sb3", "pillcam-colon2", "magnetic", "colonoscope")
+"""Capsules with values of their own; all others have those of `mirocam`."""
 
 _MARK, _END = "<!-- {} -->", "<!-- end of {} -->"
 
@@ -39,9 +44,31 @@ def effect_table() -> str:
     return "\n".join(lines)
 
 
+def device_table() -> str:
+    """Image chain of each capsule, as Markdown; SI units."""
+    chains = [read_device(name).image_chain for name in DEVICES]
+    lines = [f"| parameter | {' | '.join(f'`{name}`' for name in DEVICES)} |"]
+    lines.append("|---" * (len(DEVICES) + 1) + "|")
+    for field in fields(ImageChain):
+        values = [getattr(chain, field.name) for chain in chains]
+        if not any(map(is_dataclass, values)):
+            cells = " | ".join(map(_value_text, values))
+            lines.append(f"| `{field.name}` | {cells} |")
+    variations = [chain.variation for chain in chains if chain is not None]
+    for field in fields(UnitVariation):
+        cells = " | ".join(_value_text(getattr(one, field.name)) for one in variations)
+        lines.append(f"| `variation.{field.name}` | {cells} |")
+    return "\n".join(lines)
+
+
 def with_tables(page: str) -> str:
-    """Return a page with both tables between their marks, such as `<!-- severities -->`."""
-    for mark, table in (("severities", severity_table()), ("effects", effect_table())):
+    """Return a page with all tables between their marks, such as `<!-- severities -->`."""
+    tables = {
+        "severities": severity_table(),
+        "effects": effect_table(),
+        "devices": device_table(),
+    }
+    for mark, table in tables.items():
         start, end = _MARK.format(mark), _END.format(mark)
         before, after = page.split(start, maxsplit=1)[0], page.split(end)[1]
         page = f"{before}{start}\n{table}\n{end}{after}"
@@ -58,6 +85,10 @@ def _described(effect: Effect | None) -> str:
         if value != field.default:
             parts.append(f"{field.name} {_number_text(value)}")
     return ", ".join(parts)
+
+
+def _value_text(value: object) -> str:
+    return value if isinstance(value, str) else _number_text(value)
 
 
 def _number_text(value: object) -> str:

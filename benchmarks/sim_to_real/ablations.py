@@ -91,7 +91,7 @@ def without(name: str, scenario: Mapping[str, Any], folder: Path) -> dict[str, A
     change: dict[str, Callable[[dict[str, Any]], Any]] = {
         COMPLETE: lambda plain: None,
         "indirect light": lambda plain: plain.update(render={"light": "direct"}),
-        "lens and sensor effects": lambda plain: plain.pop("effects", None),
+        "lens and sensor effects": lambda plain: plain.update(effects="none,ae=settled"),
         "texture": lambda plain: plain["organ"].update(mucosa=str(_plain_texture(folder))),
         "contents": lambda plain: plain.pop("contents", None),
         "shapes of polyps": lambda plain: [

@@ -97,7 +97,7 @@ def _light(settings: RenderSettings) -> str:
 def _scenario(effects: str, light: RenderSettings, frames: int) -> Scenario:
     motion = FlyThrough(start=0.4, speed=0.02)
     scenario = Scenario(motion=motion, frames=frames, fps=30.0, render=light)
-    return replace(scenario, effects=parse_effects(effects)) if effects else scenario
+    return replace(scenario, effects=parse_effects(effects or "none,ae=settled"))
 
 
 def _recorded(effects: str, light: RenderSettings) -> float:

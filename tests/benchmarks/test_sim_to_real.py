@@ -325,7 +325,7 @@ def test_variants_of_the_plan_lack_one_thing_each(tmp_path):
     made = {name: without(name, base, tmp_path) for name in VARIANTS}
     assert made[COMPLETE] == base
     assert made["indirect light"]["render"] == {"light": "direct"}
-    assert "effects" not in made["lens and sensor effects"]
+    assert made["lens and sensor effects"]["effects"] == "none,ae=settled"
     assert "contents" not in made["contents"]
     assert (tmp_path / "texture" / "mucosa.json").is_file()
     shapes = {one["shape"] for one in made["shapes of polyps"]["lesions"] if one["kind"] == "polyp"}

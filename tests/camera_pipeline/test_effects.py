@@ -40,13 +40,13 @@ def test_an_effect_that_is_not_given_is_the_capsules_own() -> None:
     assert own.without_device(device) == Effects()
     assert replace(own, jpeg=2).without_device(device) == Effects(jpeg=2)
     assert own.specular is None and own.dome_bubbles is None
-    assert {own.sensor_noise, own.jpeg, own.bayer_filter} == {0}
+    assert {own.motion_blur, own.droplets, own.tone_curve} == {0}
     given = parse_effects("ae=2,afr=0,bayer=0,noise=1").of_device(device)
     assert (given.auto_exposure, given.adaptive_frame_rate, given.bayer_filter) == (2, 0, 0)
     assert given.sensor_noise == 1
     assert given.resolve("adaptive_frame_rate") is None
     assert Effects().of_device(read_device("mirocam")).adaptive_frame_rate == 0
-    fixed = replace(device, auto_exposure=False, lowest_frame_rate=None)
+    fixed = replace(device, auto_exposure=False, lowest_frame_rate=None, image_chain=None)
     assert Effects().of_device(fixed) == parse_effects("none").of_device(fixed)
     assert parse_effects("none").of_device(device).is_ideal
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vrcaps.camera_pipeline.effects import Effects
+from vrcaps.camera_pipeline.effects import Effects, parse_effects
 from vrcaps.capsule.device_file import read_device
 from vrcaps.config.file_ref import FileRef
 from vrcaps.core.errors import InputError, UnknownNameError
@@ -62,6 +62,28 @@ def test_an_episode_from_before_keeps_its_motion_and_frame_rate(tmp_path):
     assert resolve(before).effects.auto_exposure == 0
     plain["motion"]["speed"] = 0.02
     assert read_scenario(_episode(path, plain)).motion == FlyThrough(speed=0.02)
+
+
+def test_effects_that_an_earlier_episode_does_not_state_are_off(tmp_path):
+    """It states every effect of its version; a scenario file that states none has the capsule's."""
+    path, plain = tmp_path / "episode.json", scenario_to_plain(resolve(Scenario()).scenario)
+    for name in ("sharpening", "denoising", "color_matrix", "tone_curve", "led_balance"):
+        del plain["effects"][name]
+    before = resolve(read_scenario(_episode(path, plain))).effects
+    assert (before.sharpening, before.denoising, before.led_balance) == (0, 0, 0)
+    assert before.jpeg == resolve(Scenario()).effects.jpeg
+    path.write_text(json.dumps({"frames": 3}))
+    assert resolve(read_scenario(path)).effects.sharpening != 0
+
+
+@pytest.mark.parametrize("text", ["none", "none,jpeg=2", "default", "noise=1..3"])
+def test_effects_of_a_file_may_be_a_text(text: str, tmp_path):
+    path = tmp_path / "scenario.toml"
+    path.write_text(f'effects = "{text}"\nframes = 2\n')
+    assert read_scenario(path).effects == parse_effects(text)
+    path.write_text('effects = "glow=1"\n')
+    with pytest.raises(UnknownNameError, match="No effect named 'glow'"):
+        read_scenario(path)
 
 
 def _episode(path, plain):

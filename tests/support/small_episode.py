@@ -97,7 +97,7 @@ def base_scenario(mesh_file: Path, device_file: Path) -> Scenario:
         frames=5,
         seed=1,
         channels=tuple(CHANNELS),
-        effects=Effects(auto_exposure=0),
+        effects=Effects.none(),
     )
 
 

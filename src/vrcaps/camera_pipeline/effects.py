@@ -101,7 +101,7 @@ class Effects:
     @classmethod
     def none(cls) -> Effects:
         """Effects of an ideal camera with fixed exposure: `none` of `parse_effects`."""
-        return cls(**dict.fromkeys(_OF_CAMERA, 0))
+        return replace(cls(), **dict.fromkeys(_OF_CAMERA, 0))  # type: ignore[arg-type]
 
     def of_device(self, device: Device, seed: int | None = None) -> Effects:
         """Return the effects with each None replaced by the capsule's own.

@@ -38,10 +38,10 @@ class PipelineState:
 
     Attributes:
         exposure: Exposure of the next frame, relative to the camera's own, set by automatic
-            exposure.
+            exposure; None for a loop that settles in the next frame.
     """
 
-    exposure: float = 1.0
+    exposure: float | None = None
 
 
 @dataclass(frozen=True)
@@ -188,10 +188,11 @@ class CameraPipeline:
     def expose(self, step: Step) -> Exposure:
         """Meter a step, return its exposure and set the exposure of the next step."""
         if self._exposed is None or self._exposed[0] is not step:
-            exposure, luminance = self.state.exposure, float("nan")
+            before, luminance = self.state.exposure, float("nan")
+            exposure = 1.0 if before is None else before
             if self._automatic is not None and self.is_active:
                 radiance = self.render(step)
-                if self._automatic.is_settled:
+                if self._automatic.is_settled or before is None:
                     exposure = self._automatic.settle(partial(self.meter, radiance))
                 luminance = self.meter(radiance, exposure)
                 self.resume(Exposure(exposure, luminance))

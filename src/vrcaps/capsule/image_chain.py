@@ -49,7 +49,9 @@ class ImageChain:
     """Lens, sensor and image processor of a capsule's cameras as built, in physical order.
 
     `vrcaps.camera_pipeline` converts it to effects, whose classes give the equations. The defaults
-    are those of a generic capsule with a sensor of 320 by 320 pixels.
+    are those of a generic capsule with a sensor of 320 by 320 pixels. No maker publishes its image
+    chain: they are estimates, fitted so that features, spectrum, radial profile and chroma of
+    rendered frames approach those of WCEBleedGen (MISAHUB) as distributions.
 
     Attributes:
         aperture: Diameter of the entrance pupil [m].
@@ -77,16 +79,16 @@ class ImageChain:
     """
 
     aperture: Annotated[float, Range(above=0.0, below=0.01, unit="m")] = field(
-        default=0.4 * MM, metadata={"unit": "mm"}
+        default=0.6 * MM, metadata={"unit": "mm"}
     )
     focus_distance: Annotated[float, Range(above=0.0, unit="m")] = field(
         default=15.0 * MM, metadata={"unit": "mm"}
     )
-    lens_shading: Triple = (-0.4, 0.05, 0.0)
+    lens_shading: Triple = (-0.7, 0.12, 0.0)
     cosine_power: Annotated[float, Range(min=0.0, max=16.0)] = 0.0
     lateral_color: tuple[float, float] = (0.002, -0.002)
-    bloom_fraction: Annotated[float, Range(min=0.0, below=1.0)] = 0.08
-    bloom_angle: Annotated[float, Range(above=0.0, below=1.0, unit="rad")] = 0.05
+    bloom_fraction: Annotated[float, Range(min=0.0, below=1.0)] = 0.12
+    bloom_angle: Annotated[float, Range(above=0.0, below=1.0, unit="rad")] = 0.1
     full_well: Annotated[float, Range(min=1.0, max=1e6, unit="electrons")] = 5000.0
     read_noise: Annotated[float, Range(min=0.0, below=1e5, unit="electrons")] = 8.0
     prnu: Annotated[float, Range(min=0.0, below=1.0)] = 0.01
@@ -95,11 +97,11 @@ class ImageChain:
     white_balance: Triple = (1.0, 1.0, 1.0)
     response: Triple = (0.6, 1.0, 0.7)
     color_matrix: tuple[Triple, Triple, Triple] = _IDENTITY
-    contrast: Annotated[float, Range(min=0.25, max=4.0)] = 1.1
-    luma_denoising_px: Annotated[float, Range(min=0.0, max=10.0, unit="px")] = 0.5
-    chroma_denoising_px: Annotated[float, Range(min=0.0, max=10.0, unit="px")] = 1.2
-    sharpening: Annotated[float, Range(min=0.0, max=10.0)] = 0.6
-    sharpening_radius_px: Annotated[float, Range(min=0.3, max=10.0, unit="px")] = 1.0
+    contrast: Annotated[float, Range(min=0.25, max=4.0)] = 1.0
+    luma_denoising_px: Annotated[float, Range(min=0.0, max=10.0, unit="px")] = 0.7
+    chroma_denoising_px: Annotated[float, Range(min=0.0, max=10.0, unit="px")] = 2.0
+    sharpening: Annotated[float, Range(min=0.0, max=10.0)] = 0.8
+    sharpening_radius_px: Annotated[float, Range(min=0.3, max=10.0, unit="px")] = 1.5
     jpeg_quality: Annotated[int | None, Range(min=1, max=100)] = 75
     variation: UnitVariation | None = field(default_factory=UnitVariation)
 

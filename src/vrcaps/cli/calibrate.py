@@ -208,7 +208,8 @@ class CalibratePhotometric:
 
     For example:
       vrcaps calibrate photometric frames/ --capsule mirocam --out my-capsule.toml
-      vrcaps record --organ small-bowel --capsule mirocam --frames 60 --out runs/plain
+      vrcaps record --organ small-bowel --capsule mirocam --frames 60 --effects none
+          --out runs/plain
       vrcaps calibrate photometric frames/ --capsule mirocam --reference runs/plain/front/rgb
           --out my-capsule.toml
       vrcaps record my-capsule-effects.toml --out runs/matched

@@ -88,14 +88,14 @@ class CameraImages:
         self._images[view, channel] = memory.allocate(f"{name}/{channel}", shape, kind.dtype)
         if view not in self._is_stale:
             self._is_stale[view] = memory.allocate(f"{name}/is_stale", (), bool)
-            self._exposure[view] = memory.allocate(f"{name}/exposure", fill=1.0)
+            self._exposure[view] = memory.allocate(f"{name}/exposure", fill=np.nan)
         self._is_stale[view][:] = True
         self._requested[view] = (*self._requested.get(view, ()), channel)
 
     def begin(self, index: int) -> None:
-        """Start an episode in one world, with the nominal exposure of its cameras."""
+        """Start an episode in one world; its cameras settle their exposure in the first image."""
         for exposure in self._exposure.values():
-            exposure[index] = 1.0
+            exposure[index] = np.nan
 
     def expire(self, indices: np.ndarray) -> None:
         """Mark the images of some worlds as outdated."""
@@ -185,9 +185,11 @@ class CameraImages:
                 channels=self._requested[view],
             )
             self._pipelines[index, view] = (key, pipeline)
-        pipeline.state = PipelineState(float(self._exposure[view][index]))
+        before = float(self._exposure[view][index])
+        pipeline.state = PipelineState(None if np.isnan(before) else before)
         frame = pipeline.capture(Step(round(s.time[index] * fps), state))
-        self._exposure[view][index] = pipeline.state.exposure
+        after = pipeline.state.exposure
+        self._exposure[view][index] = np.nan if after is None else after
         return frame
 
     def _renderer(self, index: int, render: RenderSettings) -> tuple[Renderer, _WorldWall]:

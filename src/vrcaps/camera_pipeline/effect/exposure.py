@@ -99,10 +99,11 @@ class AutoExposure(ImageEffect):
     exposure E. The camera meters the mean linear luminance m of a frame, each pixel clipped at
     white. The next exposure, Δt later, follows from ``ln E += (1 − exp(−Δt/τ)) ln(target / m)``
     within the limits: in a static scene, and far from white, the error ``ln(target / m)`` decreases
-    by exp(−Δt/τ) per frame. The loop starts at the camera's own exposure.
+    by exp(−Δt/τ) per frame. The loop has settled in the first frame.
 
     With a time constant of 0 the loop has settled in every frame: m is the target, within the
-    limits, and frames are independent of each other. This is the default of a capsule.
+    limits, and frames are independent of each other. This is the default of a capsule (an
+    assumption: no maker publishes the time constant of its light control).
 
     The LEDs deliver E up to their maximum light; the rest is gain, which adds noise because it adds
     no photons.

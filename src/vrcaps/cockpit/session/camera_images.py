@@ -218,7 +218,7 @@ class CameraImages:
         # The renderer reads this for each image; a new one would trace its form factors again.
         pipeline.renderer.settings = replace(settings.render, shadows=shadows)
         values = getattr(pipeline.capture(step), settings.channel)
-        self.exposure = pipeline.state.exposure
+        self.exposure = pipeline.expose(step).exposure
         limits = limits_of(settings.channel, [values])
         return LiveImage(settings, picture(settings.channel, values, limits))
 

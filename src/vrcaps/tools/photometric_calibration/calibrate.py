@@ -113,7 +113,7 @@ def photometric_device(
     """Copy of a device whose camera has the image circle, color and brightness of the frames.
 
     The circle is scaled to the camera's size; color is applied to the LEDs' intensities, brightness
-    to the exposure.
+    to the exposure. The device is one unit, so its image chain does not vary.
 
     Raises:
         UnknownNameError: If the pattern has no such camera.
@@ -131,7 +131,10 @@ def photometric_device(
         f"All else as in {pattern.name}: {pattern.source.strip()}"
     )
     title = f"{pattern.title}, matched to frames"
-    return replace(with_camera(pattern, old, new), title=title, source=source)
+    chain = pattern.image_chain
+    chain = None if chain is None else replace(chain, variation=None)
+    device = with_camera(pattern, old, new)
+    return replace(device, title=title, source=source, image_chain=chain)
 
 
 def write_scenario(path: Path, calibration: PhotometricCalibration, capsule: Path) -> None:

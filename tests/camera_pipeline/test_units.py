@@ -1,0 +1,175 @@
+"""Units of a capsule: effects from its image chain, drawn by a seed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.shapes import looking, make_camera, make_model, patterned, tube
+from vrcaps.camera_pipeline.effect.exposure import AutoExposure
+from vrcaps.camera_pipeline.effect.lighting import LedBalance
+from vrcaps.camera_pipeline.effect.optics import DepthOfField
+from vrcaps.camera_pipeline.effect.processing import Jpeg, WhiteBalance
+from vrcaps.camera_pipeline.effects import Effects, parse_effects
+from vrcaps.camera_pipeline.pipeline import CameraPipeline
+from vrcaps.camera_pipeline.units import unit_effects
+from vrcaps.capsule.device_file import device_names, read_device, write_device
+from vrcaps.capsule.image_chain import ImageChain, UnitVariation
+from vrcaps.core.errors import InputError
+from vrcaps.motion.motion import Step
+from vrcaps.render.renderer import Renderer
+from vrcaps.render.settings import RenderSettings
+
+CAMERA = make_camera("equidistant", image_circle_px=38.0, exposure=4.0)
+NOW = looking((0.002, 0.001, 0.05), (0.1, 0.05, 1.0))
+CHAIN = ImageChain(variation=UnitVariation(0.1, 0.05, 0.2, 0.1, 0.2, 0.03))
+
+
+def test_nominal_unit_has_the_values_of_its_model() -> None:
+    own = unit_effects(replace(CHAIN, contrast=1.2), None)
+    assert own["depth_of_field"] == DepthOfField(CHAIN.aperture, CHAIN.focus_distance)
+    assert own["white_balance"] == WhiteBalance(CHAIN.white_balance, CHAIN.response)
+    assert own["vignetting"].coefficients == CHAIN.lens_shading  # type: ignore[attr-defined]
+    assert own["tone_curve"].contrast == 1.2  # type: ignore[attr-defined]
+    assert own["jpeg"] == Jpeg(75)
+    assert "led_balance" not in own
+    assert "color_matrix" not in own
+    assert (
+        unit_effects(replace(CHAIN, variation=None), 5).keys() == unit_effects(CHAIN, None).keys()
+    )
+
+
+def test_effects_that_change_nothing_are_left_out() -> None:
+    ideal = ImageChain(
+        lateral_color=(0.0, 0.0), bloom_fraction=0.0, bayer_pattern="", sharpening=0.0,
+        jpeg_quality=None, variation=None,
+    )  # fmt: skip
+    left = {"depth_of_field", "vignetting", "sensor_noise", "white_balance", "denoising"}
+    assert set(unit_effects(ideal, 3)) == left
+
+
+def test_units_differ_by_seed_and_are_reproducible() -> None:
+    units = [unit_effects(CHAIN, seed) for seed in range(4)]
+    assert units[0] == unit_effects(CHAIN, 0)
+    for name in ("white_balance", "color_matrix", "vignetting", "depth_of_field", "led_balance"):
+        assert len({str(unit[name]) for unit in units}) == 4, name
+    assert len({unit["sensor_noise"].sensor_seed for unit in units}) == 4  # type: ignore[attr-defined]
+    assert len({unit["jpeg"] for unit in units}) == 1
+
+
+def test_variation_has_its_standard_deviation_and_keeps_gray() -> None:
+    units = [unit_effects(CHAIN, seed) for seed in range(400)]
+    red, green, _ = np.log([unit["white_balance"].gains for unit in units]).T  # type: ignore[attr-defined]
+    assert red.std() == pytest.approx(0.1, rel=0.1)
+    assert np.abs(red).max() < 0.1 * 2.0 / 0.87  # truncated at two standard deviations
+    assert not green.any()
+    matrix = np.array([unit["color_matrix"].matrix for unit in units])  # type: ignore[attr-defined]
+    assert matrix.sum(axis=2) == pytest.approx(1.0, abs=3e-6)
+    assert matrix[:, 0, 1].std() == pytest.approx(0.05, rel=0.1)
+    focus = np.log([unit["depth_of_field"].focus_distance for unit in units])  # type: ignore[attr-defined]
+    assert focus.std() == pytest.approx(0.1, rel=0.1)
+    assert abs(np.corrcoef(red, focus)[0, 1]) < 0.15
+
+
+def test_leds_are_unequal_but_give_the_same_light() -> None:
+    camera = read_device("mirocam").cameras[0]
+    varied = LedBalance(0.3, 0.05, seed=2).on(camera)
+    before, after = (np.array([led.intensity for led in c.leds]) for c in (camera, varied))
+    assert after.sum(axis=0) == pytest.approx(before.sum(axis=0))
+    assert np.log(after[:, 1]).std() > 0.1
+    assert np.ptp(after[:, 0] / after[:, 1]) > 0.01
+    assert varied.lens == camera.lens
+    assert LedBalance(0.3, 0.05, seed=2).on(camera) == varied
+    assert LedBalance(0.3, 0.05, seed=3).on(camera) != varied
+    dark = replace(camera, leds=(), exposure=1.0)
+    assert LedBalance(0.3).on(dark) == dark
+
+
+def test_every_capsule_of_the_catalog_has_its_image_chain_and_files_keep_it(tmp_path) -> None:
+    for name in device_names():
+        device = read_device(name)
+        assert device.image_chain is not None, name
+        write_device(tmp_path / f"{name}.toml", device)
+        assert read_device(tmp_path / f"{name}.toml") == device
+
+
+def test_an_effect_of_a_user_replaces_that_of_the_unit() -> None:
+    device = read_device("mirocam")
+    assert parse_effects("default") == Effects()
+    assert parse_effects("none,noise=2,default") == Effects()
+    own = Effects().of_device(device, 7)
+    assert own == Effects().of_device(device, 7) != Effects().of_device(device, 8)
+    assert own.without_device(device, 7) == Effects()
+    given = parse_effects("noise=2,jpeg=0").of_device(device, 7)
+    assert (given.sensor_noise, given.jpeg, given.bloom) == (2, 0, own.bloom)
+    ideal = parse_effects("none").of_device(device, 7)
+    assert ideal == Effects.none()
+    assert ideal.is_ideal
+    assert Effects().of_device(replace(device, image_chain=None), 7).bloom == 0
+
+
+@pytest.mark.parametrize(
+    ("given", "match"),
+    [
+        ({"aperture": 0.0}, "ImageChain's aperture is 0.0. Allowed: above 0"),
+        ({"bayer_pattern": "rgb"}, "bayer_pattern is 'rgb'. Allowed: rggb"),
+        ({"white_balance": (1.0, 0.0, 1.0)}, "white_balance is"),
+        ({"response": (1.0, 1.0, -1.0)}, "response is"),
+        ({"lens_shading": (np.nan, 0.0, 0.0)}, "lens_shading is"),
+        ({"lateral_color": (0.6, 0.0)}, "lateral_color is"),
+        ({"color_matrix": ((5.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0))}, "color_matrix is"),
+        ({"jpeg_quality": 0}, "jpeg_quality is 0"),
+    ],
+)
+def test_invalid_image_chain_is_reported(given: dict, match: str) -> None:
+    with pytest.raises(InputError, match=match) as error:
+        ImageChain(**given)
+    assert "\n" not in str(error.value)
+
+
+def test_invalid_variation_is_reported() -> None:
+    with pytest.raises(InputError, match=r"UnitVariation's led is -0.1. Allowed: 0 to 0.5"):
+        UnitVariation(led=-0.1)
+
+
+@pytest.fixture(scope="module")
+def renderer() -> Renderer:
+    organ = tube(48, 80, folds=0.3, appearance=patterned(np.random.default_rng(3)))
+    model = make_model(organ, CAMERA)
+    chained = replace(model.device, image_chain=CHAIN)
+    return Renderer(replace(model, device=chained), RenderSettings(light="direct", shadows=False))
+
+
+def image(renderer: Renderer, effects: Effects | None = None, *, seed: int = 1) -> np.ndarray:
+    """Image of one unit of the renderer's capsule."""
+    pipeline = CameraPipeline(renderer, CAMERA, effects, seed=seed)
+    return np.asarray(pipeline.capture(Step(0, NOW)).rgb)
+
+
+def test_camera_as_built_is_the_default_and_none_is_the_renderers_image(renderer: Renderer) -> None:
+    plain = np.asarray(renderer.render(NOW, CAMERA, channels=("rgb",)).rgb)
+    assert np.array_equal(image(renderer, Effects.none()), plain)
+    own = Effects().of_device(renderer.model.device, 1)
+    assert np.array_equal(image(renderer), image(renderer, own))
+    assert np.abs(image(renderer).astype(int) - plain).mean() > 5.0
+    assert not np.array_equal(image(renderer), image(renderer, seed=2))
+
+
+@pytest.mark.parametrize("loop", [0, 1])
+def test_first_image_of_a_scene_four_times_as_bright_is_as_bright(
+    renderer: Renderer, loop: int
+) -> None:
+    """With settled exposure, and with a loop that has a time constant."""
+    effects = Effects(auto_exposure=loop or AutoExposure(0.0))
+    levels = []
+    for factor in (1.0, 4.0):
+        camera = replace(CAMERA, exposure=0.2 * factor * CAMERA.exposure)
+        pipeline = CameraPipeline(renderer, camera, effects)
+        step = Step(0, NOW)
+        levels.append((pipeline.expose(step).luminance, pipeline.capture(step).rgb))
+    assert levels[0][0] == pytest.approx(0.15, rel=0.01)
+    assert levels[1][0] == pytest.approx(levels[0][0], rel=0.01)
+    means = [np.asarray(rgb, float).mean() for _, rgb in levels]
+    assert means[1] == pytest.approx(means[0], rel=0.01)

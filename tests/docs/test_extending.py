@@ -18,9 +18,13 @@ from vrcaps.env.parts import TASKS as ENV_TASKS
 from vrcaps.formats import FORMATS
 from vrcaps.learn.registry import TASKS
 from vrcaps.lesion.base import LESIONS
+from vrcaps.motion.motion import MOTIONS
+from vrcaps.recording.table import make_table
+from vrcaps.scenario.scenario import scenario_from_plain, scenario_to_plain
+from vrcaps.scenario.settings import settings
 
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "extending.md"
-REGISTRIES = (ACTUATIONS, ENV_TASKS, FORMATS, LESIONS, OBSERVATIONS, REWARDS, TASKS)
+REGISTRIES = (ACTUATIONS, ENV_TASKS, FORMATS, LESIONS, MOTIONS, OBSERVATIONS, REWARDS, TASKS)
 
 
 @pytest.fixture(autouse=True)
@@ -86,3 +90,25 @@ def test_a_policy_acts() -> None:
     spin.requires.check(env.settings, "spin")
     spin.reset(np.arange(2), [0, 1])
     env.step(spin.act(observations, env))
+
+
+def test_a_motion_is_part_of_a_scenario() -> None:
+    names = run("A motion")
+    steps = list(names["motion"].steps())
+    assert [step.index for step in steps] == [0, 1, 2, 3, 4]
+    assert steps[0].previous is None
+    assert steps[2].next is steps[3].state
+    axis = steps[0].state.T_world_capsule[:3, 2]
+    for step in steps:
+        np.testing.assert_allclose(step.state.T_world_capsule[:3, 2], axis, atol=1e-12)
+        np.testing.assert_allclose(step.state.angular_velocity_world, axis, atol=1e-9)
+    table = make_table(names["model"], names["motion"])
+    np.testing.assert_allclose(table.columns["arc_length_m"], 0.03, rtol=0.02)
+
+
+def test_a_motion_is_named_in_files_and_has_settings() -> None:
+    scenario = run("A motion")["scenario"]
+    plain = scenario_to_plain(scenario)
+    assert plain["motion"] == {"kind": "roll", "arc_length": 0.03, "rate": 1.0}
+    assert scenario_from_plain(plain) == scenario
+    assert ("motion.rate", "roll") in {(setting.path, setting.kind) for setting in settings()}

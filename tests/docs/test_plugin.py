@@ -53,6 +53,7 @@ def test_the_package_is_short() -> None:
         ("train", "sharp-depth"),
         ("predict", "sharp-depth"),
         ("export", "positions"),
+        ("record", "slow-flight"),
     ],
 )
 def test_a_part_is_in_the_help(site: Path, command: str, name: str) -> None:

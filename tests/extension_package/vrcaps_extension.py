@@ -1,4 +1,4 @@
-"""Extension of vrcaps: a reward, a task and an observation, a task on images, and a format."""
+"""Extension of vrcaps: a reward, a task, an observation, a task on images, a format, a motion."""
 
 from dataclasses import dataclass
 
@@ -9,6 +9,7 @@ from vrcaps.env import OBSERVATIONS, REWARDS, TASKS, Observation, Reward, Task
 from vrcaps.formats import FORMATS, Needs
 from vrcaps.learn import TASKS as IMAGE_TASKS
 from vrcaps.learn import DepthTask
+from vrcaps.motion import MOTIONS, FlyThrough
 
 
 @REWARDS.register
@@ -62,3 +63,10 @@ class Positions:
         for index, sequence in enumerate(sequences):
             np.save(folder / f"{index}.npy", sequence.Ts_world_camera[:, :3, 3])
             [advance() for _ in sequence.times]
+
+
+@MOTIONS.register
+@dataclass(frozen=True)
+class SlowFlight(FlyThrough):
+    speed: float = 2e-3
+    kind = "slow-flight"

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 
 from tyro.conf import UseAppendAction, arg
 
+from vrcaps.motion.motion import MOTIONS
 from vrcaps.scenario.scenario import OrganFile, organ_named
 from vrcaps.scenario.settings import Setting, settings
 
@@ -43,7 +44,7 @@ _HELP = {
 }
 """Help of flags that set more than the value of their path."""
 
-_MOTIONS = Literal["fly-through", "random-views", "replay", "dynamics"]
+_MOTIONS: Any = Literal[tuple(MOTIONS)]  # with those of plug-ins
 
 
 def _flags(name: str, doc: str, *flags: str, **others: tuple[Any, Any, str]) -> Any:

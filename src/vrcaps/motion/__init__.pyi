@@ -1,5 +1,6 @@
 from .dynamics import Dynamics as Dynamics
 from .fly_through import FlyThrough as FlyThrough
+from .motion import MOTIONS as MOTIONS
 from .motion import Command as Command
 from .motion import Motion as Motion
 from .motion import MotionSettings as MotionSettings

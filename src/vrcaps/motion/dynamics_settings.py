@@ -13,6 +13,7 @@ from vrcaps.config.file_ref import FileRef, file_ref
 from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.core.transforms import quaternion_from_matrix
 from vrcaps.motion.fly_through import FlyThrough
+from vrcaps.motion.motion import MotionSettings
 from vrcaps.tissue.contact_laws import Drag, SpringWall, WinklerFoundation
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.motility.migrating_complex import Front
@@ -86,7 +87,7 @@ WRENCH_FRAMES = ("world", "capsule", "gut")
 
 
 @dataclass(frozen=True)
-class DynamicsSettings:
+class DynamicsSettings(MotionSettings):
     """Settings of a capsule motion simulated from gravity, wall contact, muscle and commands.
 
     Attributes:

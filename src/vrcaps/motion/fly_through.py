@@ -26,6 +26,7 @@ from vrcaps.motion.centerline_follower import (
     follower_offsets,
     make_noise,
 )
+from vrcaps.motion.motion import MotionSettings
 from vrcaps.motion.trajectory import Trajectory
 from vrcaps.world.clearance import (
     WallDisplacement,
@@ -49,7 +50,7 @@ _PUSH_BLURS = (3.0 * MM, 1.5 * MM, 0.75 * MM)
 
 
 @dataclass(frozen=True)
-class FlyThrough:
+class FlyThrough(MotionSettings):
     """Fly-through along the centerline, at a steady speed or over a whole stretch.
 
     Example:
@@ -89,7 +90,6 @@ class FlyThrough:
     rigid_wall: bool = False
 
     kind: ClassVar[str] = "fly-through"
-    column_names: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -1,7 +1,7 @@
 """Interface of motions: time steps, the motion in a model, and its settings in a scenario.
 
-A new motion is a frozen dataclass with the members of `MotionSettings`, in one file, and its name
-in `vrcaps.motion.registry`. A path known in advance is a `Trajectory`.
+A new motion is a frozen dataclass that extends `MotionSettings`, registered in `MOTIONS`. A path
+known in advance is a `Trajectory`.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Protocol, TypeVar
 
+from vrcaps.config.convert import register_family
+from vrcaps.core.registry import Registry
 from vrcaps.world.model import State
 
 if TYPE_CHECKING:
@@ -142,8 +144,8 @@ class Motion(Protocol):
         ...
 
 
-class MotionSettings(Protocol):
-    """Settings of a motion in a scenario: a frozen dataclass.
+class MotionSettings:
+    """Base class of the settings of a motion in a scenario; subclasses are frozen dataclasses.
 
     Attributes:
         kind: Name of the motion in scenarios.
@@ -153,8 +155,8 @@ class MotionSettings(Protocol):
 
     @property
     def column_names(self) -> tuple[str, ...]:
-        """Names of the columns of `Motion.columns` that all its recordings have."""
-        ...
+        """Names of the columns of `Motion.columns` in all recordings; none by default."""
+        return ()
 
     def begin(
         self, model: Model, *, frames: int, fps: float, seed: int, shown: Model | None = None
@@ -172,4 +174,18 @@ class MotionSettings(Protocol):
         Raises:
             InputError: If the motion is not possible in the model.
         """
-        ...
+        raise NotImplementedError
+
+
+MOTIONS: Registry[MotionSettings] = Registry(
+    "motion",
+    {
+        "fly-through": ("vrcaps.motion.fly_through:FlyThrough", "along the centerline"),
+        "random-views": ("vrcaps.motion.random_views:RandomViews", "random views of the wall"),
+        "replay": ("vrcaps.motion.replay:Replay", "along a recorded path"),
+        "dynamics": ("vrcaps.motion.dynamics:Dynamics", "by gravity, contact, muscle and magnets"),
+    },
+)
+"""Motions by name, including those of plug-ins."""
+
+register_family(MotionSettings, MOTIONS)

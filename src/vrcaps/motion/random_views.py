@@ -14,6 +14,7 @@ from vrcaps.core.errors import InputError, require
 from vrcaps.core.rng import stream
 from vrcaps.core.transforms import invert, look_along, rotation_from_vector, transform_from
 from vrcaps.core.units import DEG, MM
+from vrcaps.motion.motion import MotionSettings
 from vrcaps.motion.trajectory import Trajectory
 from vrcaps.world.clearance import WallDisplacement, capsule_clearance, fit_text, vital_clearance
 from vrcaps.world.model import Model
@@ -27,7 +28,7 @@ _HIT_SLACK = 0.5 * MM
 
 
 @dataclass(frozen=True)
-class RandomViews:
+class RandomViews(MotionSettings):
     """Views of the wall from random positions, independent in each frame.
 
     For still images with varied content: near surfaces fill the image, and lesions are seen from
@@ -60,7 +61,6 @@ class RandomViews:
     rigid_wall: bool = False
 
     kind: ClassVar[str] = "random-views"
-    column_names: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
         check_fields(self)

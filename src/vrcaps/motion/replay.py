@@ -25,6 +25,7 @@ from vrcaps.core.transforms import (
     transform_from,
 )
 from vrcaps.core.units import DEG, parse_length
+from vrcaps.motion.motion import MotionSettings
 from vrcaps.motion.trajectory import Trajectory, resample, trajectory_from_poses
 from vrcaps.world.clearance import require_inside
 from vrcaps.world.model import Model
@@ -36,7 +37,7 @@ _IDENTITY = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (
 
 
 @dataclass(frozen=True)
-class Replay:
+class Replay(MotionSettings):
     """Replay of a recorded path.
 
     Example:
@@ -69,7 +70,6 @@ class Replay:
     allow_outside: bool = False
 
     kind: ClassVar[str] = "replay"
-    column_names: ClassVar[tuple[str, ...]] = ()
 
     def begin(
         self, model: Model, *, frames: int, fps: float, seed: int, shown: Model | None = None

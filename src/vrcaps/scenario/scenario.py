@@ -19,7 +19,7 @@ from vrcaps.core.units import parse_length
 from vrcaps.lesion import Lesion, draw_lesions, parse_lesion
 from vrcaps.lumen.contents import Contents
 from vrcaps.motion.fly_through import FlyThrough
-from vrcaps.motion.registry import AnyMotion
+from vrcaps.motion.motion import MotionSettings
 from vrcaps.mucosa.mucosa import is_texture_path
 from vrcaps.organ.segments import Distension
 from vrcaps.organ.surface import OrganSurface
@@ -144,7 +144,7 @@ class Scenario:
     organ: OrganGenerated | OrganFile | OrganSurface | str = field(default_factory=OrganGenerated)
     capsule: str | Device = "mirocam"
     posture: str = "supine"
-    motion: AnyMotion = field(default_factory=FlyThrough)
+    motion: MotionSettings = field(default_factory=FlyThrough)
     frames: Annotated[int, Range(1, MAX_FRAMES)] = 100
     fps: Annotated[float | None, Range(above=0.0)] = None
     seed: Annotated[int, Range(min=0)] = 0

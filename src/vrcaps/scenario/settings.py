@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
+from vrcaps.config.convert import classes_by_kind
 from vrcaps.config.limits import Range, range_of
 from vrcaps.core.errors import InputError
 from vrcaps.scenario.scenario import Scenario
@@ -88,7 +89,8 @@ def type_name(declared: Any) -> str:
         declared = get_args(declared)[0]
     is_union = get_origin(declared) in (Union, types.UnionType)
     members = get_args(declared) if is_union else (declared,)
-    words = [word for word in map(_word, members) if word]
+    kinds = () if is_union else classes_by_kind(declared)
+    words = [kind for kind in kinds if kind] or [word for word in map(_word, members) if word]
     text = " or ".join(dict.fromkeys(words))
     return f"{text} ({range_})" if isinstance(range_, Range) else text
 
@@ -126,11 +128,7 @@ def _tables(declared: Any) -> list[type]:
     """Dataclasses that a value of this type may hold and that paths may lead into."""
     if get_origin(declared) is Annotated:
         declared = get_args(declared)[0]
-    is_union = get_origin(declared) in (Union, types.UnionType)
-    members = get_args(declared) if is_union else (declared,)
-    classes = [m for m in members if isinstance(m, type) and is_dataclass(m)]
-    if len(classes) > 1:
-        classes = [cls for cls in classes if hasattr(cls, "kind")]
+    classes = classes_by_kind(declared).values()
     return [cls for cls in classes if cls.__module__ not in _NO_SETTINGS]
 
 

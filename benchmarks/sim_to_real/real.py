@@ -63,7 +63,7 @@ def found_layouts(root: Path | None, named: Sequence[str]) -> dict[str, Path]:
         found[name] = Path(folder)
     for folder in (*found.values(), *([] if root is None else [root])):
         if not folder.is_dir():
-            raise InputError(f"There is no folder {folder}.")
+            raise InputError(f"The folder {folder} does not exist.")
     places = [] if root is None else sorted(path for path in root.iterdir() if path.is_dir())
     for name, parts in LAYOUTS.items():
         fits = [p for p in places if any(part in p.name.lower() for part in parts)]
@@ -198,7 +198,7 @@ def _pictures(
     folder: Path, frames: Sequence[Frame], wanted: str, lesions: Sequence[str] = ()
 ) -> Pictures:
     if not frames:
-        raise InputError(f"{folder} holds no images {wanted}.")
+        raise InputError(f"{folder} contains no images {wanted}.")
     images, kinds = [f.image for f in frames], [f.kind for f in frames]
     classes = kinds if any(kinds) else ()
     masks = [f.mask for f in frames if f.mask is not None]

@@ -136,7 +136,7 @@ def test_pose_is_the_twins(source, workspace):
 
 
 def test_what_cannot_be():
-    with pytest.raises(InputError, match="holds no magnet"):
+    with pytest.raises(InputError, match="contains no magnet"):
         MagnetPoseSolver(SourceSet([Dipole(1.0)]), (), Workspace())
     with pytest.raises(InputError, match=r"index is 1\. Allowed: 0 to 0"):
         MagnetPoseSolver(SourceSet([Dipole(1.0)]), MAGNETS, Workspace(), index=1)

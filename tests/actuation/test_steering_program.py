@@ -195,7 +195,7 @@ def test_what_cannot_be(gut_model):
         check_joystick((JoystickCommand(0.0, (2.0, 0.0, 0.0)),), "here")
     with pytest.raises(InputError, match="A waypoint's arc_length is 5"):
         simulate(gut_model, MagnetSteering(waypoints=(Waypoint(0.0, 5.0),)))
-    with pytest.raises(InputError, match="holds no magnet"):
+    with pytest.raises(InputError, match="contains no magnet"):
         simulate(replace(gut_model, device=read_device("mirocam")), MagnetSteering())
     with pytest.raises(UnknownNameError, match="No arm named"):
         simulate(gut_model, MagnetSteering(arm="tentacle"))

@@ -130,7 +130,9 @@ def test_quaternions_of_files_have_unit_length():
     turn = matrix_from_unit_quaternion(np.array([[half, 0, 0, half]]).round(2), "a.txt")[0]
     np.testing.assert_allclose(turn @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=0.01)
     for wrong in (1.02, 0.5, 0.0, np.nan, np.inf):
-        with pytest.raises(InputError, match=r"a\.txt holds a quaternion of length .* \(pose 1\)"):
+        with pytest.raises(
+            InputError, match=r"a\.txt contains a quaternion of length .* \(pose 1\)"
+        ):
             matrix_from_unit_quaternion(np.array([[1.0, 0, 0, 0], [wrong, 0, 0, 0]]), "a.txt")
 
 

@@ -112,10 +112,10 @@ def test_it_says_what_is_missing_and_what_effects_there_are(made: Path) -> None:
 def test_bad_input_is_one_clear_line(made: Path, tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match=r"license named 'CC BY 4\.0'"):
         DatasetSettings("x", license="CC BY 4.0")
-    with pytest.raises(InputError, match="holds no data set"):
+    with pytest.raises(InputError, match="contains no data set"):
         card_text(LocalStore(tmp_path / "none"))
     (made / "plan.json").write_text("{}")
-    with pytest.raises(InputError, match="no plan of a data set"):
+    with pytest.raises(InputError, match="not a plan of a data set"):
         card_text(LocalStore(made))
     path = next((made / "ledger").iterdir())
     path.write_text(

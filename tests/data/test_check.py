@@ -52,8 +52,8 @@ def test_the_same_images_under_two_names_are_found(made: Path) -> None:
         shutil.copytree(made / "episodes" / names[source], folder)
         enter(made, names[target], files=entries(LocalStore(made))[names[source]]["files"])
     faults = check_dataset(made, checksums_only=True)
-    assert f"{names[1]} holds the same images as {names[0]}" in faults
-    assert f"{names[4]} holds the same images as {names[2]}, of another patient" in faults
+    assert f"{names[1]} contains the same images as {names[0]}" in faults
+    assert f"{names[4]} contains the same images as {names[2]}, of another patient" in faults
     about = entries(LocalStore(made))[names[1]]["about"]
     enter(made, names[1], about=about | {"clean_twin": True})
     assert not any(fault.startswith(names[1]) for fault in check_dataset(made, checksums_only=True))
@@ -63,7 +63,8 @@ def test_what_is_not_made_yet_or_not_planned_is_said(made: Path, capsys) -> None
     names = list(entries(LocalStore(made)))
     (made / "ledger" / f"{names[0]}.json").rename(made / "ledger" / "p00009-000009.json")
     assert (
-        check_dataset(made, checksums_only=True)[0] == "p00009-000009 is no recording of the plan"
+        check_dataset(made, checksums_only=True)[0]
+        == "p00009-000009 is not a recording of the plan"
     )
     (made / "ledger" / "p00009-000009.json").unlink()
     assert check_dataset(made, checksums_only=True) == [

@@ -135,7 +135,7 @@ def test_what_cannot_be_read_is_one_clear_line(remote, tmp_path):
         dataset.sequences("tset")
     with pytest.raises(UnknownNameError, match="No camera named 'side'"):
         dataset.sequences(camera="side")
-    with pytest.raises(InputError, match="memory://nothing holds no data set"):
+    with pytest.raises(InputError, match="memory://nothing contains no data set"):
         vrcaps.data.open("memory://nothing")
     with pytest.raises(InputError, match="memory://nothing is not an episode"):
         vrcaps.data.sequences_of("memory://nothing")

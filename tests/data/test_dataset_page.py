@@ -62,4 +62,4 @@ def test_an_empty_one_is_one_clear_line(made: Path, capsys) -> None:
     shutil.rmtree(made / "ledger")
     with pytest.raises(SystemExit):
         main(["dataset", "show", str(made)])
-    assert "holds no complete recording" in capsys.readouterr().err
+    assert "contains no complete recording" in capsys.readouterr().err

@@ -107,7 +107,7 @@ def test_a_target_that_holds_something_else_is_left_alone(
 ) -> None:
     (tmp_path / "thesis.tex").write_text("mine")
     (tmp_path / ".hidden").write_text("does not count")
-    with pytest.raises(InputError, match=r"is not empty and holds no data set"):
+    with pytest.raises(InputError, match=r"is not empty and contains no data set"):
         make_dataset(read_plan(plan_file), tmp_path, runner=InProcess())
     with pytest.raises(InputError, match=r"is not empty"):
         make_dataset(read_plan(plan_file), tmp_path / "thesis.tex", runner=InProcess())

@@ -117,7 +117,7 @@ def test_bad_settings_are_one_clear_line() -> None:
         ArmActuation(standoff=1.0)
     with pytest.raises(InputError, match="speed"):
         MagnetActuation(speed=0.0)
-    with pytest.raises(InputError, match="The capsule holds no magnet"):
+    with pytest.raises(InputError, match="The capsule contains no magnet"):
         episode = Episode(small_settings(actuation="magnet", capsule="pillcam-sb3"), 1)
         episode.begin(0, np.random.default_rng(0))
 

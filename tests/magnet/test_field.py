@@ -305,7 +305,7 @@ def test_points_must_be_finite_rows():
 def test_only_a_source_that_is_there_can_be_moved():
     with pytest.raises(InputError, match=r"No source 1\. Allowed: 0 to 0\."):
         SourceSet([Dipole(1.0)]).move(1, np.eye(4))
-    with pytest.raises(InputError, match=r"T_world_magnet is no rigid pose"):
+    with pytest.raises(InputError, match=r"T_world_magnet is not a rigid pose"):
         SourceSet([Dipole(1.0)]).move(0, 2 * np.eye(4))
 
 
@@ -322,8 +322,8 @@ def test_only_a_source_that_is_there_can_be_moved():
         (lambda: Solenoid(0.1, 0.1, 1.0, 9, thickness=0.2), "0 to below twice the radius"),
         (lambda: Solenoid(0.1, 0.1, 1.0, 9, layers=0), "Solenoid layers is 0. Allowed: 1 to 100."),
         (lambda: UniformField(float("nan")), "UniformField flux_density is nan."),
-        (lambda: Dipole(1.0, np.diag([1.0, 1, -1, 1])), "T_world_magnet is no rigid pose."),
-        (lambda: Dipole(1.0, np.eye(3)), "T_world_magnet is no rigid pose. Allowed: 4 x 4"),
+        (lambda: Dipole(1.0, np.diag([1.0, 1, -1, 1])), "T_world_magnet is not a rigid pose."),
+        (lambda: Dipole(1.0, np.eye(3)), "T_world_magnet is not a rigid pose. Allowed: 4 x 4"),
         (lambda: magnet_pose((0, 0, 0), (0, 0, 0)), "has no pose. Give finite numbers, no zero"),
     ],
 )

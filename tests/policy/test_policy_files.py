@@ -35,10 +35,10 @@ def test_a_whole_policy_is_read(path):
 @pytest.mark.parametrize(
     ("name", "array", "message"),
     [
-        ("layer_0/weight", np.full((8, 19), np.nan), "no finite real numbers"),
-        ("layer_1/bias", np.full(6, np.inf), "no finite real numbers"),
-        ("layer_0/weight", np.ones((8, 19), complex), "no finite real numbers"),
-        ("layer_0/bias", np.array(["x"] * 8), "no finite real numbers"),
+        ("layer_0/weight", np.full((8, 19), np.nan), "not finite real numbers"),
+        ("layer_1/bias", np.full(6, np.inf), "not finite real numbers"),
+        ("layer_0/weight", np.ones((8, 19), complex), "not finite real numbers"),
+        ("layer_0/bias", np.array(["x"] * 8), "not finite real numbers"),
         ("layer_0/weight", np.ones((8, 18)), "do not fit each other"),
         ("layer_1/weight", np.ones((6, 9)), "do not fit each other"),
         ("layer_1/bias", np.ones(5), "do not fit each other"),
@@ -47,9 +47,9 @@ def test_a_whole_policy_is_read(path):
         ("normalizer/variance", np.full(19, -1.0), "do not fit each other"),
         ("normalizer/limit", np.ones(3), "do not fit each other"),
         ("normalizer/limit", np.array(-1.0), "do not fit each other"),
-        ("header", np.array("["), "holds no policy"),
-        ("header", np.array("[" * 5000), "holds no policy"),
-        ("header", np.array("[]"), "holds no policy"),
+        ("header", np.array("["), "contains no policy"),
+        ("header", np.array("[" * 5000), "contains no policy"),
+        ("header", np.array("[]"), "contains no policy"),
     ],
 )
 def test_wrong_arrays_are_one_line(path, name, array, message):

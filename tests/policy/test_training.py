@@ -127,7 +127,7 @@ def test_a_folder_of_something_else_is_refused(trained: Path, tmp_path: Path) ->
         (folder / name).write_text(text)
     with pytest.raises(InputError, match=r"settings\.json is damaged"):
         train(settings_of(), tmp_path / "settings_json")
-    with pytest.raises(InputError, match=r"holds no policy\. Give a file"):
+    with pytest.raises(InputError, match=r"contains no policy\. Give a file"):
         read_mlp_policy(tmp_path / "policy_npz" / "policy.npz")
 
 

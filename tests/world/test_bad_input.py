@@ -213,7 +213,7 @@ def test_file_that_is_no_snapshot(tmp_path: Path) -> None:
     whole = (tmp_path / "other.npz").read_bytes()
     (tmp_path / "cut.npz").write_bytes(whole[: len(whole) // 2])
     for name in ("other.npz", "text.npz", "array.npy", "cut.npz", "absent.npz"):
-        with pytest.raises(InputError, match=rf"{name} is no snapshot of a world"):
+        with pytest.raises(InputError, match=rf"{name} is not a snapshot of a world"):
             read_snapshot(tmp_path / name)
 
 

@@ -228,11 +228,11 @@ def test_what_cannot_be(wide):
         world.step(Control(Ts_world_magnet=[onto, onto]), 0.05)
     with pytest.raises(InputError, match="Number of the control's strengths is 3"):
         world.step(Control(strengths=np.ones(3)), 0.05)
-    with pytest.raises(InputError, match="no rigid pose"):
+    with pytest.raises(InputError, match="not a rigid pose"):
         Control(Ts_world_magnet=[2.0 * onto])
     with pytest.raises(InputError, match="strengths are"):
         Control(strengths=np.array([np.nan]))
-    with pytest.raises(InputError, match="holds no magnet"):
+    with pytest.raises(InputError, match="contains no magnet"):
         World(
             Model(wide, read_device("mirocam")),
             FREE,

@@ -105,9 +105,9 @@ def test_a_table_of_wrenches_is_read(encoding: str, tmp_path: Path) -> None:
     [
         ("", "starts with '', not the header time_s,fx_n"),
         ("time,fx\n", "starts with 'time,fx', not the header"),
-        (HEAD + "\n", "holds no row of wrenches"),
-        (HEAD + "\n0,1,2,3\n", "line 2 is no row of 7 numbers"),
-        (HEAD + "\n0,1,2,3,a,5,6\n", "line 2 is no row of 7 numbers"),
+        (HEAD + "\n", "contains no row of wrenches"),
+        (HEAD + "\n0,1,2,3\n", "line 2 is not a row of 7 numbers"),
+        (HEAD + "\n0,1,2,3,a,5,6\n", "line 2 is not a row of 7 numbers"),
         (HEAD + "\n0,1,2,3,nan,5,6\n", "entry 0 is not finite"),
         (HEAD + "\n1,1,2,3,4,5,6\n1,1,2,3,4,5,6\n", "time 1 s does not come after 1 s"),
     ],

@@ -111,7 +111,7 @@ class MagnetPoseSolver:
         """
         if not magnets:
             raise InputError(
-                "The capsule holds no magnet. Give a device with [[magnets]], such as magnetic."
+                "The capsule contains no magnet. Give a device with [[magnets]], such as magnetic."
             )
         count = len(sources.sources)
         require(0 <= index < count, "index", index, f"0 to {count - 1}")

@@ -120,7 +120,7 @@ class MagnetSteering:
         sensors: Sensors for the localization.
         waypoints: Positions at times, interpolated linearly.
         joystick: Joystick axes as an alternative, each entry until the next.
-        command_file: CSV of either as an alternative, see `read_commands`.
+        command_file: CSV file of waypoints or joystick axes as an alternative, see `read_commands`.
         joystick_speed: Speed at a full axis [m/s].
         joystick_angular_speed: Angular speed at a full axis [rad/s].
         period: Time between updates of the controller [s].

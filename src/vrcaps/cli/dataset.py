@@ -308,7 +308,8 @@ class Show:
         plan, rows = read_plan_of(store), rows_of(store)
         if not rows:
             raise InputError(
-                f"{self.dataset} holds no complete recording. Make one with `vrcaps dataset make`."
+                f"{self.dataset} contains no complete recording. Make one with "
+                "`vrcaps dataset make`."
             )
         _print_counts(rows)
         out = self.out or _page_beside(self.dataset)

@@ -36,11 +36,11 @@ _PATHS = {
 """Flags that set one value of the scenario, by the path of that value."""
 
 _HELP = {
-    "seed": "Seed of all that is random: the generated patient (organ, lesions and contents, "
+    "seed": "Seed of all random values: the generated patient (organ, lesions and contents, "
     "unless --patient-seed is given), the motion, the mucosa of an organ from a file, sampled "
     "effects, and the noise of camera and sensors. The same seed gives the same bytes.",
     "patient_seed": "Seed of the patient only: generated organ, lesions and contents of the lumen; "
-    "by default --seed. One patient can so be recorded with several motions.",
+    "by default --seed. The same patient can thus be recorded with several motions.",
 }
 """Help of flags that set more than the value of their path."""
 
@@ -82,8 +82,9 @@ def _entry(flag: str, setting: Setting) -> tuple[str, Any, Any]:
     return flag, Annotated[declared, about], field(default=False if is_switch else None)
 
 
-_LESION = """Lesion to put into the organ; repeat for more. A kind, then what differs from its
-defaults: polyp-Ip:size=12mm,segment=sigmoid, colitis-2, bleeding-3. vrcaps organ list has all."""
+_LESION = """Lesion to put into the organ; repeat for more. A kind, then the settings that differ
+from its defaults: polyp-Ip:size=12mm,segment=sigmoid, colitis-2, bleeding-3. vrcaps organ list
+has all."""
 _EFFECTS = """Camera effects by severity 0 to 4, such as dof=1,noise=2, noise=1..3 (a range, sampled
 by the seed), all=2, random, ae=settled, bayer=rggb, afr=4..35; default is the capsule's own camera,
 none an ideal camera of fixed exposure. An effect that is not named is the capsule's own. vrcaps

@@ -100,7 +100,7 @@ def matrix_from_unit_quaternion(
     wrong = np.flatnonzero(~(np.abs(length - 1.0) <= _UNIT))
     if len(wrong):
         raise InputError(
-            f"{what} holds a quaternion of length {length[wrong[0]]:.4g} (pose {wrong[0]}). "
+            f"{what} contains a quaternion of length {length[wrong[0]]:.4g} (pose {wrong[0]}). "
             "Allowed: 1."
         )
     return matrix_from_quaternion(wxyz)

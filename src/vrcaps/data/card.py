@@ -316,7 +316,7 @@ _ALWAYS = (
     "variation that its parameters have. Prevalence is that of the plan, not of any hospital.",
     "Labels are exact for the geometry that was rendered: at centers of pixels, without blur or "
     "mixed pixels at edges. Manual annotations of real images are less exact.",
-    "This is no medical device. Nothing in it was evaluated for diagnosis.",
+    "This is not a medical device. Nothing in it was evaluated for diagnosis.",
 )
 _MOTIONS = {
     "fly-through": "The capsule flies along a smooth path in the middle of the lumen: there is no "

@@ -160,7 +160,7 @@ def _faults_of_plan(units: Units, recorded: Mapping[str, _Entry]) -> Iterator[st
     for name, entry in recorded.items():
         index = entry["number"]
         if not 0 <= index < len(units) or units.name(index) != name:
-            yield f"{name} is no recording of the plan"
+            yield f"{name} is not a recording of the plan"
             continue
         patient = index // units.per_patient
         planned = (patient, units.splits[patient])
@@ -190,9 +190,9 @@ def _duplicates(recorded: Mapping[str, _Entry]) -> Iterator[str]:
             continue
         before = recorded[other]
         if before["patient"] != entry["patient"]:
-            yield f"{name} holds the same images as {other}, of another patient"
+            yield f"{name} contains the same images as {other}, of another patient"
         elif _is_twin(before) == _is_twin(entry):
-            yield f"{name} holds the same images as {other}"
+            yield f"{name} contains the same images as {other}"
 
 
 def _is_twin(entry: _Entry) -> bool:

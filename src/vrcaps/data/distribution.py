@@ -278,7 +278,7 @@ def _number(value: Plain, path: str) -> float:
     except (TypeError, ValueError, OverflowError):
         parsed = math.nan
     if isinstance(value, bool) or not math.isfinite(parsed):
-        raise InputError(f"{path}: {value!r} is no finite number.")
+        raise InputError(f"{path}: {value!r} is not a finite number.")
     return parsed
 
 

@@ -194,7 +194,9 @@ def read_plain_plan(store: Store) -> dict[str, Any]:
     """
     plan = _stored_plan(store)
     if plan is None:
-        raise InputError(f"{store.url} holds no data set. Give the --out of `vrcaps dataset make`.")
+        raise InputError(
+            f"{store.url} contains no data set. Give the --out of `vrcaps dataset make`."
+        )
     return plan
 
 
@@ -223,7 +225,7 @@ def require_target(store: Store, plan: Plan) -> bool:
         before = _stored_plan(store)  # another process may have been first
         if before is None:
             raise InputError(
-                f"{store.url} is not empty and holds no data set. Give a new or empty --out, or "
+                f"{store.url} is not empty and contains no data set. Give a new or empty --out, or "
                 "that of an unfinished data set."
             )
     wanted = json.loads(_plan_file(plan))
@@ -238,8 +240,8 @@ def require_target(store: Store, plan: Plan) -> bool:
         )
     if differs is not None:
         raise InputError(
-            f"{store.url} holds a data set of another plan (its {differs} differs). Give another "
-            "--out, or the plan it was made with."
+            f"{store.url} contains a data set of another plan (its {differs} differs). Give "
+            "another --out, or the plan it was made with."
         )
     return True
 

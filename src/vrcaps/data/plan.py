@@ -164,6 +164,6 @@ def plan_from_plain(plain: Mapping[str, Any], *, at: str) -> Plan:
         InputError: If it is not a plan.
     """
     if not isinstance(plain.get("scenario"), dict):
-        raise InputError(f"{at} is no plan of a data set: it has no scenario.")
+        raise InputError(f"{at} is not a plan of a data set: it has no scenario.")
     settings = from_plain(DatasetSettings, plain.get("dataset"), at=f"{at}: dataset")
     return Plan(settings, plain["scenario"], has_units=bool(plain.get("units")))

@@ -119,7 +119,7 @@ def read_format(kind: str, folder: str | Path, **options: Any) -> tuple[FrameSeq
         if name not in known:
             raise UnknownNameError(f"option of {kind}", name, known)
     if not Path(folder).is_dir():
-        raise InputError(f"There is no folder {folder}.")
+        raise InputError(f"The folder {folder} does not exist.")
     folder = Path(os.path.abspath(folder))  # "." has no name
     with reading(folder):
         require_links_inside(folder)
@@ -157,7 +157,7 @@ def read_source(text: str) -> tuple[FrameSequence, ...]:
 
 
 def _holds_images(folder: Path) -> bool:
-    """Return whether a folder has images, also in subfolders, and is no episode or data set."""
+    """Return whether a folder contains images and is neither an episode nor a data set."""
     if not folder.is_dir() or any((folder / name).exists() for name in (EPISODE_JSON, PLAN)):
         return False
     paths = (path for depth in ("*", "*/*") for path in listed(folder, depth))

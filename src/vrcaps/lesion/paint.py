@@ -2,7 +2,7 @@
 
 A chart is an additional texture region next to the wall's own, with enough resolution for a
 lesion's pattern and without the stretch caused by its shape. It starts exactly at the border of the
-footprint's faces, where it holds the same values as the original texture. The clean twin
+footprint's faces, where it contains the same values as the original texture. The clean twin
 has the same charts, filled from the clean texture.
 """
 

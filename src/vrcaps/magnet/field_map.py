@@ -47,7 +47,7 @@ def read_field_map(path: str | Path, *, length_unit: str, flux_unit: str) -> Fie
     for name, axis in zip("xyz", axes, strict=True):
         _check_axis(path, name, axis)
     if not np.isfinite(values).all():
-        raise InputError(f"{path} holds a flux density that is not finite.")
+        raise InputError(f"{path} contains a flux density that is not finite.")
     return FieldMap(
         tuple(length * axis[0] for axis in axes),
         tuple(length * (axis[-1] - axis[0]) / (len(axis) - 1) for axis in axes),

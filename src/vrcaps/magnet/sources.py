@@ -76,7 +76,7 @@ def check_pose(name: str, pose: np.ndarray) -> None:
         InputError: If it is not a finite 4×4 matrix of a rotation and a position.
     """
     if not _is_rigid(np.asarray(pose)):
-        raise InputError(f"{name} is no rigid pose. Allowed: 4 x 4, a rotation and a position [m].")
+        raise InputError(f"{name} is not a rigid pose. Allowed: 4 x 4, rotation and position [m].")
 
 
 def _is_rigid(pose: np.ndarray) -> bool:
@@ -304,7 +304,7 @@ class FieldMap:
                 "points along each axis."
             )
         if not np.isfinite(self.flux_density).all():
-            raise InputError("A field map holds values that are not finite. Fill them in first.")
+            raise InputError("A field map contains values that are not finite. Fill them in first.")
         if not (np.isfinite(self.origin).all() and min(self.spacing) > 0.0):
             raise InputError(
                 f"A field map with origin {self.origin} and spacing {self.spacing}. "

@@ -130,7 +130,7 @@ def _warn_of_openings(path: Path, report: RepairReport) -> None:
     if len(ends) > 2:
         _log.warning(
             "%s has %d openings as wide as a lumen, %s: a gut has two. The centerline joins the "
-            "two that are farthest apart; close the others in the mesh if they are no lumen",
+            "two that are farthest apart; close the others in the mesh if they are not ends",
             path,
             len(ends),
             format_points(ends),

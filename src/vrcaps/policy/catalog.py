@@ -26,7 +26,7 @@ BASELINES: Registry[Policy] = Registry(
 """Policies without training by name; they are created without arguments."""
 
 _NO_POLICY = (
-    "is no policy. Allowed: a class with `requires`, `reset` and `act`, see "
+    "is not a policy. Allowed: a class with `requires`, `reset` and `act`, see "
     "vrcaps.policy.policy.Policy."
 )
 

@@ -241,11 +241,11 @@ def _value(text: str) -> Any:
 def _require_same(path: Path, settings: dict[str, Any]) -> None:
     before = decode_json(path.read_bytes(), path)
     if not isinstance(before, dict):
-        raise InputError(f"{path} holds no table. Give a new folder.")
+        raise InputError(f"{path} contains no table. Give a new folder.")
     plain = json.loads(json.dumps(settings))
     changed = [k for k in {**before, **plain} if before.get(k) != plain.get(k)]
     if changed:
         raise InputError(
-            f"{path.parent} holds an evaluation with another {', '.join(sorted(changed))}. Give a "
-            "new folder, or its original settings."
+            f"{path.parent} contains an evaluation with another {', '.join(sorted(changed))}. Give "
+            "a new folder, or its original settings."
         )

@@ -159,7 +159,9 @@ def read_mlp_policy(path: Path) -> MlpPolicy:
         layers = [(arrays[f"layer_{k}/weight"], arrays[f"layer_{k}/bias"]) for k in range(count)]
         values = {f.name: arrays[f"normalizer/{f.name}"] for f in fields(Normalizer)}
     except (OSError, ValueError, LookupError, TypeError) as error:
-        raise InputError(f"{path} holds no policy. Give a file that vrcaps train wrote.") from error
+        raise InputError(
+            f"{path} contains no policy. Give a file that vrcaps train wrote."
+        ) from error
     try:
         settings = _settings_of(header["format"], plain)
     except (VrcapsError, LookupError) as error:
@@ -198,7 +200,7 @@ def _require_numbers(path: Path, arrays: list[np.ndarray]) -> None:
     """
     for array in arrays:
         if array.dtype.kind not in "fiu" or not np.isfinite(array).all():
-            raise InputError(f"{path} holds weights that are no finite real numbers.")
+            raise InputError(f"{path} contains weights that are not finite real numbers.")
 
 
 def _require_shapes(
@@ -217,4 +219,6 @@ def _require_shapes(
         fits = fits and bias.shape == weight.shape[:1]
         width = weight.shape[:1]
     if not fits or variance.min(initial=0.0) < 0.0 or float(limit.ravel()[0]) <= 0.0:
-        raise InputError(f"{path} holds a policy whose layers or normalizer do not fit each other.")
+        raise InputError(
+            f"{path} contains a policy whose layers or normalizer do not fit each other."
+        )

@@ -277,7 +277,7 @@ def _faults(
                     f"has {np.count_nonzero(seen & blind)} values where the lens is blind",
                 )
     if "label" in values and int(values["label"].max()) >= len(episode.label_names):
-        yield "label", f"holds class {values['label'].max()}, which has no label name"
+        yield "label", f"contains class {values['label'].max()}, which has no label name"
     if "depth" in values and "ray_distance" in values:
         both = np.isfinite(values["depth"]) & np.isfinite(values["ray_distance"]) & ~blind
         error = np.abs(values["depth"] - values["ray_distance"] * rays[..., 2])[both]

@@ -34,7 +34,7 @@ class MagneticCoupling:
         """
         if sources and not magnets:
             raise InputError(
-                "The capsule holds no magnet, so no source can move it. Give a device with "
+                "The capsule contains no magnet, so no source can move it. Give a device with "
                 "[[magnets]], such as magnetic, or no sources."
             )
         self._core, self._set = core, SourceSet(sources)

@@ -191,12 +191,14 @@ def read_numbers(
             rows.append([float(cell) for cell in cells])
         except ValueError as error:
             raise InputError(
-                f"{path} line {number} is no row of {len(header)} numbers: {error}."
+                f"{path} line {number} is not a row of {len(header)} numbers: {error}."
             ) from error
         if len(cells) != len(header):
-            raise InputError(f"{path} line {number} is no row of {len(header)} numbers: {line!r}.")
+            raise InputError(
+                f"{path} line {number} is not a row of {len(header)} numbers: {line!r}."
+            )
     if not rows:
-        raise InputError(f"{path} holds no row of {what}. Give at least one.")
+        raise InputError(f"{path} contains no row of {what}. Give at least one.")
     return header, rows
 
 

@@ -74,7 +74,7 @@ def read_snapshot(path: Path) -> Snapshot:
     try:
         return snapshot_from_arrays(read_arrays(path))
     except (OSError, ValueError) as error:
-        raise InputError(f"{path} is no snapshot of a world: {error}.") from error
+        raise InputError(f"{path} is not a snapshot of a world: {error}.") from error
 
 
 def snapshot_arrays(snapshot: Snapshot) -> dict[str, np.ndarray]:

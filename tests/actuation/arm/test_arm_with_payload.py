@@ -69,11 +69,11 @@ def test_magnet_out_of_reach(robot):
 
 
 def test_pose_must_be_rigid(robot):
-    with pytest.raises(InputError, match=r"T_world_magnet is no rigid pose"):
+    with pytest.raises(InputError, match=r"T_world_magnet is not a rigid pose"):
         solve_joint_angles(robot, 2 * np.eye(4))
-    with pytest.raises(InputError, match=r"T_world_base is no rigid pose"):
+    with pytest.raises(InputError, match=r"T_world_base is not a rigid pose"):
         replace(robot, T_world_base=np.zeros((4, 4)))
-    with pytest.raises(InputError, match=r"T_flange_magnet is no rigid pose"):
+    with pytest.raises(InputError, match=r"T_flange_magnet is not a rigid pose"):
         replace(robot, T_flange_magnet=np.zeros((4, 4)))
 
 

@@ -31,6 +31,6 @@ def test_a_policy_of_the_command_line_is_checked_before_the_page_opens(
     pytest.importorskip("viser", reason="the extra cockpit is not installed")
     from vrcaps.cockpit.cockpit import open_cockpit
 
-    with pytest.raises(InputError, match="os:abort is no policy"):
+    with pytest.raises(InputError, match="os:abort is not a policy"):
         open_cockpit(drive_scenario, tmp_path / "drive", policies=("os:abort",)).__enter__()
     assert list(tmp_path.iterdir()) == []

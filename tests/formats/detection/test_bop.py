@@ -192,7 +192,7 @@ def test_what_bop_cannot_hold(sequence, fisheye_episode, tmp_path, monkeypatch):
 
 
 def test_damaged_scenes(written, tmp_path):
-    with pytest.raises(InputError, match=r"holds no scene_camera\.json"):
+    with pytest.raises(InputError, match=r"contains no scene_camera\.json"):
         Bop().read(tmp_path)
     (tmp_path / "000000").mkdir()
     (tmp_path / "000000/scene_camera.json").write_text("{}")

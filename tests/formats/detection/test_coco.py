@@ -183,8 +183,8 @@ def test_numbers_beyond_their_type_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"annotations": [{"id": 1}]}, "holds no COCO instances: 'category_id' is missing"),
-        ({"images": None}, "holds no COCO instances"),
+        ({"annotations": [{"id": 1}]}, "contains no COCO instances: 'category_id' is missing"),
+        ({"images": None}, "contains no COCO instances"),
     ],
 )
 def test_damaged_files(change, message, tmp_path):
@@ -200,7 +200,7 @@ def test_masks_that_do_not_fit():
         mask_of({"counts": [3, 4]}, 5, 5, "annotation 4")
     with pytest.raises(InputError, match="cannot be read"):
         mask_of([[1, 2, 3]], 5, 5, "annotation 4")
-    with pytest.raises(InputError, match=r"holds no annotations/instances_\*.json"):
+    with pytest.raises(InputError, match=r"contains no annotations/instances_\*.json"):
         Coco().read(Path("nowhere"))
 
 

@@ -161,7 +161,7 @@ def test_what_does_not_fit_is_one_clear_line(sequence, tmp_path):
     other = replace(sequence, name="other", label_names=("background", "wall"))
     with pytest.raises(InputError, match=r"have 2 lists of classes.*--masks binary"):
         export(Images(masks="numbers"), [sequence, other], tmp_path / "out")
-    with pytest.raises(InputError, match=r"holds no images. Allowed: .png"):
+    with pytest.raises(InputError, match=r"contains no images. Allowed: .png"):
         Images().read(tmp_path)
 
 

@@ -217,7 +217,7 @@ def test_what_does_not_fit_is_one_clear_line(sequence, tmp_path):
 
 def test_other_layout_is_named(sequence, tmp_path):
     out = export(C3vd(layout="flat"), [sequence], tmp_path / "out")
-    with pytest.raises(InputError, match=r"holds no rgb/\*.png.* It fits the layout 'flat'"):
+    with pytest.raises(InputError, match=r"contains no rgb/\*.png.* It fits the layout 'flat'"):
         C3vd().read(out)
 
 
@@ -228,15 +228,15 @@ OMNI = "camera_omnidirectional_values.txt"
 @pytest.mark.parametrize(
     ("layout", "path", "text", "match"),
     [
-        ("c3vd", "pose.txt", "1,2,3\n", r"Cannot read .*A row holds 16 numbers"),
+        ("c3vd", "pose.txt", "1,2,3\n", r"Cannot read .*A row contains 16 numbers"),
         ("c3vd", "pose.txt", ",".join(["1"] * 16), "has 1 rows, but there is a frame 4"),
-        ("c3vd", VALUES, "40 36 1", r"holds 3 numbers. Allowed: width height fx"),
-        ("c3vd", OMNI, "40 36 1", r"holds 3 numbers. Allowed: width height cx cy a0"),
+        ("c3vd", VALUES, "40 36 1", r"has 3 numbers. Allowed: width height fx"),
+        ("c3vd", OMNI, "40 36 1", r"has 3 numbers. Allowed: width height cx cy a0"),
         ("c3vd", VALUES, "80 72 1 1 1 1 0 0 0 0 0", r"80x72 pixels, but .* has 40x36"),
-        ("ppsnet", "camera.txt", "a 1 2\n", "It holds six words"),
+        ("ppsnet", "camera.txt", "a 1 2\n", "It contains six words"),
         ("endogslam", "c3vd.yaml", "camera_params: 3\n", "Allowed: 6 numbers"),
         ("endogslam", "c3vd.yaml", "a: [", "Cannot read"),
-        ("endogslam", "c3vd.yaml", "- 1", "holds no table"),
+        ("endogslam", "c3vd.yaml", "- 1", "contains no table"),
     ],
 )
 def test_damage_is_one_clear_line(sequence, tmp_path, layout, path, text, match):
@@ -250,5 +250,5 @@ def test_vectors_of_8_bits_are_one_clear_line(sequence, tmp_path):
     out = export(C3vd(), [sequence], tmp_path / "out")
     write_image(next(out.rglob("0000_normals.tiff")), np.zeros((36, 40, 3), np.uint8))
     (found,) = C3vd().read(out)
-    with pytest.raises(InputError, match=r"no color image of 16 bits, but uint8"):
+    with pytest.raises(InputError, match=r"not a color image of 16 bits, but uint8"):
         found.image("normal", 0)

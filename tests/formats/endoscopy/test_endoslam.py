@@ -112,7 +112,7 @@ def test_damage_is_one_clear_line(sequence, tmp_path, text, match):
 def test_what_is_no_image_is_one_clear_line(tmp_path):
     (tmp_path / "Frames").mkdir()
     (tmp_path / "Frames" / "list.txt").write_text("")
-    with pytest.raises(InputError, match=r"holds no image. Allowed: .png"):
+    with pytest.raises(InputError, match=r"contains no image. Allowed: .png"):
         EndoSlam().read(tmp_path)
     with pytest.raises(InputError, match=r"depth_step_mm is 0.*above 0 mm"):
         EndoSlam(depth_step_mm=0.0)

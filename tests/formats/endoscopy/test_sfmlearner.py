@@ -82,5 +82,5 @@ def test_what_does_not_fit_is_one_clear_line(sequence, tmp_path):
     out = export(SfmLearner(), [sequence], tmp_path / "out")
     for path in out.rglob("*.jpg"):
         path.rename(path.with_suffix(".png"))
-    with pytest.raises(InputError, match=r"holds no \*.jpg"):
+    with pytest.raises(InputError, match=r"contains no \*.jpg"):
         SfmLearner().read(out)

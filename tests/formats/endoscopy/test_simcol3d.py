@@ -134,7 +134,7 @@ def test_what_does_not_fit_is_one_clear_line(sequence, tmp_path):
     [
         ("SavedPosition_S1.txt", "1 2 3\n", "has 1 rows, but there is a frame 4"),
         ("SavedRotationQuaternion_S1.txt", "0 0 1\n", "has 3 columns"),
-        ("cam.txt", "1 2 3\n", "holds 3 numbers. Allowed: the 9"),
+        ("cam.txt", "1 2 3\n", "contains 3 numbers. Allowed: the 9"),
         ("cam.txt", "a", "Cannot read"),
         ("Frames_S1/Depth_0002.png", None, "and 0 more frames lack a file of depth"),
         ("Frames_S1/FrameBuffer_0.png", "", "have the same number"),

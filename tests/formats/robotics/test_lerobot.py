@@ -162,7 +162,7 @@ def test_bad_input_is_one_clear_line(sequences, exported, tmp_path):
         export(LeRobot(), [replace(sequences[0], episode=None)], tmp_path / "out")
     with pytest.raises(InputError, match=r"has 1 of the \d+ frames of its episode"):
         export(LeRobot(), [sequences[0].subset([0])], tmp_path / "out")
-    with pytest.raises(InputError, match=r"holds no meta/info\.json"):
+    with pytest.raises(InputError, match=r"contains no meta/info\.json"):
         LeRobot().read(tmp_path)
     broken = shutil.copytree(exported, tmp_path / "broken")
     (broken / FRAMES).write_bytes(b"nothing")

@@ -133,7 +133,7 @@ def test_bad_input_is_one_clear_line(pinhole_episode, tmp_path, monkeypatch):
     skewed = replace(sequence.camera, lens=replace(sequence.camera.lens, skew=0.1))
     with pytest.raises(InputError, match=r"skew of 0\.1 px.*--rectify"):
         export(Mcap(), [replace(sequence, camera=skewed)], tmp_path / "out")
-    with pytest.raises(InputError, match=r"holds no \*\.mcap"):
+    with pytest.raises(InputError, match=r"contains no \*\.mcap"):
         Mcap().read(tmp_path)
     path = tmp_path / "a.mcap"
     path.write_bytes(b"nothing")

@@ -100,7 +100,7 @@ def test_a_data_set_without_splits_is_their_train(sequences, tmp_path):
 
 
 def test_bad_folders_are_one_clear_line(tmp_path):
-    with pytest.raises(InputError, match=r"holds no data/\*\.parquet"):
+    with pytest.raises(InputError, match=r"contains no data/\*\.parquet"):
         HuggingFace().read(tmp_path)
     path = tmp_path / "data/train-00000-of-00001.parquet"
     path.parent.mkdir()

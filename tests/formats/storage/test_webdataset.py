@@ -75,7 +75,7 @@ def pillow(data):
 
 
 def test_bad_folders_are_one_clear_line(fisheye_episode, tmp_path):
-    with pytest.raises(InputError, match=r"holds no \.tar"):
+    with pytest.raises(InputError, match=r"contains no \.tar"):
         WebDataset().read(tmp_path)
     (tmp_path / "0.tar").write_bytes(b"no tar at all" * 99)
     with pytest.raises(InputError, match=r"Cannot read .*0\.tar"):

@@ -80,5 +80,5 @@ def setting(stage: Stage, extent: Extent) -> str:
         f"one process: {extent.num_rounds} rounds, in each one frame of every view after one "
         "that is not timed. Ratios are made round by round. Times are on the clock, and in "
         "processor time of all threads together, which other programs disturb less. A complete "
-        f"frame holds {', '.join(DEFAULT_CHANNELS)}."
+        f"frame contains {', '.join(DEFAULT_CHANNELS)}."
     )

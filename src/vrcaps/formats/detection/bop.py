@@ -291,7 +291,7 @@ def _read_scene(place: Path, split: str | None) -> FrameSequence:
     truths = read_plain(place / _TRUTH, "pose") if (place / _TRUTH).exists() else {}
     color = next((place / name for name in ("rgb", "gray") if (place / name).is_dir()), None)
     if color is None:
-        raise InputError(f"{place} has no folder rgb, so it is no scene of BOP.")
+        raise InputError(f"{place} has no folder rgb, so it is not a BOP scene.")
     channels = {"rgb": by_number(images_in(color))}
     if (place / "depth").is_dir():
         channels["depth"] = by_number(images_in(place / "depth"))

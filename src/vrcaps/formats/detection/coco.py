@@ -106,7 +106,9 @@ class Coco:
         """
         files = listed(folder, f"annotations/{_FILES}")
         if not files:
-            raise InputError(f"{folder} holds no annotations/{_FILES}, so it is no COCO data set.")
+            raise InputError(
+                f"{folder} contains no annotations/{_FILES}, so it is not a COCO data set."
+            )
         return tuple(sequence for path in files for sequence in _read_file(path, folder))
 
     def _annotations(
@@ -251,7 +253,7 @@ def _read_file(path: Path, folder: Path) -> list[FrameSequence]:
             for name, rows in sequences.items()
         ]
     except (KeyError, TypeError) as error:
-        raise InputError(f"{path} holds no COCO instances: {error} is missing.") from error
+        raise InputError(f"{path} contains no COCO instances: {error} is missing.") from error
 
 
 def _image_folder(folder: Path, part: str) -> Path:

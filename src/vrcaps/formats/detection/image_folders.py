@@ -108,7 +108,7 @@ class Images:
         mask_folders = set(masks.values())
         roots = sorted(root for root in files if root not in mask_folders)
         if not roots:
-            raise InputError(f"{folder} holds no images. Allowed: {', '.join(IMAGES)}.")
+            raise InputError(f"{folder} contains no images. Allowed: {', '.join(IMAGES)}.")
         path = folder / _CLASSES
         names = tuple(path.read_text("utf-8-sig").splitlines()) if path.exists() else ()
         return tuple(

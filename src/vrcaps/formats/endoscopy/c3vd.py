@@ -255,7 +255,7 @@ def _read_poses(path: Path) -> NDArray:
         return rows.reshape(-1, columns)[:, -16:].reshape(-1, 4, 4)
     except (OSError, ValueError) as error:
         raise InputError(
-            f"Cannot read {path}: {error}. A row holds {columns} numbers, those of a pose last."
+            f"Cannot read {path}: {error}. A row contains {columns} numbers, those of a pose last."
         ) from error
 
 
@@ -280,7 +280,7 @@ def _stored_vectors(vectors: NDArray, max_value: float) -> NDArray:
 def _read_vectors(max_value: float, path: Path) -> NDArray:
     stored = read_numbers(path)
     if stored.ndim != 3 or stored.dtype != np.uint16:
-        raise InputError(f"{path} is no color image of 16 bits, but {stored.dtype}.")
+        raise InputError(f"{path} is not a color image of 16 bits, but {stored.dtype}.")
     components = 3 if max_value == _MAX_VALUES["normal"] else 2
     values = (stored[..., :components] * (2.0 / _MAX_STORED) - 1.0) * max_value
     values[~stored.any(axis=-1)] = np.nan
@@ -320,7 +320,7 @@ def _read_calibration(folder: Path, top: Path, image: Path) -> Camera | None:
     if len(values) == 10 and values[3] == 0.0:
         del values[3]  # a1
     if len(values) != 9:
-        raise InputError(f"{path} holds {2 + len(values)} numbers. Allowed: width height {names}.")
+        raise InputError(f"{path} has {2 + len(values)} numbers. Allowed: width height {names}.")
     rows, columns = image_size(image)
     if (height, width) != (rows, columns):
         raise InputError(
@@ -395,5 +395,5 @@ def _read_ppsnet(folder: Path, image: Path) -> Camera:
         _, *words, _ = path.read_text("utf-8-sig").splitlines()[0].split()
         lens = lens_from_values("pinhole", "fx fy cx cy", [float(word) for word in words])
     except (OSError, ValueError, IndexError) as error:
-        raise InputError(f"Cannot read {path}: {error}. It holds six words.") from error
+        raise InputError(f"Cannot read {path}: {error}. It contains six words.") from error
     return camera_of(lens, image)

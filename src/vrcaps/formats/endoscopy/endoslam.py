@@ -117,7 +117,7 @@ class EndoSlam:
     def _read_one(self, root: Path, folder: Path, split: str | None) -> FrameSequence:
         frames = by_number(images_in(root / _FRAMES))
         if not frames:
-            raise InputError(f"{root / _FRAMES} holds no image. Allowed: {', '.join(IMAGES)}.")
+            raise InputError(f"{root / _FRAMES} contains no image. Allowed: {', '.join(IMAGES)}.")
         recorders = sorted([*listed(root, _RECORDER), *listed(root, f"{_POSES}/*.csv")])
         if recorders:
             frames, values = frames_with_poses(recorders[0], DM, frames)

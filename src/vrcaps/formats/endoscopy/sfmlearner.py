@@ -142,7 +142,7 @@ class SfmLearner:
         frames = by_number(listed(root, "*.jpg"))
         if not frames:
             raise InputError(
-                f"{root} holds no *.jpg; the loaders of this layout read nothing else."
+                f"{root} contains no *.jpg; the loaders of this layout read nothing else."
             )
         depths = by_number(listed(root, "*.npy") or listed(root, "depth/*.png"))
         paths = matched({"rgb": frames, "depth": {} if self.depth == "none" else depths})

@@ -105,7 +105,7 @@ class LeRobot:
         """
         roots = [path.parent.parent for path in listed(folder, f"**/{INFO}")]
         if not roots:
-            raise InputError(f"{folder} holds no {INFO}, so no LeRobot data set.")
+            raise InputError(f"{folder} contains no {INFO}, so it is not a LeRobot data set.")
         return tuple(sequence for root in roots for sequence in read_dataset(root))
 
     def _kind_of(self, cameras: _Cameras) -> Any:

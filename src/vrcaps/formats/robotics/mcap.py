@@ -92,7 +92,7 @@ class Mcap:
         """
         paths = listed(folder, "**/*.mcap") if folder.is_dir() else [folder]
         if not paths:
-            raise InputError(f"{folder} holds no *.mcap.")
+            raise InputError(f"{folder} contains no *.mcap.")
         return tuple(one for path in paths for one in _read_file(path, split_of(path, folder)))
 
     def _write_start(self, topics: _Topics, cameras: Sequence[FrameSequence]) -> None:

@@ -100,7 +100,7 @@ def find_folders(folder: Path, mark: str) -> Iterator[tuple[Path, str | None]]:
     marked = listed(folder, f"**/{mark}")
     roots = sorted({path.parents[mark.count("/")] for path in marked})
     if not roots:
-        raise InputError(f"{folder} holds no {mark}, so no sequence in this layout.")
+        raise InputError(f"{folder} contains no {mark}, so it is not a sequence in this layout.")
     for root in roots:
         yield root, split_of(root, folder)
 
@@ -130,7 +130,7 @@ def with_names(
         return tuple(sequence for _, sequence in sequences)
     rows = read_plain(path, "names")
     if not isinstance(rows, dict):
-        raise InputError(f"{path} holds no table of names. Remove it to read without names.")
+        raise InputError(f"{path} contains no table of names. Remove it to read without names.")
     return tuple(
         replace(sequence, **asdict(from_plain(_Named, rows[key], at=f"{path}: {key}")))
         if key in rows

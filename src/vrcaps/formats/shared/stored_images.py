@@ -69,7 +69,9 @@ def _as_rgb(stored: NDArray) -> NDArray:
     if stored.dtype == np.uint16:
         stored = (stored >> 8).astype(np.uint8)
     if stored.dtype != np.uint8 or stored.ndim != 3 or stored.shape[-1] < 3:
-        raise ValueError(f"it is no color image of 8 or 16 bits, but {stored.dtype} {stored.shape}")
+        raise ValueError(
+            f"it is not an 8-bit or 16-bit color image, but {stored.dtype} {stored.shape}"
+        )
     return np.ascontiguousarray(stored[..., :3])
 
 
@@ -225,5 +227,5 @@ def _read_tiff_by_opencv(path: Path) -> NDArray:
         raise MissingExtraError("OpenCV, which reads this compression,", "formats") from error
     stored = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if stored is None:
-        raise ValueError("it is no complete TIFF")
+        raise ValueError("it is not a complete TIFF")
     return stored if stored.ndim == 2 else stored[..., ::-1]

@@ -214,7 +214,9 @@ def read_matrix_camera(path: Path, image: Path) -> Camera:
     """
     values = read_text_numbers(path)
     if len(values) != 9:
-        raise InputError(f"{path} holds {len(values)} numbers. Allowed: the 9 of a camera matrix.")
+        raise InputError(
+            f"{path} contains {len(values)} numbers. Allowed: the 9 of a camera matrix."
+        )
     return camera_of(lens_from_matrix(values), image)
 
 
@@ -237,7 +239,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     except (OSError, ValueError, yaml.YAMLError) as error:
         raise InputError(f"Cannot read {path}: {' '.join(str(error).split())}.") from error
     if not isinstance(plain, dict):
-        raise InputError(f"{path} holds no table of keys and values.")
+        raise InputError(f"{path} contains no table of keys and values.")
     return plain
 
 

@@ -99,7 +99,7 @@ class Tum:
         lists = {n: _read_list(root / f"{n}.txt") for n in ("rgb", "depth")}
         lists = {name: rows for name, rows in lists.items() if rows}
         if "rgb" not in lists:
-            raise InputError(f"{root} has no rgb.txt, so it is no TUM RGB-D sequence.")
+            raise InputError(f"{root} has no rgb.txt, so it is not a TUM RGB-D sequence.")
         times = {name: np.array([time for time, _ in rows]) for name, rows in lists.items()}
         _, rows = tum_rows(root / _TRUTH)
         nearest = {name: nearest_rows(times["rgb"], own) for name, own in times.items()}

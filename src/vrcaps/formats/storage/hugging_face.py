@@ -94,7 +94,9 @@ class HuggingFace:
         """
         paths = listed(folder, "data/*.parquet")
         if not paths:
-            raise InputError(f"{folder} holds no data/*.parquet, so no Hugging Face data set.")
+            raise InputError(
+                f"{folder} contains no data/*.parquet, so it is not a Hugging Face data set."
+            )
         samples = (sample for path in paths for sample in _samples(path))
         return sequences_from(samples, _read, str(folder))
 

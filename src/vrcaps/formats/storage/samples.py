@@ -139,7 +139,7 @@ def sequences_from(
             )
         groups.setdefault(sample.plain["sequence"], []).append(sample)
     if not groups:
-        raise InputError(f"{where} holds no samples.")
+        raise InputError(f"{where} contains no samples.")
     with reading(f"the samples in {where}, which do not fit together"):
         return tuple(_sequence(name, rows, read) for name, rows in groups.items())
 

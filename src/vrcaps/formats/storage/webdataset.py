@@ -88,7 +88,7 @@ class WebDataset:
         """
         paths = listed(folder, "**/*.tar")
         if not paths:
-            raise InputError(f"{folder} holds no .tar, so no WebDataset.")
+            raise InputError(f"{folder} contains no .tar, so it is not a WebDataset.")
         samples = (sample for path in paths for sample in _samples(path))
         return sequences_from(samples, _read, str(folder))
 
@@ -129,7 +129,7 @@ def _samples(path: Path) -> Iterator[Sample]:
     with reading(path), tarfile.open(path, "r:") as tar:
         for member in tar:
             if not member.isreg() or member.offset_data + member.size > whole:
-                raise ValueError(f"{member.name} is no complete file")
+                raise ValueError(f"{member.name} is not a complete file")
             key, _, kind = member.name.partition(".")
             location = (path, member.offset_data, member.size)
             locations.setdefault(key, {})[kind.partition(".")[0]] = location

@@ -30,7 +30,7 @@ help:
 	@echo "make docs   build the documentation site into site"
 	@echo "make notebooks  run the tutorials at their full length, in half an hour"
 	@echo "make figures  measure the tables of docs/results again;"
-	@echo "            goes on where it stopped; ONLY='path radiosity' measures those by part of the name"
+	@echo "            resumes after an interruption; ONLY='path radiosity' measures those by part of the name"
 	@echo "make wheel  build a wheel into dist and try it in a clean environment"
 	@echo "make constraints  pin the newest versions of all dependencies in constraints.txt"
 	@echo "make clean  remove the environment and everything built"

@@ -10,7 +10,10 @@ from benchmarks.common.sources import PACKAGE, ROOT, digest
 from vrcaps.cli.benchmarks import page as pages
 
 _STARTED = time.monotonic()
-_STAMP = re.compile(r"\n\nWritten by `[^`]+`(?: from sources `(\w+)` in (\d+) s)?\.$")
+_STAMP = re.compile(
+    r"\n\nWritten by `[^`]+`(?: from sources `(?P<measured>\w+)` in (?P<seconds>\d+) s)?"
+    r"(?:\. Accepted for sources `(?P<accepted>\w+)`: (?P<reason>[^\n]+))?\.$"
+)
 
 
 def module_of(script: Path) -> str:
@@ -41,10 +44,36 @@ def stamped(text: str, name: str, command: str, seconds: float) -> str:
     return f"{_STAMP.sub('', text.strip())}\n\n{stamp}"
 
 
-def stamp_of(text: str) -> tuple[str, str]:
-    """Digest and duration [s] in the stamp of a section; empty without a stamp."""
+def stamp_of(text: str) -> tuple[str, str, str]:
+    """Stamp of a section: digest, duration [s], and accepted digest; empty if there is none."""
     match = _STAMP.search(text)
-    return (match[1] or "", match[2] or "") if match else ("", "")
+    values = match.group("measured", "seconds", "accepted") if match else (None, None, None)
+    measured, seconds, accepted = (value or "" for value in values)
+    return measured, seconds, accepted
+
+
+def accepted(text: str, name: str, reason: str) -> str:
+    """Text of a section whose stamp also accepts the current sources, without a measurement.
+
+    The stamp keeps the measured digest, so that a reader sees that the table is older.
+
+    Args:
+        text: Section with a stamp.
+        name: Name of the section.
+        reason: Evidence that the sources compute the same values, in one line.
+
+    Raises:
+        ValueError: If the section was never measured, or the reason is not one line of text.
+    """
+    match = _STAMP.search(text)
+    reason = reason.strip().rstrip(".")
+    if match is None or match["measured"] is None:
+        raise ValueError(f"{name} has no measured sources. Measure it.")
+    if not reason or "\n" in reason:
+        raise ValueError("The reason is empty or has several lines. Give one line.")
+    measured = match[0].partition(". Accepted for sources")[0].removesuffix(".")
+    stamp = f"{measured}. Accepted for sources `{sources(name)}`: {reason}."
+    return f"{text[: match.start()]}{stamp}"
 
 
 def write_section(page: Path, name: str, text: str, *, command: str, title: str) -> None:

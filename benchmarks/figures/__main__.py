@@ -4,7 +4,11 @@ Each command measures into a separate page; its section is copied into the page 
 command succeeds. Sections whose sources have not changed are skipped unless they are named, so an
 interrupted run resumes. Timed commands run alone, all others two at a time. Needs an idle machine.
 
-    python -m benchmarks.figures [--only speed.path radiosity] [--list]
+A change of the sources that computes the same values, such as a renamed module, also outdates
+sections. `--accept REASON` then accepts the current sources of the named or outdated sections
+without measuring; the stamp records the measured sources and the reason.
+
+    python -m benchmarks.figures [--only speed.path radiosity] [--list] [--accept REASON]
 """
 
 from __future__ import annotations
@@ -14,13 +18,14 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from benchmarks.common.scripts import PAGE, ROOT, SPEED_PAGE, page_of
-from benchmarks.common.sections import sources, stamp_of, stamped
+from benchmarks.common.sections import accepted, sources, stamp_of, stamped
 from benchmarks.figures import summary
 from vrcaps.cli.benchmarks.page import read_sections, write_page
 
@@ -106,6 +111,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.figures", description=__doc__)
     parser.add_argument("--only", nargs="*", default=[], help="parts of names")
     parser.add_argument("--list", action="store_true", help="list all sections and their state")
+    parser.add_argument(
+        "--accept",
+        default="",
+        metavar="REASON",
+        help="accept the current sources without measuring; gives the evidence for equal values",
+    )
     given = parser.parse_args()
     if given.list:
         print(*(f"{figure.name}: {age(figure)}" for figure in FIGURES), sep="\n")
@@ -116,6 +127,9 @@ def main() -> None:
     chosen = [f for f in FIGURES if any(word in f.name for word in given.only)]
     if not given.only:
         chosen = [f for f in FIGURES if not is_current(f)]
+    if given.accept:
+        accept(chosen, given.accept)
+        return
     BUILD.mkdir(parents=True, exist_ok=True)
     failed = [f.name for f in chosen if f.is_timed and not measure(f)]
     others = [f for f in chosen if not f.is_timed]
@@ -157,6 +171,18 @@ def enter(figure: Figure) -> bool:
     return bool(section)
 
 
+def accept(chosen: Sequence[Figure], reason: str) -> None:
+    """Accept the current sources of sections, with the reason why their values are the same."""
+    for figure in chosen:
+        own = read_sections(figure.page)
+        try:
+            text = accepted(own.get(figure.name, ""), figure.name, reason)
+        except ValueError as error:
+            sys.exit(str(error))
+        write_page(figure.page, own | {figure.name: text})
+        print(f"{figure.name}: {age(figure)}")
+
+
 def forget() -> None:
     """Remove sections that no command writes."""
     for page in (PAGE, SPEED_PAGE):
@@ -164,21 +190,24 @@ def forget() -> None:
         write_page(page, {k: text for k, text in read_sections(page).items() if k in names})
 
 
-def _stamp(figure: Figure) -> tuple[str, str]:
+def _stamp(figure: Figure) -> tuple[str, str, str]:
     return stamp_of(read_sections(figure.page).get(figure.name, ""))
 
 
 def is_current(figure: Figure) -> bool:
-    """Return whether a section was measured with the current sources of its command."""
-    return _stamp(figure)[0] == sources(figure.name)
+    """Return whether a section was measured with or accepted for the sources of its command."""
+    measured, _, accepted_for = _stamp(figure)
+    return sources(figure.name) in (measured, accepted_for)
 
 
 def age(figure: Figure) -> str:
     """State of a section, and the duration of its measurement."""
-    digest, seconds = _stamp(figure)
+    digest, seconds, accepted_for = _stamp(figure)
     if not digest:
         return "not measured"
-    state = "up to date" if is_current(figure) else f"of sources {digest}"
+    state = f"of sources {digest}"
+    if is_current(figure):
+        state = f"accepted, {state}" if accepted_for else "up to date"
     return f"{state}, took {seconds} s"
 
 

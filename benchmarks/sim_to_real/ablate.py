@@ -8,7 +8,7 @@ real image. The table shows how their figures change.
     python -m benchmarks.sim_to_real.ablate --real /data/endoscopy --run runs/ablations --workers 2
     python -m benchmarks.sim_to_real.ablate --run runs/ablations --report   # the page, as it stands
 
-Each network is one row of `rows.jsonl`; the same command goes on where it was stopped.
+Each network is one row of `rows.jsonl`; the same command resumes after an interruption.
 """
 
 from __future__ import annotations

@@ -3,11 +3,21 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from benchmarks.common.sections import file_of, module_of, sources, stamp_of, stamped, write_section
+import pytest
+
+from benchmarks.common.sections import (
+    accepted,
+    file_of,
+    module_of,
+    sources,
+    stamp_of,
+    stamped,
+    write_section,
+)
 from benchmarks.common.sources import ROOT
 from benchmarks.figures import __main__ as figures
 from benchmarks.figures import summary
-from vrcaps.cli.benchmarks.page import read_sections, table
+from vrcaps.cli.benchmarks.page import read_sections, table, write_page
 
 
 def test_a_section_replaces_its_own_and_states_command_sources_and_time(tmp_path: Path) -> None:
@@ -57,8 +67,35 @@ def test_every_module_of_the_figures_exists() -> None:
 def test_a_stamp_replaces_the_line_of_the_command() -> None:
     text = stamped("a\n\nWritten by `vrcaps bench render`.", "vrcaps bench render", "x --y", 3.2)
     assert text.startswith("a\n\nWritten by `x --y` from sources `")
-    assert stamp_of(text) == (sources("vrcaps bench render"), "3")
-    assert stamp_of("a") == ("", "")
+    assert stamp_of(text) == (sources("vrcaps bench render"), "3", "")
+    assert stamp_of("a") == ("", "", "")
+
+
+def test_sources_are_accepted_for_a_stated_reason_and_measured_again() -> None:
+    name = "vrcaps bench render"
+    foot = f"a\n\nWritten by `{name} --size 3` from sources `0123456789` in 5 s"
+    once = accepted(f"{foot}.", name, "modules renamed, guard episodes identical.")
+    reason = "modules renamed, guard episodes identical"
+    assert once == f"{foot}. Accepted for sources `{sources(name)}`: {reason}."
+    assert stamp_of(once) == ("0123456789", "5", sources(name))
+    twice = accepted(once.replace(sources(name), "9876543210"), name, "other")
+    assert twice == f"{foot}. Accepted for sources `{sources(name)}`: other."
+    assert stamp_of(stamped(twice, name, name, 3.0)) == (sources(name), "3", "")
+    with pytest.raises(ValueError, match="has no measured sources"):
+        accepted(f"a\n\nWritten by `{name}`.", name, reason)
+    with pytest.raises(ValueError, match="empty or has several lines"):
+        accepted(f"{foot}.", name, "a\nb")
+
+
+def test_accepted_sections_are_current(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    figure, page = figures.Figure("vrcaps bench render"), tmp_path / "page.md"
+    monkeypatch.setattr(figures, "page_of", lambda name: page)
+    text = f"a\n\nWritten by `{figure.name}` from sources `0123456789` in 5 s."
+    write_page(page, {"": "# Page\n", figure.name: text})
+    assert not figures.is_current(figure)
+    figures.accept([figure], "modules renamed")
+    assert figures.is_current(figure)
+    assert figures.age(figure) == "accepted, of sources 0123456789, took 5 s"
 
 
 def test_every_figure_of_the_front_page_is_of_a_section_that_is_measured() -> None:

@@ -3,8 +3,8 @@
 #
 #     sbatch --array=0-19 slurm-array.sh cohort.toml /shared/cohort 10
 #
-# makes 200 recordings, ten a task. A task that was stopped goes on where it was when it is started
-# again; SLURM does so by itself after a node has failed (--requeue).
+# makes 200 recordings, ten a task. A task that was stopped resumes when it is started again;
+# SLURM restarts it automatically after a node has failed (--requeue).
 #SBATCH --job-name=vrcaps
 #SBATCH --cpus-per-task=4
 #SBATCH --mem=8G

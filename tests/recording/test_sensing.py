@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from vrcaps.capsule.device_file import read_device
-from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import transform_from
 from vrcaps.motion.motion import Step, with_neighbors
 from vrcaps.recording.episode import read_episode
@@ -19,14 +19,14 @@ from vrcaps.recording.table import FrameTable
 from vrcaps.scenario.build import ResolvedScenario, resolve
 from vrcaps.scenario.scenario import Scenario, scenario_from_plain, scenario_to_plain
 from vrcaps.sensors.imu import Imu, Magnetometer
-from vrcaps.sensors.sensors import HallPad, Sensors, hall_array, sensors_by_name
+from vrcaps.sensors.sensors import HallPad, Sensors, hall_array
 from vrcaps.world.model import Model, State
 
 GRAVITY = np.array([0.0, 0.0, -9.80665])
 SILENT = Imu(
     accelerometer_noise=0.0, gyroscope_noise=0.0, accelerometer_walk=0.0, gyroscope_walk=0.0
 )
-ALL = sensors_by_name(("imu", "magnetometer", "hall"))
+ALL = Sensors(Imu(), Magnetometer(), HallPad())
 FPS = 4.0
 
 
@@ -136,8 +136,6 @@ def test_an_episode_has_the_readings(tmp_path, monkeypatch, base_scenario, organ
 
 
 def test_sensors_that_cannot_be(organ, model):
-    with pytest.raises(UnknownNameError, match="sensor"):
-        sensors_by_name(("sonar",))
     bare = Model(organ, read_device("mirocam"))
     with pytest.raises(InputError, match=r"mirocam has 0\. Give a capsule with one"):
         SensorReadings(bare, scenario_of(ALL))

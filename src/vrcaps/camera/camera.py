@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.camera.lens import AnyLens
-from vrcaps.core.errors import InputError, require
+from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.core.transforms import transform_from
 
 if TYPE_CHECKING:
@@ -179,6 +179,18 @@ def check_names(cameras: Sequence[Camera]) -> None:
     names = [camera.name for camera in cameras]
     if len({name.lower() for name in names}) < len(names):
         raise InputError(f"Two cameras share a name ({', '.join(names)}).")
+
+
+def camera_named(cameras: Sequence[Camera], name: str) -> Camera:
+    """Return the camera with a name.
+
+    Raises:
+        UnknownNameError: If no camera has it.
+    """
+    for camera in cameras:
+        if camera.name == name:
+            return camera
+    raise UnknownNameError("camera", name, [camera.name for camera in cameras])
 
 
 def default_exposure(leds: Sequence[Led]) -> float:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.camera.camera import Camera, check_names
+from vrcaps.camera.camera import Camera, camera_named, check_names
 from vrcaps.capsule.image_chain import ImageChain
-from vrcaps.core.errors import InputError, UnknownNameError, require
+from vrcaps.core.errors import InputError, require
 from vrcaps.magnet.sources import InternalMagnet
 
 if TYPE_CHECKING:
@@ -89,10 +89,7 @@ class Device:
         Raises:
             UnknownNameError: If the capsule has no such camera.
         """
-        for camera in self.cameras:
-            if camera.name == name:
-                return camera
-        raise UnknownNameError("camera", name, [camera.name for camera in self.cameras])
+        return camera_named(self.cameras, name)
 
 
 def _check_positions(device: Device, straight: float) -> None:

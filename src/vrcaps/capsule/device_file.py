@@ -17,9 +17,8 @@ import numpy as np
 
 from vrcaps.camera.camera import Camera, Led, led_ring
 from vrcaps.capsule.device import Device
-from vrcaps.config.catalog import CatalogFolder
 from vrcaps.config.convert import from_plain, register_shorthand, to_plain
-from vrcaps.config.plain_files import read_plain, write_toml
+from vrcaps.config.plain_files import CatalogFolder, read_plain, write_toml
 from vrcaps.core.errors import InputError, require
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import InternalMagnet

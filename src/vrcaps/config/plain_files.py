@@ -1,4 +1,4 @@
-"""Files of plain values (TOML and JSON), and exact conversion of decimal values with units to SI.
+"""Files of plain values (TOML and JSON), folders of them, and exact conversion of units to SI.
 
 TOML and JSON are read with exact decimals and written atomically.
 """
@@ -8,12 +8,14 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Mapping
+from dataclasses import dataclass
 from decimal import Context, Decimal
 from pathlib import Path
 from typing import Any
 
-from vrcaps.core.errors import InputError
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.files import write_bytes
+from vrcaps.core.names import listed
 
 _LONGEST = 2**28
 """Maximum number of characters of a file: a device such as /dev/zero has no end."""
@@ -42,6 +44,42 @@ def read_plain(path: Path, noun: str) -> Any:
         raise InputError(f"Cannot read the {noun} file {path}: {error.strerror}.") from error
     except (ValueError, ArithmeticError, RecursionError) as error:
         raise InputError(f"The {noun} file {path} is not {kind}: {error}.") from error
+
+
+@dataclass(frozen=True)
+class CatalogFolder:
+    """A folder of TOML files; the stem of each file is a name.
+
+    Attributes:
+        path: The folder.
+        kind: Kind of object that a file describes, for error messages.
+    """
+
+    path: Path
+    kind: str
+
+    def names(self) -> tuple[str, ...]:
+        """Names of the catalog, sorted."""
+        return tuple(path.stem for path in listed(self.path, "*.toml"))
+
+    def find(self, name_or_path: str | Path) -> Path:
+        """Return the file of a name, or a user's own file by its path.
+
+        Raises:
+            UnknownNameError: If the catalog has no such name.
+            InputError: If there is no file at the path.
+        """
+        path = Path(name_or_path)
+        if path.suffix == ".toml" or len(path.parts) > 1:
+            if not path.is_file():
+                known = ", ".join(self.names())
+                raise InputError(
+                    f"No {self.kind} file at {path}. Give a TOML file, or one of: {known}."
+                )
+            return path
+        if str(name_or_path) not in self.names():
+            raise UnknownNameError(self.kind, str(name_or_path), self.names())
+        return self.path / f"{name_or_path}.toml"
 
 
 def decode_json(data: bytes | str, what: object) -> Any:

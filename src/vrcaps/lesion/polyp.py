@@ -18,10 +18,6 @@ from vrcaps.mesh.noise import band_pass, fbm
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-SHAPES = ("Ip", "Is", "IIa", "IIb", "IIc")
-"""Paris classification of superficial neoplastic lesions (Gastrointest. Endosc. 2003, 58 S3):
-pedunculated, sessile, slightly elevated, flat, slightly depressed."""
-
 PATTERNS = ("tubular", "villous", "serrated", "hyperplastic", "inflammatory")
 """Kinds of surface, named after the associated histology."""
 
@@ -88,7 +84,8 @@ class Polyp(SizedLesion):
     """Polyp.
 
     Attributes:
-        shape: Paris type.
+        shape: Paris type: pedunculated, sessile, slightly elevated, flat or slightly depressed
+            (Gastrointest. Endosc. 2003, 58 S3).
         size: Maximum diameter, for Ip that of the head [m], 2 to 30 mm.
         pattern: Kind of surface, see `SURFACES`.
     """

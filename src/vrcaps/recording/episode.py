@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
 
 import numpy as np
 
-from vrcaps.camera.camera import Camera, check_names
+from vrcaps.camera.camera import Camera, camera_named, check_names
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.recording.frame_files import decode_image, decode_wall, wall_path
@@ -213,10 +213,7 @@ class Episode:
         Raises:
             UnknownNameError: If the capsule has no such camera.
         """
-        for camera in self.cameras:
-            if camera.name == name:
-                return camera
-        raise UnknownNameError("camera", name, [camera.name for camera in self.cameras])
+        return camera_named(self.cameras, name)
 
     def image_path(self, camera: str, channel: str, frame: int) -> Path:
         """Path of an image on this machine.

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
 
 from vrcaps.config.limits import Range, check_fields
-from vrcaps.core.errors import UnknownNameError
 from vrcaps.core.transforms import transform_from
 from vrcaps.core.units import MM
 from vrcaps.sensors.hall import HallArray, hall_grid
@@ -62,19 +60,6 @@ class Sensors:
     magnetometer: Magnetometer | None = None
     hall: HallPad | None = None
     earth_field: tuple[float, float, float] = EARTH_FIELD
-
-
-def sensors_by_name(names: Sequence[str]) -> Sensors:
-    """Sensors with their default parameters.
-
-    Raises:
-        UnknownNameError: If a sensor does not exist.
-    """
-    kinds = {"imu": Imu, "magnetometer": Magnetometer, "hall": HallPad}
-    for name in names:
-        if name not in kinds:
-            raise UnknownNameError("sensor", name, kinds)
-    return Sensors(**{name: kinds[name]() for name in names})
 
 
 def hall_array(pad: HallPad, model: Model) -> HallArray:

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.config.catalog import CatalogFolder
 from vrcaps.config.convert import from_plain
 from vrcaps.config.limits import Range, check_fields
-from vrcaps.config.plain_files import read_plain
+from vrcaps.config.plain_files import CatalogFolder, read_plain
 from vrcaps.core.errors import InputError, require
 
 if TYPE_CHECKING:

@@ -74,11 +74,6 @@ class SegmentMotility:
         """Distance between slow waves, speed / rate, at the oral and the anal end [m]."""
         return (self.speeds[0] / self.rates[0], self.speeds[1] / self.rates[1])
 
-    @property
-    def ring_lengths(self) -> tuple[float, float]:
-        """Length of a propagating contraction, speed · duration, at both ends [m]."""
-        return (self.speeds[0] * self.duration, self.speeds[1] * self.duration)
-
 
 def _gastric(amplitude: float) -> SegmentMotility:
     """Parameters of the stomach; `amplitude` is the fraction of the radius at full contraction.

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from vrcaps.config.catalog import CatalogFolder
+from vrcaps.config.plain_files import CatalogFolder
 from vrcaps.core.errors import InputError, UnknownNameError
 
 

@@ -10,8 +10,8 @@ included. Networks for depth are judged on real frames without learning from any
     python -m benchmarks.sim_to_real --run runs/transfer --report   # the page only
 
 Each network is one row of `rows.jsonl`; the same command resumes after an interruption and
-computes none twice. Folders of real data are found by their names below `--real`: WCEBleedGen, HyperKvasir,
-Kvasir-SEG, BKAI-IGH NeoPolyp, C3VD, sinus endoscopy, UnityCam; others are named by
+computes none twice. Folders of real data are found by their names below `--real`: WCEBleedGen,
+HyperKvasir, Kvasir-SEG, BKAI-IGH NeoPolyp, C3VD, sinus endoscopy, UnityCam; others are named by
 `--layout kvasir_seg=/data/my/polyps`.
 """
 

@@ -48,8 +48,8 @@ def main() -> None:
 
 `python -m benchmarks.validation.capsule_designs`: {given.size} seeds of two episodes of 60 s in
 stomachs 100 to 119, quasi-static dynamics. Medians over episodes, with 10th to 90th percentile,
-or how many got there. The policy was trained with the one camera of `magnetic`; it is told what is
-unseen, whatever sees it.
+or the number of episodes that reached the value. The policy was trained with the one camera of
+`magnetic`; it observes the unseen area of all cameras.
 
 {table(("policy", "capsule", *FIGURES), rows)}
 

@@ -220,7 +220,15 @@ def _gripped(
     return world
 
 
-WALK_HEAD = ("organ", "triangles", "substeps", "escaped", "not a number", "deepest", "fastest")
+WALK_HEAD = (
+    "organ",
+    "triangles",
+    "substeps",
+    "escaped",
+    "not finite",
+    "maximum depth",
+    "maximum speed",
+)
 
 
 @dataclass

@@ -68,9 +68,9 @@ def main() -> None:
         f"{given.size} × {given.size} pixels, 4 reflections, one image each; Open Image Denoise\n"
         "through `pyoidn`, on the processor.\n\n"
         + table(HEAD, rows)
-        + "\n\nError: root of the mean squared difference from the truth over the mean radiance, "
-        f"by two images of {TRUTH} samples\n"
-        "that share no path, so that their own noise adds nothing."
+        + "\n\nError: root mean square difference from the ground truth, divided by the mean "
+        f"radiance, from two images of {TRUTH} samples\n"
+        "without common paths, so that their own noise cancels."
     )
     write_section(given.out, Path(__file__), text)
 

@@ -1,11 +1,11 @@
 """Claim: a gamepad drives the capsule from the stomach's inlet to the pylorus, through the page.
 
-A script moves the sticks and triggers of a mocked gamepad in a headless Chromium; all else is the
-cockpit's own: its page, a free magnet or that of the Panda, physics in real time or as near as two
-cores come. The script looks at the page, the poses of capsule and magnet and the time,
-and leads as the policy `navigator` does. When the capsule is in the pylorus the drive is recorded
-from its commands, the recorded poses are compared with those that were driven, and the episode is
-checked as `vrcaps check` does.
+A script moves the sticks and triggers of a mocked gamepad in a headless Chromium; everything
+else is the unmodified cockpit: its page, a free magnet or that of the Panda, and physics in real
+time or as close to it as two cores allow. The script reads the page, the poses of capsule and
+magnet and the time, and steers like the policy `navigator`. When the capsule is in the pylorus,
+the drive is recorded from its commands, the recorded poses are compared with those that were
+driven, and the episode is checked as by `vrcaps check`.
 
     python -m benchmarks.validation.drive_cockpit [--patients 0] [--arms panda] [--seconds 240]
 """

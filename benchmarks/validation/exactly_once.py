@@ -80,9 +80,9 @@ def main() -> None:
 
 `python -m benchmarks.validation.exactly_once`: {given.size} recordings of two frames. A random
 worker is killed by SIGKILL {given.kills} times and the head {given.heads} times, at random
-moments spread over the run; a head that has ended is started again with the same command, at last
-to the end. Ray is started by each head and dies with it. Compared with the same plan made in one
-process: every file of the data set, byte by byte.
+moments spread over the run; a killed head is restarted with the same command, and finally runs
+to the end. Ray is started by each head and dies with it. Every file of the data set is compared
+byte by byte with the same plan made in one process.
 
 {table(HEAD, [rows[f"{runner} {workers}"] for runner, workers in ROWS])}
 """

@@ -53,16 +53,16 @@ def main() -> None:
 `python -m benchmarks.validation.learning`: `vrcaps evaluate` under full physics in stomachs 100 to
 119, at least {given.size} seeds of five episodes of 60 s. `coverage-ppo` was trained in stomachs
 0 to 15 under quasi-static dynamics and observes landmarks; `next-best-view` knows the shape of each
-organ. Medians over episodes, with 10th to 90th percentile; a time that was not reached counts as
-the longest. VR-Caps states 96.04 % at 47.62 s by the definition *frustum*, in its training
+organ. Medians over episodes, with 10th to 90th percentile; a value that was not reached counts as
+the maximum time. VR-Caps states 96.04 % at 47.62 s by the definition *frustum*, in its training
 stomach. These are not measurements of a device: gravity is balanced, an ideal actuator applies
 any force and torque along six axes, and the policies read which parts of the wall are still
 unseen, in the true shape of the organ.
 
 {table(head, rows)}
 
-`coverage-ppo` less another policy in the same episodes, in percent points: mean, and 95 % interval
-of a bootstrap that draws whole organs.
+Difference between `coverage-ppo` and another policy in the same episodes, in percentage points:
+mean and 95 % interval of a bootstrap over organs.
 
 {table(("less", *(name for name, _ in COMPARED)), compared)}"""
     write_section(given.out, Path(__file__), text)

@@ -65,7 +65,8 @@ def main() -> None:
     )
     head = (
         f"## LeRobot loader\n\n`LeRobotDataset` of lerobot {_version(given.python)}: largest "
-        "difference from what was recorded, in float32; of color the mean. Films lose color.\n\n"
+        "difference from what was recorded, in float32; for color the mean. Video "
+        "compression is lossy.\n\n"
     )
     write_section(given.out, Path(__file__), head + text)
 

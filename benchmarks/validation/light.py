@@ -135,7 +135,7 @@ def main() -> None:
         "LEDs of MiroCam,\nrandom coarse textures of color, rounded as our texels are, and of "
         "roughness.\n\n"
         + table(HEAD, rows)
-        + "\n\nRelative RMSE: root of the mean squared difference over the mean radiance. Median, "
+        + "\n\nRelative RMSE: root mean square difference, divided by the mean radiance. Median, "
         "99 % and mean ratio: of\neach pixel brighter than 1 % of the brightest. *Shadows off* "
         "compares the pixels that every LED reaches,\nbecause Mitsuba always casts shadows."
     )

@@ -68,9 +68,9 @@ def main() -> None:
 hand, {FPS:g} frames/s, {given.size} seeds of the sensors. *true*: the controller has the
 simulation's pose, velocity and contact force; *located*: those of an error-state Kalman filter of
 the IMU's and the Hall sensors' readings at 100 Hz, with noise, resolution, bias and errors of
-calibration. In tubes the capsule is held against {PUSH:g} N along the gut, to and fro; in the
-stomach it is led along its upper wall, far from the sensors and near the magnet. Without the first
-second after settling.
+calibration. In tubes the capsule is held against {PUSH:g} N along the gut, in both directions; in
+the stomach it is moved along its upper wall, far from the sensors and near the magnet. The first
+second after settling is excluded.
 
 {table(STEER_HEAD, steered)}
 

@@ -231,12 +231,12 @@ def main() -> None:
     rows = [*fields(given.size), *gradients(given.size // 10), *forces(), *arm(given.size)]
     head = ("magnet", "size", "grade, remanence", "moment", "dipole within 5 % beyond")
     text = (
-        "## Magnets\n\n`python -m benchmarks.validation.magnets`: errors are relative, the worst "
-        "of all unless said. magpylib\n"
+        "## Magnets\n\n`python -m benchmarks.validation.magnets`: relative errors, the "
+        "maximum unless stated otherwise. magpylib\n"
         f"{magpylib.__version__}, pinocchio {pinocchio.__version__}.\n\n"
         + table(HEAD, rows)
-        + "\n\nThe gradient of a source with an axis is put together so that div B and curl B are "
-        "zero; its rows\nagainst differences of the field are the ones that check it. Distances "
+        + "\n\nThe gradient of a source with an axis is constructed such that div B and curl B are "
+        "zero; the rows\nthat compare it with differences of the field check it. Distances "
         "below are from the magnet's center,\nover all directions.\n\n"
         + table(head, list(presets()))
     )

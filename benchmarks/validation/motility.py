@@ -60,7 +60,7 @@ Mean ± standard deviation; of speeds and cycle means between patients. Values a
 
 {table(HEAD, rows)}
 
-The capsule is 10.8 mm thick, the lumen 22 mm wide. How long a wave takes: `vrcaps bench world`."""
+The capsule is 10.8 mm thick, the lumen 22 mm wide. Time of a wave: `vrcaps bench world`."""
     write_section(args.out, Path(__file__), text)
 
 

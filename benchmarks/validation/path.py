@@ -125,20 +125,20 @@ points, random coarse textures of color and roughness.
 
 {table(HEAD, rows)}
 
-*Off by*: the ratio less 1 over its standard error; noise is within 3. z: difference of the means of
-a block of {BLOCK} × {BLOCK} pixels in one color, over its standard error from the scatter of the
-images. *Expected*: mean z² of nothing but noise, drawn with the covariance that a block's colors
-have in the images; p: chance that noise has so large a mean z², noise above 0.001. Mitsuba's
-`max_depth` is one more than our reflections, as it counts the way to the eye.
+*Off by*: the ratio minus 1, divided by its standard error; noise stays within 3. z: difference of
+the means of a block of {BLOCK} × {BLOCK} pixels in one color, over its standard error from the
+scatter of the images. *Expected*: mean z² of noise alone, drawn with the covariance of a block's
+colors in the images; p: probability of such a mean z² for noise alone; accepted above 0.001.
+Mitsuba's `max_depth` is one more than our reflections, as it counts the way to the eye.
 
 Colors of Mitsuba's texture are rounded as our texels are (square roots in 11, 11 and 10 bits): by
 {100 * rounding():.2f} % root mean square here. Without that, blocks that see a few texels differ by
 as much, and z² grows with the number of images: 1.6 instead of 1.2 on the colon's flat faces and
 1.3 instead of 1.1 on the smooth one, at 24 images of 64 paths.
 
-Where a smooth normal faces away from a path, Mitsuba loses the light, while here the normal is bent
+If a smooth normal faces away from a path, Mitsuba loses the light, while here the normal is bent
 (docs/concepts/rendering.md): on the colon's own triangles with smooth normals this is 0.2 % of the
-mean, and no noise. With flat faces both integrate the same on just these triangles.
+mean, and not noise. With flat faces both integrate the same on just these triangles.
 """
     write_section(given.out, Path(__file__), text)
 

@@ -3,7 +3,7 @@
 A thin beam enters a half-space along its normal. How much comes back is held against exact
 transport (Chandrasekhar's H behind Fresnel's border) and against diffusion: claimed within 3 % from
 a single-scattering albedo of 0.98 on. Where it comes back is held against diffusion with sources
-along the beam: claimed within 3 % beyond six free ways.
+along the beam: claimed within 3 % beyond six free paths.
 
 Then radiosity, without and with tissue, beside path tracing through it. Claimed for red, where
 light goes farthest: with tissue at most 5 % of relative RMSE on a colon and 15 % beside ring folds,
@@ -53,9 +53,9 @@ TOTALS = (
 """Index and single-scattering albedo; the last is the published case."""
 PROFILES = ((1.0, 0.99), (1.4, 0.99), (1.4, 0.998))
 RINGS = (0.5, 1.0, 2.0, 4.0, 6.0, 8.0, 10.0, 14.0)
-"""Edges of rings in free ways."""
+"""Edges of rings in mean free paths."""
 FREE = 1e-3
-"""Mean free way [m]: that of colon in red light is 1.25 mm."""
+"""Mean free path [m]: that of colon in red light is 1.25 mm."""
 HALF = 0.25
 """Half of the side of the half-space's square [m]."""
 CLAIMED = 0.03
@@ -76,7 +76,7 @@ NUM_VIEWS = 4
 
 
 def walks(albedo: float, ior: float, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Distances from the beam in free ways, and shares, of light that comes back."""
+    """Distances of returning light from the beam in mean free paths, and its fractions."""
     corners = HALF * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
     wall = _core.Wall(corners, np.array([[0, 1, 2], [0, 2, 3]]))
     place, share = _core.walk_tissue(
@@ -233,10 +233,10 @@ def main() -> None:
         "Giovanelli (1955) published 0.2600 for the last row with what\nthe border mirrors, as "
         "the authors of MCML quote it (Wang et al. 1995).\n\n"
         + table(HEAD, totals)
-        + "\n\nWhere it comes back, walks over diffusion by distance from the beam in mean free "
-        "ways, with sources along the beam\nand what passes the border of fluence and flux "
-        "(Kienle and Patterson 1997), and with one source one free way\ndeep (Farrell et al. "
-        "1992). Nearer to the beam than six free ways diffusion does not hold to 3 %; there the "
+        + "\n\nWalks over diffusion of the returning light, by distance from the beam in mean free "
+        "paths, with sources along the beam\nand what passes the border of fluence and flux "
+        "(Kienle and Patterson 1997), and with one source one free path\ndeep (Farrell et al. "
+        "1992). Closer to the beam than six free paths, diffusion does not hold to 3 %; there the "
         "walks\nagree with walks in NumPy (`tests/render/test_scattering.py`).\n\n"
         + table(("index", "albedo", "diffusion", *rings), profiles)
         + "\n\nRadiosity without and with scattering compared with path tracing through tissue "

@@ -101,9 +101,8 @@ def main() -> None:
         f"left in by the calibration: gain {100 * GAIN:g} %, offset {1e6 * OFFSET:g} µT; "
         f"the earth's {1e6 * EARTH:g} µT unknown.\n\n"
         + table(HEAD, [measure(setup, given.size) for setup in setups()])
-        + "\n\nThe turn is that of the magnet's axis; about it nothing can be seen. A *new* "
-        "estimate "
-        "searches everywhere, the\n*next* starts from the last."
+        + "\n\nThe turn is that of the magnet's axis; rotation about it is not observable. A *new* "
+        "estimate searches the whole\nvolume, the *next* starts from the previous one."
     )
     write_section(given.out, Path(__file__), text)
 

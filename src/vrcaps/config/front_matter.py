@@ -69,8 +69,8 @@ def _is_list(value: object) -> bool:
 
 def _scalar(value: object) -> str:
     if isinstance(value, float):
-        number = repr(value)  # YAML 1.1 reads 1e-05 as text, 1.0e-05 as a number
-        return number if "." in number else number.replace("e", ".0e")
+        text = repr(value)  # YAML 1.1 reads 1e-05 as text, 1.0e-05 as a number
+        return text if "." in text else text.replace("e", ".0e")
     if isinstance(value, str) and _PLAIN.fullmatch(value) and value.lower() not in _RESERVED:
         return value
     return json.dumps(value, ensure_ascii=False)

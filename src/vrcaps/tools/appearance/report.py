@@ -112,10 +112,10 @@ def blind_sheet(
     sets = (real.images, ours.images)
     views = [one.views[k] for one in sets for k in rng.permutation(len(one))[:count]]
     order = rng.permutation(2 * count)
-    numbers = np.argsort(order) + 1
+    positions = np.argsort(order) + 1
     answers = {
-        "real": sorted(numbers[:count].tolist()),
-        "ours": sorted(numbers[count:].tolist()),
+        "real": sorted(positions[:count].tolist()),
+        "ours": sorted(positions[count:].tolist()),
     }
     return _grid([views[k] for k in order], 8), answers
 

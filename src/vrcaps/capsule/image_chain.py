@@ -99,7 +99,7 @@ class ImageChain:
     color_matrix: tuple[Triple, Triple, Triple] = _IDENTITY
     contrast: Annotated[float, Range(min=0.25, max=4.0)] = 1.0
     luma_denoising_px: Annotated[float, Range(min=0.0, max=10.0, unit="px")] = 0.7
-    chroma_denoising_px: Annotated[float, Range(min=0.0, max=10.0, unit="px")] = 2.0
+    chroma_denoising_px: Annotated[float, Range(min=0.0, max=10.0, unit="px")] = 2.5
     sharpening: Annotated[float, Range(min=0.0, max=10.0)] = 0.8
     sharpening_radius_px: Annotated[float, Range(min=0.3, max=10.0, unit="px")] = 1.5
     jpeg_quality: Annotated[int | None, Range(min=1, max=100)] = 75

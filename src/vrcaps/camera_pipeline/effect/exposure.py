@@ -87,8 +87,9 @@ class RollingShutter(ImageEffect):
         return min(self.readout_time / (1.0 / setup.fps), 1.0)
 
 
-_HALVINGS = 16
-"""Bisection steps of `AutoExposure.settle`: 1e-4 of the exposure over three decades."""
+_TOLERANCE = 1e-4
+_ITERATIONS = 40
+"""Relative change of the exposure at which `AutoExposure.settle` ends, and its most iterations."""
 
 
 @dataclass(frozen=True)
@@ -157,17 +158,20 @@ class AutoExposure(ImageEffect):
     def settle(self, meter: Callable[[float], float]) -> float:
         """Exposure at which a frame has the target luminance, within the limits.
 
+        Fixed-point iteration ``E ← E target / m(E)``: m increases no faster than E, because pixels
+        are clipped at white, so each step approaches the solution.
+
         Args:
             meter: Mean luminance of the frame as a function of exposure; must not decrease.
         """
-        low, high = math.log(self.min_light), math.log(self.max_light * self.max_gain)
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (low + high)
-            if meter(math.exp(middle)) < self.target:
-                low = middle
-            else:
-                high = middle
-        return math.exp(0.5 * (low + high))
+        highest = self.max_light * self.max_gain
+        exposure = min(max(1.0, self.min_light), highest)
+        for _ in range(_ITERATIONS):
+            ratio = self.target / max(meter(exposure), 1e-9)
+            before, exposure = exposure, min(max(exposure * ratio, self.min_light), highest)
+            if abs(exposure - before) <= _TOLERANCE * before:
+                break
+        return exposure
 
     def next_exposure(self, exposure: float, metered: float, interval: float) -> float:
         """Exposure of the next frame.

@@ -24,7 +24,7 @@ from vrcaps.core.transforms import transform_points
 def make_phantom(path: Path) -> None:
     """Write a tube of 40 mm with ring folds, bent by a right angle, as STL in mm."""
     angle, theta = np.meshgrid(
-        np.linspace(0.0, np.pi / 2.0, 400), np.linspace(0.0, 2.0 * np.pi, 96, endpoint=False)
+        np.linspace(0.0, np.pi / 2.0, 240), np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
     )
     ring = np.maximum(np.cos(24.0 * angle), 0.0) ** 8
     radius = 20.0 - 6.0 * ring * (1.0 + 0.3 * np.cos(3.0 * theta))

@@ -9,13 +9,13 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.support.programs import run_program
 from tests.support.tiny_dataset import write_tiny_plan
 from vrcaps.cli import main
 from vrcaps.cockpit.session.drive import COMMANDS_CSV, DRIVE_JSON, make_folder
@@ -64,9 +64,9 @@ def run_texture(out: str) -> None:
 
 def killed(at: int, function: str, *words: str) -> None:
     """Run a function of this module in a process that kills itself at a rename."""
-    command = [sys.executable, "-c", KILLED, str(at), str(Path(__file__).parent), function, *words]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    done = subprocess.run(command, env=environment, capture_output=True, check=False)
+    environment = {"PYTHONPATH": os.pathsep.join(sys.path)}
+    folder = str(Path(__file__).parent)
+    done = run_program(KILLED, str(at), folder, function, *words, environment=environment)
     assert done.returncode == -signal.SIGKILL, done.stderr
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from tests.support.shapes import DIRECT, looking, make_camera, make_model, pinhole, sphere
 from vrcaps._core import testing
-from vrcaps.camera.derive import focal_length_px
+from vrcaps.camera.derive import focal_length_px, scaled_camera
 from vrcaps.camera_pipeline.effect.base import CameraSetup, Stage
 from vrcaps.camera_pipeline.effect.dome import SUBSTANCES, Droplets, DropletsStage, DropMap, Smears
 from vrcaps.camera_pipeline.effect.optics import DepthOfField
@@ -204,7 +204,7 @@ def test_refuses_smears_and_drops_that_do_not_fit() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["droplets", "smears"])
 def test_severities_cover_more_and_more(name: str) -> None:
-    camera = read_device("mirocam").cameras[0]
+    camera = scaled_camera(read_device("mirocam").cameras[0], 0.4)
     coverage = []
     for effect in SEVERITIES[name][1:]:
         marked = []

@@ -1,12 +1,10 @@
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.support.programs import run_program
 from tests.support.shapes import DIRECT, looking, make_camera, make_model, patterned, pinhole, tube
 from vrcaps import _core
 from vrcaps._core import testing
@@ -405,11 +403,9 @@ print(hashlib.sha256(rgb.tobytes()).hexdigest())
 
 def test_stages_are_the_same_bytes_on_any_number_of_threads() -> None:
     def digest(threads: str) -> str:
-        environment = os.environ | {"RAYON_NUM_THREADS": threads}
-        run = subprocess.run(
-            [sys.executable, "-c", SCRIPT], env=environment, capture_output=True, check=True
-        )
-        return run.stdout.decode()
+        run = run_program(SCRIPT, environment={"RAYON_NUM_THREADS": threads})
+        assert run.returncode == 0, run.stderr
+        return run.stdout
 
     assert Path(_core.__file__).exists()
     assert digest("1") == digest("2") == digest("5")

@@ -6,6 +6,7 @@ import sys
 
 import pytest
 
+from tests.support.programs import run_program
 from vrcaps.cli.console import EXIT_BROKEN_PIPE
 
 _MAIN = "from vrcaps.cli import main; main({args!r})"
@@ -56,4 +57,6 @@ def test_a_full_device_is_one_line(args: tuple[str, ...]) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("columns", ["1", "0", "x"])
 def test_a_narrow_terminal_is_none(columns: str) -> None:
-    assert _run("", "organ", "list", COLUMNS=columns)[0] == 0
+    command = _MAIN.format(args=("organ", "list"))
+    result = run_program(command, environment={"COLUMNS": columns})
+    assert result.returncode == 0, result.stderr

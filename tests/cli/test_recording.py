@@ -22,7 +22,7 @@ FLAGS = "--unit mm --frames 3 --channels rgb depth label --seed 5 --effects none
 def phantom(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A straight lumen with round ends, 40 mm wide and 190 mm long."""
     path = tmp_path_factory.mktemp("organ") / "phantom.ply"
-    trimesh.creation.capsule(height=150.0, radius=20.0, count=(48, 48)).export(path)
+    trimesh.creation.capsule(height=150.0, radius=20.0, count=(32, 32)).export(path)
     return path
 
 
@@ -108,7 +108,7 @@ def test_inspection_prints_the_phantom_s_own_measures(
 @pytest.mark.skipif(sys.platform == "win32", reason="signals differ")
 def test_interrupted_recording_ends_in_one_line_and_goes_on(phantom: Path, tmp_path: Path) -> None:
     out = tmp_path / "o"
-    flags = f"record --organ {phantom} --unit mm --frames 2000 --out {out}".split()
+    flags = f"record --organ {phantom} --unit mm --frames 400 --out {out}".split()
     # A shell's background job ignores Ctrl-C, and its children inherit that.
     listen = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
     script = [sys.executable, "-c", f"{listen}; from vrcaps.cli import main; main()", *flags]

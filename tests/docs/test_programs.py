@@ -32,7 +32,7 @@ vrcaps.record(vrcaps.Scenario("stomach", **{settings!r}), "runs/{name}")
 COHORT = '''
 from pathlib import Path
 Path("plan.toml").write_text("""
-frames = 12
+frames = 7
 channels = ["rgb", "depth"]
 organ = {name = "stomach"}
 [dataset]

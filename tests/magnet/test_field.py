@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import re
-import subprocess
-import sys
 
 import magpylib
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.support.programs import run_program
 from tests.support.scenes import random_directions, random_poses, relative
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import invert, rotate_vectors, transform_points
@@ -265,10 +263,8 @@ def test_same_bytes_with_any_number_of_threads():
     )
     results = set()
     for threads in ("1", "2", "5"):
-        environment = {**os.environ, "RAYON_NUM_THREADS": threads}
-        done = subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, env=environment, check=True
-        )
+        done = run_program(code, environment={"RAYON_NUM_THREADS": threads})
+        assert done.returncode == 0, done.stderr
         results.add(done.stdout)
     assert len(results) == 1
 

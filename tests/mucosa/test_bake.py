@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.support.programs import run_program
 from tests.support.tubes import straight_tube
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.units import MM
@@ -143,14 +141,7 @@ def test_the_same_seed_gives_the_same_bytes_on_any_number_of_threads(tube):
     )
     here = digest(bake_appearance(tube, seed=4, texels_per_mm=4.0))
     for threads in ("1", "2"):
-        environment = {**os.environ, "RAYON_NUM_THREADS": threads}
-        run = subprocess.run(
-            [sys.executable, "-c", script],
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
+        run = run_program(script, environment={"RAYON_NUM_THREADS": threads})
         assert run.stdout.strip() == here
 
 

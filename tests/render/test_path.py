@@ -90,7 +90,7 @@ def test_hollow_sphere(name: str, depth: int) -> None:
     """Partial sums of the integrating sphere to 0.1 %, whatever the wall reflects like."""
     look = _look(**LOOKS[name])
     radius, eye = 0.02, np.array([0.006, -0.004, 0.003])
-    camera = make_camera((LensEquidistant(15.0, 23.5, 23.5), 48, 48), leds=())
+    camera = make_camera((LensEquidistant(10.0, 15.5, 15.5), 32, 32), leds=())
     state = looking(tuple(eye), (0.1, 0.2, 1.0))
     pose = state.T_world_capsule
     led = Led(tuple(rotate_vectors(pose.T, -eye)), lobe_exponent=0.0, intensity=(1e-3,) * 3)
@@ -112,9 +112,9 @@ def test_hollow_sphere(name: str, depth: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("depth", [2, 4])
-def test_radiance_agrees_with_mitsuba(rng: np.random.Generator, depth: int) -> None:
+def test_radiance_agrees_with_mitsuba(rng: np.random.Generator) -> None:
     """Beside ring folds, wet and patterned: no block of pixels differs by more than noise does."""
+    depth = 4
     look = replace(patterned(rng), clearcoat_gloss=0.0)
     organ = tube(120, 320, length=0.15, folds=0.35, capped=True, appearance=look)
     leds = tuple(

@@ -338,10 +338,10 @@ def test_more_reflections_are_brighter_and_labels_stay():
     organ = tube(40, 80, folds=0.35, capped=True, appearance=look)
     camera = make_camera("scaramuzza")
     model, state = make_model(organ, camera), looking((0.004, -0.003, 0.05))
-    images = [_radiance(model, camera, state, spp=16, max_bounces=d) for d in (1, 2, 4)]
+    images = [_radiance(model, camera, state, spp=6, max_bounces=d) for d in (1, 2, 4)]
     means = [image.mean() for image in images]
     assert means[0] < means[1] < means[2] < 2.5 * means[0]
-    np.testing.assert_array_equal(images[0], _radiance(model, camera, state, spp=16, max_bounces=1))
+    np.testing.assert_array_equal(images[0], _radiance(model, camera, state, spp=6, max_bounces=1))
     names = ("depth", "normal", "label", "instance", "albedo", "position")
     frames = [
         Renderer(model, RenderSettings(light="path", spp=1, scattering=on)).render(

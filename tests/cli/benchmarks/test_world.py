@@ -10,6 +10,8 @@ from vrcaps.cli.benchmarks.stage import Stage
 def test_a_short_run_measures_every_claim(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(world, "make_organ", lambda *_, **__: stage.model.organ)
     monkeypatch.setattr(world, "_MIN_DOF", 0)
+    monkeypatch.setattr(world, "_REST", 0.2)
+    monkeypatch.setattr(world, "_WARM", 1)
     report = world.measure(stage.num_triangles, 2)
     assert [claim.unit for claim in report.claims] == [
         "per second",

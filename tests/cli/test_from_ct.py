@@ -55,6 +55,12 @@ def write_nifti(path: Path, volume: Volume) -> sitk.Image:
     return image
 
 
+@pytest.fixture
+def without_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The overview is not drawn; `test_gas_becomes_a_file_that_records` has one."""
+    monkeypatch.setattr("vrcaps.cli.from_ct.report_organ", lambda organ, picture: None)
+
+
 def run(args: list[str]) -> None:
     cli.main(["organ", "from-ct", *args, "--edge-mm", "3"])
 
@@ -78,12 +84,12 @@ def test_gas_becomes_a_file_that_records(files, tmp_path, capsys) -> None:
     cli.main(["check", str(tmp_path / "run")])
 
 
-def test_all_pieces_are_numbered(files, tmp_path, capsys) -> None:
+def test_all_pieces_are_numbered(files, tmp_path, capsys, without_picture) -> None:
     run([str(files / "dicom"), "--all-pieces", "--out", str(tmp_path / "gas.glb")])
     assert (tmp_path / "gas.glb").exists()  # there is one piece only
 
 
-def test_labels_become_files_with_their_names(files, tmp_path, capsys) -> None:
+def test_labels_become_files_with_their_names(files, tmp_path, capsys, without_picture) -> None:
     args = [str(files / "dicom"), "--labels", str(files / "labels.nii.gz"), "--label", "7"]
     run([*args, "--anatomy", "colon", "--out", str(tmp_path / "a.glb")])
     organ = read_organ(tmp_path / "a.glb", unit="m")

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.programs import run_program
 from tests.support.waiting import WATCHDOG
 from vrcaps import _core
 from vrcaps.camera_pipeline.capsule_cameras import CapsuleCameras
@@ -246,18 +247,17 @@ except VrcapsError as error:
 """
 
 
-def _start(scenario, tmp_path, name, *, setup="", threads="2"):
-    """A recording in a process of its own."""
+def _program(scenario, tmp_path, name, setup=""):
+    """Code and arguments of a recording in a process of its own."""
     path = tmp_path / "scenario.json"
     path.write_text(json.dumps(scenario_to_plain(scenario)))
     arguments = [str(path), str(tmp_path / name), str(tmp_path / "organ.pickle")]
-    return subprocess.Popen(
-        [sys.executable, "-c", RUN.format(setup=setup), *arguments],
-        env={**os.environ, "RAYON_NUM_THREADS": threads},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    return [RUN.format(setup=setup), *arguments]
+
+
+def _recorded(*given, threads="2", **options):
+    """A recording that has ended."""
+    return run_program(*_program(*given, **options), environment={"RAYON_NUM_THREADS": threads})
 
 
 @pytest.mark.slow
@@ -265,24 +265,28 @@ def _start(scenario, tmp_path, name, *, setup="", threads="2"):
 def test_interrupt_threads_and_file_limit(scenario, organ, tmp_path):
     """Same bytes on 1 and 2 threads, after Ctrl-C, and after a write that the system refused."""
     (tmp_path / "organ.pickle").write_bytes(pickle.dumps(organ))
-    scenario = replace(scenario, frames=24, channels=("rgb", "depth", "normal"))
+    scenario = replace(scenario, frames=40, channels=("rgb", "depth", "normal"))
     limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))"
-    one = _start(scenario, tmp_path, "one", threads="1")
-    stopped = _start(scenario, tmp_path, "stopped")
-    refused = _start(scenario, tmp_path, "refused", setup=limit)
+    one = _recorded(scenario, tmp_path, "one", threads="1")
+    refused = _recorded(scenario, tmp_path, "refused", setup=limit)
+    stopped = subprocess.Popen(
+        [sys.executable, "-c", *_program(scenario, tmp_path, "stopped")],
+        env={**os.environ, "RAYON_NUM_THREADS": "2"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     for line in stopped.stdout:
-        if int(line) >= 3:
+        if int(line) >= 5:
             break
     stopped.send_signal(signal.SIGINT)
     _, stopped_error = stopped.communicate(timeout=WATCHDOG)
-    _, refused_error = refused.communicate(timeout=WATCHDOG)
-    _, one_error = one.communicate(timeout=WATCHDOG)
-    assert (one.returncode, one_error) == (0, "")
+    assert (one.returncode, one.stderr) == (0, "")
     assert stopped.returncode != 0
     assert "KeyboardInterrupt" in stopped_error
     assert refused.returncode == 1
-    assert refused_error.startswith("error: The disk is full")
-    assert refused_error.count("\n") == 1
+    assert refused.stderr.startswith("error: The disk is full")
+    assert refused.stderr.count("\n") == 1
     whole = _digests(tmp_path / "one")
     for name in ("stopped", "refused"):
         out = tmp_path / name
@@ -291,8 +295,7 @@ def test_interrupt_threads_and_file_limit(scenario, organ, tmp_path):
         assert len(written) < len(whole)
         same = [whole.get(file) == digest for file, digest in written.items()]
         assert same.count(False) == 1  # episode.json, by its status
-        resumed = _start(scenario, tmp_path, name, threads="2")
-        assert resumed.communicate(timeout=WATCHDOG)[1] == ""
+        assert _recorded(scenario, tmp_path, name).stderr == ""
         assert _digests(out) == whole
 
 

@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
-from tests.support.programs import run_program
-
 PREAMBLE = """
-import shlex, subprocess, sys, warnings
-from tests.support.program_server import Branch
-_branch = Branch()
+import subprocess, sys, warnings
 warnings.filterwarnings("error", module="vrcaps|__main__")
 def _shell(line):
-    program, *words = shlex.split(line)
-    if program == "vrcaps":
-        status = _branch.run("from vrcaps.cli import main; main()", *words)
-    else:
-        status = subprocess.run(line, shell=True).returncode
-    if status:
+    if subprocess.run(line, shell=True).returncode:
         sys.exit(f"Failed: {line}")
 """
+LAUNCHER = "#!{python}\nfrom vrcaps.cli import main\nif __name__ == '__main__':\n    main()\n"
 
 
 def program_of(path: Path, *, smoke: bool) -> str:
@@ -54,8 +49,26 @@ def run_notebook(path: Path, folder: Path, *, smoke: bool, timeout: float) -> st
     Raises:
         AssertionError: If a cell fails; with the error messages.
     """
+    programs = folder / "bin"
+    programs.mkdir()
+    launcher = programs / "vrcaps"
+    launcher.write_text(LAUNCHER.format(python=sys.executable))
+    launcher.chmod(0o755)
     program = folder / f"{path.stem}.py"
     program.write_text(program_of(path, smoke=smoke), encoding="utf-8")
-    result = run_program(program, folder=folder, environment={"MPLBACKEND": "agg"}, timeout=timeout)
+    environment = {
+        **os.environ,
+        "PATH": f"{programs}{os.pathsep}{os.environ['PATH']}",
+        "MPLBACKEND": "agg",
+    }
+    result = subprocess.run(
+        [sys.executable, str(program)],
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        cwd=folder,
+        env=environment,
+        check=False,
+    )
     assert result.returncode == 0, result.stdout + result.stderr
     return result.stdout

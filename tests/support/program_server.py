@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import faulthandler
 import importlib
 import json
 import os
 import runpy
+import signal
 import sys
 import threading
 import traceback
 import types
 import warnings
-from typing import Any, TextIO
+from typing import Any
 
 PACKAGES = (
     "numpy",
@@ -42,10 +42,6 @@ PACKAGES = (
 """Packages that programs import; what is not installed is left out."""
 
 
-WATCHDOG = 900.0
-"""As `tests.support.waiting`, which this process does not import."""
-
-
 def load() -> None:
     """Import the packages of others."""
     os.environ["MPLBACKEND"] = "agg"
@@ -60,7 +56,7 @@ def load() -> None:
 
 def run(job: dict[str, Any]) -> int:
     """Run a program like the interpreter; return its exit status."""
-    faulthandler.dump_traceback_later(job["timeout"], exit=True)
+    signal.alarm(int(job["timeout"]))
     os.chdir(job["folder"])
     os.environ.clear()
     os.environ.update(job["environment"])
@@ -103,54 +99,12 @@ def fork(job: dict[str, Any]) -> int:
 
 
 def redirect(stdout: str, stderr: str) -> None:
-    """Send both streams to files, unless their names are empty; nothing is read."""
+    """Send both streams to files; nothing is read."""
     for path, stream in ((stdout, 1), (stderr, 2)):
-        if path:
-            file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
-            os.dup2(file, stream)
-            os.close(file)
+        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        os.dup2(file, stream)
+        os.close(file)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-
-
-class Branch:
-    """Server in a fork of a program that has imported nothing yet, for the programs it starts."""
-
-    def __init__(self) -> None:
-        """Fork; the child answers until this process ends."""
-        jobs, self._jobs = os.pipe()
-        self._statuses, statuses = os.pipe()
-        self._child = os.fork()
-        if self._child == 0:
-            os.close(self._jobs)
-            with open(jobs) as given, open(statuses, "w") as out:
-                answer(given, out)
-            os._exit(0)
-        atexit.register(self.close)
-        os.close(jobs)
-        os.close(statuses)
-
-    def close(self) -> None:
-        """End the child."""
-        os.close(self._jobs)
-        os.waitpid(self._child, 0)
-
-    def run(self, code: str, *arguments: str) -> int:
-        """Exit status of a program in the current folder, with the streams of this process."""
-        job = {
-            "code": code,
-            "arguments": ["-c", *arguments],
-            "folder": os.getcwd(),
-            "environment": dict(os.environ),
-            "timeout": WATCHDOG,
-            "stdout": "",
-            "stderr": "",
-        }
-        sys.stdout.flush()
-        os.write(self._jobs, f"{json.dumps(job)}\n".encode())
-        status = b""
-        while not status.endswith(b"\n"):
-            status += os.read(self._statuses, 64)
-        return int(status)
 
 
 def end(status: int) -> None:
@@ -163,17 +117,12 @@ def end(status: int) -> None:
     os._exit(status)
 
 
-def answer(jobs: TextIO, statuses: TextIO) -> None:
-    """Run the programs of a stream to its end and write their exit statuses."""
-    for line in jobs:
-        statuses.write(f"{fork(json.loads(line))}\n")
-        statuses.flush()
-
-
 def main() -> None:
     """Answer until standard input ends."""
     load()
-    answer(sys.stdin, sys.stdout)
+    for line in sys.stdin:
+        sys.stdout.write(f"{fork(json.loads(line))}\n")
+        sys.stdout.flush()
 
 
 if __name__ == "__main__":

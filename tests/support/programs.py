@@ -28,7 +28,6 @@ def run_program(
     folder: Path | None = None,
     environment: Mapping[str, str] | None = None,
     warnings: str = "",
-    timeout: float = WATCHDOG,
 ) -> subprocess.CompletedProcess[str]:
     """Run a Python program to its end.
 
@@ -38,10 +37,9 @@ def run_program(
         folder: Working directory; the current one if None.
         environment: Environment variables that are added to those of this process.
         warnings: Regular expression of modules whose warnings are errors, for a file.
-        timeout: Time [s] after which the program is ended with status 1.
 
     Returns:
-        Exit status (negative for a signal), and both streams as text.
+        Exit status (negative for a signal, SIGALRM for a hang), and both streams as text.
     """
     is_file = isinstance(program, Path)
     with tempfile.TemporaryDirectory() as streams:
@@ -52,7 +50,7 @@ def run_program(
             "folder": str(folder or Path.cwd()),
             "environment": {**os.environ, **(environment or {})},
             "warnings": warnings,
-            "timeout": timeout,
+            "timeout": WATCHDOG,
             "stdout": str(stdout),
             "stderr": str(stderr),
         }

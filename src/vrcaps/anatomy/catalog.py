@@ -53,7 +53,7 @@ def generate_organ(
         name: One of `ORGANS`.
         seed: Seed of the patient; not negative.
         distension: `inflated`, `normal` or `collapsed`; None is the default: inflated for the
-            colon, normal for all other organs.
+            colon, collapsed for the small bowel, normal for all others.
         mucosa: Appearance of the wall, see `bake_appearance`; None is the organ's default.
 
     Raises:

@@ -272,7 +272,7 @@ class List:
         from vrcaps.lesion import lesion_library
         from vrcaps.mucosa.mucosa import MUCOSAE
 
-        usual = "colon inflated, all else normal"
+        usual = "colon inflated, small bowel collapsed, all else normal"
         _print("organs", [(name, _joined(organ_segments(name))) for name in ORGANS])
         _print("distension", [("--distension", f"{', '.join(DISTENSIONS)}; by default {usual}")])
         _print("lesions, in any organ", _lesions())

@@ -36,6 +36,7 @@ from vrcaps.world.clearance import (
     require_inside,
     vital_clearance,
 )
+from vrcaps.world.closure import closure_of, margin_to
 from vrcaps.world.model import Model
 
 if TYPE_CHECKING:
@@ -43,6 +44,9 @@ if TYPE_CHECKING:
 
 DEFAULT_SPEED = 0.01
 """Default mean speed of a fly-through [m/s], as by peristalsis."""
+
+_TILT, _SLACK_TILT = 0.15, 0.75
+"""Default tilt in an open and in a closed lumen [rad]."""
 
 _KNOT_SPACING = 1.0 * MM  # of the positions where the path is checked against the wall
 _PUSH_BLURS = (3.0 * MM, 1.5 * MM, 0.75 * MM)
@@ -67,7 +71,8 @@ class FlyThrough(MotionSettings):
             requires. Many frames or a high frame rate keep the distance between frames small.
         speed_variation: Maximum deviation of the speed from its mean, as a fraction, below 1.
         drift: Maximum distance from the centerline, as a fraction of the local radius, below 1.
-        tilt: Maximum angle between the capsule's axis and its direction of travel [rad].
+        tilt: Maximum angle between the capsule's axis and its direction of travel [rad]; None is
+            0.15 rad, or 0.75 rad in a closed lumen, whose slack wall does not guide the capsule.
         roll: Maximum angle about the capsule's axis [rad].
         smoothness: Minimum wavelength of all these along the path [m].
         margin: Distance that cameras and body axis keep from the wall if the lumen is wide enough
@@ -83,7 +88,7 @@ class FlyThrough(MotionSettings):
     whole: bool = False
     speed_variation: Annotated[float, Range(min=0.0, below=1.0)] = 0.3
     drift: Annotated[float, Range(min=0.0, below=1.0)] = 0.3
-    tilt: Annotated[float, Range(0.0, math.pi / 4, unit="rad")] = 0.15
+    tilt: Annotated[float | None, Range(0.0, math.pi / 4, unit="rad")] = None
     roll: Annotated[float, Range(min=0.0, unit="rad")] = 0.6
     smoothness: Annotated[float, Range(above=0.0, unit="m")] = 0.06
     margin: Annotated[float, Range(above=0.0, unit="m")] = 2.0 * MM
@@ -207,7 +212,7 @@ def _make_follower(
         rear=rear,
         sign=1.0 if settings.end > settings.start else -1.0,
         drift=settings.drift,
-        tilt=settings.tilt,
+        tilt=_tilt(model, settings),
         roll=settings.roll,
         amplitude=np.zeros_like,
     )
@@ -274,7 +279,7 @@ def _stretch(
     asked = np.sort(np.array([settings.start, settings.end])) * model.organ.centerline.length
     knots = _knots(*asked)
     clearance = vital_clearance(model, follower.poses(knots))
-    inside = np.flatnonzero(clearance > settings.margin)
+    inside = np.flatnonzero(clearance > margin_to(model, settings.margin))
     if len(inside) < 2:
         inside = np.flatnonzero(clearance > _least_clearance(model, settings))
     if len(inside) < 2:
@@ -293,9 +298,16 @@ def _stretch(
     return knots, notes
 
 
+def _tilt(model: Model, settings: FlyThrough) -> float:
+    """Maximum tilt that was asked for, or the default [rad]."""
+    if settings.tilt is not None:
+        return settings.tilt
+    return _TILT if closure_of(model) is None else _SLACK_TILT
+
+
 def _least_clearance(model: Model, settings: FlyThrough) -> float:
     """Clearance [m] up to which the capsule is pushed off the wall."""
-    return 0.25 * min(settings.margin, model.device.radius)
+    return 0.25 * min(margin_to(model, settings.margin), model.device.radius)
 
 
 def _eased(
@@ -307,7 +319,8 @@ def _eased(
     knots = _knots(low, high)
     bare = capsule_clearance(model, follower.poses(knots))
     # A point that is outside even without noise (an end of the shell) is ignored.
-    need = np.where(bare > 0.0, np.minimum(settings.margin, 0.5 * bare), -np.inf)
+    margin = margin_to(model, settings.margin)
+    need = np.where(bare > 0.0, np.minimum(margin, 0.5 * bare), -np.inf)
     amplitude = np.ones_like(knots)
     slope = knots / settings.smoothness
     for attempt in range(16):

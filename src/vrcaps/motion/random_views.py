@@ -17,12 +17,18 @@ from vrcaps.core.units import DEG, MM
 from vrcaps.motion.motion import MotionSettings
 from vrcaps.motion.trajectory import Trajectory
 from vrcaps.world.clearance import WallDisplacement, capsule_clearance, fit_text, vital_clearance
+from vrcaps.world.closure import closure_of, margin_to
 from vrcaps.world.model import Model
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 _MAX_DRAWS = 4000
+_BATCH = 4096
+"""Maximum number of poses drawn at once."""
+_SLACK_DISTANCES = (4.0 * MM, 20.0 * MM)
+"""Upper limits of `nearest` and `farthest` in a closed lumen, which is open around the capsule only
+[m]."""
 _HIT_SLACK = 0.5 * MM
 """Tolerated gap between line of sight and target: the wall is curved, triangles are flat."""
 
@@ -100,12 +106,16 @@ def random_views(
     is_of_lesion = rng.random(frames) < settings.lesion_fraction
     instance = model.organ.instance
     lesions = [np.flatnonzero(instance == lesion) for lesion in np.unique(instance[instance > 0])]
-    left = np.arange(frames)
-    for _ in range(_MAX_DRAWS):
-        targets = _targets(lesions, len(instance), is_of_lesion[left], rng)
+    left, num_draws = np.arange(frames), 0
+    while num_draws < _MAX_DRAWS:
+        # The fewer views are left, the more draws each has at once.
+        count = min(_BATCH // len(left), 1 + num_draws // 8)
+        views = np.repeat(left, count)
+        targets = _targets(lesions, len(instance), is_of_lesion[views], rng)
         drawn, is_seen = _drawn(model, settings, targets, rng)
-        poses[left[is_seen]] = drawn[is_seen]
-        left = left[~is_seen]
+        found, first = np.unique(views[is_seen], return_index=True)
+        poses[found] = drawn[is_seen][first]
+        left, num_draws = np.setdiff1d(left, found), num_draws + count
         if not len(left):
             return poses
     raise InputError(
@@ -145,8 +155,8 @@ def _drawn(
     count = len(targets)
     normals = model.organ.normals[targets] @ model.T_world_patient[:3, :3].T
     towards_camera = _cone(normals, settings.obliqueness, rng)
-    nearest, farthest = math.log(settings.nearest), math.log(settings.farthest)
-    distance = np.exp(rng.uniform(nearest, farthest, count))
+    nearest, farthest = _distances(model, settings)
+    distance = np.exp(rng.uniform(math.log(nearest), math.log(farthest), count))
     centers = model.vertices_world[targets] + distance[:, None] * towards_camera
     forward = _cone(-towards_camera, settings.tilt, rng)
     upright = look_along(forward, _across(forward))
@@ -154,15 +164,24 @@ def _drawn(
     cameras = transform_from(upright @ roll, centers)
     poses = cameras @ invert(model.device.cameras[0].T_capsule_camera)
 
-    is_seen = np.asarray(model.wall.signed_distance(centers)) >= settings.margin
+    margin = margin_to(model, settings.margin)
+    is_seen = np.asarray(model.wall.signed_distance(centers)) >= margin
     some = np.flatnonzero(is_seen)
     hit, _ = model.wall.cast(centers[some], -towards_camera[some])
     some = some[np.abs(hit - distance[some]) <= _HIT_SLACK]
-    some = some[vital_clearance(model, poses[some]) >= settings.margin]
+    some = some[vital_clearance(model, poses[some]) >= margin]
     some = some[capsule_clearance(model, poses[some]).min(axis=1) > 0.0]
     is_seen[:] = False
     is_seen[some] = True
     return poses, is_seen
+
+
+def _distances(model: Model, settings: RandomViews) -> tuple[float, float]:
+    """Minimum and maximum distance from the camera to its target [m]."""
+    if closure_of(model) is None:
+        return settings.nearest, settings.farthest
+    nearest, farthest = _SLACK_DISTANCES
+    return min(settings.nearest, nearest), min(settings.farthest, farthest)
 
 
 def _cone(

@@ -24,10 +24,9 @@ to red areas in seven real frames of clean colons (docs/concepts/mucosa.md)."""
 class Mucosa:
     """Parameters of a mucosa.
 
-    Colors are those at which frames with indirect light match the colors of real frames
-    (`benchmarks/appearance/fit.py`, docs/reference/gallery.md). There were no real frames of the
-    stomach; its colors change like the colon's, less in blue, as it has less bile. Shapes and sizes
-    are chosen by eye.
+    Colors are those at which recorded frames of a cohort have the mean hue and the ratio of blue to
+    green of capsule frames (`vrcaps compare-looks`, docs/concepts/mucosa.md). Shapes and sizes are
+    chosen by eye.
 
     Attributes:
         base_color: Linear reflectance of the wall between its vessels, red, green, blue.
@@ -77,18 +76,19 @@ class Mucosa:
 
 MUCOSAE: dict[str, Mucosa] = {
     "colon": Mucosa(
-        base_color=(0.446, 0.147, 0.143),
+        base_color=(0.430, 0.172, 0.100),
         bile=0.65,
-        redness_variation=0.45,
-        network=1.4,
+        redness_variation=0.40,
+        vessel_contrast=0.55,
+        network=0.6,
         relief_slope=0.038,
         roughness=0.90,
         clearcoat=0.8,
         clearcoat_gloss=0.97,
     ),
     "stomach": Mucosa(
-        base_color=(0.432, 0.152, 0.118),
-        bile=0.15,
+        base_color=(0.420, 0.168, 0.092),
+        bile=0.20,
         vessel_contrast=0.25,
         vessel_spacing=1.5 * MM,
         pit_spacing=2.2 * MM,
@@ -100,16 +100,17 @@ MUCOSAE: dict[str, Mucosa] = {
         clearcoat=0.7,
     ),
     "small-bowel": Mucosa(
-        base_color=(0.418, 0.210, 0.149),
-        redness_variation=0.22,
-        patient_variation=(0.20, 0.40),
-        bile=0.32,
-        vessel_contrast=0.35,
+        base_color=(0.400, 0.182, 0.088),
+        redness_variation=0.24,
+        patient_variation=(0.35, 0.65),
+        bile=0.38,
+        vessel_contrast=0.06,
         pit_spacing=0.42 * MM,
         pit_slope=0.48,
-        pit_shade=0.28,
-        network=0.2,
-        flecks=0.15,
+        pit_shade=0.24,
+        network=0.04,
+        flecks=0.06,
+        mucus=0.04,
         mucus_tint=(1.15, 1.9, 2.0),
         roughness=0.85,
         clearcoat=0.16,

@@ -86,6 +86,9 @@ def interpolate(
     return points, frames, np.interp(at, knots, centerline.radius)
 
 
+CLOSED_RADIUS = "closed_radius_m"
+"""Key in the metadata of an organ: mean radius to which its slack wall closes the lumen [m]."""
+
 HEIGHT_STEP = 2.0**-24
 """Quantum of relief [m], 60 nm, so that files store it exactly in 16 bits."""
 

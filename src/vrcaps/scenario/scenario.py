@@ -50,8 +50,8 @@ class OrganGenerated:
     Attributes:
         name: Name of the generator: colon, stomach, small-bowel or full-tract.
         seed: Seed of the patient: sizes, course and folds.
-        distension: Distension of the organ; None is inflated for the colon and normal for all
-            others.
+        distension: Distension of the organ; None is inflated for the colon, collapsed for
+            the small bowel and normal for all others.
         mucosa: Appearance of the wall: colon, stomach or small-bowel, or the folder of a texture;
             None is the organ's own.
     """

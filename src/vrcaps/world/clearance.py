@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +12,7 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import invert, rotation_from_vector, transform_from, transform_points
 from vrcaps.core.units import MM
 from vrcaps.organ.measure import lumen_diameters, unit_question
+from vrcaps.world.closure import LumenClosure, closure_of
 from vrcaps.world.model import Model
 
 if TYPE_CHECKING:
@@ -148,22 +150,48 @@ class WallDisplacement:
     def vertices_world(
         self, T_world_capsule: Float[np.ndarray, "4 4"]
     ) -> Float[np.ndarray, "n 3"] | None:
-        """Vertices of the displaced wall [m]; None if the shell has clearance."""
-        radius = self.model.device.radius
+        """Vertices of the displaced wall [m]; None for a wall at rest."""
         low, high, least = self._axis(T_world_capsule)
-        if least >= radius:
+        if self._closure is not None:
+            vertices = self.shown.vertices_world.copy()
+            moved, closed = self._closure.close(
+                T_world_capsule,
+                self.model.device.length / 2.0,
+                self.model.device.radius,
+            )
+            vertices[moved] = closed
+            return self._yielding(vertices, T_world_capsule, (low, high), None)
+        if least >= self.model.device.radius:
             return None
+        vertices = self.shown.vertices_world.copy()
+        return self._yielding(vertices, T_world_capsule, (low, high), least)
+
+    @cached_property
+    def _closure(self) -> LumenClosure | None:
+        return closure_of(self.shown)
+
+    def _yielding(
+        self,
+        vertices: Float[np.ndarray, "n 3"],
+        T_world_capsule: Float[np.ndarray, "4 4"],
+        ends: tuple[float, float],
+        least: float | None,
+    ) -> Float[np.ndarray, "n 3"]:
+        """Move vertices off the shell; `least` is their distance to its axis if known [m]."""
+        radius, (low, high) = self.model.device.radius, ends
         reach = 2.0 * radius
-        rest = self.shown.vertices_world
-        near = np.flatnonzero(_near(rest, T_world_capsule[:3, 3], max(high, -low) + reach))
-        local = transform_points(invert(T_world_capsule), rest[near])
+        near = np.flatnonzero(_near(vertices, T_world_capsule[:3, 3], max(high, -low) + reach))
+        local = transform_points(invert(T_world_capsule), vertices[near])
         local[:, 2] -= np.clip(local[:, 2], low, high)
         distance = np.linalg.norm(local, axis=1)
         moved = (distance < reach) & (distance > _MIN_DISTANCE)
         near, distance = near[moved], distance[moved]
+        if least is None:
+            least = float(distance.min(initial=reach))
+        if least >= radius:
+            return vertices
         fraction = np.clip((distance - least) / (reach - least), 0.0, 1.0)
         further = radius + radius * fraction ** ((reach - least) / radius) - distance
-        vertices = rest.copy()
         outward = local[moved] @ T_world_capsule[:3, :3].T / distance[:, None]
         vertices[near] += further[:, None] * outward
         return vertices

@@ -201,16 +201,17 @@ def draw_patient_anatomy(seed: int, distension: str | None = None) -> PatientAna
     Args:
         seed: Not negative.
         distension: Distension of all organs, one of `COLON_DISTENSIONS`; None is the default: the
-            colon insufflated, the other organs after a drink.
+            colon insufflated, the stomach after a drink, the small bowel fasting, so slack.
 
     Raises:
         InputError: If there is no such distension.
     """
     upper, lower = distension or "normal", distension or "inflated"
+    middle = distension or "collapsed"
     return PatientAnatomy(
         seed,
         StomachParameters.draw(stream(seed, "stomach/dimensions")).at(upper),
-        SmallBowelParameters.draw(stream(seed, "small-bowel/dimensions")).at(upper),
+        SmallBowelParameters.draw(stream(seed, "small-bowel/dimensions")).at(middle),
         colon_at(ColonParameters.draw(stream(seed, "colon/dimensions")), lower),
     )
 

@@ -50,6 +50,10 @@ class SmallBowelParameters:
         contraction_depth: Fraction of the radius taken by a contraction.
         longitudinal_fold_depth: Depth of the longitudinal folds of the slack wall, as a fraction of
             the radius.
+        slack_fold_height: Height of the plump folds into which a wall without gas or fluid buckles
+            [m].
+        closed_radius: Mean radius to which the slack wall closes the lumen next to the
+            capsule [m], see `vrcaps.world.closure`; 0 leaves it open.
         min_radius: Minimum radius of the lumen between folds and contractions [m].
         roughness: Standard deviation of the smooth irregularity of the wall [m].
         edge: Mean edge length of the triangles in a lumen of 24.5 mm, less in narrower ones [m].
@@ -71,6 +75,8 @@ class SmallBowelParameters:
     contraction_spacing: Annotated[float, Range(3 * CM, 2.0, unit="m")] = 11 * CM
     contraction_depth: Annotated[float, Range(0.0, 0.6)] = 0.42
     longitudinal_fold_depth: Annotated[float, Range(0.0, 0.5)] = 0.05
+    slack_fold_height: Annotated[float, Range(0.0, 6 * MM, unit="m")] = 0.0
+    closed_radius: Annotated[float, Range(0.0, 5 * MM, unit="m")] = 0.0
     min_radius: Annotated[float, Range(1 * MM, 8 * MM, unit="m")] = 4.6 * MM
     roughness: Annotated[float, Range(0.0, 1 * MM, unit="m")] = 0.22 * MM
     edge: Annotated[float, Range(0.6 * MM, 5 * MM, unit="m")] = 1.75 * MM
@@ -118,6 +124,8 @@ class SmallBowelParameters:
             # Parts that are already narrow do not collapse further.
             least = min(diameter, _COLLAPSED)
             scaled[name] = max(diameter * factors.get("diameter", 1.0), least)
+        if distension == "collapsed":
+            scaled |= _SLACK
         return replace(self, **scaled)
 
 
@@ -129,18 +137,21 @@ _DEVIATIONS = {
     "terminal_ileum_diameter": 3.6 * MM,
 }
 
-_COLLAPSED = 10 * MM
+_COLLAPSED = 14 * MM
+
+_SLACK = {"slack_fold_height": 3.0 * MM, "closed_radius": 1.9 * MM, "min_radius": 2.2 * MM}
+"""Dimensions of a slack wall: folds 2 to 3 mm thick in contact with each other, as in capsule
+frames of the fasting small bowel; estimated from frames, not from a measured series."""
 
 DISTENSIONS: dict[str, dict[str, float]] = {
     "inflated": {"diameter": 1.12, "contraction_depth": 0.3, "longitudinal_fold_depth": 0.0},
     "normal": {},
     "collapsed": {
-        "diameter": 0.68,
-        "jejunum_fold_height": 0.75,
-        "longitudinal_fold_depth": 7.0,
-        "min_radius": 0.6,
-        "contraction_depth": 0.8,
-        "edge": 0.75,
+        "diameter": 0.8,
+        "jejunum_fold_height": 0.35,
+        "terminal_fold_height": 0.5,
+        "contraction_depth": 0.4,
+        "edge": 0.72,
     },
 }
 """Factors on the dimensions at MR enterography for each distension: with gas, a drink, or empty.

@@ -1,7 +1,8 @@
 """Small bowel wall shape: distance from the course at every arc length and angle.
 
 Circular folds, each over part of the circumference, stand on a tube that narrows towards the
-ileocaecal valve. At contractions the slack wall closes to a star.
+ileocaecal valve. At contractions the slack wall closes to a star. A wall without gas or fluid
+buckles into plump, irregular folds in contact with each other.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ PYLORUS_RADIUS = 6.6 * MM
 _PAPILLA = 9 * CM
 """Arc length of the major papilla, on the inner wall of the second part of the duodenum [m]."""
 _CALIBRE_SPREAD = 0.035
+_CREASE = 0.62
+"""Half width of a crease, in deviations of the field whose zeros are the creases."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,54 @@ class Contractions:
 
 
 @dataclass(frozen=True)
+class SlackFolds:
+    """Plump folds of a slack wall: the level sets of two random fields are the creases.
+
+    Attributes:
+        across: Field whose creases run mostly around the gut.
+        along: Field whose creases run mostly along the gut.
+        warp: Displacement of the creases along the gut [m].
+        height: Relative height by place.
+        tone: Relative height by arc length: smooth stretches alternate with puckered ones.
+    """
+
+    across: Float[np.ndarray, "n 4"]
+    along: Float[np.ndarray, "n 4"]
+    warp: Float[np.ndarray, "n 4"]
+    height: Float[np.ndarray, "n 4"]
+    tone: Float[np.ndarray, "n 4"]
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> SlackFolds:
+        """Draw the folds of a patient."""
+        few, some, every = np.arange(-2, 3), np.arange(-3, 4), np.array([-6, -5, -4, 4, 5, 6])
+        return cls(
+            draw_waves(rng, 56, (6 * MM, 11 * MM), 1.0, np.append(some, [0, 0, 0])),
+            draw_waves(rng, 28, (15 * MM, 60 * MM), 1.0, every),
+            draw_waves(rng, 28, (6 * MM, 30 * MM), 1.3 * MM, some),
+            draw_waves(rng, 24, (10 * MM, 40 * MM), 0.35, few),
+            draw_waves(rng, 24, (30 * MM, 160 * MM), 1.0, np.array([0])),
+        )
+
+    def relief(
+        self, s: Float[np.ndarray, " n"], theta: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, " n"]:
+        """Height at places, 0 in the deepest creases and about 1 on the folds."""
+        around = _plump(sum_waves(self.across, s + sum_waves(self.warp, s, theta), theta))
+        pleats = _plump(sum_waves(self.along, s, theta))
+        tone = sum_waves(self.tone, s, np.zeros(1))
+        vary = sum_waves(self.height, s, theta)
+        height = np.clip(0.65 + 0.45 * tone, 0.08, 1.5) * np.clip(1.0 + vary, 0.3, 1.6)
+        share = 0.5 + 0.3 * np.sin(3.0 * tone)
+        return height * ((1.0 - 0.5 * share) * around + 0.5 * share * pleats)
+
+
+def _plump(field: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Profile of folds between the zeros of a field: rounded, with narrow creases."""
+    return 1.0 - np.exp(-((np.abs(field) / _CREASE) ** 1.6))
+
+
+@dataclass(frozen=True)
 class SmallBowelWall:
     """Random properties of a small bowel that define r(s, θ).
 
@@ -64,6 +115,7 @@ class SmallBowelWall:
         star_waves: Slow variation of the longitudinal folds' phase [rad].
         crest_waves: Relative variation of the fold height along and around the gut.
         relief_waves: Fine irregularity of the wall [m].
+        slack: Folds of the slack wall.
     """
 
     parameters: SmallBowelParameters
@@ -75,6 +127,7 @@ class SmallBowelWall:
     star_waves: Float[np.ndarray, "n 4"]
     crest_waves: Float[np.ndarray, "n 4"]
     relief_waves: Float[np.ndarray, "n 4"]
+    slack: SlackFolds
 
 
 def draw_small_bowel_wall(
@@ -92,6 +145,7 @@ def draw_small_bowel_wall(
         draw_waves(rng, 10, (5 * CM, 15 * CM), 1.2, np.array([0])),
         draw_waves(rng, 24, (9 * MM, 40 * MM), 0.16, many),
         draw_waves(rng, 48, (8 * MM, 40 * MM), parameters.roughness, many),
+        SlackFolds.draw(*rng.spawn(1)),
     )
 
 
@@ -148,6 +202,8 @@ def small_bowel_radius(
     inner = np.clip((1.0 - radius * curvature - 0.1) / 0.5, 0.3, 1.0)
     relief = inner * _fold_relief(wall, s, theta, plain) * (1.0 - 0.5 * squeeze)
     relief = relief + radius * petals + sum_waves(wall.relief_waves, s, theta)
+    if p.slack_fold_height > 0.0:
+        relief = relief + inner * p.slack_fold_height * wall.slack.relief(s, theta)
     relief = fade * relief + _papilla(wall, s, theta, radius)
     least = np.minimum(p.min_radius, 0.6 * plain)
     lumen = radius - relief - least

@@ -1,0 +1,181 @@
+"""Closure of a slack lumen around the capsule.
+
+The fasting small bowel has no gas: its walls touch, and the lumen is open only where the capsule
+holds it open. Opening it takes almost no pressure, so that the mechanics use the organ as it lies
+around the capsule, and the closure is a displacement of the wall in images, labels and flow.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.core.errors import require
+from vrcaps.core.geometry import smoothstep
+from vrcaps.core.transforms import transform_points
+from vrcaps.core.units import MM
+from vrcaps.organ.surface import CLOSED_RADIUS, interpolate
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+    from vrcaps.world.model import Model
+
+MAX_CLOSED_RADIUS = 5 * MM
+_LEAST = 0.35 * MM
+"""Least radius of a closed lumen [m]: the film of fluid between folds in contact."""
+_SOFT = 0.9 * MM
+"""Radius below which folds that meet are compressed [m]."""
+_REACH = 45 * MM
+"""Distance from the capsule, along the gut, within which the lumen is closed [m]."""
+_FADE = 25 * MM
+"""Distance over which it opens beyond; a closed lumen hides that part."""
+_RECENTER = 5 * MM
+"""Distance over which the lumen returns from the capsule's axis to its own course [m]."""
+_SWAY, _PITCHES = 4.5 * MM, (17 * MM, 23 * MM)
+"""Amplitude and wavelengths / 2π of the course of the closed lumen about the centerline [m]."""
+_FLATNESS, _TWIST = 0.15, 20 * MM
+"""Relative difference between the diameters of the slit, and arc length of one radian of twist."""
+_FUNNEL = 13 * MM
+"""Mean distance over which the lumen closes beyond the cylinder of the capsule [m]."""
+_PLAY = 1.12
+"""Mean radius of the lumen around the capsule, between folds, relative to the capsule's."""
+_SECTION = 4 * MM
+"""Length over which the radius is averaged [m]."""
+_NUM_SAMPLES = 17
+
+
+@dataclass(frozen=True)
+class LumenClosure:
+    """Displacement that closes the lumen before and behind the capsule.
+
+    Every cross-section contracts towards a point: the axis of the capsule where it lies, and a
+    course close to the centerline elsewhere. A point at a distance r from the centerline moves to
+    the smooth maximum of r − d and a least radius, which increases with r; d is the difference
+    between the section's mean radius and the wanted one: that of the capsule around it, `radius`
+    beyond a funnel before and behind it. So folds keep their height until they meet and stay in
+    their order, and sections do not cross.
+
+    Attributes:
+        model: Model whose wall is displaced.
+        radius: Mean radius of the closed lumen between its folds [m].
+    """
+
+    model: Model
+    radius: float
+
+    def close(
+        self, T_world_capsule: Float[np.ndarray, "4 4"], half_length: float, shell_radius: float
+    ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 3"]]:
+        """Displaced vertices around a capsule.
+
+        Args:
+            T_world_capsule: Pose of the capsule.
+            half_length: Half length of the capsule [m].
+            shell_radius: Radius of the capsule [m].
+
+        Returns:
+            Indices of the moved vertices and their positions in the world frame [m].
+        """
+        s_axis, offset_axis = self._axis(T_world_capsule, half_length)
+        order, sorted_s = self._order
+        span = _REACH + _FADE
+        first, last = np.searchsorted(sorted_s, [s_axis[0] - span, s_axis[-1] + span])
+        moved = order[first:last]
+        s, center, outward, radius, theta, mean = (values[moved] for values in self._polar)
+        beyond = np.maximum(np.maximum(s_axis[0] - s, s - s_axis[-1]), 0.0)
+        weight = smoothstep((span - beyond) / _FADE)
+        own = np.exp(-((beyond / _RECENTER) ** 2))
+        offset = own[:, None] * _linear(s, s_axis, offset_axis)
+        offset += (1.0 - own)[:, None] * self._course(s)
+        cylinder = 1.0 - shell_radius / half_length
+        low, high = np.interp([-cylinder, cylinder], np.linspace(-1, 1, _NUM_SAMPLES), s_axis)
+        funnel = _FUNNEL * (1.0 + 0.45 * np.sin(s / _PITCHES[0]) * np.sin(s / _PITCHES[1] + 1.0))
+        far = smoothstep(np.maximum(np.maximum(low - s, s - high), 0.0) / funnel)
+        wanted = (1.0 - far) * _PLAY * shell_radius + far * self.radius
+        depth = np.maximum(mean - wanted, 0.0)
+        slit = 1.0 + far * _FLATNESS * np.cos(2.0 * theta + s / _TWIST)
+        free = radius - depth * slit - _LEAST
+        closed = _LEAST + 0.5 * (free + np.hypot(free, _SOFT))
+        closed = radius + weight * (np.minimum(closed, radius) - radius)
+        return moved, center + weight[:, None] * offset + closed[:, None] * outward
+
+    def _axis(
+        self, T_world_capsule: Float[np.ndarray, "4 4"], half_length: float
+    ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k 3"]]:
+        """Arc length of points of the body's axis, increasing, and their offset from the course."""
+        along = np.linspace(-half_length, half_length, _NUM_SAMPLES)
+        points = T_world_capsule[:3, 3] + along[:, None] * T_world_capsule[:3, 2]
+        line = self.model.organ.centerline
+        course = transform_points(self.model.T_world_patient, line.points)
+        middle = np.argmin(np.linalg.norm(course - T_world_capsule[:3, 3], axis=1))
+        near = np.abs(line.arc_length - line.arc_length[middle]) < 3.0 * half_length
+        index = np.linalg.norm(points[:, None] - course[near], axis=2).argmin(axis=1)
+        s, nearest = line.arc_length[near][index], course[near][index]
+        tangent = (self.model.T_world_patient[:3, :3] @ line.frames[near][index])[:, :, 2]
+        offset = points - nearest
+        ahead = np.einsum("ij,ij->i", offset, tangent)
+        offset -= ahead[:, None] * tangent
+        order = np.argsort(s + ahead, kind="stable")
+        return np.maximum.accumulate((s + ahead)[order]), offset[order]
+
+    def _course(self, s: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k 3"]:
+        """Offset of the closed lumen from the centerline [m]."""
+        _, frames, _ = interpolate(self.model.organ.centerline, s)
+        frames = self.model.T_world_patient[:3, :3] @ frames
+        sway = _SWAY * np.sin(s[:, None] / np.array(_PITCHES))
+        return np.einsum("ijk,ik->ij", frames[:, :, :2], sway)
+
+    @cached_property
+    def _order(self) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """Vertices in ascending order of arc length."""
+        order = np.argsort(self.model.organ.arc_length, kind="stable")
+        return order, self.model.organ.arc_length[order]
+
+    @cached_property
+    def _polar(self) -> tuple[np.ndarray, ...]:
+        """Arc length, center, outward direction, radius, angle and mean radius of vertices."""
+        organ, pose = self.model.organ, self.model.T_world_patient
+        at, _, _ = interpolate(organ.centerline, organ.arc_length)
+        center = transform_points(pose, at)
+        offset = self.model.vertices_world - center
+        radius = np.linalg.norm(offset, axis=1)
+        outward = offset / np.maximum(radius, 1e-9)[:, None]
+        section = (organ.arc_length / _SECTION).astype(int)
+        total = np.bincount(section, radius) / np.maximum(np.bincount(section), 1)
+        middle = _SECTION * (np.arange(len(total)) + 0.5)
+        filled = np.bincount(section) > 0
+        mean = np.interp(organ.arc_length, middle[filled], total[filled])
+        return organ.arc_length, center, outward, radius, organ.theta, mean
+
+
+SLACK_MARGIN = 0.5 * MM
+"""Distance that cameras and body axis keep from the wall at rest of a closed lumen, which gives way
+to the shell [m]."""
+
+
+def margin_to(model: Model, margin: float) -> float:
+    """Distance that cameras keep from the wall at rest [m]: less than `margin` if it is slack."""
+    return margin if closure_of(model) is None else min(margin, SLACK_MARGIN)
+
+
+def closure_of(model: Model) -> LumenClosure | None:
+    """Closure that the metadata of a model's organ ask for; None leaves the lumen open.
+
+    Raises:
+        InputError: If the metadata are invalid.
+    """
+    radius = model.organ.metadata.get(CLOSED_RADIUS, 0.0)
+    is_valid = isinstance(radius, int | float) and 0.0 <= radius <= MAX_CLOSED_RADIUS
+    name = f"{CLOSED_RADIUS} in the metadata of {model.organ.name}"
+    require(is_valid, name, radius, f"0 (open) to {MAX_CLOSED_RADIUS:g} m")
+    return LumenClosure(model, float(radius)) if radius > 0.0 else None
+
+
+def _linear(
+    s: Float[np.ndarray, " k"], knots: Float[np.ndarray, " m"], values: Float[np.ndarray, "m 3"]
+) -> Float[np.ndarray, "k 3"]:
+    return np.stack([np.interp(s, knots, column) for column in values.T], axis=1)

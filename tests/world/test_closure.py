@@ -1,0 +1,109 @@
+"""Closure of a slack lumen: sections contract about the capsule, in order and without crossings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.tubes import tube_about
+from vrcaps.capsule.device_file import read_device
+from vrcaps.core.errors import InputError
+from vrcaps.core.units import MM
+from vrcaps.mesh.self_intersection import self_intersections
+from vrcaps.organ.surface import CLOSED_RADIUS
+from vrcaps.world.clearance import WallDisplacement
+from vrcaps.world.closure import LumenClosure, closure_of
+from vrcaps.world.model import Model
+
+RADIUS, LENGTH, CLOSED = 8 * MM, 200 * MM, 2 * MM
+
+
+def straight(closed: float = CLOSED) -> Model:
+    """Straight tube along world z with a capsule inside."""
+    line = np.stack([np.zeros(201), np.zeros(201), np.linspace(0.0, LENGTH, 201)], axis=1)
+    organ = tube_about(line, RADIUS, 48)
+    organ = replace(organ, metadata={CLOSED_RADIUS: closed})
+    return Model(organ, read_device("mirocam"), np.eye(4))
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    return straight()
+
+
+def closed_wall(model: Model, pose: np.ndarray) -> np.ndarray:
+    vertices = WallDisplacement(model, model).vertices_world(pose)
+    assert vertices is not None
+    return vertices
+
+
+def radius_at(model: Model, vertices: np.ndarray, arc_length: float) -> np.ndarray:
+    """Radii of a section about its own center [m]."""
+    section = vertices[np.abs(model.organ.arc_length - arc_length) < 0.6 * MM]
+    center = 0.5 * (section.min(axis=0) + section.max(axis=0))
+    return np.linalg.norm((section - center)[:, :2], axis=1)
+
+
+def test_the_lumen_is_closed_before_and_behind_the_capsule(model):
+    vertices = closed_wall(model, model.place(100 * MM).T_world_capsule)
+    for arc_length in (70 * MM, 130 * MM):
+        assert radius_at(model, vertices, arc_length).mean() == pytest.approx(CLOSED, rel=0.25)
+    for arc_length in (5 * MM, 195 * MM):
+        np.testing.assert_allclose(radius_at(model, vertices, arc_length), RADIUS, rtol=0.02)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.4])
+@pytest.mark.parametrize("shift", [0.0, 2 * MM])
+def test_the_shell_stays_inside(model, tilt, shift):
+    pose = model.place(100 * MM, angle=tilt).T_world_capsule
+    pose[0, 3] += shift
+    vertices = closed_wall(model, pose)
+    device = model.device
+    half = 0.5 * device.length - device.radius
+    local = (vertices - pose[:3, 3]) @ pose[:3, :3]
+    local[:, 2] -= np.clip(local[:, 2], -half, half)
+    assert np.linalg.norm(local, axis=1).min() >= 0.999 * device.radius
+    assert len(self_intersections(vertices, model.organ.faces)) == 0
+
+
+@pytest.mark.parametrize("factor", [0.7, 0.9, 1.1])
+def test_the_order_along_a_ray_is_kept(model, factor):
+    """A vertex closer to the centerline stays closer, one farther away stays farther away."""
+    pose = model.place(100 * MM).T_world_capsule
+    vertex = int(np.flatnonzero(np.abs(model.organ.arc_length - 130 * MM) < 0.6 * MM)[7])
+    radii = []
+    for scale in (1.0, factor):
+        vertices = model.organ.vertices.copy()
+        vertices[vertex, :2] *= scale
+        closure = LumenClosure(
+            replace(model, organ=replace(model.organ, vertices=vertices)), CLOSED
+        )
+        moved, closed = closure.close(pose, model.device.length / 2.0, model.device.radius)
+        radii.append(closed[moved == vertex][0])
+    direction = model.organ.vertices[vertex] * np.array([1.0, 1.0, 0.0])
+    assert np.sign((radii[1] - radii[0]) @ direction) == np.sign(factor - 1.0)
+
+
+def test_the_displacement_is_continuous_in_the_pose(model):
+    """A capsule that moves by a micrometer moves the wall by a few micrometers."""
+    first = model.place(100 * MM).T_world_capsule
+    second = first.copy()
+    second[:3, 3] += np.array([0.5, 0.0, 1.0]) * 1e-6
+    change = np.abs(closed_wall(model, second) - closed_wall(model, first)).max()
+    assert 0.0 < change < 2e-5
+
+
+def test_an_open_organ_is_not_closed():
+    model = straight(0.0)
+    assert closure_of(model) is None
+    assert WallDisplacement(model, model).vertices_world(model.place().T_world_capsule) is None
+
+
+@pytest.mark.parametrize("value", [-1.0, 1.0, float("nan"), "2 mm", None, [1.0]])
+def test_invalid_metadata_are_one_line(value):
+    model = straight()
+    organ = replace(model.organ, metadata={CLOSED_RADIUS: value})
+    with pytest.raises(InputError, match=r"closed_radius_m .* is .*Allowed: 0 \(open\) to 0.005 m"):
+        closure_of(replace(model, organ=organ))

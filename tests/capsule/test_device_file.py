@@ -210,6 +210,22 @@ def test_any_floats_are_written_and_read_back_equal(tmp_path, seed):
     assert read_device(tmp_path / "mine.toml") == device
 
 
+def test_radius_of_the_emitters_of_a_ring(tmp_path):
+    ring = """
+[[cameras.led_rings]]
+center_mm = [0, 0, 0]
+radius_mm = 3
+angles_deg = [0, 180]
+intensity_mw_per_sr = [1, 1, 1]
+lobe_exponent = 1
+"""
+    for line, radius in (("", 0.0), ("emitter_radius_mm = 0.5\n", 0.5e-3)):
+        leds = load_text(tmp_path, DEVICE + ring + line).cameras[0].leds
+        assert {led.emitter_radius for led in leds[-2:]} == {radius}
+    with pytest.raises(InputError, match=r"emitter_radius is -0.0005. Allowed: 0 to 0.005 m"):
+        load_text(tmp_path, DEVICE + ring + "emitter_radius_mm = -0.5\n")
+
+
 def test_led_direction_may_have_any_length(tmp_path):
     led = """
 [[cameras.leds]]
@@ -394,6 +410,7 @@ def test_lenses_and_leds_are_inside_the_body(name):
     straight = 0.5 * device.length - device.radius
     for camera in device.cameras:
         assert len(camera.leds) >= 4
+        assert {led.emitter_radius for led in camera.leds} == {0.6e-3}
         leds = np.array([led.position_camera for led in camera.leds])
         inside = np.vstack([leds, np.zeros(3)])
         x, y, z = transform_points(camera.T_capsule_camera, inside).T

@@ -124,7 +124,7 @@ def test_bad_batches_are_one_clear_line():
             [renderer._scene],
             rays,
             poses[:1],
-            np.zeros((0, 10)),
+            np.zeros((0, 11)),
             {"radiance_planar": planes},
             exposure=1.0,
             shadows=False,

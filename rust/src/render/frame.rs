@@ -2,9 +2,10 @@
 
 use crate::pool::on_pool;
 use crate::render::channels::{ChannelArrays, Channels, Place};
+use crate::render::led::Led;
+use crate::render::led_visibility::{BLOCK, Samples, Strip};
 use crate::render::lumen::Contents;
 use crate::render::lumen_tile::LumenTiles;
-use crate::render::material::Led;
 use crate::render::path::light_paths::LightTransport;
 use crate::render::path::lumen_contents::LumenMedia;
 use crate::render::path::tracer::Tracer;
@@ -13,7 +14,7 @@ use crate::render::path::{PrimaryHit, Settings, wavefront};
 use crate::render::radiosity::Radiosity;
 use crate::render::ray_table::{RayTable, TileRays};
 use crate::render::scene::{Scene, SceneData};
-use crate::render::tile::{Scratch, TileRenderer, WallTiles};
+use crate::render::tile::{Scratch, TileLight, TileRenderer, WallTiles};
 use crate::render::view::View;
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
@@ -56,7 +57,9 @@ pub fn render(
         scene.data.check_size(rest)?;
     }
     let mut view = View::new(wall, pose.as_array(), leds.as_array(), exposure, shadows)?;
-    view.paths = paths.map(|(spp, max_bounces, seed)| Settings { spp, max_bounces, seed });
+    if let Some((spp, max_bounces, seed)) = paths {
+        view.trace_paths(Settings { spp, max_bounces, seed });
+    }
     let shape = (rays.height, rays.width);
     let mut arrays = ChannelArrays::borrow(out, shape)?;
     let channels = arrays.channels()?;
@@ -76,6 +79,10 @@ pub fn render(
     Ok(())
 }
 
+/// Rows of tiles whose soft shadows are traced together, at most; about as many tiles.
+const MAX_STRIP_ROWS: usize = 64;
+const STRIP_TILES: usize = 16_384;
+
 /// Renders all rows of tiles of an image.
 pub fn render_bands<T: TileRenderer + Sync>(
     renderer: &T,
@@ -84,13 +91,27 @@ pub fn render_bands<T: TileRenderer + Sync>(
     channels: Channels<'_>,
 ) {
     let columns = rays.columns();
-    let bands = channels.bands(rays.width, rays.tiles.len() / columns);
-    bands.into_par_iter().with_max_len(1).enumerate().for_each(|(row, mut band)| {
-        let tiles = &rays.tiles[row * columns..(row + 1) * columns];
-        let height = (rays.height - row * TILE).min(TILE);
-        let area = Area { row: row * TILE, size: (rays.width, height) };
-        render_band(renderer, bare, tiles, area, &mut band);
-    });
+    let rows = rays.tiles.len() / columns;
+    let is_soft = bare.view.has_soft_shadows() && channels.wants_light();
+    let strip_rows = (STRIP_TILES / columns).next_multiple_of(BLOCK).clamp(BLOCK, MAX_STRIP_ROWS);
+    let samples = Samples::new(bare.wall, &bare.view.leds);
+    let mut bands = channels.bands(rays.width, rows);
+    for start in (0..rows).step_by(strip_rows) {
+        // A mean reaches into the next row of tiles, whose rays depend on that after it.
+        let first = start.saturating_sub(BLOCK);
+        let last = (start + strip_rows + BLOCK).min(rows);
+        let tiles = &rays.tiles[first * columns..last * columns];
+        let strip = is_soft.then(|| Strip::trace(renderer, &samples, tiles, columns));
+        let count = strip_rows.min(bands.len());
+        bands.par_drain(..count).with_max_len(1).enumerate().for_each(|(number, mut band)| {
+            let row = start + number;
+            let tiles = &rays.tiles[row * columns..(row + 1) * columns];
+            let height = (rays.height - row * TILE).min(TILE);
+            let area = Area { row: row * TILE, size: (rays.width, height) };
+            let strip = strip.as_ref().map(|strip| (strip, row - first));
+            render_band(renderer, bare, (tiles, strip), area, &mut band);
+        });
+    }
 }
 
 /// Position of a band of tiles in the image.
@@ -167,19 +188,30 @@ fn indirect(
 fn render_band<T: TileRenderer>(
     renderer: &T,
     WallTiles { wall, scene, view }: WallTiles<'_>,
-    tiles: &[TileRays],
+    (tiles, strip): (&[TileRays], Option<(&Strip<T::Seen>, usize)>),
     area: Area,
     out: &mut Channels<'_>,
 ) {
     let mut scratch = Scratch::default();
+    let own: Vec<T::Seen>;
+    let seen = match strip {
+        Some((strip, row)) => &strip.seen[row * tiles.len()..(row + 1) * tiles.len()],
+        None => {
+            own = tiles.iter().map(|tile| renderer.see(tile, &mut scratch)).collect();
+            &own
+        }
+    };
     let first = |(column, tile): (usize, &TileRays)| {
-        renderer.primary_hit(tile, area.pixels(column), &mut scratch)
+        renderer.primary_hit(tile, area.pixels(column), &seen[column])
     };
     let media = renderer.media();
     let indirect =
         if out.wants_light() { indirect(wall, scene, view, tiles, media, first) } else { None };
     for (column, tile) in tiles.iter().enumerate() {
-        let indirect = indirect.as_ref().map(|tiles| &tiles[column]);
-        renderer.render_tile(tile, area.place(column), indirect, &mut scratch, out);
+        let light = TileLight {
+            indirect: indirect.as_ref().map(|tiles| &tiles[column]),
+            visibility: strip.map(|(strip, row)| (&strip.visibility, (row, column))),
+        };
+        renderer.render_tile(tile, area.place(column), &seen[column], light, &mut scratch, out);
     }
 }

@@ -5,6 +5,7 @@
 
 use crate::lumen::spheres::Near;
 use crate::render::channels::{Channels, Place};
+use crate::render::led_visibility::{TilePoints, bits_of, lanes_of};
 use crate::render::lumen::Contents;
 use crate::render::lumen::foreground::Foreground;
 use crate::render::lumen::intersect::LumenRays;
@@ -17,9 +18,11 @@ use crate::render::path::PrimaryHit;
 use crate::render::path::lumen_contents::LumenMedia;
 use crate::render::radiosity::SubsurfaceLight;
 use crate::render::ray_table::TileRays;
-use crate::render::shading::{Attributes, add_all_light, attributes, attributes_at, surface};
+use crate::render::shading::{
+    Attributes, add_all_light, attributes, attributes_at, fraction, surface,
+};
 use crate::render::tile::{
-    Scratch, TileRenderer, WallTiles, add_indirect, write_color, write_geometry,
+    Scratch, TileLight, TileRenderer, WallTiles, add_indirect, write_color, write_geometry,
 };
 use crate::simd::f32x64::*;
 use crate::wall::packet::{Hits, MISS, Pyramid, farthest_of};
@@ -40,6 +43,14 @@ fn of_wall(triangles: &[u32; LANES], particles: &Particles) -> [u32; LANES] {
     std::array::from_fn(|i| if particles.owner[i] == MISS { triangles[i] } else { MISS })
 }
 
+/// What the rays of a tile meet.
+pub struct Seen {
+    /// The wall on straight ways.
+    straight: Hits,
+    /// What they finally see, unless the wall is all that there is.
+    surfaces: Option<Box<VisibleSurfaces>>,
+}
+
 /// Surfaces that the rays of a tile finally see.
 struct VisibleSurfaces {
     rays: Pyramid,
@@ -52,6 +63,8 @@ struct VisibleSurfaces {
 }
 
 impl TileRenderer for LumenTiles<'_> {
+    type Seen = Seen;
+
     #[inline(always)]
     fn media(&self) -> Option<LumenMedia<'_>> {
         let is_under = |(pools, _): &&(Pools, Optics)| {
@@ -63,17 +76,41 @@ impl TileRenderer for LumenTiles<'_> {
     }
 
     #[inline(always)]
-    fn primary_hit(
-        &self,
-        tile: &TileRays,
-        pixel: [u32; LANES],
-        scratch: &mut Scratch,
-    ) -> PrimaryHit {
-        let (rays, hits) = self.bare.intersect(tile);
-        let VisibleSurfaces { hits, particles, found, .. } =
-            self.trace(tile, (&rays, &hits), scratch);
-        let surface = self.surface(&found, &hits, &particles, tile.pixel_angle);
-        let triangle = of_wall(&hits.triangle, &particles);
+    fn see(&self, tile: &TileRays, scratch: &mut Scratch) -> Seen {
+        let (rays, straight) = self.bare.intersect(tile);
+        let met = (&rays, &straight);
+        let is_wall = self.sees_wall_alone(tile, met, scratch);
+        let surfaces = (!is_wall).then(|| Box::new(self.trace(tile, met, scratch)));
+        Seen { straight, surfaces }
+    }
+
+    #[inline(always)]
+    fn points(&self, tile: &TileRays, seen: &Seen) -> TilePoints {
+        let Some(surfaces) = &seen.surfaces else { return self.bare.points(tile, &seen.straight) };
+        let VisibleSurfaces { hits, found, .. } = &**surfaces;
+        let used = bits_of(&found.hit);
+        TilePoints { position: found.position, used, distance: hits.distance }
+    }
+
+    #[inline(always)]
+    fn shade_particles(&self, place: Vec3, points: &Lane3, scratch: &mut Scratch, lit: &mut u64) {
+        let chyme = &self.contents.chyme;
+        if *lit == 0 || chyme.all.is_empty() {
+            return;
+        }
+        let mut lanes = lanes_of(*lit);
+        chyme.shade(place, points, self.bare.wall.extent, &mut scratch.blocking, &mut lanes);
+        *lit = bits_of(&lanes);
+    }
+
+    #[inline(always)]
+    fn primary_hit(&self, tile: &TileRays, pixel: [u32; LANES], seen: &Seen) -> PrimaryHit {
+        let Some(surfaces) = &seen.surfaces else {
+            return self.bare.primary_hit(tile, pixel, &seen.straight);
+        };
+        let VisibleSurfaces { hits, particles, found, .. } = &**surfaces;
+        let surface = self.surface(found, hits, particles, tile.pixel_angle);
+        let triangle = of_wall(&hits.triangle, particles);
         PrimaryHit { surface, hit: found.hit, triangle, pixel }
     }
 
@@ -82,22 +119,21 @@ impl TileRenderer for LumenTiles<'_> {
         &self,
         tile: &TileRays,
         place: Place,
-        indirect: Option<&Lane3>,
+        seen: &Seen,
+        given: TileLight<'_>,
         scratch: &mut Scratch,
         out: &mut Channels<'_>,
     ) {
         let (wall, view) = (self.bare, self.bare.view);
-        let (rays, hits) = wall.intersect(tile);
-        let met = (&rays, &hits);
-        if self.sees_wall_alone(tile, met, scratch) {
+        let Some(seen) = &seen.surfaces else {
+            let rays = tile.pyramid.rotated(&view.to_world);
             Foreground::of_liquid(None).write(tile, place, out);
             place.write(&mut out.refraction_label, &[STRAIGHT; LANES], &tile.used, STRAIGHT);
             place.write_subsampled(&mut out.sparse_refraction, 1, |_, _| STRAIGHT);
-            wall.render_hits(tile, met, place, indirect, out);
+            wall.render_hits(tile, (&rays, &seen.straight), place, (given, scratch), out);
             return;
-        }
-        let seen = self.trace(tile, met, scratch);
-        let VisibleSurfaces { rays, hits, particles, found, wet } = &seen;
+        };
+        let VisibleSurfaces { rays, hits, particles, found, wet } = &**seen;
         let bubbles = self.bubbles(tile, rays, hits, scratch);
         if out.wants_color() {
             let surface = self.surface(found, hits, particles, tile.pixel_angle);
@@ -105,9 +141,13 @@ impl TileRenderer for LumenTiles<'_> {
             let (without_base, subsurface) =
                 view.split_subsurface(wall.scene, &surface, hits, &triangles);
             let lit = (without_base.as_ref().unwrap_or(&surface), subsurface.as_ref());
-            let mut radiance = self.light(lit, found, hits, wet.as_ref(), scratch);
-            add_indirect(indirect, &mut radiance);
-            self.transmit(&seen, &bubbles, tile.pixel_angle, scratch, &mut radiance);
+            let mut fractions = std::mem::take(&mut scratch.fractions);
+            let is_known = given.fractions(&found.normal, tile, &mut fractions);
+            let visible = is_known.then_some(&fractions[..]);
+            let mut radiance = self.light(lit, (found, hits), wet.as_ref(), visible, scratch);
+            scratch.fractions = fractions;
+            add_indirect(given.indirect, &mut radiance);
+            self.transmit(seen, &bubbles, tile.pixel_angle, scratch, &mut radiance);
             write_color((&surface, &radiance), &found.hit, view.exposure, place, out);
         }
         let mut front = Foreground::of_liquid(wet.as_ref());
@@ -388,7 +428,7 @@ impl<'a> LumenTiles<'a> {
         let surface = self.surface(&found, &hits, &particles, pixel_angle);
         let in_liquid = wet.under.contains(&true);
         let mut radiance =
-            self.light((&surface, None), &found, &hits, in_liquid.then_some(wet), scratch);
+            self.light((&surface, None), (&found, &hits), in_liquid.then_some(wet), None, scratch);
         if !in_liquid {
             return radiance;
         }
@@ -408,27 +448,29 @@ impl<'a> LumenTiles<'a> {
         radiance
     }
 
-    /// Radiance of the surfaces met, seen without what lies between.
+    /// Radiance of the surfaces met, seen without what lies between; with the visible fraction of
+    /// each LED, or shadows from their centers.
     #[inline(always)]
     fn light(
         &self,
         (surface, subsurface): (&Surface, Option<&SubsurfaceLight>),
-        found: &Attributes,
-        hits: &Hits,
+        (found, hits): (&Attributes, &Hits),
         wet: Option<&Wet>,
+        visible: Option<&[Lane]>,
         scratch: &mut Scratch,
     ) -> Lane3 {
         let (wall, view, hit) = (self.bare.wall, self.bare.view, &found.hit);
         let liquid = self.optics().zip(wet);
         let mut radiance = [[0.0; LANES]; 3];
-        for led in &view.leds {
+        for (k, led) in view.direct_leds().iter().enumerate() {
             let mut lit = *hit;
-            if view.shadows {
+            if view.shadows && visible.is_none() {
                 lit = visible_tile(wall, led.position, &surface.position, hit);
                 let chyme = &self.contents.chyme;
                 let points = &surface.position;
                 chyme.shade(led.position, points, wall.extent, &mut scratch.blocking, &mut lit);
             }
+            let lit = visible.map_or_else(|| fraction(&lit), |visible| visible[k]);
             let Some((optics, wet)) = liquid else {
                 add_all_light(
                     (surface, subsurface),

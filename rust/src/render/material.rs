@@ -1,6 +1,7 @@
 //! Reflection of an LED's light by the wall: the Disney principled model (Burley 2012) with a
 //! diffuse base, a dielectric GGX lobe and a clearcoat.
 
+use crate::render::led::Led;
 use crate::simd::f32x64::*;
 use crate::wall::packet::MISS;
 use std::f32::consts::PI;
@@ -14,19 +15,6 @@ pub struct Material {
     pub clearcoat: f32,
     /// Roughness α of the clearcoat's GTR1 lobe.
     pub clearcoat_alpha: f32,
-}
-
-/// An LED in the frame of the wall.
-#[derive(Clone, Copy)]
-pub struct Led {
-    /// Place [m].
-    pub position: Vec3,
-    /// Unit direction of its axis.
-    pub direction: Vec3,
-    /// Radiant intensity on its axis [W/sr] for red, green, blue.
-    pub intensity: Vec3,
-    /// Exponent of its angular lobe.
-    pub exponent: f32,
 }
 
 /// Surfaces hit by a tile's rays, ready for shading.
@@ -58,23 +46,28 @@ impl Surface {
     }
 }
 
-/// Adds the radiance [W/(sr·m²)] that an LED's light leaves towards the viewer.
+/// Adds the radiance [W/(sr·m²)] that an LED's light leaves towards the viewer; `visible` is the
+/// visible fraction of the LED.
 #[inline(always)]
 pub fn add_light(
     surface: &Surface,
     material: &Material,
     led: &Led,
-    lit: &[bool; LANES],
+    visible: &Lane,
     radiance: &mut Lane3,
 ) {
-    let Reflection { diffuse, specular, mut lobe } = reflect(surface, material, led);
+    let Reflection { diffuse, specular, mut lobe } = if led.radius > 0.0 {
+        reflect::<true>(surface, material, led)
+    } else {
+        reflect::<false>(surface, material, led)
+    };
     if led.exponent != 1.0 {
         for i in 0..LANES {
             lobe[i] = if led.exponent == 0.0 { 1.0 } else { pow(lobe[i], led.exponent) };
         }
     }
     for i in 0..LANES {
-        let power = if lit[i] { lobe[i] } else { 0.0 };
+        let power = lobe[i] * visible[i];
         for k in 0..3 {
             radiance[k][i] +=
                 led.intensity[k] * power * (surface.albedo[k][i] * diffuse[i] + specular[i]);
@@ -117,22 +110,50 @@ struct Reflection {
     lobe: Lane,
 }
 
+/// Most that the square of an LED's radius counts over that of its distance, in the mean of diffuse
+/// light over the disc: the expansion is for small discs.
+const WIDEST: f32 = 0.25;
+
 #[inline(always)]
-fn reflect(surface: &Surface, material: &Material, led: &Led) -> Reflection {
+fn reflect<const IS_DISC: bool>(surface: &Surface, material: &Material, led: &Led) -> Reflection {
     let (mut diffuse, mut specular, mut lobe) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
     let clearcoat = Clearcoat::new(material);
+    let square_radius = led.radius * led.radius;
     for i in 0..LANES {
         let offset = sub(led.position, at(&surface.position, i));
         let square = max(dot(offset, offset), 1e-12);
         let light = scale(offset, 1.0 / square.sqrt());
-        let angles = Angles::new(at(&surface.normal, i), at(&surface.view, i), light);
-        let (base, rest) = scatter(&angles, surface.roughness[i], material, &clearcoat);
+        let normal = at(&surface.normal, i);
+        let angles = Angles::new(normal, at(&surface.view, i), light);
+        let cosine = clamp(-dot(light, led.direction), 0.0, 1.0);
+        let spread =
+            if IS_DISC { led.half_vectors(square, cosine, angles.difference) } else { 0.0 };
+        let (mut base, rest) =
+            scatter::<IS_DISC>(&angles, spread, surface.roughness[i], material, &clearcoat);
+        if IS_DISC {
+            let ratio = min(square_radius / square, WIDEST);
+            base *= disc_mean(ratio, led, (dot(normal, led.direction), angles.light), cosine);
+        }
         let falloff = if angles.light > 0.0 { 1.0 / square } else { 0.0 };
         diffuse[i] = base * falloff;
         specular[i] = rest * falloff;
-        lobe[i] = clamp(-dot(light, led.direction), 0.0, 1.0);
+        lobe[i] = cosine;
     }
     Reflection { diffuse, specular, lobe }
+}
+
+/// Mean irradiance over an LED's disc, relative to that of a point at its center.
+///
+/// From a point of the disc a surface receives cosᵐφ cosθ/d², which depends on the point by
+/// (n·l)/|l|^(m+3) times constants. This is the mean of its Taylor series up to the second order in
+/// radius over distance, whose square is `ratio`; `cosine` is cos φ, and the normal is given by its
+/// scalar products with the LED's axis and with the direction to the LED.
+#[inline(always)]
+fn disc_mean(ratio: f32, led: &Led, (axis, light): (f32, f32), cosine: f32) -> f32 {
+    let power = 0.5 * (led.exponent + 3.0);
+    let across = 0.5 * power * (power + 1.0) * (1.0 - cosine * cosine);
+    let tilt = 0.5 * power * (1.0 + axis * cosine / max(light, 0.1));
+    clamp(1.0 + ratio * (across - 0.5 * power - tilt), 0.5, 2.0)
 }
 
 /// Cosines between the directions of one reflection; the half vector lies between view and light.
@@ -170,9 +191,13 @@ pub fn gloss_alpha(roughness: f32) -> f32 {
 
 /// Reflectance times the cosine at the surface [1/sr]: the part that is colored by the base, and
 /// the part that is not. Only where the light is above the surface.
+///
+/// `spread` is 0 for light from one direction; for an LED's disc (`IS_DISC`) the area of its half
+/// vectors over π, see `disc_lobe`.
 #[inline(always)]
-pub fn scatter(
+pub fn scatter<const IS_DISC: bool>(
     angles: &Angles,
+    spread: f32,
     roughness: f32,
     material: &Material,
     clearcoat: &Clearcoat,
@@ -181,12 +206,14 @@ pub fn scatter(
     let (fl, fv) = (schlick(angles.light), schlick(angles.view));
     let base = (1.0 - 0.5 * fl) * (1.0 - 0.5 * fv) + retro * (fl + fv + fl * fv * (retro - 1.0));
     let alpha = gloss_alpha(roughness);
+    let density =
+        if IS_DISC { ggx_disc(angles.half, alpha, spread) } else { ggx(angles.half, alpha) };
     let gloss = fresnel(angles.difference, material.ior)
-        * ggx(angles.half, alpha)
+        * density
         * smith(angles.view, alpha)
         * smith(angles.light, alpha)
         / (4.0 * angles.view);
-    let clearcoat_lobe = clearcoat.reflect(angles) * angles.light;
+    let clearcoat_lobe = clearcoat.reflect::<IS_DISC>(angles, spread) * angles.light;
     (base * angles.light * (1.0 / PI), gloss + clearcoat_lobe)
 }
 
@@ -213,6 +240,41 @@ pub fn ggx(cosine: f32, alpha: f32) -> f32 {
     let square = cosine * cosine;
     let spread = (1.0 - square) / (alpha * alpha) + square;
     1.0 / (PI * alpha * alpha * spread * spread)
+}
+
+/// Terms of the mean of a lobe of micro-normals over the half vectors of an LED's disc.
+struct DiscLobe {
+    /// R, the root of (ρ² + α² − s²)² + 4 α² s².
+    root: f32,
+    /// M = R + α² + s² − ρ².
+    sum: f32,
+    /// ρ².
+    spread: f32,
+}
+
+/// Mean of a lobe of micro-normals over the half vectors of an LED's disc.
+///
+/// On the plane across the normal the half vectors of a small disc fill an area, taken as a circle
+/// of radius ρ at distance s from the normal: π ρ² is the disc's solid angle over 4 (v·h), as an
+/// element of half vectors is one of light over that (Walter et al. 2007, eq. 14). GTR1 and GGX are
+/// the functions 1/(α² + s²) and 1/(α² + s²)² of that plane, s² counted (1 − α²) times. Their means
+/// over the circle have closed forms: of the first by integration around circles and over their
+/// radii, of the second as its derivative by −α².
+#[inline(always)]
+fn disc_lobe(cos_half: f32, square_alpha: f32, spread: f32) -> DiscLobe {
+    let narrow = 1.0 - square_alpha;
+    let (square, spread) = (narrow * max(1.0 - cos_half * cos_half, 0.0), narrow * spread);
+    let apart = spread + square_alpha - square;
+    let root = (apart * apart + 4.0 * square_alpha * square).sqrt();
+    DiscLobe { root, sum: max(root + square_alpha + square - spread, 1e-9), spread }
+}
+
+/// Mean of `ggx` over a disc of half vectors: 2/(R M) in place of 1/(α² + s²)².
+#[inline(always)]
+fn ggx_disc(cos_half: f32, alpha: f32, spread: f32) -> f32 {
+    let square_alpha = min(alpha * alpha, 0.999);
+    let DiscLobe { root, sum, .. } = disc_lobe(cos_half, square_alpha, spread);
+    2.0 * square_alpha / (PI * root * sum)
 }
 
 /// Share of micro-facets not masked from one direction (Walter et al. 2007, eq. 34).
@@ -244,13 +306,29 @@ impl Clearcoat {
     }
 
     #[inline(always)]
-    fn reflect(&self, angles: &Angles) -> f32 {
+    fn reflect<const IS_DISC: bool>(&self, angles: &Angles, spread: f32) -> f32 {
         const ALPHA: f32 = 0.25;
+        let density = if IS_DISC {
+            self.disc_density(angles.half, spread)
+        } else {
+            self.density(angles.half)
+        };
         self.strength
             * clearcoat_fresnel(angles.difference)
-            * self.density(angles.half)
+            * density
             * smith(angles.view, ALPHA)
             * smith(angles.light, ALPHA)
+    }
+
+    /// Mean density of its micro-normals over a disc of half vectors, see `disc_lobe`: that of
+    /// 1/(α² + s²) over a disc of radius ρ is ln(1 + x)/ρ², where x = 2 ρ²/M.
+    #[inline(always)]
+    fn disc_density(&self, cos_half: f32, spread: f32) -> f32 {
+        let DiscLobe { sum, spread, .. } = disc_lobe(cos_half, self.spread + 1.0, spread);
+        let x = 2.0 * spread / sum;
+        let small = 1.0 + x * (-0.5 + x * (1.0 / 3.0));
+        let logarithm = log2(1.0 + x) * std::f32::consts::LN_2 / max(x, 1e-20);
+        2.0 * self.scale * if x < 1e-2 { small } else { logarithm } / sum
     }
 
     /// Density of its micro-normals (GTR1).

@@ -3,6 +3,8 @@
 pub mod batch;
 pub mod channels;
 pub mod frame;
+pub mod led;
+mod led_visibility;
 pub mod lumen;
 mod lumen_tile;
 pub mod material;

@@ -1,7 +1,8 @@
 //! From hits to channels: attributes of the wall where each ray meets it, and the light it
 //! reflects.
 
-use crate::render::material::{Led, Material, Surface, add_light};
+use crate::render::led::Led;
+use crate::render::material::{Material, Surface, add_light};
 use crate::render::radiosity::SubsurfaceLight;
 use crate::render::scene::{FaceData, SceneData};
 use crate::simd::f32x64::*;
@@ -260,30 +261,42 @@ fn footprint(attributes: &Attributes, distance: &Lane, pixel_angle: f32) -> [Lan
 }
 
 /// Adds the radiance that an LED's light leaves towards the viewer, with what the tissue behind the
-/// surface makes of it, if it goes there.
+/// surface makes of it, if it goes there; `visible` is the visible fraction of the LED.
 #[inline(always)]
 pub fn add_all_light(
     (surface, subsurface): (&Surface, Option<&SubsurfaceLight>),
     material: &Material,
     led: &Led,
-    lit: &[bool; LANES],
+    visible: &Lane,
     radiance: &mut Lane3,
 ) {
-    add_light(surface, material, led, lit, radiance);
+    add_light(surface, material, led, visible, radiance);
     if let Some(subsurface) = subsurface {
-        subsurface.add(surface, led, lit, radiance);
+        subsurface.add(surface, led, visible, radiance);
     }
 }
 
 /// Method of shadow computation.
 #[derive(Clone, Copy)]
-pub enum Shadows {
+pub enum Shadows<'a> {
     /// Not at all.
     None,
     /// Rays from each LED to all points of a tile, which lie close together.
     ByLed,
     /// Rays from each point to all LEDs.
     ByPoint,
+    /// Known visible fraction of each LED.
+    Known(&'a [Lane]),
+}
+
+/// 1 in lanes that are set, or else 0.
+#[inline(always)]
+pub fn fraction(lanes: &[bool; LANES]) -> Lane {
+    let mut fraction = [0.0; LANES];
+    for i in 0..LANES {
+        fraction[i] = if lanes[i] { 1.0 } else { 0.0 };
+    }
+    fraction
 }
 
 /// Radiance towards the viewer [W/(sr·m²)]; zero where nothing was met.
@@ -292,25 +305,31 @@ pub fn light(
     wall: &Wall,
     material: &Material,
     leds: &[Led],
-    shadows: Shadows,
+    shadows: Shadows<'_>,
     (surface, subsurface): (&Surface, Option<&SubsurfaceLight>),
     hit: &[bool; LANES],
 ) -> Lane3 {
     let mut radiance = [[0.0; LANES]; 3];
-    for some in leds.chunks(RAYS) {
+    for (chunk, some) in leds.chunks(RAYS).enumerate() {
         let by_point = match shadows {
             Shadows::ByPoint => {
-                Some(lit_by(wall, some.iter().map(|led| led.position), &surface.position, hit))
+                let source = |_: usize, k: usize| some[k].position;
+                Some(lit_by(wall, (some.len(), source), &surface.position, hit))
             }
-            Shadows::None | Shadows::ByLed => None,
+            _ => None,
         };
         for (k, led) in some.iter().enumerate() {
-            let lit = match (shadows, &by_point) {
-                (Shadows::ByLed, _) => visible_tile(wall, led.position, &surface.position, hit),
-                (_, Some(sources)) => std::array::from_fn(|i| sources[i] >> k & 1 == 1),
-                (_, None) => *hit,
+            let visible = match (shadows, &by_point) {
+                (Shadows::Known(visible), _) => visible[chunk * RAYS + k],
+                (Shadows::ByLed, _) => {
+                    fraction(&visible_tile(wall, led.position, &surface.position, hit))
+                }
+                (_, Some(sources)) => fraction(&std::array::from_fn(|i| sources[i] >> k & 1 == 1)),
+                (_, None) => fraction(hit),
             };
-            add_all_light((surface, subsurface), material, led, &lit, &mut radiance);
+            if visible.iter().any(|&visible| visible > 0.0) {
+                add_all_light((surface, subsurface), material, led, &visible, &mut radiance);
+            }
         }
     }
     radiance

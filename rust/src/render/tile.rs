@@ -2,6 +2,7 @@
 
 use crate::lumen::spheres::Near;
 use crate::render::channels::{Channels, Place};
+use crate::render::led_visibility::{LedVisibility, TilePoints, bits_of};
 use crate::render::material::Surface;
 use crate::render::path::PrimaryHit;
 use crate::render::path::lumen_contents::LumenMedia;
@@ -12,7 +13,7 @@ use crate::render::view::View;
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
 use crate::wall::bundle::trace_in_bundles;
-use crate::wall::packet::{Hits, MAX_DISTANCE, Pyramid, trace};
+use crate::wall::packet::{Hits, MAX_DISTANCE, MISS, Pyramid, trace};
 
 /// Scratch memory for a tile's spheres; kept from tile to tile.
 #[derive(Default)]
@@ -21,27 +22,57 @@ pub struct Scratch {
     pub near: Vec<Near>,
     /// Particles between an LED and surfaces.
     pub blocking: Vec<Near>,
+    /// Visible fraction of each LED.
+    pub fractions: Vec<Lane>,
+}
+
+impl TileLight<'_> {
+    /// Writes the visible fraction of each LED in the pixels of a tile with unit `normals`, if its
+    /// visibility is known.
+    #[inline(always)]
+    pub fn fractions(&self, normals: &Lane3, tile: &TileRays, out: &mut Vec<Lane>) -> bool {
+        let Some((visibility, place)) = self.visibility else { return false };
+        visibility.fractions(place, normals, tile.is_wide, out);
+        true
+    }
+}
+
+/// Light at the surfaces of a tile that is computed before it is drawn.
+#[derive(Clone, Copy, Default)]
+pub struct TileLight<'a> {
+    /// Light beyond direct light.
+    pub indirect: Option<&'a Lane3>,
+    /// Visibility of the LEDs, and row and column of the tile in it; None for shadows of points.
+    pub visibility: Option<(&'a LedVisibility, (usize, usize))>,
 }
 
 /// Renderer of the tiles of a view.
 pub trait TileRenderer {
+    /// What the rays of a tile meet.
+    type Seen: Send + Sync;
+
     /// Media of paths besides air.
     fn media(&self) -> Option<LumenMedia<'_>>;
 
-    /// The surfaces that paths of a tile start from.
-    fn primary_hit(
-        &self,
-        tile: &TileRays,
-        pixel: [u32; LANES],
-        scratch: &mut Scratch,
-    ) -> PrimaryHit;
+    /// Follows the rays of a tile.
+    fn see(&self, tile: &TileRays, scratch: &mut Scratch) -> Self::Seen;
 
-    /// Renders one tile; `indirect` is light beyond direct light.
+    /// The points that they meet.
+    fn points(&self, tile: &TileRays, seen: &Self::Seen) -> TilePoints;
+
+    /// Unsets the bits of points that particles hide from a place.
+    fn shade_particles(&self, place: Vec3, points: &Lane3, scratch: &mut Scratch, lit: &mut u64);
+
+    /// The surfaces that paths of a tile start from.
+    fn primary_hit(&self, tile: &TileRays, pixel: [u32; LANES], seen: &Self::Seen) -> PrimaryHit;
+
+    /// Renders one tile.
     fn render_tile(
         &self,
         tile: &TileRays,
         place: Place,
-        indirect: Option<&Lane3>,
+        seen: &Self::Seen,
+        light: TileLight<'_>,
         scratch: &mut Scratch,
         out: &mut Channels<'_>,
     );
@@ -59,15 +90,39 @@ pub struct WallTiles<'a> {
 }
 
 impl TileRenderer for WallTiles<'_> {
+    type Seen = Hits;
+
     #[inline(always)]
     fn media(&self) -> Option<LumenMedia<'_>> {
         None
     }
 
     #[inline(always)]
-    fn primary_hit(&self, tile: &TileRays, pixel: [u32; LANES], _: &mut Scratch) -> PrimaryHit {
-        let (rays, hits) = self.intersect(tile);
-        let found = attributes(self.wall, self.scene, self.view.origin, &rays.directions, &hits);
+    fn see(&self, tile: &TileRays, _: &mut Scratch) -> Hits {
+        self.intersect(tile).1
+    }
+
+    #[inline(always)]
+    fn points(&self, tile: &TileRays, hits: &Hits) -> TilePoints {
+        let (mut position, mut used) = ([[0.0; LANES]; 3], [false; LANES]);
+        for i in 0..LANES {
+            used[i] = hits.triangle[i] != MISS;
+            let direction = at(&tile.pyramid.directions, i);
+            for k in 0..3 {
+                position[k][i] =
+                    self.view.origin[k] + hits.distance[i] * dot(self.view.to_world[k], direction);
+            }
+        }
+        TilePoints { position, used: bits_of(&used), distance: hits.distance }
+    }
+
+    #[inline(always)]
+    fn shade_particles(&self, _: Vec3, _: &Lane3, _: &mut Scratch, _: &mut u64) {}
+
+    #[inline(always)]
+    fn primary_hit(&self, tile: &TileRays, pixel: [u32; LANES], hits: &Hits) -> PrimaryHit {
+        let rays = tile.pyramid.rotated(&self.view.to_world);
+        let found = attributes(self.wall, self.scene, self.view.origin, &rays.directions, hits);
         let surface = surface(self.scene, &found, &hits.distance, tile.pixel_angle);
         PrimaryHit { surface, hit: found.hit, triangle: hits.triangle, pixel }
     }
@@ -77,12 +132,13 @@ impl TileRenderer for WallTiles<'_> {
         &self,
         tile: &TileRays,
         place: Place,
-        indirect: Option<&Lane3>,
-        _: &mut Scratch,
+        hits: &Hits,
+        light: TileLight<'_>,
+        scratch: &mut Scratch,
         out: &mut Channels<'_>,
     ) {
-        let (rays, hits) = self.intersect(tile);
-        self.render_hits(tile, (&rays, &hits), place, indirect, out);
+        let rays = tile.pyramid.rotated(&self.view.to_world);
+        self.render_hits(tile, (&rays, hits), place, (light, scratch), out);
     }
 }
 
@@ -123,7 +179,7 @@ impl WallTiles<'_> {
         tile: &TileRays,
         (rays, hits): (&Pyramid, &Hits),
         place: Place,
-        indirect: Option<&Lane3>,
+        (given, scratch): (TileLight<'_>, &mut Scratch),
         out: &mut Channels<'_>,
     ) {
         let WallTiles { wall, scene, view } = *self;
@@ -134,15 +190,19 @@ impl WallTiles<'_> {
                 view.split_subsurface(scene, &surface, hits, &hits.triangle);
             let lit = (without_base.as_ref().unwrap_or(&surface), subsurface.as_ref());
             let shadows = match (view.shadows, tile.is_wide) {
+                _ if given.fractions(&found.normal, tile, &mut scratch.fractions) => {
+                    Shadows::Known(&scratch.fractions)
+                }
                 (false, _) => Shadows::None,
                 (true, false) => Shadows::ByLed,
                 (true, true) => Shadows::ByPoint,
             };
-            let mut radiance = light(wall, &scene.material, &view.leds, shadows, lit, &found.hit);
+            let leds = view.direct_leds();
+            let mut radiance = light(wall, &scene.material, leds, shadows, lit, &found.hit);
             if let Some(irradiance) = &view.irradiance {
                 irradiance.add((&surface, &found.normal), hits, subsurface.as_ref(), &mut radiance);
             }
-            add_indirect(indirect, &mut radiance);
+            add_indirect(given.indirect, &mut radiance);
             write_color((&surface, &radiance), &found.hit, view.exposure, place, out);
         }
         write_geometry(view, tile, hits, &found, place, out);

@@ -1,7 +1,8 @@
 //! Everything about a view but its rays: the camera's pose, the LEDs, and how light is found.
 
 use crate::poses::pose_of;
-use crate::render::material::{Led, Surface};
+use crate::render::led::{Led, point_leds};
+use crate::render::material::Surface;
 use crate::render::path::Settings;
 use crate::render::path::virtual_lights::VirtualLights;
 use crate::render::radiosity::{Irradiance, SubsurfaceLight};
@@ -12,6 +13,9 @@ use crate::wall::packet::Hits;
 use glam::DVec3;
 use numpy::ndarray::ArrayView2;
 use pyo3::{exceptions::PyValueError, prelude::*};
+
+/// Most points that stand for an LED in direct light where paths are traced.
+const MOST_POINTS: u32 = 256;
 
 /// Everything about a view but its rays.
 pub struct View<'a> {
@@ -24,6 +28,8 @@ pub struct View<'a> {
     pub center: [f64; 3],
     /// LEDs about the wall's center.
     pub leds: Vec<Led>,
+    /// The same as points for direct light where paths are traced; None where they are discs.
+    pub point_leds: Option<Vec<Led>>,
     /// Factor from radiance to linear image value.
     pub exposure: f32,
     /// Whether things cast shadows.
@@ -37,7 +43,7 @@ pub struct View<'a> {
 }
 
 impl View<'_> {
-    /// Of a camera pose [4 4] and LEDs [k 10] in the camera's frame.
+    /// Of a camera pose [4 4] and LEDs [k 11] in the camera's frame.
     ///
     /// # Errors
     /// If they are of another shape or not finite.
@@ -51,8 +57,8 @@ impl View<'_> {
         if pose.dim() != (4, 4) || !pose.iter().all(|x| x.is_finite()) {
             return Err(PyValueError::new_err("A camera pose must be a finite 4 x 4 matrix."));
         }
-        if leds.ncols() != 10 {
-            return Err(PyValueError::new_err("LEDs must be of shape (k, 10)."));
+        if leds.ncols() != 11 {
+            return Err(PyValueError::new_err("LEDs must be of shape (k, 11)."));
         }
         let to_world = [0, 1, 2].map(|r| [0, 1, 2].map(|c| pose[[r, c]] as f32));
         let to_camera = [0, 1, 2].map(|r| [0, 1, 2].map(|c| pose[[c, r]] as f32));
@@ -66,23 +72,46 @@ impl View<'_> {
                     direction: turned(3).as_vec3().to_array(),
                     intensity: [6, 7, 8].map(|k| row[k] as f32),
                     exponent: row[9] as f32,
+                    radius: row[10] as f32,
                 }
             })
             .collect();
         let origin = wall.localize(place.to_array());
-        let (center, paths, irradiance, sources) = (wall.center, None, None, None);
+        let (center, paths, irradiance, sources, point_leds) =
+            (wall.center, None, None, None, None);
         Ok(View {
             origin,
             to_world,
             to_camera,
             center,
             leds,
+            point_leds,
             exposure,
             shadows,
             paths,
             irradiance,
             sources,
         })
+    }
+
+    /// Traces paths for indirect light; direct light then comes from points of the LEDs, as many of
+    /// each as there are samples.
+    pub fn trace_paths(&mut self, settings: Settings) {
+        let samples = settings.spp.min(MOST_POINTS);
+        self.point_leds = Some(point_leds(&self.leds, samples, settings.seed));
+        self.paths = Some(settings);
+    }
+
+    /// LEDs that give direct light.
+    #[inline(always)]
+    pub fn direct_leds(&self) -> &[Led] {
+        self.point_leds.as_ref().unwrap_or(&self.leds)
+    }
+
+    /// Whether LEDs are discs that cast soft shadows.
+    pub fn has_soft_shadows(&self) -> bool {
+        let is_disc = |led: &Led| led.radius > 0.0;
+        self.shadows && self.point_leds.is_none() && self.leds.iter().any(is_disc)
     }
 
     /// Fraction of the surface reflection under the LEDs where light enters the tissue behind it,

@@ -70,30 +70,22 @@ pub fn trace_in_bundles(
 }
 
 /// Which of up to `RAYS` sources light each point of a tile, a bit for each source; none where
-/// lanes are not `used`.
+/// lanes are not `used`. There are `count` sources, each lane `i` has its own place `source(i, k)`.
 #[inline(always)]
 pub fn lit_by(
     wall: &Wall,
-    sources: impl Iterator<Item = Vec3>,
+    (count, source): (usize, impl Fn(usize, usize) -> Vec3),
     points: &Lane3,
     used: &[bool; LANES],
 ) -> [u32; LANES] {
-    let (mut lit, mut places, mut count) = ([0; LANES], [[0.0; RAYS]; 3], 0);
-    for place in sources.take(RAYS) {
-        // The last is repeated to the end.
-        for axis in 0..3 {
-            places[axis][count..].fill(place[axis]);
-        }
-        count += 1;
-    }
-    let mut pile = [(0, 0.0); STACK];
+    let (mut lit, mut pile) = ([0; LANES], [(0, 0.0); STACK]);
     for i in (0..LANES).filter(|&i| used[i] && count > 0) {
         let point = at(points, i);
-        let mut ways = places;
-        for axis in 0..3 {
-            for k in 0..RAYS {
-                ways[axis][k] -= point[axis];
-            }
+        let mut ways = [[0.0; RAYS]; 3];
+        for k in 0..RAYS {
+            // The last is repeated to the end.
+            let way = sub(source(i, k.min(count - 1)), point);
+            (ways[0][k], ways[1][k], ways[2][k]) = (way[0], way[1], way[2]);
         }
         lit[i] = Bundle::new(point, &ways).unoccluded(&wall.bvh, (1 << count) - 1, &mut pile);
     }

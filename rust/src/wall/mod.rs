@@ -3,6 +3,7 @@
 
 pub mod bundle;
 pub mod bvh;
+pub mod disc_visibility;
 pub mod distances;
 pub mod packet;
 pub mod query;

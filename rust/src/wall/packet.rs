@@ -127,7 +127,7 @@ impl Pyramid {
 }
 
 /// One plane through the origin of the rays, ready to be tested against boxes.
-struct Plane {
+pub struct Plane {
     normal: Vec3,
     /// Rows of `Node::bounds` that hold the box corner farthest along the normal.
     rows: [usize; 3],
@@ -136,15 +136,16 @@ struct Plane {
 }
 
 impl Plane {
+    /// A plane through `origin`, moved outwards by a margin [m].
     #[inline(always)]
-    fn new(normal: Vec3, origin: Vec3, margin: f32, far_corner: bool) -> Self {
+    pub fn new(normal: Vec3, origin: Vec3, margin: f32, far_corner: bool) -> Self {
         let row = |axis: usize| axis + if (normal[axis] > 0.0) == far_corner { 3 } else { 0 };
         Plane { normal, rows: [row(0), row(1), row(2)], offset: dot(normal, origin) - margin }
     }
 
     /// A plane that every box passes.
     #[inline(always)]
-    fn everywhere() -> Self {
+    pub fn everywhere() -> Self {
         Plane { normal: [0.0; 3], rows: [0; 3], offset: 0.0 }
     }
 
@@ -297,7 +298,7 @@ pub fn farthest_of(distance: &Lane) -> f32 {
 
 /// Pushes the children that the pyramid may touch, the nearest last.
 #[inline(always)]
-fn push_children(
+pub fn push_children(
     node: &Node,
     sides: &[Plane; 4],
     near: &Plane,

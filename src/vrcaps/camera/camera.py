@@ -26,6 +26,8 @@ _RESERVED = ("capsule", "contact", "hall", "localized", "magnet", "patient", "wa
 _MAX_SIDE_PX = 16384
 MAX_PIXELS = 2**26
 """Maximum number of pixels of an image, 8192 × 8192: a tiny file may declare any size."""
+MAX_EMITTER_RADIUS = 5e-3
+"""Maximum radius of an LED's emitter [m], about that of a capsule."""
 _ORTHONORMAL = 1e-6
 _IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _GRAY = (0.02, 0.5, 0.4)
@@ -37,22 +39,26 @@ class Led:
     """A small light source fixed to a camera.
 
     Radiant intensity at angle φ from its direction is ``intensity · max(cos φ, 0)^lobe_exponent``;
-    exponent 1 is a Lambertian emitter, 0 an isotropic one.
+    exponent 1 is a Lambertian emitter, 0 an isotropic one. The light leaves an evenly luminous
+    disc across the direction, or a point if `emitter_radius` is 0.
 
     Example:
         >>> led = vrcaps.Led((3.5e-3, 0.0, 0.0), intensity=(2e-3, 2e-3, 2e-3))
 
     Attributes:
-        position_camera: Position in the camera frame [m].
+        position_camera: Center of the emitter in the camera frame [m].
         direction_camera: Direction of its axis in the camera frame; normalized.
         intensity: Radiant intensity on its axis for red, green, blue [W/sr].
         lobe_exponent: Exponent of its angular lobe, ≥ 0.
+        emitter_radius: Radius of the luminous disc, 0 to 5 mm [m]; 0 is a point light with hard
+            shadows.
     """
 
     position_camera: Vector = field(metadata={"unit": "mm", "key": "position"})
     direction_camera: Vector = field(default=(0.0, 0.0, 1.0), metadata={"key": "direction"})
     intensity: Vector = field(default=(1e-3, 1e-3, 1e-3), metadata={"unit": "mw_per_sr"})
     lobe_exponent: float = 1.0
+    emitter_radius: float = field(default=0.0, metadata={"unit": "mm"})
 
     def __post_init__(self) -> None:
         length = float(np.linalg.norm(self.direction_camera))
@@ -63,6 +69,9 @@ class Led:
             object.__setattr__(self, "direction_camera", (x, y, z))
         require(min(self.intensity) >= 0.0, "Led's intensity", self.intensity, "0 or above")
         require(self.lobe_exponent >= 0.0, "Led's lobe_exponent", self.lobe_exponent, "0 or above")
+        is_small = 0.0 <= self.emitter_radius <= MAX_EMITTER_RADIUS
+        allowed = f"0 to {MAX_EMITTER_RADIUS:g} m (0 is a point light)"
+        require(is_small, "Led's emitter_radius", self.emitter_radius, allowed)
 
 
 def led_ring(
@@ -72,6 +81,7 @@ def led_ring(
     center: Vector = (0.0, 0.0, 0.0),
     intensity: Vector = (2e-3, 2e-3, 2e-3),
     lobe_exponent: float = 1.0,
+    emitter_radius: float = 0.0,
 ) -> tuple[Led, ...]:
     """LEDs on a circle around the optical axis, pointing along it.
 
@@ -81,6 +91,7 @@ def led_ring(
         center: Center of the circle in the camera frame [m].
         intensity: Radiant intensity of each on its axis for red, green, blue [W/sr].
         lobe_exponent: Exponent of their angular lobe.
+        emitter_radius: Radius of the luminous disc of each [m]; 0 is a point light.
 
     Raises:
         InputError: If the parameters do not describe a ring.
@@ -93,7 +104,13 @@ def led_ring(
     circle = np.stack([np.cos(theta), np.sin(theta), np.zeros_like(theta)], axis=-1)
     positions = (np.array(center, float) + radius * circle).tolist()
     return tuple(
-        Led((x, y, z), intensity=intensity, lobe_exponent=lobe_exponent) for x, y, z in positions
+        Led(
+            (x, y, z),
+            intensity=intensity,
+            lobe_exponent=lobe_exponent,
+            emitter_radius=emitter_radius,
+        )
+        for x, y, z in positions
     )
 
 

@@ -36,6 +36,7 @@ class LedRing:
         angles: Angle of each LED, from camera x (right) to y (down) [rad].
         intensity: Radiant intensity of each on its axis for red, green, blue [W/sr].
         lobe_exponent: Exponent of their angular lobe.
+        emitter_radius: Radius of the luminous disc of each LED [m]; 0 is a point light.
     """
 
     center: Vector = field(metadata={"unit": "mm"})
@@ -43,6 +44,7 @@ class LedRing:
     angles: tuple[float, ...] = field(metadata={"unit": "deg"})
     intensity: Vector = field(metadata={"unit": "mw_per_sr"})
     lobe_exponent: float
+    emitter_radius: float = field(default=0.0, metadata={"unit": "mm"})
 
     def __post_init__(self) -> None:
         require(len(self.angles) > 0, "angles", [], "one or more")
@@ -56,6 +58,7 @@ class LedRing:
             center=self.center,
             intensity=self.intensity,
             lobe_exponent=self.lobe_exponent,
+            emitter_radius=self.emitter_radius,
         )
 
 

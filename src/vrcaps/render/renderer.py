@@ -73,7 +73,7 @@ class Renderer:
         self._known_contents: deque[tuple[State, LumenContents]] = deque(maxlen=3)
         self._contents: dict[str, tuple[LumenContents, _core.Wall, _core.Contents]] = {}
         self._tables: dict[tuple[int, int], tuple[Camera, _core.RayTable]] = {}
-        self._led_rows: dict[int, tuple[Camera, Float[np.ndarray, "k 10"]]] = {}
+        self._led_rows: dict[int, tuple[Camera, Float[np.ndarray, "k 11"]]] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy the model and the settings; the copy has its own wall."""
@@ -169,7 +169,7 @@ class Renderer:
             draw(arrays, 1)
             return
         draw({name: array for name, array in arrays.items() if name not in light}, 1)
-        radiance = supersampled_radiance(draw, camera, self.settings)
+        radiance = supersampled_radiance(draw, camera, self.settings, paths)
         if "radiance" in arrays:
             arrays["radiance"][...] = radiance
         if _RADIANCE_PLANAR in arrays:
@@ -331,8 +331,8 @@ class Renderer:
             self._tables[key] = (camera, table)  # a reference to the camera keeps its id unique
         return self._tables[key][1]
 
-    def _leds(self, camera: Camera) -> Float[np.ndarray, "k 10"]:
-        """Rows of position [m], direction, intensity [W/sr] and lobe exponent, camera frame."""
+    def _leds(self, camera: Camera) -> Float[np.ndarray, "k 11"]:
+        """Rows of position [m], direction, intensity [W/sr], lobe exponent and radius [m]."""
         if id(camera) not in self._led_rows:
             gains = self._imaging.led_gains
             rows = [
@@ -341,10 +341,11 @@ class Renderer:
                     *led.direction_camera,
                     *np.multiply(led.intensity, gains),
                     led.lobe_exponent,
+                    led.emitter_radius,
                 )
                 for led in camera.leds
             ]
-            self._led_rows[id(camera)] = (camera, np.array(rows, float).reshape(-1, 10))
+            self._led_rows[id(camera)] = (camera, np.array(rows, float).reshape(-1, 11))
         return self._led_rows[id(camera)][1]
 
 

@@ -42,9 +42,15 @@ class PathSampling(NamedTuple):
 
 
 def supersampled_radiance(
-    draw: Callable[..., None], camera: Camera, settings: RenderSettings
+    draw: Callable[..., None],
+    camera: Camera,
+    settings: RenderSettings,
+    paths: PathSampling | None,
 ) -> Float[np.ndarray, "h w 3"]:
-    """Radiance [W/(sr·m²)] as the mean over each pixel's rays, denoised if the settings say so."""
+    """Radiance [W/(sr·m²)] as the mean over each pixel's rays, denoised if the settings say so.
+
+    `paths` is the path sampling of the frame, which `draw` uses by default.
+    """
     factor = settings.supersampling
 
     def means(*names: str, **kwargs: PathSampling | None) -> list[NDArray[np.float32]]:
@@ -53,11 +59,11 @@ def supersampled_radiance(
         draw(fine, factor, **kwargs)
         return [array.reshape(size).mean(axis=(1, 3)) for array in fine.values()]
 
-    if not settings.denoise:
+    if not settings.denoise or paths is None:
         return means("radiance")[0]
     radiance, albedo, normal = means("radiance", "albedo", "normal")
     # Subsurface scattering is noisy from the first reflection on.
-    first_reflection = PathSampling(1, 0 if settings.scattering else 1, 0)
+    first_reflection = paths._replace(max_bounces=0 if settings.scattering else 1)
     (first,) = means("radiance", paths=first_reflection)
     return denoise(radiance, first, albedo, normal)
 

@@ -6,7 +6,8 @@
 //! in the shell's front as in a convex mirror and in its back as in a concave one.
 
 use crate::lumen::spheres::{Crossings, Sphere};
-use crate::render::material::{Led, fresnel};
+use crate::render::led::Led;
+use crate::render::material::fresnel;
 use crate::simd::f32x64::*;
 use crate::wall::packet::Pyramid;
 use std::f32::consts::{LOG2_E, PI};
@@ -128,8 +129,11 @@ impl Film {
         let half = if front { mirror } else { scale(mirror, -1.0) };
         let offset = sub(led.position, sphere.center);
         let square = max(dot(offset, offset), sphere.radius * sphere.radius);
-        let spread = self.roughness * self.roughness + blur * blur;
         let cosine = max(dot(half, view), 0.05);
+        let axis = clamp(-dot(light, led.direction), 0.0, 1.0);
+        // The variance of an even disc is half of its square radius, as that of a Gaussian its own.
+        let disc = 0.5 * led.half_vectors(square, axis, cosine);
+        let spread = self.roughness * self.roughness + blur * blur + disc;
         let surface = fresnel(cosine, self.ior);
         let lobe = led_lobe(led, light);
         let peak = 2.0 * surface / (1.0 + surface) * lobe / (4.0 * PI * spread * cosine * square);

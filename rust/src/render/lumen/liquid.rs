@@ -5,7 +5,7 @@
 //! once, the same to all sides. Light from the LEDs takes the straight way into it.
 
 use super::refraction::{REFRACTED, Turn};
-use crate::render::material::Led;
+use crate::render::led::Led;
 use crate::simd::f32x64::*;
 use std::f32::consts::{LOG2_E, PI};
 
@@ -231,7 +231,6 @@ impl Optics {
     /// Adds mirror images of an LED in the surface, which is rough by a Gaussian of slopes.
     #[inline(always)]
     fn add_image(&self, directions: &Lane3, led: &Led, wet: &Wet, sum: &mut Lane3) {
-        let square_roughness = self.roughness * self.roughness;
         let (mut image, mut length, mut lobe) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
         for i in 0..LANES {
             let direction = at(directions, i);
@@ -241,12 +240,15 @@ impl Optics {
             let half = normalize(sub(light, direction));
             // The eye is on the side that the ray comes from.
             let normal = half[2] * -1f32.copysign(direction[2]);
+            lobe[i] = clamp(-dot(light, led.direction), 0.0, 1.0);
+            // A Gaussian as wide as the disc, see `Film::add_image`.
+            let disc = 0.5 * led.half_vectors(square, lobe[i], dot(light, half));
+            let square_roughness = self.roughness * self.roughness + disc;
             let tilt = 2.0 * max(1.0 - normal, 0.0) / square_roughness;
             let density = exp2(-LOG2_E * tilt) / (PI * square_roughness);
             let peak =
                 wet.turn.reflectance[i] * density / (4.0 * max(direction[2].abs(), 0.05) * square);
             image[i] = if normal > 0.0 { peak } else { 0.0 };
-            lobe[i] = clamp(-dot(light, led.direction), 0.0, 1.0);
             length[i] = if wet.under[i] { square.sqrt() } else { 0.0 };
         }
         shape(&mut lobe, led.exponent);

@@ -4,7 +4,7 @@ use super::bubble::{Behind, Eye, Film};
 use super::liquid::{Optics, Wet};
 use super::refraction::Turn;
 use crate::lumen::spheres::{Near, Spheres};
-use crate::render::material::Led;
+use crate::render::led::Led;
 use crate::simd::f32x64::*;
 use crate::wall::packet::{Hits, Pyramid};
 

@@ -96,7 +96,7 @@ pub fn sample_bsdf(surface: &Surface, material: &Material, random: &BsdfRandom) 
         let direction = normalize(add(along, scale(normal, own[2])));
 
         let angles = Angles::new(normal, view, direction);
-        let (colored, plain) = scatter(&angles, roughness, material, &clearcoat);
+        let (colored, plain) = scatter::<false>(&angles, 0.0, roughness, material, &clearcoat);
         let pdf = pdf(&angles, alpha, &probabilities, &clearcoat);
         let is_above = angles.light > 0.0;
         let inverse = if is_above { 1.0 / pdf } else { 0.0 };
@@ -131,7 +131,7 @@ pub fn evaluate_bsdf(surface: &Surface, material: &Material, directions: &Lane3)
         let (albedo, roughness) = (at(&surface.albedo, i), surface.roughness[i]);
         let angles = Angles::new(normal, view, at(directions, i));
         let probabilities = LobeProbabilities::new(albedo, angles.view, material);
-        let (colored, plain) = scatter(&angles, roughness, material, &clearcoat);
+        let (colored, plain) = scatter::<false>(&angles, 0.0, roughness, material, &clearcoat);
         let is_above = angles.light > 0.0;
         let drawn = self::pdf(&angles, gloss_alpha(roughness), &probabilities, &clearcoat);
         out.pdf[i] = if is_above { drawn } else { 0.0 };
@@ -317,7 +317,8 @@ mod tests {
         let mut sum = [0.0; 3];
         over_hemisphere(normal, 500, |direction, area| {
             let angles = Angles::new(normal, view, direction);
-            let (colored, plain) = scatter(&angles, surface.roughness[0], material, &clearcoat);
+            let (colored, plain) =
+                scatter::<false>(&angles, 0.0, surface.roughness[0], material, &clearcoat);
             for k in 0..3 {
                 sum[k] += f64::from(surface.albedo[k][0] * colored + plain) * area;
             }

@@ -1,9 +1,10 @@
 //! Light subpaths: emitted by the LEDs with equal power, extended as the wall reflects them.
 
-use crate::render::material::{Led, Surface};
+use crate::render::led::Led;
+use crate::render::material::Surface;
 use crate::render::path::Settings;
 use crate::render::path::bsdf::{self, circle, evaluate_bsdf, frame, on_circle};
-use crate::render::path::sobol::{dimension, point};
+use crate::render::path::sobol::{DISC_DIMENSION, dimension, point};
 use crate::render::path::subsurface::ray_offset;
 use crate::render::scene::SceneData;
 use crate::render::shading::{attributes_at, surface};
@@ -169,10 +170,10 @@ pub fn emit(
         if led.exponent == 0.0 { 1.0 - 2.0 * v } else { pow(1.0 - v, 1.0 / (led.exponent + 1.0)) };
     let own = on_circle(max(1.0 - z * z, 0.0).sqrt(), z, cosine, sine);
     let direction = turned(led.direction, own);
-    let hit = ray::cast::<false>(&transport.wall.bvh, led.position, direction, MAX_DISTANCE, MISS)?;
+    let start = add(led.position, led.offset(point(dimension(key, DISC_DIMENSION), number)));
+    let hit = ray::cast::<false>(&transport.wall.bvh, start, direction, MAX_DISTANCE, MISS)?;
     let carried = scale(led.intensity, 1.0 / (probability * peak));
-    let mut vertex =
-        LightVertex::new(transport.wall, number, (led.position, direction), hit, carried)?;
+    let mut vertex = LightVertex::new(transport.wall, number, (start, direction), hit, carried)?;
     vertex.source.density = density(emitters, vertex.source.point, vertex.source.face_normal);
     Some(vertex)
 }

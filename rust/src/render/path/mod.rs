@@ -1,8 +1,9 @@
 //! Wavefront path tracing of indirect light (Kajiya 1986).
 //!
-//! The first reflection is exact, it is the direct image. From each surface that a tile's rays
-//! meet, paths continue along the wall; at each surface they meet, light from one LED is added
-//! (next event estimation). An LED is a point: no path can hit it, so nothing is counted twice.
+//! The first reflection is the direct image by points of the LEDs, one for each sample. From each
+//! surface that a tile's rays meet, paths continue along the wall; at each surface they meet, light
+//! from a point of one LED is added (next event estimation). Paths pass LEDs, so nothing is counted
+//! twice.
 //! Light paths from the LEDs leave virtual lights on the wall, to which the first surfaces are
 //! connected (bidirectional path tracing: Veach 1997, chapter 10).
 //!

@@ -1,8 +1,8 @@
 //! Next event estimation: light of one LED at each surface that paths have met.
 
-use crate::render::material::Led;
+use crate::render::led::Led;
 use crate::render::path::shadow_rays::{ShadowRay, ShadowRays};
-use crate::render::path::sobol::{dimension, point};
+use crate::render::path::sobol::{DISC_DIMENSION, dimension, point};
 use crate::render::path::tracer::{Path, Tracer};
 use crate::simd::f32x64::*;
 
@@ -35,8 +35,16 @@ impl Tracer<'_> {
                 light: [0, 1, 2].map(|k| path.throughput[k] * radiance[k] * factor),
                 pixel: path.pixel,
                 led: light.led[i],
+                start: self.led_point(path, reflection, light.led[i]),
             });
         }
+    }
+
+    /// Point of an LED's disc that the shadow ray of a path starts from, relative to its center [m].
+    #[inline(always)]
+    fn led_point(&self, path: &Path, reflection: u32, led: u32) -> Vec3 {
+        let key = dimension(path.key, DISC_DIMENSION + reflection);
+        self.transport.leds[led as usize].offset(point(key, path.sample))
     }
 
     /// Chooses one LED for each lane in proportion to what it would add to the pixel unshadowed.

@@ -3,12 +3,15 @@
 //! Shadow rays from one LED share their origin. Sorted by direction, 64 neighbors make a narrow
 //! packet, and are traced like a tile of an image.
 
+use crate::render::led::Led;
+use crate::render::led_visibility::lanes_of;
 use crate::render::path::tracer::Tracer;
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
+use crate::wall::disc_visibility::{DiscRays, visible_from_disc};
 use crate::wall::packet::{Hits, MISS, Pyramid, trace_at_most};
 use crate::wall::ray;
-use crate::wall::visibility::shadow_segments;
+use crate::wall::visibility::{SHADOW_REACH, shadow_segments};
 
 /// Cells along each side of the square that directions are sorted by.
 const DIRECTION_CELLS: u32 = 16;
@@ -30,6 +33,8 @@ pub struct ShadowRay {
     pub pixel: u32,
     /// Number of the LED.
     pub led: u32,
+    /// Start of the ray relative to the LED's center [m].
+    pub start: Vec3,
 }
 
 /// Requests of one wavefront; its memory is kept from wavefront to wavefront.
@@ -45,7 +50,8 @@ pub struct ShadowRays {
 impl ShadowRays {
     /// Adds to `sums` the unoccluded light and forgets all requests.
     #[inline(always)]
-    pub fn resolve(&mut self, tracer: &Tracer<'_>, leds: &[Vec3], sums: &mut [[f64; 3]]) {
+    pub fn resolve(&mut self, tracer: &Tracer<'_>, sums: &mut [[f64; 3]]) {
+        let leds = tracer.transport.leds;
         self.sort(leds);
         let mut rest = &self.order[..];
         while let Some(&first) = rest.first() {
@@ -54,11 +60,12 @@ impl ShadowRays {
             let same = |&number: &u32| self.pending[number as usize].led == led;
             let count = rest[..most].iter().take_while(|number| same(number)).count();
             let (chunk, after) = rest.split_at(count);
-            let origin = leds[led as usize];
-            let lit = self.unoccluded(tracer.transport.wall, origin, chunk);
+            let led = &leds[led as usize];
+            let lit = self.unoccluded(tracer.transport.wall, led, chunk);
             for (&number, _) in chunk.iter().zip(lit).filter(|&(_, lit)| lit) {
-                let ShadowRay { point, light, pixel, .. } = self.pending[number as usize];
-                let left = tracer.media.as_ref().map(|a| a.led_transmittance(origin, point));
+                let ShadowRay { point, light, pixel, start, .. } = self.pending[number as usize];
+                let start = add(led.position, start);
+                let left = tracer.media.as_ref().map(|a| a.led_transmittance(start, point));
                 let left = left.unwrap_or([1.0; 3]);
                 for k in 0..3 {
                     sums[pixel as usize][k] += f64::from(light[k] * left[k]);
@@ -71,34 +78,41 @@ impl ShadowRays {
 
     /// Test which of up to `LANES` rays from one LED are unoccluded.
     #[inline(always)]
-    fn unoccluded(&self, wall: &Wall, origin: Vec3, chunk: &[u32]) -> [bool; LANES] {
-        let (mut points, mut used) = ([[0.0; LANES]; 3], [false; LANES]);
+    fn unoccluded(&self, wall: &Wall, led: &Led, chunk: &[u32]) -> [bool; LANES] {
+        let (mut points, mut starts) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
+        let mut used = [false; LANES];
         for (i, &number) in chunk.iter().enumerate() {
             used[i] = true;
             for k in 0..3 {
                 points[k][i] = self.pending[number as usize].point[k];
+                starts[k][i] = self.pending[number as usize].start[k];
             }
         }
-        let (directions, reach) = shadow_segments(origin, &points, &used);
+        let center = led.position;
+        let (directions, reach) = shadow_segments(center, &points, &used);
         let pyramid = Pyramid::around(directions, &used);
         let width = pyramid.sides.iter().fold(0.0, |w, &side| max(w, dot(side, pyramid.axis)));
-        let mut hits = Hits::within(reach);
         let is_narrow = pyramid.closed && width < MAX_PACKET_SINE && chunk.len() >= MIN_PACKET;
-        let is_done = is_narrow
-            && trace_at_most::<true>(
-                MAX_TRIANGLES,
-                &wall.bvh,
-                origin,
-                &pyramid,
-                wall.extent,
-                &mut hits,
-            );
-        let mut lit = [false; LANES];
+        let (mut lit, mut is_done) = (used, false);
+        if is_narrow && led.radius > 0.0 {
+            let rays = DiscRays { center, radius: led.radius, starts: &starts, ends: &points };
+            let (bits, all) = visible_from_disc(wall, &rays, &used, MAX_TRIANGLES);
+            (lit, is_done) = (lanes_of(bits), all);
+        } else if is_narrow {
+            let mut hits = Hits::within(reach);
+            let (bvh, extent) = (&wall.bvh, wall.extent);
+            is_done =
+                trace_at_most::<true>(MAX_TRIANGLES, bvh, center, &pyramid, extent, &mut hits);
+            lit = std::array::from_fn(|i| used[i] & (hits.triangle[i] == MISS));
+        }
         for i in 0..chunk.len() {
-            lit[i] = hits.triangle[i] == MISS;
             if lit[i] & !is_done {
-                let direction = at(&pyramid.directions, i);
-                lit[i] = ray::cast::<true>(&wall.bvh, origin, direction, reach[i], MISS).is_none();
+                let start = add(center, at(&starts, i));
+                let way = sub(at(&points, i), start);
+                let distance = dot(way, way).sqrt();
+                let direction = scale(way, 1.0 / max(distance, 1e-12));
+                let reach = distance * SHADOW_REACH;
+                lit[i] = ray::cast::<true>(&wall.bvh, start, direction, reach, MISS).is_none();
             }
         }
         lit
@@ -106,11 +120,11 @@ impl ShadowRays {
 
     /// Puts the requests in order of LED and direction, by counting.
     #[inline(always)]
-    fn sort(&mut self, leds: &[Vec3]) {
+    fn sort(&mut self, leds: &[Led]) {
         let cells = (DIRECTION_CELLS * DIRECTION_CELLS) as usize;
         self.keys.clear();
         self.keys.extend(self.pending.iter().map(|request| {
-            let direction = sub(request.point, leds[request.led as usize]);
+            let direction = sub(request.point, leds[request.led as usize].position);
             request.led * DIRECTION_CELLS * DIRECTION_CELLS + cell(direction)
         }));
         self.starts.clear();

@@ -4,6 +4,9 @@
 //! A number depends on the seed, the pixel, the dimension and the sample only: not on threads, nor
 //! on the order in which paths are traced.
 
+/// First dimension of the points of LEDs' discs; those of paths are four a reflection.
+pub const DISC_DIMENSION: u32 = 500;
+
 /// A whole number that looks random (Wellons 2018, `lowbias32`).
 #[inline(always)]
 pub fn hash(x: u32) -> u32 {

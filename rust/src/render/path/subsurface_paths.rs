@@ -1,6 +1,7 @@
 //! Paths through the tissue behind the wall, a wavefront at a time.
 
-use crate::render::material::{Led, Surface, add_leaving};
+use crate::render::led::Led;
+use crate::render::material::{Surface, add_leaving};
 use crate::render::path::bsdf::{base_probability, cosine_direction};
 use crate::render::path::shadow_rays::ShadowRays;
 use crate::render::path::sobol::{dimension, point};

@@ -1,6 +1,7 @@
 //! Wavefront path tracing: all paths of a band of tiles advance together.
 
-use crate::render::material::{Led, Surface, add_light};
+use crate::render::led::Led;
+use crate::render::material::{Surface, add_light};
 use crate::render::path::bsdf::{BsdfRandom, BsdfSample, sample_bsdf};
 use crate::render::path::light_paths::density;
 use crate::render::path::resampling::Scratch;
@@ -42,11 +43,10 @@ struct Wavefront {
 pub fn indirect(tracer: &Tracer<'_>, firsts: &[PrimaryHit]) -> Vec<Lane3> {
     let Settings { spp, max_bounces, .. } = tracer.transport.settings;
     let mut sums = vec![[0.0f64; 3]; firsts.len() * LANES];
-    let leds: Vec<Vec3> = tracer.transport.leds.iter().map(|led| led.position).collect();
     let mut wavefront = Wavefront::default();
     let count = samples_per_wavefront(firsts.len());
     let is_needed = max_bounces > 1 || max_bounces == 1 && tracer.transport.scene.tissue.is_some();
-    let mut done = if is_needed && !leds.is_empty() { 0 } else { spp };
+    let mut done = if is_needed && !tracer.transport.leds.is_empty() { 0 } else { spp };
     while done < spp {
         let after = spp.min(done.saturating_add(count));
         tracer.spawn_paths(firsts, done..after, &mut wavefront, &mut sums);
@@ -56,7 +56,7 @@ pub fn indirect(tracer: &Tracer<'_>, firsts: &[PrimaryHit]) -> Vec<Lane3> {
             }
             let Wavefront { paths, entries, exits, requests, .. } = &mut wavefront;
             tracer.walk_tissue_paths(reflection, entries, exits, (paths, requests));
-            wavefront.requests.resolve(tracer, &leds, &mut sums);
+            wavefront.requests.resolve(tracer, &mut sums);
             if wavefront.paths.is_empty() {
                 break;
             }
@@ -187,7 +187,7 @@ impl Tracer<'_> {
             }
         }
         let light = |led: &Led, radiance: &mut Lane3| {
-            add_light(&lit, &self.transport.scene.material, led, &[true; LANES], radiance);
+            add_light(&lit, &self.transport.scene.material, led, &[1.0; LANES], radiance);
         };
         self.request_led_light(
             reflection,

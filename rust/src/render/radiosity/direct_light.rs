@@ -3,7 +3,7 @@
 use super::gather_points::nearest_corner;
 use super::stratified_lobe::Lobe;
 use super::{Color, Radiosity};
-use crate::render::material::Led;
+use crate::render::led::Led;
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
 use crate::wall::ray;
@@ -67,8 +67,11 @@ fn send(
     let solid_angle = if led.exponent == 0.0 { 2.0 * TAU } else { TAU / (led.exponent + 1.0) };
     let power = scale(led.intensity, solid_angle / lobe.count() as f32);
     let (mut ends, mut pile) = (Vec::with_capacity(rays.len()), ray::Pile::default());
-    for direction in rays.map(|k| lobe.on_spiral(k)) {
-        let ray = (led.position, direction);
+    for number in rays {
+        let direction = lobe.on_spiral(number);
+        // Neighboring rays start at different places of the disc, by Roberts' sequence R2.
+        let start = [0.754_877_7, 0.569_840_3].map(|step| (0.5 + number as f32 * step).fract());
+        let ray = (add(led.position, led.offset(start)), direction);
         let hit = ray::cast_in::<false>(&mut pile, &wall.bvh, ray, f32::MAX, u32::MAX);
         // The back of a wall is dark.
         if let Some(hit) = hit.filter(|hit| hit.edges[2] < 0.0) {

@@ -1,6 +1,7 @@
 //! Directional reflectance of the wall by the angle of incidence or exitance.
 
-use crate::render::material::{Led, Material, Surface, add_light};
+use crate::render::led::Led;
+use crate::render::material::{Material, Surface, add_light};
 use crate::simd::f32x64::*;
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
 
@@ -96,8 +97,13 @@ impl Reflectance {
 /// clearcoat. An element of half vectors is an element of light of 4 (v·h) times its size.
 fn albedo(material: &Material, roughness: f32, cosine: f32) -> [f32; 2] {
     let view = [(1.0 - cosine * cosine).sqrt(), 0.0, cosine];
-    let led =
-        Led { position: [0.0; 3], direction: [0.0, 0.0, 1.0], intensity: [1.0; 3], exponent: 0.0 };
+    let led = Led {
+        position: [0.0; 3],
+        direction: [0.0, 0.0, 1.0],
+        intensity: [1.0; 3],
+        exponent: 0.0,
+        radius: 0.0,
+    };
     let growth = (FRAC_PI_2 / FIRST_RING).powf(1.0 / RINGS as f32);
     let mut total = [0.0f64; 2];
     for ring in 0..RINGS {
@@ -111,13 +117,13 @@ fn albedo(material: &Material, roughness: f32, cosine: f32) -> [f32; 2] {
             albedo: [[0.0; LANES], [1.0; LANES], [0.0; LANES]],
             roughness: [roughness; LANES],
         };
-        let (mut lit, mut weight) = ([true; LANES], [0.0; LANES]);
+        let (mut lit, mut weight) = ([1.0; LANES], [0.0; LANES]);
         for i in 0..LANES {
             let turn = TAU * (i as f32 + 0.5) / LANES as f32;
             let half = [angle.sin() * turn.cos(), angle.sin() * turn.sin(), angle.cos()];
             let towards = dot(view, half);
             let light = sub(scale(half, 2.0 * towards), view);
-            lit[i] = towards > 0.0 && light[2] > 0.0;
+            lit[i] = f32::from(u8::from(towards > 0.0 && light[2] > 0.0));
             weight[i] = 4.0 * towards * element;
             for k in 0..3 {
                 surface.position[k][i] = -light[k];

@@ -1,7 +1,8 @@
 //! One frame of light through tissue.
 
 use super::Transport;
-use crate::render::material::{Led, Surface, add_leaving, fresnel};
+use crate::render::led::Led;
+use crate::render::material::{Surface, add_leaving, fresnel};
 use crate::render::path::subsurface::refract_into;
 use crate::render::radiosity::lazy_cache::FrameCache;
 use crate::simd::f32x64::*;
@@ -260,12 +261,12 @@ impl SubsurfaceLight {
 
     /// Adds the radiance that an LED's light on the place itself leaves towards the viewer.
     #[inline(always)]
-    pub fn add(&self, surface: &Surface, led: &Led, lit: &[bool; LANES], radiance: &mut Lane3) {
+    pub fn add(&self, surface: &Surface, led: &Led, visible: &Lane, radiance: &mut Lane3) {
         let mut light = [[0.0; LANES]; 3];
         add_leaving(surface, self.border, led, &mut light);
         for k in 0..3 {
             for i in 0..LANES {
-                radiance[k][i] += if lit[i] { light[k][i] * self.weight[k][i] } else { 0.0 };
+                radiance[k][i] += light[k][i] * self.weight[k][i] * visible[i];
             }
         }
     }

@@ -1,0 +1,180 @@
+//! Visible fraction of each LED's disc in each pixel: soft shadows.
+//!
+//! 1. One pixel of each two by two traces a ray to a sample of each LED's disc. Where the
+//!    rays to an LED are all free, or none, in and around a tile, that holds for the tile.
+//! 2. Elsewhere each pixel traces a ray to its own sample. Samples repeat every four pixels.
+//! 3. A pixel takes the mean over its neighbors on the same surface, see `filter`.
+//!
+//! Nothing is random: neighbors have different samples, and each mean has all of them.
+
+mod filter;
+mod half_resolution;
+
+use crate::render::led::{Led, disc_samples};
+use crate::render::ray_table::TileRays;
+use crate::render::tile::{Scratch, TileRenderer};
+use crate::simd::f32x64::*;
+use crate::wall::Wall;
+use crate::wall::bundle::{RAYS, lit_by};
+use crate::wall::disc_visibility::{DiscRays, visible_from_disc};
+use half_resolution::{Blocks, block_row};
+use rayon::prelude::*;
+
+/// Rows and columns of tiles in a block, whose pixels of half the resolution make a tile.
+pub const BLOCK: usize = 2;
+
+/// Points that the rays of a tile have met.
+#[derive(Clone)]
+pub struct TilePoints {
+    /// Points [m].
+    pub position: Lane3,
+    /// A bit for each lane that met one.
+    pub used: u64,
+    /// Distance from the eye [m].
+    pub distance: Lane,
+}
+
+/// LEDs, and where in its disc the shadow rays of a tile's lanes start.
+pub struct Samples<'a> {
+    wall: &'a Wall,
+    leds: &'a [Led],
+    starts: Vec<Lane3>,
+}
+
+/// Visibility of LEDs in some rows of tiles.
+pub struct LedVisibility {
+    columns: usize,
+    num_leds: usize,
+    points: Vec<TilePoints>,
+    /// For each tile and each LED, a bit for each lane whose ray is free.
+    lit: Vec<u64>,
+}
+
+/// What some rows of tiles see, and which LEDs light it.
+pub struct Strip<S> {
+    /// What each tile sees.
+    pub seen: Vec<S>,
+    /// Visibility of the LEDs there.
+    pub visibility: LedVisibility,
+}
+
+impl<'a> Samples<'a> {
+    /// Samples of the discs of LEDs.
+    pub fn new(wall: &'a Wall, leds: &'a [Led]) -> Self {
+        let starts = leds.iter().enumerate().map(|(k, led)| disc_samples(led, k)).collect();
+        Samples { wall, leds, starts }
+    }
+
+    /// A bit for each point that is lit by LED `k`, without particles in between.
+    #[inline(always)]
+    fn lit(&self, k: usize, ends: &Lane3, used: &[bool; LANES]) -> u64 {
+        let Led { position, radius, .. } = self.leds[k];
+        let rays = DiscRays { center: position, radius, starts: &self.starts[k], ends };
+        visible_from_disc(self.wall, &rays, used, u32::MAX).0
+    }
+}
+
+/// Lanes whose bits are set.
+#[inline(always)]
+pub fn lanes_of(bits: u64) -> [bool; LANES] {
+    std::array::from_fn(|i| bits >> i & 1 == 1)
+}
+
+/// A bit for each lane that is set.
+#[inline(always)]
+pub fn bits_of(lanes: &[bool; LANES]) -> u64 {
+    let mut bits = 0;
+    for i in 0..LANES {
+        bits |= u64::from(lanes[i]) << i;
+    }
+    bits
+}
+
+impl<S: Send + Sync> Strip<S> {
+    /// Traces rows of tiles, an even number of rows from the top, and shadow rays to the LEDs.
+    pub fn trace<T: TileRenderer<Seen = S> + Sync>(
+        renderer: &T,
+        samples: &Samples<'_>,
+        tiles: &[TileRays],
+        columns: usize,
+    ) -> Self {
+        let rows: Vec<_> = tiles
+            .par_chunks(BLOCK * columns)
+            .with_max_len(1)
+            .map(|tiles| block_row(renderer, samples, tiles, columns))
+            .collect();
+        let (mut seen, mut points) = (Vec::new(), Vec::new());
+        let mut blocks = Blocks::new(columns.div_ceil(BLOCK), samples.leds.len());
+        for row in rows {
+            seen.extend(row.seen);
+            points.extend(row.points);
+            blocks.push(row.blocks);
+        }
+        let lit: Vec<Vec<u64>> = tiles
+            .par_chunks(columns)
+            .zip(points.par_chunks(columns))
+            .with_max_len(1)
+            .enumerate()
+            .map(|(row, (tiles, points))| {
+                refine_row(renderer, samples, (tiles, points), (row, &blocks))
+            })
+            .collect();
+        let (lit, num_leds) = (lit.concat(), samples.leds.len());
+        Strip { seen, visibility: LedVisibility { columns, num_leds, points, lit } }
+    }
+}
+
+/// Traces a shadow ray of each pixel to each LED whose visibility varies around its tile.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn refine_row<T: TileRenderer>(
+    renderer: &T,
+    samples: &Samples<'_>,
+    (tiles, points): (&[TileRays], &[TilePoints]),
+    (row, blocks): (usize, &Blocks),
+) -> Vec<u64> {
+    let (num_leds, mut scratch) = (samples.leds.len(), Scratch::default());
+    let mut out = vec![0; tiles.len() * num_leds];
+    for (column, (tile, points)) in tiles.iter().zip(points).enumerate() {
+        let lit = &mut out[column * num_leds..(column + 1) * num_leds];
+        let used = lanes_of(points.used);
+        if tile.is_wide {
+            trace_by_point(samples, points, &used, lit);
+        }
+        for (k, lit) in lit.iter_mut().enumerate() {
+            if !tile.is_wide {
+                if let Some(uniform) = blocks.uniform((row, column), k) {
+                    *lit = if uniform { points.used } else { 0 };
+                    continue;
+                }
+                *lit = samples.lit(k, &points.position, &used);
+            }
+            let place = samples.leds[k].position;
+            renderer.shade_particles(place, &points.position, &mut scratch, lit);
+        }
+    }
+    out
+}
+
+/// Traces the shadow rays of each point of a tile together.
+#[inline(always)]
+fn trace_by_point(
+    samples: &Samples<'_>,
+    points: &TilePoints,
+    used: &[bool; LANES],
+    lit: &mut [u64],
+) {
+    for (chunk, leds) in samples.leds.chunks(RAYS).enumerate() {
+        let starts = &samples.starts[chunk * RAYS..];
+        let source = |i: usize, k: usize| add(leds[k].position, at(&starts[k], i));
+        let of_points = lit_by(samples.wall, (leds.len(), source), &points.position, used);
+        for k in 0..leds.len() {
+            for i in 0..LANES {
+                lit[chunk * RAYS + k] |= u64::from(of_points[i] >> k & 1) << i;
+            }
+        }
+    }
+}

@@ -49,7 +49,8 @@ def radius_at(model: Model, vertices: np.ndarray, arc_length: float) -> np.ndarr
 def test_the_lumen_is_closed_before_and_behind_the_capsule(model):
     vertices = closed_wall(model, model.place(100 * MM).T_world_capsule)
     for arc_length in (70 * MM, 130 * MM):
-        assert radius_at(model, vertices, arc_length).mean() == pytest.approx(CLOSED, rel=0.25)
+        # The tone of the place changes the radius by a factor of up to exp(0.9).
+        assert 0.35 * CLOSED < radius_at(model, vertices, arc_length).mean() < 2.6 * CLOSED
     for arc_length in (5 * MM, 195 * MM):
         np.testing.assert_allclose(radius_at(model, vertices, arc_length), RADIUS, rtol=0.02)
 

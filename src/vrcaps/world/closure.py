@@ -37,6 +37,8 @@ _RECENTER = 5 * MM
 """Distance over which the lumen returns from the capsule's axis to its own course [m]."""
 _SWAY, _PITCHES = 4.5 * MM, (17 * MM, 23 * MM)
 """Amplitude and wavelengths / 2π of the course of the closed lumen about the centerline [m]."""
+_TONE_PITCHES = (26 * MM, 41 * MM)
+"""Wavelengths / 2π of the tone, which shortens the funnel and narrows the lumen [m]."""
 _FLATNESS, _TWIST = 0.15, 20 * MM
 """Relative difference between the diameters of the slit, and arc length of one radian of twist."""
 _FUNNEL = 13 * MM
@@ -55,13 +57,13 @@ class LumenClosure:
     Every cross-section contracts towards a point: the axis of the capsule where it lies, and a
     course close to the centerline elsewhere. A point at a distance r from the centerline moves to
     the smooth maximum of r − d and a least radius, which increases with r; d is the difference
-    between the section's mean radius and the wanted one: that of the capsule around it, `radius`
-    beyond a funnel before and behind it. So folds keep their height until they meet and stay in
-    their order, and sections do not cross.
+    between the section's mean radius and the wanted one: that of the capsule around it, about
+    `radius` beyond a funnel before and behind it, both by the tone of the place. So folds keep
+    their height until they meet and stay in their order, and sections do not cross.
 
     Attributes:
         model: Model whose wall is displaced.
-        radius: Mean radius of the closed lumen between its folds [m].
+        radius: Median radius of the closed lumen between its folds [m].
     """
 
     model: Model
@@ -93,9 +95,10 @@ class LumenClosure:
         offset += (1.0 - own)[:, None] * self._course(s)
         cylinder = 1.0 - shell_radius / half_length
         low, high = np.interp([-cylinder, cylinder], np.linspace(-1, 1, _NUM_SAMPLES), s_axis)
-        funnel = _FUNNEL * (1.0 + 0.45 * np.sin(s / _PITCHES[0]) * np.sin(s / _PITCHES[1] + 1.0))
+        tone = np.sin(s / _TONE_PITCHES[0]) * np.sin(s / _TONE_PITCHES[1] + 1.0)
+        funnel = _FUNNEL * np.exp(-0.8 * tone)
         far = smoothstep(np.maximum(np.maximum(low - s, s - high), 0.0) / funnel)
-        wanted = (1.0 - far) * _PLAY * shell_radius + far * self.radius
+        wanted = (1.0 - far) * _PLAY * shell_radius + far * self.radius * np.exp(-0.9 * tone)
         depth = np.maximum(mean - wanted, 0.0)
         slit = 1.0 + far * _FLATNESS * np.cos(2.0 * theta + s / _TWIST)
         free = radius - depth * slit - _LEAST

@@ -16,7 +16,7 @@ from vrcaps.camera_pipeline.effects import Effects, parse_effects
 from vrcaps.camera_pipeline.pipeline import CameraPipeline
 from vrcaps.camera_pipeline.units import unit_effects
 from vrcaps.capsule.device_file import device_names, read_device, write_device
-from vrcaps.capsule.image_chain import ImageChain, UnitVariation
+from vrcaps.capsule.image_chain import EQUAL_UNITS, ImageChain, UnitVariation
 from vrcaps.core.errors import InputError
 from vrcaps.motion.motion import Step
 from vrcaps.render.renderer import Renderer
@@ -36,15 +36,14 @@ def test_nominal_unit_has_the_values_of_its_model() -> None:
     assert own["jpeg"] == Jpeg(75)
     assert "led_balance" not in own
     assert "color_matrix" not in own
-    assert (
-        unit_effects(replace(CHAIN, variation=None), 5).keys() == unit_effects(CHAIN, None).keys()
-    )
+    equal = replace(CHAIN, variation=EQUAL_UNITS)
+    assert unit_effects(equal, 5).keys() == unit_effects(CHAIN, None).keys()
 
 
 def test_effects_that_change_nothing_are_left_out() -> None:
     ideal = ImageChain(
         lateral_color=(0.0, 0.0), bloom_fraction=0.0, bayer_pattern="", sharpening=0.0,
-        jpeg_quality=None, variation=None,
+        jpeg_quality=0, variation=EQUAL_UNITS,
     )  # fmt: skip
     left = {"depth_of_field", "vignetting", "sensor_noise", "white_balance", "denoising"}
     assert set(unit_effects(ideal, 3)) == left
@@ -95,6 +94,26 @@ def test_every_capsule_of_the_catalog_has_its_image_chain_and_files_keep_it(tmp_
         assert read_device(tmp_path / f"{name}.toml") == device
 
 
+def test_a_file_keeps_a_chain_without_compression_and_variation(tmp_path) -> None:
+    chain = replace(CHAIN, jpeg_quality=0, variation=EQUAL_UNITS)
+    device = replace(read_device("mirocam"), name="own", image_chain=chain)
+    write_device(tmp_path / "own.toml", device)
+    assert read_device(tmp_path / "own.toml") == device
+
+
+def test_every_allowed_chain_gives_units() -> None:
+    """Values at the limits of a chain, with the largest variation, are within those of effects."""
+    largest = UnitVariation(*[0.5] * 6)
+    rows = ((4.0, 4.0, 4.0), (-4.0, -4.0, -4.0), (0.0, 0.0, 0.0))
+    for gain in (0.01, 10.0):
+        gains = (gain, gain, gain)
+        chain = replace(
+            CHAIN, white_balance=gains, response=gains, color_matrix=rows, variation=largest
+        )
+        for seed in range(20):
+            assert {"white_balance", "color_matrix"} <= set(unit_effects(chain, seed))
+
+
 def test_an_effect_of_a_user_replaces_that_of_the_unit() -> None:
     device = read_device("mirocam")
     assert parse_effects("default") == Effects()
@@ -120,7 +139,8 @@ def test_an_effect_of_a_user_replaces_that_of_the_unit() -> None:
         ({"lens_shading": (np.nan, 0.0, 0.0)}, "lens_shading is"),
         ({"lateral_color": (0.6, 0.0)}, "lateral_color is"),
         ({"color_matrix": ((5.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0))}, "color_matrix is"),
-        ({"jpeg_quality": 0}, "jpeg_quality is 0"),
+        ({"jpeg_quality": -1}, "jpeg_quality is -1"),
+        ({"white_balance": (1e-9, 1.0, 1.0)}, "white_balance is .* from 0.01 to 10"),
     ],
 )
 def test_invalid_image_chain_is_reported(given: dict, match: str) -> None:

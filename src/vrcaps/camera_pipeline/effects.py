@@ -203,7 +203,7 @@ def _check(kind: type[Effect], value: Any) -> None:
     is_range = is_range and (not isinstance(value, tuple) or len(ends) == 2)
     if not (is_range and list(ends) == sorted(ends) and 0 <= ends[0] <= ends[-1] <= MAX_SEVERITY):
         raise InputError(
-            f"Effect {kind.name} has the severity {given}. Allowed: 0 to {MAX_SEVERITY}, or a "
+            f"Effect {kind.name} has the severity {given}. Allowed: 0 to {MAX_SEVERITY}, or an "
             "ascending range of these."
         )
 
@@ -240,6 +240,7 @@ class _All(Effect):
     """Every effect that has severities, as `all=SEVERITY` names it."""
 
     name = _ALL
+    severities = (None,) * (MAX_SEVERITY + 1)
 
 
 def parse_effects(text: str) -> Effects:
@@ -260,14 +261,21 @@ def parse_effects(text: str) -> Effects:
         name, equals, value = item.partition("=")
         name, value = name.strip().replace("-", "_"), value.strip()
         name = SHORT_NAMES.get(name, name)
-        if name == _RANDOM and not equals:
+        if equals and name in (_RANDOM, _NONE, DEFAULT):
+            raise InputError(
+                f"{name} has the value {value!r}. Allowed: {name} alone, or all=0 to "
+                f"all={MAX_SEVERITY}."
+            )
+        if name == _RANDOM:
             values |= dict.fromkeys(SEVERITIES, (0, MAX_SEVERITY))
-        elif name == _NONE and not equals:
+        elif name == _NONE:
             values |= dict.fromkeys(_OF_CAMERA, 0)
-        elif name == DEFAULT and not equals:
+        elif name == DEFAULT:
             values |= dict.fromkeys(_OF_CAMERA)
         elif name == _ALL:
-            values |= dict.fromkeys(SEVERITIES, _All.parse(value))
+            severity = _All.parse(value)
+            _check(_All, severity)
+            values |= dict.fromkeys(SEVERITIES, severity)
         elif name in EFFECTS:
             values[name] = 0 if value == "0" else EFFECTS[name].parse(value)
         else:

@@ -15,6 +15,7 @@ from vrcaps.camera_pipeline.effect.optics import (
     Vignetting,
 )
 from vrcaps.camera_pipeline.effect.processing import (
+    MAX_ELEMENT,
     ColorMatrix,
     Denoising,
     Jpeg,
@@ -23,7 +24,7 @@ from vrcaps.camera_pipeline.effect.processing import (
     WhiteBalance,
 )
 from vrcaps.camera_pipeline.effect.sensor import BayerFilter, SensorNoise
-from vrcaps.capsule.image_chain import UnitVariation
+from vrcaps.capsule.image_chain import EQUAL_UNITS
 from vrcaps.core.rng import stream, truncated_normal
 
 if TYPE_CHECKING:
@@ -40,9 +41,7 @@ def unit_effects(chain: ImageChain, seed: int | None) -> dict[str, Effect]:
         chain: Image chain of the model.
         seed: Seed of the unit; None for the nominal values.
     """
-    variation = chain.variation
-    if seed is None or variation is None:
-        variation = UnitVariation(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    variation = EQUAL_UNITS if seed is None else chain.variation
     rng = stream(seed or 0, "camera/unit")
     leds, sensor = (int(rng.integers(_SEEDS)) for _ in range(2))
     sensor = 0 if seed is None else sensor
@@ -64,15 +63,19 @@ def unit_effects(chain: ImageChain, seed: int | None) -> dict[str, Effect]:
         ToneCurve(chain.contrast) if chain.contrast != 1.0 else None,
         Denoising(chain.luma_denoising_px, chain.chroma_denoising_px),
         sharpening if chain.sharpening else None,
-        Jpeg(chain.jpeg_quality) if chain.jpeg_quality is not None else None,
+        Jpeg(chain.jpeg_quality) if chain.jpeg_quality else None,
     ]
     return {effect.name: effect for effect in found if effect is not None}
 
 
 def _color_matrix(nominal: np.ndarray, errors: np.ndarray) -> ColorMatrix | None:
-    """Matrix with errors off the diagonal, which keep gray; None for the identity."""
+    """Matrix with errors off the diagonal, which keep gray; None for the identity.
+
+    Elements are limited to those of `ColorMatrix`.
+    """
     errors = errors * (1.0 - np.eye(3))
     matrix = nominal @ (np.eye(3) + errors - np.diag(errors.sum(axis=1)))
+    matrix = np.clip(matrix, -MAX_ELEMENT, MAX_ELEMENT)
     if np.array_equal(matrix, np.eye(3)):
         return None
     red, green, blue = (_triple(row) for row in matrix)

@@ -6,5 +6,6 @@ from .device_file import LedRing as LedRing
 from .device_file import device_names as device_names
 from .device_file import read_device as read_device
 from .device_file import write_device as write_device
+from .image_chain import EQUAL_UNITS as EQUAL_UNITS
 from .image_chain import ImageChain as ImageChain
 from .image_chain import UnitVariation as UnitVariation

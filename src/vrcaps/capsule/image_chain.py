@@ -44,6 +44,10 @@ class UnitVariation:
         check_fields(self, of="UnitVariation")
 
 
+EQUAL_UNITS = UnitVariation(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+"""Units without differences."""
+
+
 @dataclass(frozen=True)
 class ImageChain:
     """Lens, sensor and image processor of a capsule's cameras as built, in physical order.
@@ -74,8 +78,8 @@ class ImageChain:
         chroma_denoising_px: Standard deviation of the low-pass filter of chroma; 0 for none.
         sharpening: Amount of the unsharp mask; 0 for none.
         sharpening_radius_px: Standard deviation of its filter.
-        jpeg_quality: Quality of compression, 1 to 100; None for no compression.
-        variation: Differences between units; None if all are equal.
+        jpeg_quality: Quality of compression, 1 to 100; 0 for no compression.
+        variation: Differences between units; `EQUAL_UNITS` if there are none.
     """
 
     aperture: Annotated[float, Range(above=0.0, below=0.01, unit="m")] = field(
@@ -102,8 +106,8 @@ class ImageChain:
     chroma_denoising_px: Annotated[float, Range(min=0.0, max=10.0, unit="px")] = 2.5
     sharpening: Annotated[float, Range(min=0.0, max=10.0)] = 0.8
     sharpening_radius_px: Annotated[float, Range(min=0.3, max=10.0, unit="px")] = 1.5
-    jpeg_quality: Annotated[int | None, Range(min=1, max=100)] = 75
-    variation: UnitVariation | None = field(default_factory=UnitVariation)
+    jpeg_quality: Annotated[int, Range(min=0, max=100)] = 75
+    variation: UnitVariation = field(default_factory=UnitVariation)
 
     def __post_init__(self) -> None:
         check_fields(self, of="ImageChain")
@@ -112,8 +116,8 @@ class ImageChain:
         require(is_known, "ImageChain's bayer_pattern", repr(self.bayer_pattern), allowed)
         for name in ("white_balance", "response"):
             values = getattr(self, name)
-            is_valid = all(0.0 < value < 100.0 for value in values)
-            require(is_valid, f"ImageChain's {name}", values, "three numbers above 0 to 100")
+            is_valid = all(0.01 <= value <= 10.0 for value in values)
+            require(is_valid, f"ImageChain's {name}", values, "three numbers from 0.01 to 10")
         is_finite = bool(np.isfinite(self.lens_shading).all())
         require(is_finite, "ImageChain's lens_shading", self.lens_shading, "three finite numbers")
         is_small = all(-0.5 < value < 0.5 for value in self.lateral_color)

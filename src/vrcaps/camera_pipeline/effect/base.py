@@ -24,7 +24,7 @@ Severity = int | tuple[int, int]
 """A severity from 0 to `MAX_SEVERITY`, or the first and last of a range to sample from."""
 
 MAX_SEVERITY = 4
-_SEVERITY = re.compile(r"(\d+)(?:\.\.(\d+))?")
+_SEVERITY = re.compile(r"([0-9]{1,9})(?:\.\.([0-9]{1,9}))?")
 
 
 class Effect:

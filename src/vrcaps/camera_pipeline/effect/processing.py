@@ -19,6 +19,9 @@ from vrcaps.core.errors import require
 Triple = tuple[float, float, float]
 Matrix = tuple[Triple, Triple, Triple]
 
+MAX_ELEMENT = 4.0
+"""Maximum absolute value of an element of a color matrix."""
+
 
 @dataclass(frozen=True)
 class WhiteBalance(ImageEffect):
@@ -84,7 +87,7 @@ class ColorMatrix(ImageEffect):
 
     def __post_init__(self) -> None:
         values = np.array(self.matrix, float)
-        is_valid = values.shape == (3, 3) and bool((np.abs(values) <= 4.0).all())
+        is_valid = values.shape == (3, 3) and bool((np.abs(values) <= MAX_ELEMENT).all())
         require(is_valid, "ColorMatrix's matrix", self.matrix, "3 rows of 3 numbers from -4 to 4")
 
     def params(self, setup: CameraSetup) -> Matrix:

@@ -10,6 +10,7 @@ import numpy as np
 
 from vrcaps.camera.camera import Camera, Led
 from vrcaps.capsule.device import Device
+from vrcaps.capsule.image_chain import EQUAL_UNITS
 from vrcaps.config.plain_files import write_toml
 from vrcaps.core.errors import InputError
 from vrcaps.tools.camera_calibration.circle import ImageCircle, image_circle
@@ -132,7 +133,7 @@ def photometric_device(
     )
     title = f"{pattern.title}, matched to frames"
     chain = pattern.image_chain
-    chain = None if chain is None else replace(chain, variation=None)
+    chain = None if chain is None else replace(chain, variation=EQUAL_UNITS)
     device = with_camera(pattern, old, new)
     return replace(device, title=title, source=source, image_chain=chain)
 

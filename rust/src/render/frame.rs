@@ -114,6 +114,9 @@ pub fn render_bands<T: TileRenderer + Sync>(
     }
 }
 
+/// Strip of tiles that are traced together, and a row in it.
+type StripRow<'a, S> = (&'a Strip<S>, usize);
+
 /// Position of a band of tiles in the image.
 #[derive(Clone, Copy)]
 struct Area {
@@ -188,7 +191,7 @@ fn indirect(
 fn render_band<T: TileRenderer>(
     renderer: &T,
     WallTiles { wall, scene, view }: WallTiles<'_>,
-    (tiles, strip): (&[TileRays], Option<(&Strip<T::Seen>, usize)>),
+    (tiles, strip): (&[TileRays], Option<StripRow<'_, T::Seen>>),
     area: Area,
     out: &mut Channels<'_>,
 ) {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,13 +11,18 @@ from tyro.conf import Positional, UseAppendAction
 
 from vrcaps.cli.arguments import require_sources
 from vrcaps.cli.console import console, progress_bar
-from vrcaps.core.errors import InputError
+from vrcaps.core.errors import InputError, require
+from vrcaps.core.files import atomic_folder
 
 if TYPE_CHECKING:
     from vrcaps.tools.appearance.compare import DescribedSet
+    from vrcaps.tools.appearance.image_set import ImageSet
 
-_MIN_REAL = 12
-"""Minimum number of real images, so that halves of them can be compared."""
+_MIN_IMAGES = 12
+"""Minimum of --max-images, so that halves of the real set can be compared."""
+_SECOND_REAL, _HALVES = "second real", "halves of the real set"
+_TAKEN = (_SECOND_REAL, _HALVES, "statistic", "meaning", "real, 10 to 90 %")
+"""Names of rows and columns of the tables."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +54,7 @@ class CompareLooks:
     """Further set to compare, NAME=SOURCE; repeat for more."""
 
     max_images: int = 300
-    """Maximum number of images of each set, drawn at random; at most 22 of a patient."""
+    """Maximum number of images of each set, 12 or more, drawn at random; at most 22 of a patient."""
 
     out: Path | None = None
     """Output folder: index.html with nearest images, looks.csv, statistics.csv, and blind.png with
@@ -64,60 +70,82 @@ class CompareLooks:
             InputError: If a set has too few images or cannot be read.
             MissingExtraError: If PyTorch is not installed.
         """
-        others = [_named(text) for text in self.other]
-        sources = {"ours": self.ours, "real": self.real, **dict(others)}
-        if self.second_real:
-            sources["second real"] = self.second_real
-        require_sources(tuple(sources.values()))
+        require(
+            self.max_images >= _MIN_IMAGES,
+            "--max-images",
+            self.max_images,
+            f"{_MIN_IMAGES} or more",
+        )
+        require(self.seed >= 0, "--seed", self.seed, "0 or more")
+        sources = self._sources()
+        require_sources(sources.values())
+        if self.out is None:
+            self._compare(sources, None)
+            return
+        self.out.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_folder(self.out) as folder:
+            self._compare(sources, folder)
+        console.print(f"Written: {self.out / 'index.html'}. Blind sheet: {self.out}/blind.png.")
+
+    def _sources(self) -> dict[str, str]:
+        """Source of each set by its name."""
+        sources = {"ours": self.ours, "real": self.real}
+        for text in self.other:
+            name, equals, source = (part.strip() for part in text.partition("="))
+            if not equals or not name or not source:
+                raise InputError(
+                    f"--other is {text!r}. Allowed: NAME=SOURCE, such as peer=peer-frames."
+                )
+            if name in (*sources, *_TAKEN):
+                raise InputError(
+                    f"--other is {text!r}, and the name {name!r} is taken. Give another name."
+                )
+            sources[name] = source
+        return sources | ({_SECOND_REAL: self.second_real} if self.second_real else {})
+
+    def _compare(self, sources: Mapping[str, str], folder: Path | None) -> None:
+        """Print the distances, and write the report to a folder if one is given."""
         from rich.table import Table
 
-        from vrcaps.core.files import require_new_folder
         from vrcaps.tools.appearance.compare import compare, halves, without_duplicates
         from vrcaps.tools.appearance.report import rows_of, write_report
 
-        if self.out is not None:
-            require_new_folder(self.out)
-        sets = {name: self._described(name, source) for name, source in sources.items()}
-        real = without_duplicates(sets.pop("real"))
-        if len(real.images) < _MIN_REAL:
-            raise InputError(
-                f"The real set has {len(real.images)} images without near-duplicates. Allowed: "
-                f"{_MIN_REAL} or more."
-            )
+        images = {name: self._read(name, source) for name, source in sources.items()}
+        real = without_duplicates(_described(images.pop("real")))
         first, second = halves(real, seed=self.seed)
+        sets = {name: _described(one) for name, one in images.items()}
         results = compare(real, list(sets.values()), seed=self.seed)
         floor = compare(first, [second], seed=self.seed)
-        unit = next((one.pooled for one in results if one.name == "second real"), None)
+        unit = next((one.pooled for one in results if one.name == _SECOND_REAL), None)
         rows = rows_of((*results, *floor), unit)
-        rows[-1]["set"] = "halves of the real set"
+        rows[-1]["set"] = _HALVES
         table = Table(*rows[0])
         for row in rows:
             table.add_row(*row.values())
         console.print(table)
-        if self.out is not None:
-            self.out.mkdir(parents=True, exist_ok=True)
-            write_report(self.out, real, sets["ours"], results, unit)
-            console.print(f"Written: {self.out / 'index.html'}. Blind sheet: {self.out}/blind.png.")
+        if unit is not None and unit <= 0.0:
+            console.print(
+                f"No R: the pooled KID of the {_SECOND_REAL} set is {unit:.2f}, not above 0."
+            )
+        if folder is not None:
+            write_report(folder, real, sets["ours"], results, unit)
 
-    def _described(self, name: str, source: str) -> DescribedSet:
+    def _read(self, name: str, source: str) -> ImageSet:
         from vrcaps.formats import read_source
-        from vrcaps.tools.appearance.compare import describe
         from vrcaps.tools.appearance.image_set import read_image_set
 
         with progress_bar(f"reading {name}") as show:
-            images = read_image_set(
+            return read_image_set(
                 name,
                 read_source(source),
                 max_images=self.max_images,
                 seed=self.seed,
                 progress=show,
             )
-        with progress_bar(f"describing {name}") as show:
-            return describe(images, progress=show)
 
 
-def _named(text: str) -> tuple[str, str]:
-    name, equals, source = text.partition("=")
-    if not equals or not name or not source or name in ("ours", "real", "second real"):
-        raise InputError(f"--other is {text!r}. Allowed: NAME=SOURCE, such as peer=peer-frames.")
-    return name, source
+def _described(images: ImageSet) -> DescribedSet:
+    from vrcaps.tools.appearance.compare import describe
+
+    with progress_bar(f"describing {images.name}") as show:
+        return describe(images, progress=show)

@@ -104,7 +104,7 @@ def test_the_command_compares_folders(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "Blind sheet" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("text", ["near", "=folder", "near=", "real=folder"])
+@pytest.mark.parametrize("text", ["near", "=folder", "near=", " = "])
 def test_a_further_set_needs_a_name_and_a_source(
     text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -128,5 +128,56 @@ def test_a_reference_of_copies_is_refused(tmp_path: Path, capsys: pytest.Capture
         Image.new("RGB", (64, 64), (180, 120, 90)).save(folder / f"{k}.png")
     with pytest.raises(SystemExit):
         main(["compare-looks", str(folder), str(folder)])
-    message = "The real set has 1 images without near-duplicates. Allowed: 12 or more."
+    message = (
+        "The set real has 1 images without near-duplicates, and one of its halves has 0. Allowed"
+    )
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--seed", "-1"], "--seed is -1. Allowed: 0 or more."),
+        (["--max-images", "5"], "--max-images is 5. Allowed: 12 or more."),
+        (["--other", "a=.", "--other", "a=."], "the name 'a' is taken. Give another name."),
+        (["--other", "meaning=."], "the name 'meaning' is taken"),
+        (["--other", "real =."], "the name 'real' is taken"),
+        (["--out", "0.png/out"], "0.png"),
+    ],
+)
+def test_invalid_options_are_one_line(
+    options: list[str],
+    message: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+):
+    real = write_images(tmp_path / "real", 3, 60)
+    monkeypatch.chdir(real)
+    with pytest.raises(SystemExit):
+        main(["compare-looks", ".", ".", *options])
+    error = capsys.readouterr().err
+    assert message in error
+    assert len(error.splitlines()) == 1
+
+
+def test_halves_of_unequal_patients_are_refused(real: DescribedSet):
+    images = real.images
+    groups = np.array(["a"] + ["b"] * 59)
+    uneven = DescribedSet(ImageSet("real", images.views, groups, images.names), real.features)
+    with pytest.raises(InputError, match=r"60 images .* of 2 patients or folders, .* halves has 1"):
+        halves(uneven)
+
+
+@pytest.mark.parametrize("unit", [0.0, -0.25, None])
+def test_a_second_real_set_without_distance_gives_no_ratio(real: DescribedSet, unit: float | None):
+    assert rows_of(compare(real, [described("ours", 40, 1.0, 1)]), unit)[0]["R"] == ""
+
+
+@pytest.mark.slow
+def test_a_failed_comparison_leaves_no_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    real, few = write_images(tmp_path / "real", 20, 100), write_images(tmp_path / "few", 2, 90)
+    with pytest.raises(SystemExit):
+        main(["compare-looks", str(few), str(real), "--out", str(tmp_path / "a" / "out")])
+    assert "ours has 2 images. Allowed: 3 or more." in capsys.readouterr().err
+    assert not list((tmp_path / "a").glob("*out*partial")) and not (tmp_path / "a/out").exists()

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.core.errors import InputError
 from vrcaps.core.rng import stream
 from vrcaps.metrics.appearance import (
     KernelDistance,
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 HAND = "statistics"
 """Name of the level of `view_statistics`, next to the network's."""
 _AXES = 32
+_MIN_HALF = 6
+"""Minimum number of images of a half of the reference, as `coverage` needs."""
 
 
 @dataclass(frozen=True)
@@ -160,12 +163,24 @@ def projected(one: DescribedSet, real: DescribedSet) -> tuple[NDArray, NDArray]:
 
 
 def halves(described: DescribedSet, *, seed: int = 0) -> tuple[DescribedSet, DescribedSet]:
-    """Two halves of a set without a common group, whose distance is the floor of the measure."""
+    """Two halves of a set without a common group, whose distance is the floor of the measure.
+
+    Raises:
+        InputError: If a half has fewer than six images.
+    """
     groups = _bootstrap_groups(described.images)
     keys = np.arange(len(described.images)) if groups is None else groups
     unique = np.unique(keys)
     first = stream(seed, "looks/halves").permutation(unique)[: len(unique) // 2]
     is_first = np.isin(keys, first)
+    least = min(int(is_first.sum()), int((~is_first).sum()))
+    if least < _MIN_HALF:
+        of_groups = "" if groups is None else f" of {len(unique)} patients or folders"
+        raise InputError(
+            f"The set {described.images.name} has {len(described.images)} images without "
+            f"near-duplicates{of_groups}, and one of its halves has {least}. Allowed: {_MIN_HALF} "
+            "or more. Give more images, or all in one folder."
+        )
     return (
         described.subset(np.flatnonzero(is_first)),
         described.subset(np.flatnonzero(~is_first)),

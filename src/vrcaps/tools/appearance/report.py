@@ -32,14 +32,15 @@ def rows_of(comparisons: Sequence[Comparison], unit: float | None) -> list[dict[
 
     Args:
         comparisons: Results.
-        unit: Pooled distance of a second real set, by which R divides; None leaves R empty.
+        unit: Pooled distance of a second real set, by which R divides; R is empty if it is None, or
+            not above 0, as of sets that do not differ.
     """
     return [
         {
             "set": one.name,
             "images": str(one.count),
             **{f"KID {level}": _text(one, level) for level in (HAND, *LEVELS)},
-            "R": "" if unit is None else f"{one.pooled / unit:.2f}",
+            "R": "" if unit is None or unit <= 0.0 else f"{one.pooled / unit:.2f}",
             "Fréchet": f"{one.frechet:.0f}",
             "coverage": f"{one.coverage:.2f}",
             "statistics outside": ", ".join(one.outside) or "none",

@@ -233,12 +233,25 @@ def _too_few_vertices(document: dict) -> None:
     arrays["vertices"] = arrays["centerline.points"]
 
 
-@pytest.mark.parametrize("fault", [_drop_array, _wrong_shape, _wrong_view, _too_few_vertices])
+def _no_metadata(document: dict) -> None:
+    document["asset"]["extras"]["plain"]["metadata"] = [1]
+
+
+@pytest.mark.parametrize(
+    "fault", [_drop_array, _wrong_shape, _wrong_view, _too_few_vertices, _no_metadata]
+)
 def test_a_damaged_file_is_one_line(organ, tmp_path: Path, fault) -> None:
     path = tmp_path / "a.glb"
     write_organ(path, organ)
     rewrite(path, fault)
     with pytest.raises(InputError, match=r"a\.glb is damaged: .*Make or copy the file again"):
+        read_organ(path)
+
+
+def test_an_arc_length_without_value_is_one_line(organ, tmp_path: Path) -> None:
+    path = tmp_path / "a.glb"
+    write_organ(path, replace(organ, arc_length=np.full(len(organ.vertices), np.nan)))
+    with pytest.raises(InputError, match=r"a\.glb is damaged: an arc length is not a number"):
         read_organ(path)
 
 

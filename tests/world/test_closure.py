@@ -96,6 +96,13 @@ def test_the_displacement_is_continuous_in_the_pose(model):
     assert 0.0 < change < 2e-5
 
 
+@pytest.mark.parametrize("shift", [-7 * MM, 1e9])
+def test_arc_lengths_may_have_any_origin(model, shift):
+    organ = replace(model.organ, arc_length=model.organ.arc_length + shift)
+    vertices = closed_wall(replace(model, organ=organ), model.place(100 * MM).T_world_capsule)
+    assert np.isfinite(vertices).all()
+
+
 def test_an_open_organ_is_not_closed():
     model = straight(0.0)
     assert closure_of(model) is None

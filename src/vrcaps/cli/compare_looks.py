@@ -54,7 +54,7 @@ class CompareLooks:
     """Further set to compare, NAME=SOURCE; repeat for more."""
 
     max_images: int = 300
-    """Maximum number of images of each set, 12 or more, drawn at random; at most 22 of a patient."""
+    """Maximum number of images of each set, drawn at random, 12 or more; 22 per patient."""
 
     out: Path | None = None
     """Output folder: index.html with nearest images, looks.csv, statistics.csv, and blind.png with

@@ -294,6 +294,10 @@ def _read(document: dict[str, Any], binary: memoryview) -> OrganSurface:
     values["faces"], values["uv"] = values["faces"][index], values["uv"][index]
     if values["faces"].min() < 0 or values["faces"].max() >= len(values["vertices"]):
         raise ValueError("a triangle refers to a missing vertex")
+    if not np.isfinite(values["arc_length"]).all():
+        raise ValueError("an arc length is not a number")
+    if not isinstance(own["plain"]["metadata"], dict):
+        raise ValueError("its metadata are not a table")
     return organ_from_arrays(values | own["plain"])
 
 

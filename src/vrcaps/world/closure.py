@@ -147,11 +147,10 @@ class LumenClosure:
         offset = self.model.vertices_world - center
         radius = np.linalg.norm(offset, axis=1)
         outward = offset / np.maximum(radius, 1e-9)[:, None]
-        section = (organ.arc_length / _SECTION).astype(int)
-        total = np.bincount(section, radius) / np.maximum(np.bincount(section), 1)
-        middle = _SECTION * (np.arange(len(total)) + 0.5)
-        filled = np.bincount(section) > 0
-        mean = np.interp(organ.arc_length, middle[filled], total[filled])
+        section = np.floor(organ.arc_length / _SECTION)
+        filled, part = np.unique(section, return_inverse=True)
+        means = np.bincount(part, radius) / np.bincount(part)
+        mean = np.interp(organ.arc_length, _SECTION * (filled + 0.5), means)
         return organ.arc_length, center, outward, radius, organ.theta, mean
 
 

@@ -145,7 +145,8 @@ class Make:
     """Patient seed; each seed is a different patient."""
 
     distension: Distension | None = None
-    """Distension; by default the colon is inflated, all others are normal."""
+    """Distension; by default the colon is inflated, the small bowel collapsed, all others are
+    normal."""
 
     mucosa: str | None = None
     """Appearance of the wall: colon, stomach or small-bowel, or the folder of a texture written by

@@ -3,10 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.support.tubes import straight_tube
 from vrcaps.capsule.device_file import device_names, read_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import transform_points
+from vrcaps.core.units import MM
 from vrcaps.motion.fly_through import FlyThrough, _free_part, fly_through
+from vrcaps.organ.surface import CLOSED_RADIUS
 from vrcaps.world.clearance import vital_clearance
 from vrcaps.world.model import Model
 
@@ -175,6 +178,36 @@ def test_capsule_too_long_for_a_bend(model):
     device = replace(model.device, length=0.4, radius=0.1)
     with pytest.raises(InputError, match=r"a camera leaves the lumen 0\.\d+ of the way along"):
         _fly(Model(model.organ, device))
+
+
+def _constricted(closed: float) -> Model:
+    """Straight tube with a ring in its middle that is narrower than the circle of side cameras."""
+    organ = straight_tube(0.2, 8 * MM, 48, 401)
+    device = read_device("panoramic")
+    side = max(float(np.hypot(*camera.position[:2])) for camera in device.cameras)
+    ring = np.exp(-(((organ.arc_length - 0.1) / (3 * MM)) ** 2))
+    scale = 1.0 - ring * (1.0 - (side - 0.3 * MM) / (8 * MM))
+    vertices = organ.vertices * np.stack([scale, scale, np.ones_like(scale)], axis=1)
+    organ = replace(organ, vertices=vertices, metadata={CLOSED_RADIUS: closed})
+    return Model(organ, device, np.eye(4))
+
+
+def test_a_slack_wall_gives_way_to_cameras_in_the_shell():
+    settings = FlyThrough(start=0.4, end=0.6, whole=True, drift=0.0)
+    for model, rigid in ((_constricted(0.0), False), (_constricted(2 * MM), True)):
+        with pytest.raises(InputError, match="a camera leaves the lumen"):
+            _fly(model, replace(settings, rigid_wall=rigid))
+    model = _constricted(2 * MM)
+    trajectory = _fly(model, settings)
+    poses = trajectory.Ts_world_capsule
+    clearance = vital_clearance(model, poses)
+    assert -1.0 * MM < clearance.min() < 0.0
+    pose = poses[clearance.argmin()]
+    wall = trajectory.wall_displacement.vertices_world(pose)
+    local = (wall - pose[:3, 3]) @ pose[:3, :3]
+    half = 0.5 * model.device.length - model.device.radius
+    local[:, 2] -= np.clip(local[:, 2], -half, half)
+    assert np.linalg.norm(local, axis=1).min() > 0.999 * model.device.radius
 
 
 @pytest.mark.parametrize(

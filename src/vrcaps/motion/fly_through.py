@@ -48,6 +48,10 @@ DEFAULT_SPEED = 0.01
 _TILT, _SLACK_TILT = 0.15, 0.75
 """Default tilt in an open and in a closed lumen [rad]."""
 
+_SLACK_DEPTH = 1.0 * MM
+"""Maximum distance of a camera beyond the wall at rest of a closed lumen, whose folds give way to
+the shell and thus to the cameras in it [m]."""
+
 _KNOT_SPACING = 1.0 * MM  # of the positions where the path is checked against the wall
 _PUSH_BLURS = (3.0 * MM, 1.5 * MM, 0.75 * MM)
 """Blurs of the push off the wall [m], tried in turn: a narrow bend requires a less smooth path."""
@@ -155,7 +159,8 @@ def fly_through(
     velocities = velocities_between(pose_at(times - step), pose_at(times + step), 2.0 * step)
     wall_displacement = None if settings.rigid_wall else WallDisplacement(model, shown or model)
     trajectory = Trajectory(times, pose_at(times), *velocities, notes, wall_displacement)
-    require_inside(model, trajectory.Ts_world_capsule)
+    if not _gives_way(model, settings):
+        require_inside(model, trajectory.Ts_world_capsule)
     return trajectory
 
 
@@ -237,6 +242,8 @@ def _fitted(
             return fitted, float(knots[0]), float(knots[-1]), notes
     is_free = np.asarray(clearance > 0.0)
     part = None if settings.whole else _free_part(settings, knots, is_free, duration)
+    if part is None and _gives_way(model, settings) and (clearance > -_SLACK_DEPTH).all():
+        return fitted, float(knots[0]), float(knots[-1]), notes
     if part is None:
         blocked = int(np.flatnonzero(~is_free)[0])
         raise InputError(
@@ -296,6 +303,11 @@ def _stretch(
         if shift > 0.0
     )
     return knots, notes
+
+
+def _gives_way(model: Model, settings: FlyThrough) -> bool:
+    """Whether the wall is slack and yields to the shell."""
+    return not settings.rigid_wall and closure_of(model) is not None
 
 
 def _tilt(model: Model, settings: FlyThrough) -> float:

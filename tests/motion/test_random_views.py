@@ -3,9 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.support.tubes import straight_tube
+from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import DEG, MM
 from vrcaps.motion.random_views import RandomViews, _cone
+from vrcaps.organ.surface import CLOSED_RADIUS
 from vrcaps.world.clearance import capsule_clearance, vital_clearance
 from vrcaps.world.model import Model
 
@@ -112,6 +115,13 @@ def test_a_seed_draws_the_same_views(model):
 def test_the_wall_makes_way_unless_it_is_rigid(model):
     assert begun(model, RandomViews(), frames=1).wall_displacement is not None
     assert begun(model, RandomViews(rigid_wall=True), frames=1).wall_displacement is None
+
+
+def test_a_refusal_states_the_limits_of_a_closed_lumen():
+    organ = replace(straight_tube(0.05, 0.4 * MM, 12, 51), metadata={CLOSED_RADIUS: 0.1 * MM})
+    narrow = Model(organ, read_device("mirocam"), np.eye(4))
+    with pytest.raises(InputError, match=r"with nearest 0\.004 m and margin 0\.0005 m"):
+        begun(narrow, RandomViews(), frames=1)
 
 
 def test_views_without_a_place_are_refused(model):

@@ -48,12 +48,14 @@ class RandomViews(MotionSettings):
     Attributes:
         lesion_fraction: Fraction of the frames that look at a lesion, each lesion with equal
             probability; the others look at any point of the wall, as do all frames without lesions.
-        nearest: Minimum distance from the first camera to its target [m].
-        farthest: Maximum distance from the first camera to its target [m]; the logarithm of
-            distances is uniform.
+        nearest: Minimum distance from the first camera to its target [m]; in a closed lumen 4 mm
+            if it is more.
+        farthest: Maximum distance from the first camera to its target [m], in a closed lumen 20 mm
+            if it is more; the logarithm of distances is uniform.
         obliqueness: Maximum angle between the line of sight and the wall's normal [rad].
         tilt: Maximum angle between the camera's axis and the line of sight [rad].
-        margin: Minimum distance of the cameras and the capsule's center from the wall [m].
+        margin: Minimum distance of the cameras and the capsule's center from the wall [m]; in a
+            closed lumen 0.5 mm from the wall at rest if it is more.
         rigid_wall: Whether the wall keeps its shape where the shell reaches into it. Otherwise the
             wall yields to the shell.
     """
@@ -118,10 +120,12 @@ def random_views(
         left, num_draws = np.setdiff1d(left, found), num_draws + count
         if not len(left):
             return poses
+    nearest, _ = _distances(model, settings)
+    margin = margin_to(model, settings.margin)
     raise InputError(
         f"{model.device.name} in {model.organ.name}: {len(left)} of {frames} views have no "
-        f"free position in {_MAX_DRAWS} draws each, with nearest {settings.nearest:g} m and "
-        f"margin {settings.margin:g} m: {fit_text(model)} Allow less of both, inflate the organ, "
+        f"free position in {_MAX_DRAWS} draws each, with nearest {nearest:g} m and "
+        f"margin {margin:g} m: {fit_text(model)} Allow less of both, inflate the organ, "
         "or take a smaller capsule."
     )
 

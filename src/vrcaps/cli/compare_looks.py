@@ -82,7 +82,13 @@ class CompareLooks:
         if self.out is None:
             self._compare(sources, None)
             return
-        self.out.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            self.out.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(
+                f"--out is {self.out}: cannot create its parent ({error.strerror}). Allowed: a new "
+                "folder in a writable one."
+            ) from error
         with atomic_folder(self.out) as folder:
             self._compare(sources, folder)
         console.print(f"Written: {self.out / 'index.html'}. Blind sheet: {self.out}/blind.png.")

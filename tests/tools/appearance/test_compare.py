@@ -142,7 +142,7 @@ def test_a_reference_of_copies_is_refused(tmp_path: Path, capsys: pytest.Capture
         (["--other", "a=.", "--other", "a=."], "the name 'a' is taken. Give another name."),
         (["--other", "meaning=."], "the name 'meaning' is taken"),
         (["--other", "real =."], "the name 'real' is taken"),
-        (["--out", "0.png/out"], "0.png"),
+        (["--out", "0.png/out"], "--out is 0.png/out: cannot create its parent (File exists)."),
     ],
 )
 def test_invalid_options_are_one_line(

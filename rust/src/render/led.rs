@@ -81,6 +81,10 @@ pub const PERIOD: usize = 4;
 /// Samples of a disc.
 const SAMPLES: usize = PERIOD * PERIOD;
 
+/// Factor on the 16 samples that gives them the second moment of the disc, 1/2; without it they have
+/// 0.449.
+const SPREAD: f32 = 1.055_02;
+
 /// Order of the samples in a square of pixels (Bayer 1973): any two by two neighbors have one of
 /// each quarter of the numbers.
 const ORDER: [[usize; PERIOD]; PERIOD] =
@@ -91,7 +95,8 @@ const ORDER: [[usize; PERIOD]; PERIOD] =
 ///
 /// The samples are a (0, 4, 2)-net (Hammersley's set): each two by two neighbors have one in each
 /// quarter of the disc, and an even mean over 4 × 4 pixels is a quadrature with 16 points that lie
-/// in 16 different places along either side. Each LED has its own turn of the disc.
+/// in 16 different places along either side. The points are scaled so that the mean square of their
+/// distance from the center is that of the disc. Each LED has its own turn of the disc.
 pub fn disc_samples(led: &Led, number: usize) -> Lane3 {
     let (cosine, sine) = circle((0.618_034 * number as f32 + 0.07).fract());
     let [right, up] = frame(led.direction);
@@ -100,7 +105,7 @@ pub fn disc_samples(led: &Led, number: usize) -> Lane3 {
         let [x, y] = on_disc(net_point(ORDER[i / TILE % PERIOD][i % PERIOD]));
         let (x, y) = (cosine * x - sine * y, sine * x + cosine * y);
         for k in 0..3 {
-            starts[k][i] = led.radius * (right[k] * x + up[k] * y);
+            starts[k][i] = SPREAD * led.radius * (right[k] * x + up[k] * y);
         }
     }
     starts

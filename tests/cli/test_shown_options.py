@@ -27,7 +27,7 @@ PLACEHOLDER = re.compile(r"[A-Z][A-Z_]*(=[A-Z]+)?|…|<.*>|\.\.\.|\[.*\]?")
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 INLINE = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
 MOTIONS = ("fly-through", "random-views", "replay", "dynamics")
-OF_PLUGINS = {"position-table", "distance", "rest", "env.task=rest", "roll"}
+OF_PLUGINS = {"position-table", "distance", "rest", "env.task=rest"}
 """Names that the guide to extensions registers; `docs/test_extending.py` runs its programs."""
 OTHER_TOOLS = {"--logdir", "--continue"}
 """Options of tensorboard and of git."""

@@ -87,12 +87,12 @@ class LumenClosure:
         span = _REACH + _FADE
         first, last = np.searchsorted(sorted_s, [s_axis[0] - span, s_axis[-1] + span])
         moved = order[first:last]
-        s, center, outward, radius, theta, mean = (values[moved] for values in self._polar)
+        s, center, course, outward, radius, theta, mean = (each[moved] for each in self._polar)
         beyond = np.maximum(np.maximum(s_axis[0] - s, s - s_axis[-1]), 0.0)
         weight = smoothstep((span - beyond) / _FADE)
         own = np.exp(-((beyond / _RECENTER) ** 2))
         offset = own[:, None] * _linear(s, s_axis, offset_axis)
-        offset += (1.0 - own)[:, None] * self._course(s)
+        offset += (1.0 - own)[:, None] * course
         cylinder = 1.0 - shell_radius / half_length
         low, high = np.interp([-cylinder, cylinder], np.linspace(-1, 1, _NUM_SAMPLES), s_axis)
         tone = np.sin(s / _TONE_PITCHES[0]) * np.sin(s / _TONE_PITCHES[1] + 1.0)
@@ -112,8 +112,7 @@ class LumenClosure:
         """Arc length of points of the body's axis, increasing, and their offset from the course."""
         along = np.linspace(-half_length, half_length, _NUM_SAMPLES)
         points = T_world_capsule[:3, 3] + along[:, None] * T_world_capsule[:3, 2]
-        line = self.model.organ.centerline
-        course = transform_points(self.model.T_world_patient, line.points)
+        line, course = self.model.organ.centerline, self._centerline_world
         middle = np.argmin(np.linalg.norm(course - T_world_capsule[:3, 3], axis=1))
         near = np.abs(line.arc_length - line.arc_length[middle]) < 3.0 * half_length
         index = np.linalg.norm(points[:, None] - course[near], axis=2).argmin(axis=1)
@@ -125,12 +124,10 @@ class LumenClosure:
         order = np.argsort(s + ahead, kind="stable")
         return np.maximum.accumulate((s + ahead)[order]), offset[order]
 
-    def _course(self, s: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k 3"]:
-        """Offset of the closed lumen from the centerline [m]."""
-        _, frames, _ = interpolate(self.model.organ.centerline, s)
-        frames = self.model.T_world_patient[:3, :3] @ frames
-        sway = _SWAY * np.sin(s[:, None] / np.array(_PITCHES))
-        return np.einsum("ijk,ik->ij", frames[:, :, :2], sway)
+    @cached_property
+    def _centerline_world(self) -> Float[np.ndarray, "m 3"]:
+        """Points of the centerline [m]."""
+        return transform_points(self.model.T_world_patient, self.model.organ.centerline.points)
 
     @cached_property
     def _order(self) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
@@ -140,10 +137,16 @@ class LumenClosure:
 
     @cached_property
     def _polar(self) -> tuple[np.ndarray, ...]:
-        """Arc length, center, outward direction, radius, angle and mean radius of vertices."""
+        """Data of each vertex that do not depend on the pose.
+
+        Arc length, center of its section, offset of the closed lumen from that center, outward
+        direction, radius, angle, and mean radius of the section.
+        """
         organ, pose = self.model.organ, self.model.T_world_patient
-        at, _, _ = interpolate(organ.centerline, organ.arc_length)
+        at, frames, _ = interpolate(organ.centerline, organ.arc_length)
         center = transform_points(pose, at)
+        sway = _SWAY * np.sin(organ.arc_length[:, None] / np.array(_PITCHES))
+        course = np.einsum("ijk,ik->ij", (pose[:3, :3] @ frames)[:, :, :2], sway)
         offset = self.model.vertices_world - center
         radius = np.linalg.norm(offset, axis=1)
         outward = offset / np.maximum(radius, 1e-9)[:, None]
@@ -151,7 +154,7 @@ class LumenClosure:
         filled, part = np.unique(section, return_inverse=True)
         means = np.bincount(part, radius) / np.bincount(part)
         mean = np.interp(organ.arc_length, _SECTION * (filled + 0.5), means)
-        return organ.arc_length, center, outward, radius, organ.theta, mean
+        return organ.arc_length, center, course, outward, radius, organ.theta, mean
 
 
 SLACK_MARGIN = 0.5 * MM

@@ -16,7 +16,7 @@ from vrcaps.capsule.image_chain import ImageChain, UnitVariation
 PAGE = Path(__file__).parent / "concepts" / "effects.md"
 
 DEVICES = ("mirocam", "pillcam-sb3", "pillcam-colon2", "magnetic", "colonoscope")
-"""Capsules with values of their own; all others have those of `mirocam`."""
+"""Capsules with specific values; all others have those of `mirocam`."""
 
 _MARK, _END = "<!-- {} -->", "<!-- end of {} -->"
 

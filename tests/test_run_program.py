@@ -1,4 +1,4 @@
-"""Programs in forks behave as in interpreters of their own."""
+"""Programs in forks behave as in separate interpreters."""
 
 import os
 import signal

@@ -248,7 +248,7 @@ except VrcapsError as error:
 
 
 def _program(scenario, tmp_path, name, setup=""):
-    """Code and arguments of a recording in a process of its own."""
+    """Code and arguments of a recording in a separate process."""
     path = tmp_path / "scenario.json"
     path.write_text(json.dumps(scenario_to_plain(scenario)))
     arguments = [str(path), str(tmp_path / name), str(tmp_path / "organ.pickle")]

@@ -1,4 +1,4 @@
-"""Python programs in processes of their own, without the start-up time of heavy packages.
+"""Python programs in separate processes, without the start-up time of heavy packages.
 
 A server imports the packages of others (PyTorch, SciPy, ...) once for each test worker; a program
 is a fork of it and imports vrcaps afresh. Environment variables of the program apply to vrcaps and

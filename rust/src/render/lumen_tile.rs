@@ -43,11 +43,11 @@ fn of_wall(triangles: &[u32; LANES], particles: &Particles) -> [u32; LANES] {
     std::array::from_fn(|i| if particles.owner[i] == MISS { triangles[i] } else { MISS })
 }
 
-/// What the rays of a tile meet.
+/// Hits of the rays of a tile.
 pub struct Seen {
     /// The wall on straight ways.
     straight: Hits,
-    /// What they finally see, unless the wall is all that there is.
+    /// Surfaces that they finally show, unless there is only the wall.
     surfaces: Option<Box<VisibleSurfaces>>,
 }
 

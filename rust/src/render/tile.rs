@@ -48,7 +48,7 @@ pub struct TileLight<'a> {
 
 /// Renderer of the tiles of a view.
 pub trait TileRenderer {
-    /// What the rays of a tile meet.
+    /// Hits of the rays of a tile.
     type Seen: Send + Sync;
 
     /// Media of paths besides air.

@@ -32,7 +32,7 @@ struct Ways<'a> {
     moments: Lane3,
     /// Distance that must be free, −1 where nothing is to be tested any more.
     reach: Lane,
-    /// How far each end is along the shaft [m].
+    /// Distance of each end along the shaft [m].
     forward: Lane,
 }
 
@@ -194,7 +194,7 @@ impl Shaft {
 }
 
 impl Ways<'_> {
-    /// How far the farthest end that is still tested is along the shaft [m].
+    /// Distance along the shaft of the farthest end that is still tested [m].
     #[inline(always)]
     fn farthest(&self) -> f32 {
         let mut forward = [0.0; LANES];

@@ -28,7 +28,7 @@ struct Block {
 
 /// A row of blocks, and what its tiles see.
 pub struct BlockRow<S> {
-    /// What each tile sees, row by row.
+    /// Visible surface of each tile, row by row.
     pub seen: Vec<S>,
     /// Points of each tile.
     pub points: Vec<TilePoints>,

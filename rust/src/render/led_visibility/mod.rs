@@ -50,9 +50,9 @@ pub struct LedVisibility {
     lit: Vec<u64>,
 }
 
-/// What some rows of tiles see, and which LEDs light it.
+/// Surfaces visible in some rows of tiles, and the LEDs that light them.
 pub struct Strip<S> {
-    /// What each tile sees.
+    /// Visible surface of each tile.
     pub seen: Vec<S>,
     /// Visibility of the LEDs there.
     pub visibility: LedVisibility,

@@ -50,7 +50,7 @@ def unit_effects(chain: ImageChain, seed: int | None) -> dict[str, Effect]:
     balance = variation.white_balance * np.array([red, 0.0, blue])
     coefficients = (1.0 + variation.lens_shading * shading) * np.array(chain.lens_shading)
     sharpening = Sharpening(chain.sharpening, chain.sharpening_radius_px)
-    found: list[Effect | None] = [
+    effects: list[Effect | None] = [
         LedBalance(variation.led, variation.led_color, leds) if variation.led else None,
         DepthOfField(chain.aperture, chain.focus_distance * math.exp(variation.focus * focus)),
         LateralChromaticAberration(*chain.lateral_color) if any(chain.lateral_color) else None,
@@ -65,7 +65,7 @@ def unit_effects(chain: ImageChain, seed: int | None) -> dict[str, Effect]:
         sharpening if chain.sharpening else None,
         Jpeg(chain.jpeg_quality) if chain.jpeg_quality else None,
     ]
-    return {effect.name: effect for effect in found if effect is not None}
+    return {effect.name: effect for effect in effects if effect is not None}
 
 
 def _color_matrix(nominal: np.ndarray, errors: np.ndarray) -> ColorMatrix | None:

@@ -24,9 +24,9 @@ to red areas in seven real frames of clean colons (docs/concepts/mucosa.md)."""
 class Mucosa:
     """Parameters of a mucosa.
 
-    Colors are those at which recorded frames of a cohort have the mean hue and the ratio of blue to
-    green of capsule frames (`vrcaps compare-looks`, docs/concepts/mucosa.md). Shapes and sizes are
-    chosen by eye.
+    Colors are chosen by hand, so that hue and ratio of blue to green of recorded frames lie within
+    the 10 to 90 % range of capsule frames (`vrcaps compare-looks`). Shapes and sizes are chosen by
+    eye.
 
     Attributes:
         base_color: Linear reflectance of the wall between its vessels, red, green, blue.

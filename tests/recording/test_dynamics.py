@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.waiting import wait_until
 from vrcaps import _core
 from vrcaps.camera_pipeline.capsule_cameras import CapsuleCameras
 from vrcaps.camera_pipeline.effect.exposure import AutoExposure
@@ -22,7 +23,7 @@ from vrcaps.recording import recorder
 from vrcaps.recording.check import check_episode
 from vrcaps.recording.episode import read_episode
 from vrcaps.recording.recorder import record
-from vrcaps.recording.resume import Checkpoint, read_checkpoint
+from vrcaps.recording.resume import Checkpoint, read_checkpoint, write_checkpoint
 from vrcaps.scenario.build import OrganSource, build
 from vrcaps.scenario.scenario import Scenario, read_scenario, scenario_from_plain, scenario_to_plain
 from vrcaps.tissue.contact_laws import Drag, WinklerFoundation
@@ -50,24 +51,46 @@ def digests(folder: Path) -> dict[str, str]:
     }
 
 
-def broken_off(scenario: Scenario, out: Path) -> Checkpoint:
-    """Records as far as the fourth frame; the checkpoint that is left."""
-    render = CapsuleCameras.capture
+def broken_off(scenario: Scenario, out: Path, last: int = 3) -> Checkpoint:
+    """Record the first four frames and the checkpoints up to one of them; the last checkpoint."""
+    render, reached = CapsuleCameras.capture, []
+
+    def written(folder, checkpoint):
+        if checkpoint.motion.frame <= last:
+            write_checkpoint(folder, checkpoint)
+        reached.append(checkpoint.motion.frame)
 
     def stopped(images, step):
         if step.index == 4:
+            wait_until(lambda: 3 in reached)
             raise KeyboardInterrupt
         return render(images, step)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(recorder, "_CHECKPOINT_SECONDS", 0.0)
+        patch.setattr(recorder, "write_checkpoint", written)
         patch.setattr(CapsuleCameras, "capture", stopped)
         with pytest.raises(KeyboardInterrupt):
             record(scenario, out)
     found = read_checkpoint(out)
     assert found is not None
-    assert found.motion.frame >= 2
+    assert found.motion.frame == last
     return found
+
+
+def complete_frames(out: Path) -> set[int]:
+    """Frames of an episode that have all their files."""
+    episode = read_episode(out, unfinished=True)
+    return {
+        frame
+        for frame in range(len(episode))
+        if episode.wall_path(frame).exists()
+        and all(
+            episode.image_path(camera.name, channel, frame).exists()
+            for camera in episode.cameras
+            for channel in episode.channels
+        )
+    }
 
 
 @pytest.fixture
@@ -171,17 +194,18 @@ def test_walls_of_a_fly_through_are_at_rest(scenario, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("missing", [None, 1])
+@pytest.mark.parametrize(("last", "missing"), [(3, None), (2, None), (3, 1)])
 def test_a_broken_off_simulation_goes_on_from_its_checkpoint(
-    whole, simulated, tmp_path, monkeypatch, missing
+    whole, simulated, tmp_path, monkeypatch, last, missing
 ):
     """The same bytes; and only what comes after the checkpoint is simulated again."""
     out, rendered = tmp_path / "episode", []
-    monkeypatch.setattr(recorder, "_CHECKPOINT_SECONDS", 0.0)
-    found = broken_off(simulated, out)
+    found = broken_off(simulated, out, last)
     render = CapsuleCameras.capture
     if missing is not None:
         (out / f"wall/{missing:06d}.npy").unlink()
+    complete = complete_frames(out)
+    assert complete == {0, 1, 2, 3} - {missing}
     times = []
 
     def counted(images, step):
@@ -191,13 +215,9 @@ def test_a_broken_off_simulation_goes_on_from_its_checkpoint(
     monkeypatch.setattr(CapsuleCameras, "capture", counted)
     record(simulated, out, simulated=lambda time, whole: times.append((time, whole)))
     assert digests(out) == digests(whole)
+    assert rendered == [frame for frame in range(6) if frame not in complete]
     first = found.motion.frame / 5.0 + 0.2
-    if missing is None:
-        assert min(times)[0] > first
-        assert rendered == list(range(found.motion.frame + 1, 6))
-    else:
-        assert min(times)[0] < first
-        assert rendered[0] == missing
+    assert (min(times)[0] > first) == (missing is None)
     assert max(times) == pytest.approx((1.2, 1.2))
 
 

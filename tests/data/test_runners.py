@@ -13,7 +13,7 @@ import pytest
 
 from tests.support.failing import fail
 from tests.support.processes import command_of, descendants
-from tests.support.waiting import wait_until
+from tests.support.waiting import WATCHDOG, wait_until
 from vrcaps.core.errors import InputError, MissingExtraError
 from vrcaps.data.ledger import complete_units
 from vrcaps.data.make import make_dataset
@@ -23,6 +23,21 @@ from vrcaps.data.runners import ray_guard
 from vrcaps.data.runners.local import InProcess, Pool, UnitQueue, WorkerDeaths
 from vrcaps.data.runners.ray_cluster import RayCluster
 from vrcaps.data.store import LocalStore
+
+KILLED_HEAD = """
+import os, signal, sys
+from tests.support.processes import descendants
+from vrcaps.data.make import make_dataset
+from vrcaps.data.plan import read_plan
+from vrcaps.data.runners.local import Pool
+
+def kill(done, total):
+    print(*descendants(os.getpid()), flush=True)
+    os.kill(os.getpid(), signal.SIGKILL)
+
+if __name__ == "__main__":
+    make_dataset(read_plan(sys.argv[1]), sys.argv[2], runner=Pool(1), progress=kill)
+"""
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -52,17 +67,14 @@ def once(action: Callable[[], object]) -> Callable[[int, int], object]:
 
 @pytest.mark.slow
 def test_a_pool_goes_on_after_kills(whole: Path, plan_file: Path, tmp_path: Path) -> None:
-    """The head is killed alone, and its worker ends with it; then a worker of the next head."""
+    """The head is killed after a unit, and its worker ends with it; then a worker of the next."""
     out, script = tmp_path / "pool", tmp_path / "run.py"
-    words = ["dataset", "make", str(plan_file), "--out", str(out), "--workers", "1"]
-    script.write_text(
-        f"from vrcaps.cli import main\nif __name__ == '__main__':\n    main({words!r})\n"
-    )
-    head = subprocess.Popen([sys.executable, script])
-    wait_until(lambda: complete_units(LocalStore(out)))
-    below = descendants(head.pid)
-    head.kill()
-    head.wait()
+    script.write_text(KILLED_HEAD)
+    command = [sys.executable, script, plan_file, out]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as head:
+        below = [int(pid) for pid in head.communicate(timeout=WATCHDOG)[0].split()]
+    assert head.returncode == -signal.SIGKILL
+    assert below
     wait_until(lambda: not any(map(command_of, below)))
     num_made, killed = len(complete_units(LocalStore(out))), []
     assert 0 < num_made < 8

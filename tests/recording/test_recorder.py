@@ -4,9 +4,6 @@ import json
 import os
 import pickle
 import shutil
-import signal
-import subprocess
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +12,6 @@ import numpy as np
 import pytest
 
 from tests.support.programs import run_program
-from tests.support.waiting import WATCHDOG
 from vrcaps import _core
 from vrcaps.camera_pipeline.capsule_cameras import CapsuleCameras
 from vrcaps.core.errors import InputError
@@ -225,6 +221,7 @@ def test_no_flow_beyond_the_ends_of_the_run(recorded):
 
 # A shell's background job ignores Ctrl-C, and its children inherit that.
 RUN = """
+import os
 import pickle
 import shutil
 import signal
@@ -239,7 +236,8 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 organ = pickle.loads(Path(sys.argv[3]).read_bytes())
 OrganSource.load_healthy = lambda _: organ
 def progress(done, total):
-    print(done, flush=True)
+    if done == {interrupt}:
+        os.kill(os.getpid(), signal.SIGINT)
 try:
     record(read_scenario(sys.argv[1]), sys.argv[2], progress=progress)
 except VrcapsError as error:
@@ -247,12 +245,12 @@ except VrcapsError as error:
 """
 
 
-def _program(scenario, tmp_path, name, setup=""):
+def _program(scenario, tmp_path, name, setup="", interrupt=None):
     """Code and arguments of a recording in a separate process."""
     path = tmp_path / "scenario.json"
     path.write_text(json.dumps(scenario_to_plain(scenario)))
     arguments = [str(path), str(tmp_path / name), str(tmp_path / "organ.pickle")]
-    return [RUN.format(setup=setup), *arguments]
+    return [RUN.format(setup=setup, interrupt=interrupt), *arguments]
 
 
 def _recorded(*given, threads="2", **options):
@@ -269,21 +267,10 @@ def test_interrupt_threads_and_file_limit(scenario, organ, tmp_path):
     limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))"
     one = _recorded(scenario, tmp_path, "one", threads="1")
     refused = _recorded(scenario, tmp_path, "refused", setup=limit)
-    stopped = subprocess.Popen(
-        [sys.executable, "-c", *_program(scenario, tmp_path, "stopped")],
-        env={**os.environ, "RAYON_NUM_THREADS": "2"},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    for line in stopped.stdout:
-        if int(line) >= 5:
-            break
-    stopped.send_signal(signal.SIGINT)
-    _, stopped_error = stopped.communicate(timeout=WATCHDOG)
+    stopped = _recorded(scenario, tmp_path, "stopped", interrupt=5)
     assert (one.returncode, one.stderr) == (0, "")
     assert stopped.returncode != 0
-    assert "KeyboardInterrupt" in stopped_error
+    assert "KeyboardInterrupt" in stopped.stderr
     assert refused.returncode == 1
     assert refused.stderr.startswith("error: The disk is full")
     assert refused.stderr.count("\n") == 1

@@ -52,6 +52,8 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<render::radiosity::Radiosity>()?;
     m.add_function(wrap_pyfunction!(render::frame::render, m)?)?;
     m.add_function(wrap_pyfunction!(render::batch::render_batch, m)?)?;
+    m.add_function(wrap_pyfunction!(render::forward_scatter::scatter_forward, m)?)?;
+    m.add_function(wrap_pyfunction!(render::medium::immerse, m)?)?;
     m.add_function(wrap_pyfunction!(render::path::subsurface::walk_tissue, m)?)?;
     m.add_function(wrap_pyfunction!(render::channels::encode_srgb, m)?)?;
     m.add_function(wrap_pyfunction!(mesh::texels::covered_texels, m)?)?;

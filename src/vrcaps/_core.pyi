@@ -387,6 +387,21 @@ def render_batch(
     exposure: float,
     shadows: bool,
 ) -> None: ...
+def immerse(
+    planes: NDArray[np.float32],
+    rays: NDArray[np.float32],
+    distance: NDArray[np.float32],
+    start: NDArray[np.float32],
+    pose: NDArray[np.float64],
+    leds: NDArray[np.float64],
+    medium: dict[str, object],
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+def scatter_forward(
+    planes: NDArray[np.float32],
+    lit: NDArray[np.bool_],
+    fraction: NDArray[np.float32],
+    sigma: float,
+) -> None: ...
 def covered_texels(
     corners: NDArray[np.float64], margin: float
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], NDArray[np.float64]]: ...

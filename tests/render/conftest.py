@@ -1,6 +1,10 @@
 import numpy as np
 import pytest
 
+from tests.support.textured_tube import tube
+
+__all__ = ["tube"]
+
 
 @pytest.fixture
 def rng() -> np.random.Generator:

@@ -54,10 +54,11 @@ def test_an_episode_from_before_keeps_its_motion_and_frame_rate(tmp_path):
     """It states no `whole`; a flight without speed covered all, a null rate was constant."""
     path, plain = tmp_path / "episode.json", scenario_to_plain(resolve(Scenario()).scenario)
     assert read_scenario(_episode(path, plain)) == resolve(Scenario()).scenario
-    del plain["motion"]["whole"]
+    del plain["motion"]["whole"], plain["variation"]
+    plain["motion"]["tilt"] = None
     plain["effects"] |= {"auto_exposure": 0, "adaptive_frame_rate": None, "bayer_filter": None}
     before = read_scenario(_episode(path, {**plain, "capsule": "pillcam-colon2"}))
-    assert before.motion == FlyThrough(whole=True)
+    assert before.motion == resolve(before).scenario.motion == FlyThrough(whole=True)
     assert resolve(before).effects.adaptive_frame_rate == 0
     assert resolve(before).effects.auto_exposure == 0
     plain["motion"]["speed"] = 0.02

@@ -5,7 +5,7 @@
 //! stage works row by row, and no row depends on another's result: the same bytes on any number of
 //! threads.
 
-mod bloom;
+pub mod bloom;
 mod dct;
 mod demosaic;
 mod depth_of_field;

@@ -2,12 +2,14 @@
 
 pub mod batch;
 pub mod channels;
+pub mod forward_scatter;
 pub mod frame;
 pub mod led;
 mod led_visibility;
 pub mod lumen;
 mod lumen_tile;
 pub mod material;
+pub mod medium;
 pub mod path;
 pub mod radiosity;
 pub mod ray_table;

@@ -196,7 +196,8 @@ class Make:
 
         lesions = parse_lesions(self.lesion, self.lesions, self.seed, self.name)
         patient = OrganGenerated(self.name, self.seed, self.distension, self.mucosa)
-        organ = resolve(Scenario(organ=patient, lesions=lesions, posture=self.posture)).organ
+        scenario = Scenario(organ=patient, lesions=lesions, posture=self.posture, variation=False)
+        organ = resolve(scenario).organ
         return organ.load(), organ.load(clean=True) if self.clean_twin else None
 
 

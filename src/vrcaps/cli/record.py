@@ -103,6 +103,9 @@ class Record:
     The result is an episode: images by camera and channel, a table of poses, the organ as GLB, a
     contact sheet and a preview. To resume an interrupted run, repeat the command.
 
+    Contents of the lumen, and other values that are left open, are drawn by prevalence in a
+    generated organ; --set variation=false leaves the lumen empty.
+
     A scenario file describes a whole recording; flags and --set change single values of it. Every
     value of the scenario has a path: vrcaps record --list-settings prints all of them with their
     types, units and defaults.
@@ -113,6 +116,7 @@ class Record:
       vrcaps record --out runs/polyp --lesion polyp-Ip:size=12mm,segment=sigmoid
       vrcaps record --out runs/cheap --effects dof=1,noise=2,motion_blur=1,jpeg=2
       vrcaps record --out runs/foam --organ small-bowel --set contents.bubbles=3
+      vrcaps record --out runs/empty --organ small-bowel --set variation=false
       vrcaps record --out runs/path --frames 20 --light path --set render.spp=64
       vrcaps record --out runs/soft --organ small-bowel --motion dynamics
       --set motion.motility=phase-three

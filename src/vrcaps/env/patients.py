@@ -84,7 +84,7 @@ def check_names(organs: Sequence[Organ], capsule: str | Device) -> None:
             if patient in checked:
                 continue
             checked.append(patient)
-        resolve(Scenario(organ=organ, capsule=capsule))
+        resolve(Scenario(organ=organ, capsule=capsule, variation=False))
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,11 @@ class Patients:
         if isinstance(given, OrganSurface) and not (self._with_textures or self._lesions):
             return replace(given, appearance=None)
         scenario = Scenario(
-            organ=given, capsule=self.device, posture=self._posture, lesions=self._lesions
+            organ=given,
+            capsule=self.device,
+            posture=self._posture,
+            lesions=self._lesions,
+            variation=False,
         )
         organ = resolve(scenario).organ.load()
         return organ if self._with_textures else replace(organ, appearance=None)

@@ -1,4 +1,4 @@
-"""Settings of the lumen contents: bubbles, chyme and liquid, by severity or by parameters."""
+"""Settings of the lumen contents, each by severity or by parameters."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from vrcaps.core.errors import require
 from vrcaps.core.units import MM
+from vrcaps.lumen.medium import FILM_SEVERITIES, MEDIUM_SEVERITIES, Film, Medium
 
 CM2 = 1e-4
 """A square centimeter [m²]."""
@@ -24,7 +25,8 @@ class Bubbles:
     distributed size.
 
     Attributes:
-        per_area: Bubbles per area of a smooth wall [1/m²].
+        per_area: Bubbles per area of a smooth wall, where there are any [1/m²].
+        prevalence: Fraction of the gut's length with bubbles on the wall.
         raft_size: Mean number of bubbles that stick together, 1 or more.
         radius: Median radius [m].
         spread: Standard deviation of the logarithm of the radius.
@@ -44,20 +46,21 @@ class Bubbles:
     """
 
     per_area: float = 0.8 / CM2
+    prevalence: float = 1.0
     raft_size: float = 6.0
-    radius: float = 0.65 * MM
-    spread: float = 0.5
-    smallest: float = 0.2 * MM
-    largest: float = 4.0 * MM
+    radius: float = 0.5 * MM
+    spread: float = 0.8
+    smallest: float = 0.05 * MM
+    largest: float = 5.0 * MM
     rising: float = 0.4
     burst_rate: float = 0.02
     on_dome: int = 0
     landing_rate: float = 2.0
     release_rate: float = 0.05
     ior: float = 1.333
-    border: float = 0.08
+    border: float = 0.12
     gleam: float = 0.3
-    stain: tuple[float, float, float] = (0.5, 0.65, 1.0)
+    stain: tuple[float, float, float] = (0.9, 1.15, 1.8)
     roughness: float = 0.03
     color: tuple[float, float, float] = (0.62, 0.5, 0.34)
 
@@ -65,7 +68,7 @@ class Bubbles:
         for name in ("per_area", "spread", "burst_rate", "landing_rate", "release_rate"):
             value = getattr(self, name)
             require(0.0 <= value < math.inf, f"Bubbles' {name}", value, "0 or more")
-        for name in ("rising", "gleam"):
+        for name in ("prevalence", "rising", "gleam"):
             value = getattr(self, name)
             require(0.0 <= value <= 1.0, f"Bubbles' {name}", value, "0 to 1")
         require(1.0 <= self.raft_size < 1e3, "Bubbles' raft_size", self.raft_size, "1 to 1000")
@@ -95,7 +98,7 @@ BUBBLE_SEVERITIES: tuple[Bubbles, ...] = (
     Bubbles(per_area=0.25 / CM2, raft_size=3.0, on_dome=1),
     Bubbles(per_area=1.0 / CM2, raft_size=7.0, on_dome=2),
     Bubbles(per_area=4.0 / CM2, raft_size=14.0, on_dome=4),
-    Bubbles(per_area=16.0 / CM2, raft_size=40.0, radius=0.55 * MM, spread=0.6, on_dome=9),
+    Bubbles(per_area=16.0 / CM2, raft_size=40.0, radius=0.4 * MM, on_dome=9),
 )
 """Bubbles by severity, 0 (none) to 4 (foam)."""
 
@@ -107,7 +110,8 @@ class Chyme:
     Radii are log-normal, truncated at both ends. The number of particles per clump is geometric.
 
     Attributes:
-        per_area: Particles per area of a smooth wall [1/m²].
+        per_area: Particles per area of a smooth wall, where there are any [1/m²].
+        prevalence: Fraction of the gut's length with particles.
         clump_size: Mean number of particles bound together, 1 or more.
         radius: Median radius of a particle [m].
         spread: Standard deviation of the logarithm of the radius.
@@ -121,6 +125,7 @@ class Chyme:
     """
 
     per_area: float = 1.0 / CM2
+    prevalence: float = 1.0
     clump_size: float = 8.0
     radius: float = 0.35 * MM
     spread: float = 0.45
@@ -136,7 +141,7 @@ class Chyme:
         for name in ("per_area", "spread"):
             value = getattr(self, name)
             require(0.0 <= value < math.inf, f"Chyme's {name}", value, "0 or more")
-        for name in ("settled", "white"):
+        for name in ("prevalence", "settled", "white"):
             value = getattr(self, name)
             require(0.0 <= value <= 1.0, f"Chyme's {name}", value, "0 to 1")
         require(1.0 <= self.clump_size < 1e3, "Chyme's clump_size", self.clump_size, "1 to 1000")
@@ -202,6 +207,9 @@ _Kind = TypeVar("_Kind", Bubbles, Chyme, Liquid)
 class Contents:
     """Contents of the lumen.
 
+    A kind that is None is drawn by the prevalence in the organ in a recording, see
+    `vrcaps.scenario.variation`, and is none elsewhere.
+
     Example:
         >>> vrcaps.Scenario(contents=vrcaps.Contents(bubbles=2, chyme=1))
 
@@ -209,14 +217,20 @@ class Contents:
         bubbles: Severity 0 (none) to 4 (foam), or exact parameters.
         chyme: Severity 0 (none) to 4 (much of the wall hidden), or exact parameters.
         liquid: Severity 0 (none) to 4 (a third full), or exact parameters.
+        medium: Turbid fluid that fills the lumen around the capsule: severity 0 (none) to 4
+            (opaque beyond a few millimeters), or exact parameters.
+        film: Film of mucus on the capsule's dome: severity 0 (none) to 4 (nothing is sharp), or
+            exact parameters.
         drift: Speed at which bubbles and chyme move along the gut [m/s].
         reach: Distance from the capsule within which they move at all [m].
         seed: Seed of the placement.
     """
 
-    bubbles: int | Bubbles = 0
-    chyme: int | Chyme = 0
-    liquid: int | Liquid = 0
+    bubbles: int | Bubbles | None = None
+    chyme: int | Chyme | None = None
+    liquid: int | Liquid | None = None
+    medium: int | Medium | None = None
+    film: int | Film | None = None
     drift: float = 0.3 * MM
     reach: float = 60.0 * MM
     seed: int = 0
@@ -225,14 +239,23 @@ class Contents:
         require(abs(self.drift) <= 0.1, "Contents' drift", self.drift, "-0.1 to 0.1 m/s")
         require(0.0 <= self.reach < np.inf, "Contents' reach", self.reach, "0 m or more")
         require(self.seed >= 0, "Contents' seed", self.seed, "0, 1, 2, …")
-        for name in ("bubbles", "chyme", "liquid"):
+        for name in ("bubbles", "chyme", "liquid", "medium", "film"):
             value = getattr(self, name)
             if isinstance(value, int):
                 require(0 <= value <= 4, f"Contents' {name}", value, "a severity, 0 to 4")
 
     @property
+    def medium_and_film(self) -> tuple[Medium | None, Film | None]:
+        """Parameters of the turbid fluid and of the film on the dome; None for none."""
+        medium, film = self.medium or 0, self.film or 0
+        return (
+            MEDIUM_SEVERITIES[medium] if isinstance(medium, int) else medium,
+            FILM_SEVERITIES[film] if isinstance(film, int) else film,
+        )
+
+    @property
     def resolved(self) -> tuple[Bubbles, Chyme, Liquid]:
-        """Parameters of all three kinds."""
+        """Parameters of what lies in the lumen."""
         return (
             _at_severity(self.bubbles, BUBBLE_SEVERITIES),
             _at_severity(self.chyme, CHYME_SEVERITIES),
@@ -241,13 +264,13 @@ class Contents:
 
     @property
     def is_empty(self) -> bool:
-        """Check that the lumen is empty."""
+        """Check that nothing with a surface is in the lumen: no bubbles, chyme or pools."""
         bubbles, chyme, liquid = self.resolved
         return bubbles.per_area == bubbles.on_dome == chyme.per_area == liquid.fill == 0.0
 
 
-def _at_severity(given: int | _Kind, severities: Sequence[_Kind]) -> _Kind:
-    return severities[given] if isinstance(given, int) else given
+def _at_severity(given: int | _Kind | None, severities: Sequence[_Kind]) -> _Kind:
+    return severities[given or 0] if given is None or isinstance(given, int) else given
 
 
 _STOOL, _FOOD = (0.18, 0.10, 0.028), (0.30, 0.21, 0.08)

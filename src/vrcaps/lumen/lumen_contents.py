@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps._core import around_capsule
+from vrcaps._core import Wall, around_capsule
 from vrcaps.core.geometry import wall_of
 from vrcaps.core.rng import stream
 from vrcaps.core.transforms import transform_points
+from vrcaps.core.units import MM
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.particles import Spheres, joined
 from vrcaps.lumen.placement import dome_sites, place_bubbles, place_chyme, place_dome_bubbles
@@ -18,7 +19,10 @@ from vrcaps.lumen.pools import Pools, cut_sections, find_pools
 from vrcaps.organ.surface import OrganSurface
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, Int
+
+_LIFE = 20.0 * MM
+"""Distance that the capsule travels before a bubble on its dome is replaced [m]."""
 
 CHYME = "chyme"
 """Class name of the particles; its label follows those of the organ."""
@@ -53,6 +57,43 @@ class LumenContents:
         own = self.spheres.radius[len(self.spheres) - 2 * bubbles.on_dome :]
         return replace(self, dome_sites=dome_sites(own, length, radius, rng))
 
+    def on_dome(self, arc_length: float, length: float, radius: float) -> LumenContents:
+        """Place the bubbles on the capsule as they are after traveling to an arc length.
+
+        Each stays on the dome for a distance of travel and then reforms elsewhere on it, so that
+        distant views have other places.
+
+        Args:
+            arc_length: Position of the capsule along the centerline [m].
+            length: Overall length of the capsule [m].
+            radius: Radius of the capsule [m].
+        """
+        count = len(self.dome_sites)
+        if count == 0:
+            return self
+        own, place = self.spheres.radius[len(self.spheres) - count :], arc_length / _LIFE
+        patches = np.floor(place + np.arange(count) / count).astype(int)
+        sites = np.empty((count, 3))
+        for patch in np.unique(patches):
+            rng = stream(self.contents.seed, "lumen/dome-sites", 1 + abs(int(patch)))
+            sites[patches == patch] = dome_sites(own, length, radius, rng)[patches == patch]
+        return replace(self, dome_sites=sites)
+
+    def on_wall(
+        self,
+        anchors: tuple[Int[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]],
+        displacement: Float[np.ndarray, "v 3"],
+    ) -> LumenContents:
+        """Move the spheres with the wall that they cling to.
+
+        Args:
+            anchors: Result of `wall_anchors`.
+            displacement: Displacement of each vertex of the wall from its position at rest [m].
+        """
+        corners, weights = anchors
+        moved = np.einsum("nk,nki->ni", weights, displacement[corners])
+        return replace(self, spheres=self.spheres.at(self.spheres.centers + moved))
+
     def around_capsule(
         self, T_world_capsule: Float[np.ndarray, "4 4"], length: float, radius: float
     ) -> LumenContents:
@@ -70,6 +111,28 @@ class LumenContents:
         if centers is None:
             return self
         return LumenContents(self.contents, spheres.at(centers), self.pools)
+
+
+def wall_anchors(
+    spheres: Spheres, wall: Wall, vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
+) -> tuple[Int[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+    """Vertices of the triangle nearest to each sphere, and their barycentric weights there.
+
+    Args:
+        spheres: Spheres in the frame of the wall.
+        wall: Hierarchy of the wall.
+        vertices: Its vertices [m].
+        faces: Its triangles.
+    """
+    nearest, face = wall.closest_point(np.ascontiguousarray(spheres.centers, np.float64))
+    corners = faces[face]
+    a, b, c = (vertices[corners[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    area = np.maximum((normal**2).sum(axis=1), 1e-30)
+    second = (np.cross(nearest - a, c - a) * normal).sum(axis=1) / area
+    third = (np.cross(b - a, nearest - a) * normal).sum(axis=1) / area
+    weights = np.clip(np.stack([1.0 - second - third, second, third], axis=1), 0.0, 1.0)
+    return corners, weights / weights.sum(axis=1, keepdims=True)
 
 
 def populate(

@@ -5,6 +5,7 @@ Spheres form clusters: flat rafts of bubbles, round clumps of chyme.
 
 from __future__ import annotations
 
+from statistics import NormalDist
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +14,7 @@ from vrcaps._core import Wall
 from vrcaps.core.geometry import unit
 from vrcaps.core.units import MM
 from vrcaps.lumen.contents import Bubbles, Chyme
+from vrcaps.lumen.medium import normal_along
 from vrcaps.lumen.particles import BUBBLE, FIRST_CLUMP, WHITE, YELLOW, Spheres, no_spheres
 from vrcaps.organ.surface import OrganSurface
 
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 _SPACING = 2.0 * MM
+_PATCH = 40.0 * MM
+"""Correlation length along the gut of the presence of bubbles or particles [m]."""
 LIFT_BUBBLE = 0.85
 """Height of a bubble's center above the wall it clings to, as a fraction of its radius."""
 _LIFT_CHYME = 0.4
@@ -29,6 +33,8 @@ _SCATTER = 0.7
 """Random deviation of directions from up or down, relative to the unit direction."""
 _TRIES = 12
 """Random positions tried for each sphere of a cluster."""
+_CREASES, _FOLD = 4, 4.0 * MM
+"""Places tried for each raft of bubbles, and half the distance between them along the gut [m]."""
 _FLATTENING = 0.35
 """Height of a clump on the wall relative to that of a hemisphere."""
 
@@ -132,10 +138,10 @@ def place_bubbles(
         up: Unit direction against gravity.
         rng: Random generator.
     """
-    rafts = _Seeds(organ, wall, bubbles.per_area, bubbles.raft_size, rng)
+    rafts = _Seeds(organ, wall, bubbles, bubbles.raft_size, rng)
     if rafts.total == 0:
         return no_spheres()
-    rafts.settle(up, bubbles.rising)
+    rafts.settle(up, bubbles.rising, creases=_CREASES)
     radius = rafts.radii(bubbles)
     positions = rafts.spread(radius, dimensions=2, touch=1.0)
     centers = _on_wall(organ, wall, positions, LIFT_BUBBLE * radius)
@@ -158,7 +164,7 @@ def place_chyme(
     rng: np.random.Generator,
 ) -> Spheres:
     """Place particles that lie on the wall, in the organ frame; arguments as in `place_bubbles`."""
-    clumps = _Seeds(organ, wall, chyme.per_area, chyme.clump_size, rng)
+    clumps = _Seeds(organ, wall, chyme, chyme.clump_size, rng)
     if clumps.total == 0:
         return no_spheres()
     clumps.settle(-up, chyme.settled)
@@ -188,24 +194,63 @@ class _Seeds:
         self,
         organ: OrganSurface,
         wall: Wall,
-        per_area: float,
+        kind: Bubbles | Chyme,
         mean_size: float,
         rng: np.random.Generator,
     ) -> None:
         self.organ, self.wall = organ, wall
         self.rng = rng
         edges, area = smooth_area(organ)
-        self.total = int(rng.poisson(per_area * area[-1]))
-        self.counts = sizes(self.total, mean_size, rng)
+        total = int(rng.poisson(kind.per_area * area[-1]))
+        self.counts = sizes(total, mean_size, rng)
         at = np.sort(rng.uniform(0.0, area[-1], len(self.counts)))
         self.arc_length = np.interp(at, area, edges)
+        if kind.prevalence < 1.0:
+            own, places = int(rng.integers(2**31)), self.arc_length / _PATCH
+            noise = [normal_along(place, own, "lumen/patches") for place in places.tolist()]
+            limit = NormalDist().inv_cdf(max(kind.prevalence, 1e-9))
+            kept = np.array(noise) < limit
+            self.counts, self.arc_length = self.counts[kept], self.arc_length[kept]
+        self.total = int(self.counts.sum())
         self.owner = np.repeat(np.arange(len(self.counts)), self.counts)
 
-    def settle(self, towards: Float[np.ndarray, " 3"], fraction: float) -> None:
-        """Anchor a fraction of the clusters in direction `towards`, the others all around."""
+    def settle(self, towards: Float[np.ndarray, " 3"], fraction: float, creases: int = 1) -> None:
+        """Anchor a fraction of the clusters in direction `towards`, the others all around.
+
+        Args:
+            towards: Unit direction.
+            fraction: Fraction of the clusters that gather there.
+            creases: Places tried for each cluster, within a fold's spacing along the gut; it takes
+                the one farthest from the centerline, which lies between folds.
+        """
+        first = self.arc_length
+        best: tuple[np.ndarray, ...] | None = None
+        for _ in range(creases):
+            if creases > 1:
+                shifted = first + self.rng.uniform(-_FOLD, _FOLD, len(first))
+                self.arc_length = np.clip(shifted, 0.0, self.organ.centerline.length)
+            tried = self._cast(towards, fraction)
+            if best is None:
+                best = tried
+                continue
+            deeper = tried[0] > best[0]
+            best = tuple(
+                np.where(deeper.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+                for new, old in zip(tried, best, strict=True)
+            )
+        assert best is not None
+        _, self.anchor, self.inward, self.lumen_radius, self.arc_length = best
+
+    def _cast(self, towards: Float[np.ndarray, " 3"], fraction: float) -> tuple[np.ndarray, ...]:
+        """Draw places on the wall.
+
+        Returns:
+            Distance from the centerline relative to the lumen's radius, places, inward directions,
+            radii of the lumen, and arc lengths.
+        """
         from vrcaps.organ.surface import interpolate
 
-        points, frames, self.lumen_radius = interpolate(self.organ.centerline, self.arc_length)
+        points, frames, lumen_radius = interpolate(self.organ.centerline, self.arc_length)
         count = len(points)
         direction = self.rng.standard_normal((count, 3))
         drawn = self.rng.random(count) < fraction
@@ -215,9 +260,10 @@ class _Seeds:
         direction = unit(direction)
         distance, face = self.wall.cast(points, direction)
         distance = np.where(face >= 0, distance, 0.0)
-        self.anchor = points + distance[:, None] * direction
-        self.inward = _inward(self.organ, np.maximum(face, 0))
-        self.inward = np.where((face >= 0)[:, None], self.inward, -direction)
+        anchor = points + distance[:, None] * direction
+        inward = _inward(self.organ, np.maximum(face, 0))
+        inward = np.where((face >= 0)[:, None], inward, -direction)
+        return distance / lumen_radius, anchor, inward, lumen_radius, self.arc_length
 
     def radii(self, kind: Bubbles | Chyme) -> Float[np.ndarray, " n"]:
         """Radii [m] from the truncated log-normal law, at most half the distance to the wall."""

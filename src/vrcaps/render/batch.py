@@ -28,7 +28,8 @@ def renders_batches(renderer: Renderer) -> bool:
     """Check whether a renderer supports batches: direct light and an empty lumen."""
     settings = renderer.settings
     is_direct = settings.light == "direct" and not settings.is_supersampled
-    return is_direct and renderer.model.lumen_contents is None
+    is_clear = renderer.model.contents.medium_and_film == (None, None)
+    return is_direct and is_clear and renderer.model.lumen_contents is None
 
 
 def render_batch(

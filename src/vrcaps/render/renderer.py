@@ -11,11 +11,19 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.camera.camera import Camera, camera_rays
-from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.lumen.lumen_contents import LumenContents
+from vrcaps.render.buffers import (
+    RADIANCE_PLANAR,
+    check_channels,
+    fill_empty,
+    is_light,
+    layout,
+    needs,
+)
 from vrcaps.render.channels import CHANNELS, Frame
 from vrcaps.render.flow import SurfacePoints, flow, visibility
 from vrcaps.render.imaging import make_imaging
+from vrcaps.render.immersion import Immersion
 from vrcaps.render.refraction import REFLECTED, RefractedPaths, refract_paths, surface_heights
 from vrcaps.render.sampling import (
     PathSampling,
@@ -36,7 +44,6 @@ DEFAULT_CHANNELS = ("rgb", "depth", "ray_distance", "normal", "label", "instance
 """The channels of a complete labeled frame."""
 
 _MOTION_INPUTS = ("position", "face", "weights", "refraction_label")
-_RADIANCE_PLANAR = "radiance_planar"
 
 
 class Renderer:
@@ -66,6 +73,7 @@ class Renderer:
             load_denoiser()  # fail before expensive work
         self._imaging = make_imaging(model.device, self.settings.imaging)
         self._scene = make_scene(model.organ, self.settings, self._imaging)
+        self._immersion = Immersion(model, self._imaging)
         self._radiosity: _core.Radiosity | None = None
         self._wall = wall or MovingWall(model)
         self._neighbors = {"previous": MovingWall(model), "next": MovingWall(model)}
@@ -122,9 +130,9 @@ class Renderer:
         radiance by color, with a margin that is left unchanged.
         """
         state_previous, state, state_next = states
-        _check_channels(channels, state_next, state_previous)
+        check_channels(channels, state_next, state_previous)
         arrays = self._allocate(channels, camera, out)
-        arrays |= {} if planes is None else {_RADIANCE_PLANAR: planes}
+        arrays |= {} if planes is None else {RADIANCE_PLANAR: planes}
         if points is not None:
             arrays |= {f"sparse_{name}": array for name, array in vars(points).items()}
         wall, lumen_contents = self._wall.at(state), self.lumen_contents(state)
@@ -141,8 +149,36 @@ class Renderer:
         arrays: dict[str, NDArray[Any]],
         contents: _core.Contents | None,
     ) -> None:
+        light = {name for name in arrays if is_light(name)}
+        amounts = self._immersion.amounts(state) if light else None
+        if amounts is None:
+            self._render_clear(wall, camera, state, arrays, contents)
+            return
+        shape = (camera.height, camera.width)
+        needed = {name: array for name, array in arrays.items() if name not in light}
+        needed.setdefault("ray_distance", np.empty(shape, np.float32))
+        needed[RADIANCE_PLANAR] = arrays.get(RADIANCE_PLANAR, np.empty((3, *shape), np.float32))
+        self._render_clear(wall, camera, state, needed, contents)
+        planes = crop_margin(needed[RADIANCE_PLANAR], *shape)
+        pose, leds = self.pose(state, camera), self._leds(camera)
+        self._immersion.apply(amounts, camera, pose, leds, planes, needed["ray_distance"])
+        radiance = np.ascontiguousarray(np.moveaxis(planes, 0, -1))
+        if "radiance" in arrays:
+            arrays["radiance"][...] = radiance
+        if "rgb" in arrays:
+            arrays["rgb"][...] = _core.encode_srgb(radiance, camera.exposure)
+
+    def _render_clear(
+        self,
+        wall: _core.Wall,
+        camera: Camera,
+        state: State,
+        arrays: dict[str, NDArray[Any]],
+        contents: _core.Contents | None,
+    ) -> None:
+        """Render as if there was neither turbid fluid nor a film on the dome."""
         if contents is None:
-            _fill_empty(arrays)
+            fill_empty(arrays)
         T_world_camera = self.pose(state, camera)
         leds = self._leds(camera)
         paths = path_sampling(self.settings, state.time, T_world_camera)
@@ -164,7 +200,7 @@ class Renderer:
                 radiosity=self._radiosity_for(into),
             )
 
-        light = {name for name in arrays if _is_light(name)}
+        light = {name for name in arrays if is_light(name)}
         if not (self.settings.is_supersampled and light):
             draw(arrays, 1)
             return
@@ -172,15 +208,15 @@ class Renderer:
         radiance = supersampled_radiance(draw, camera, self.settings, paths)
         if "radiance" in arrays:
             arrays["radiance"][...] = radiance
-        if _RADIANCE_PLANAR in arrays:
-            planes = crop_margin(arrays[_RADIANCE_PLANAR], camera.height, camera.width)
+        if RADIANCE_PLANAR in arrays:
+            planes = crop_margin(arrays[RADIANCE_PLANAR], camera.height, camera.width)
             planes[...] = np.moveaxis(radiance, -1, 0)
         if "rgb" in arrays:
             arrays["rgb"][...] = _core.encode_srgb(radiance, camera.exposure)
 
     def _radiosity_for(self, arrays: Iterable[str]) -> _core.Radiosity | None:
         """Return the solver of indirect light, created on first use."""
-        if self.settings.light != "radiosity" or not any(_is_light(name) for name in arrays):
+        if self.settings.light != "radiosity" or not any(is_light(name) for name in arrays):
             return None
         if self._radiosity is None:
             self._radiosity = _core.Radiosity(self.model.wall, self._scene)
@@ -196,12 +232,12 @@ class Renderer:
         """Channels that compare this frame with its neighbors; states are before, now, after."""
         state_previous, state, state_next = states
         motion: dict[str, NDArray[Any]] = {}
-        needs = _needs(channels)
-        if not needs:
+        needed = needs(channels)
+        if not needed:
             return motion
         points = SurfacePoints(*(arrays[name] for name in _MOTION_INPUTS))
         faces, now = self.model.organ.faces, self.lumen_contents(state)
-        if state_next is not None and "next" in needs:
+        if state_next is not None and "next" in needed:
             moved = points.moved(faces, state_next, now, self.lumen_contents(state_next))
             paths = self.refracted_paths(camera, points, moved, state_next, "next")
             forward = flow(camera, paths.apparent, state_next)
@@ -213,7 +249,7 @@ class Renderer:
                     contents = self._core_contents(then, wall, "next")
                 seen = visibility(camera, paths, moved, forward, state_next, wall, contents)
                 motion["occlusion"] = ~seen
-        if state_previous is not None and "previous" in needs:
+        if state_previous is not None and "previous" in needed:
             back = self.points_in_neighbor(camera, points, state, state_previous, "previous")
             motion["flow_backward"] = flow(camera, back[0], state_previous)
         return motion
@@ -266,11 +302,11 @@ class Renderer:
         self, channels: Sequence[str], camera: Camera, out: Frame | None
     ) -> dict[str, NDArray[Any]]:
         names = [name for name in channels if CHANNELS[name].stage != "motion"]
-        if _needs(channels):
+        if needs(channels):
             names += _MOTION_INPUTS
         arrays = {}
         for name in names:
-            shape, dtype = _layout(name, camera)
+            shape, dtype = layout(name, camera)
             given = getattr(out, name, None)
             fits = given is not None and given.shape == shape and given.dtype == dtype
             arrays[name] = given if fits else np.empty(shape, dtype)
@@ -289,14 +325,13 @@ class Renderer:
 
     def lumen_contents(self, state: State) -> LumenContents | None:
         """Contents of the lumen in a state."""
-        rest = self.model.lumen_contents
-        if state.lumen_contents is not None or rest is None:
+        if state.lumen_contents is not None or self.model.lumen_contents is None:
             return state.lumen_contents
         for known, lumen_contents in self._known_contents:
             if known is state:
                 return lumen_contents
-        device = self.model.device
-        lumen_contents = rest.around_capsule(state.T_world_capsule, device.length, device.radius)
+        lumen_contents = self.model.resting_contents(state)
+        assert lumen_contents is not None
         self._known_contents.append((state, lumen_contents))
         return lumen_contents
 
@@ -352,43 +387,3 @@ class Renderer:
 def _differ_in_place(one: LumenContents, other: LumenContents) -> bool:
     """Check whether two contents have the same spheres and pools."""
     return one.spheres.radius is other.spheres.radius and one.pools is other.pools
-
-
-def _check_channels(
-    channels: Sequence[str], following: State | None, earlier: State | None
-) -> None:
-    given = {"next": following, "previous": earlier}
-    for name in channels:
-        if name not in CHANNELS:
-            raise UnknownNameError("channel", name, CHANNELS)
-        for neighbor in CHANNELS[name].needs:
-            if given[neighbor] is None:
-                raise InputError(
-                    f"Channel {name!r} needs the {neighbor} state. Give state_{neighbor}."
-                )
-
-
-def _needs(channels: Sequence[str]) -> set[str]:
-    """Neighboring states that channels need."""
-    return {neighbor for name in channels for neighbor in CHANNELS[name].needs}
-
-
-def _layout(name: str, camera: Camera) -> tuple[tuple[int, ...], np.dtype]:
-    """Shape and dtype of an array that the core fills."""
-    if name == "weights":  # of the triangle's corners at the material point of each pixel
-        return (camera.height, camera.width, 2), np.dtype(np.float32)
-    return CHANNELS[name].shape(camera.height, camera.width), np.dtype(CHANNELS[name].dtype)
-
-
-def _is_light(name: str) -> bool:
-    """Check whether an array holds light, which gets indirect light and supersampling."""
-    return name == _RADIANCE_PLANAR or (name in CHANNELS and CHANNELS[name].is_light)
-
-
-def _fill_empty(arrays: dict[str, NDArray[Any]]) -> None:
-    """Fill channels of lumen contents for an empty lumen."""
-    for name, array in arrays.items():
-        if name in CHANNELS and (value := CHANNELS[name].if_empty) is not None:
-            array.fill(value)
-    if "sparse_refraction" in arrays:
-        arrays["sparse_refraction"].fill(CHANNELS["refraction_label"].if_empty)

@@ -19,6 +19,7 @@ from vrcaps.organ.organ_file import is_organ_file
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.channels import CHANNELS
 from vrcaps.scenario.scenario import OrganFile, OrganGenerated, Scenario, organ_named
+from vrcaps.scenario.variation import varied
 from vrcaps.world.model import Model, posture_transform
 
 if TYPE_CHECKING:
@@ -53,13 +54,15 @@ class ResolvedScenario:
 def resolve(scenario: Scenario) -> ResolvedScenario:
     """Resolve all open settings of a scenario; those already filled in stay as they are.
 
-    Fills in the frame rate, the capsule's own effects and the checksums of files, samples the
-    severities of effects, and sorts the channels in the order of `Frame`.
+    Fills in the frame rate, the capsule's own effects and the checksums of files, draws open
+    settings by prevalence, samples the severities of effects, and sorts the channels in the order
+    of `Frame`.
 
     Raises:
         InputError: If a file does not match its checksum, or a mesh file has no unit.
         UnknownNameError: If the capsule is unknown.
     """
+    scenario = varied(scenario)
     device, given = device_of(scenario.capsule), scenario.organ
     organ = resolve_organ(organ_named(given) if isinstance(given, str) else given)
     fps = device.frame_rate if scenario.fps is None else scenario.fps

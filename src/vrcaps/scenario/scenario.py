@@ -134,6 +134,9 @@ class Scenario:
         lesions: Lesions to put into the organ; their instance IDs are 1, 2, … in this order.
         clean_twin: Whether to render the same patient without the lesions, with the same motion.
         contents: Contents of the lumen.
+        variation: Whether settings that are left open (the distension of the small bowel, tilt of a
+            fly-through, contents of the lumen) are drawn by their prevalence in a generated organ;
+            otherwise the lumen is empty and the others have fixed defaults.
         effects: Effects of lens and sensor; None for an effect is the capsule's own, and a range
             is sampled to one severity by the seed. A file can also contain a text as of
             `parse_effects`, such as none.
@@ -154,6 +157,7 @@ class Scenario:
     lesions: tuple[Lesion, ...] = ()
     clean_twin: bool = False
     contents: Contents = field(default_factory=Contents)
+    variation: bool = True
     effects: Effects = field(default_factory=Effects)
     sensors: Sensors = field(default_factory=Sensors)
 
@@ -217,10 +221,11 @@ def _with_former_defaults(plain: Any) -> Any:
 
     In earlier versions, a fly-through without a speed covered the whole stretch, and an adaptive
     frame rate was off if it was null in an episode with a stated exposure. An episode states all
-    effects of its version: later ones are off.
+    effects of its version: later ones are off. Nothing was drawn by prevalence.
     """
     if not isinstance(plain, dict):
         return plain
+    plain = {"variation": False, **plain}
     motion, effects = plain.get("motion"), plain.get("effects")
     if isinstance(motion, dict) and motion.get("kind") == FlyThrough.kind:
         plain = {**plain, "motion": {"whole": motion.get("speed") is None, **motion}}

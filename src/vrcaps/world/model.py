@@ -13,9 +13,14 @@ from vrcaps._core import Wall
 from vrcaps.capsule.device import Device
 from vrcaps.core.errors import UnknownNameError, require
 from vrcaps.core.geometry import wall_of
-from vrcaps.core.transforms import rotation_from_vector, transform_from, transform_points
+from vrcaps.core.transforms import (
+    invert,
+    rotation_from_vector,
+    transform_from,
+    transform_points,
+)
 from vrcaps.lumen.contents import Contents
-from vrcaps.lumen.lumen_contents import CHYME, LumenContents, populate
+from vrcaps.lumen.lumen_contents import CHYME, LumenContents, populate, wall_anchors
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.motility.layout import sample_coordinates
 
@@ -114,6 +119,31 @@ class Model:
             return None
         lumen_contents = populate(self.organ, self.contents, self.T_world_patient)
         return lumen_contents.with_capsule(self.device.length, self.device.radius)
+
+    @cached_property
+    def _anchors(self) -> tuple[np.ndarray, np.ndarray]:
+        """Place on the wall of each sphere of the contents at rest."""
+        assert self.lumen_contents is not None
+        spheres, faces = self.lumen_contents.spheres, self.organ.faces
+        return wall_anchors(spheres, self.wall, self.vertices_world, faces)
+
+    def resting_contents(self, state: State) -> LumenContents | None:
+        """Contents at rest on the wall of a state, displaced by the capsule; None without any."""
+        rest = self.lumen_contents
+        if rest is None:
+            return None
+        if state.vertices_world is not None and len(rest.spheres):
+            rest = rest.on_wall(self._anchors, state.vertices_world - self.vertices_world)
+        size = self.device.length, self.device.radius
+        rest = rest.on_dome(self.arc_length_at(state.T_world_capsule), *size)
+        return rest.around_capsule(state.T_world_capsule, *size)
+
+    def arc_length_at(self, T_world_capsule: Float[np.ndarray, "4 4"]) -> float:
+        """Arc length of the point of the centerline nearest to a capsule's origin [m]."""
+        line = self.organ.centerline
+        center = invert(self.T_world_patient) @ T_world_capsule[:, 3]
+        nearest = np.square(line.points - center[:3]).sum(axis=1).argmin()
+        return float(line.arc_length[nearest])
 
     def place(self, arc_length: float | None = None, *, angle: float = 0.0) -> State:
         """State of the capsule at rest on the centerline.

@@ -78,7 +78,7 @@ def cockpit_scenario(scenario: Scenario) -> ResolvedScenario:
     magnet = replace(magnet, waypoints=(), command_file=None, joystick=still)
     orders = {"posture_changes": (), "insufflation": (), "flushes": (), "phase_three": ()}
     motion = replace(motion, magnet=magnet, **orders)
-    return resolve(replace(scenario, motion=motion, frames=MAX_FRAMES))
+    return resolve(replace(scenario, motion=motion, frames=MAX_FRAMES, variation=False))
 
 
 class Session:

@@ -1,0 +1,361 @@
+//! Turbid fluid between the capsule and the wall: extinction of the wall's light, light scattered
+//! back from the LEDs, and the fraction of light that reaches the camera without being scattered.
+//!
+//! All are integrated along the rays of every few pixels (Wronski 2014, SIGGRAPH course "Volumetric
+//! fog": a grid in the frustum) and interpolated at the distance of the wall in each pixel.
+//! Coefficients of extinction are those of transport, `absorption + (1 − g) scattering`: light that is
+//! scattered forward stays in the beam. Orders of scattering beyond the first have the attenuation
+//! to the power 1/2, 1/4, … (Wrenninge, Kulla and Lundqvist 2013, "Oz: the great and volumetric")
+//! and weights that make a half-space as bright as it is (see `render/medium.py`).
+
+use crate::pool::on_pool;
+use crate::simd::f32x64::Vec3;
+use numpy::{IntoPyArray, PyArray2, PyArray3, ndarray};
+use numpy::{PyReadonlyArray2, PyReadonlyArray3, PyReadwriteArray3, PyUntypedArrayMethods};
+use pyo3::{exceptions::PyValueError, prelude::*};
+use rayon::prelude::*;
+use std::f32::consts::PI;
+
+/// Pixels between the rays that are integrated along.
+const STEP: usize = 4;
+/// Intervals along a ray; they grow with distance.
+const SLICES: usize = 16;
+/// Orders of scattering; the last stands for all beyond it.
+const ORDERS: usize = 5;
+/// Octaves of the noise.
+const OCTAVES: u32 = 3;
+/// Standard deviation of the noise before scaling, of three octaves of trilinear value noise.
+const DEVIATION: f32 = 0.228;
+/// Distance beyond which no light returns [m].
+const FARTHEST: f32 = 0.1;
+
+/// Numbers of a node of the grid: light scattered back [3], transmittance of the camera's path [3]
+/// and of the LEDs' paths [3], and optical depth of scattering.
+const VALUES: usize = 10;
+type Node = [f32; VALUES];
+
+/// The fluid in one view.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct Medium {
+    /// Absorption of red, green and blue at mean density [1/m].
+    absorption: Vec3,
+    /// Scattering coefficient at mean density [1/m].
+    scattering: Vec3,
+    /// Mean cosine of the scattering angle.
+    anisotropy: f32,
+    /// Weight of each order of scattering relative to the one before, by color.
+    orders: Vec3,
+    /// Standard deviation of the logarithm of density, and size of the largest clouds [m].
+    clouds: (f32, f32),
+    /// Extinction inside flocs [1/m], and their size [m].
+    flocs: (f32, f32),
+    /// Fraction of its extinction that a floc scatters.
+    floc_color: Vec3,
+    seed: u32,
+}
+
+/// Camera and LEDs in the frame of the camera.
+struct Rig<'a> {
+    size: (usize, usize),
+    rays: &'a [f32],
+    start: &'a [f32],
+    leds: Vec<[f32; 10]>,
+    pose: [f32; 12],
+    farthest: f32,
+}
+
+/// Extinguishes light of the wall, in planes [3 h w].
+///
+/// Returns the light that the medium sends to the camera [3 h w] and the fraction of the wall's light
+/// that is not scattered [h w]. Rays [h w 3] are not a number where the camera sees nothing, and
+/// distances [h w] where a ray meets no wall.
+#[pyfunction]
+#[pyo3(signature = (planes, rays, distance, start, pose, leds, medium))]
+#[allow(clippy::type_complexity)]
+pub fn immerse<'py>(
+    py: Python<'py>,
+    mut planes: PyReadwriteArray3<'py, f32>,
+    rays: PyReadonlyArray3<'py, f32>,
+    distance: PyReadonlyArray2<'py, f32>,
+    start: PyReadonlyArray2<'py, f32>,
+    pose: PyReadonlyArray2<'py, f64>,
+    leds: PyReadonlyArray2<'py, f64>,
+    medium: Medium,
+) -> PyResult<(Bound<'py, PyArray3<f32>>, Bound<'py, PyArray2<f32>>)> {
+    let [height, width] = distance.shape()[..] else { unreachable!("two dimensions") };
+    let fits = rays.shape() == [height, width, 3] && start.shape() == [height, width];
+    if !(fits && planes.shape() == [3, height, width]) || pose.shape() != [4, 4] {
+        return Err(PyValueError::new_err("Planes, rays, distance and start must be of one size."));
+    }
+    if leds.shape()[1] != 11 || height * width == 0 {
+        return Err(PyValueError::new_err("LEDs must be of shape (k, 11)."));
+    }
+    let (distance, pose, rows) = (distance.as_slice()?, pose.as_array(), leds.as_array());
+    let finite = distance.iter().filter(|x| x.is_finite()).fold(0.0f32, |a, &b| a.max(b));
+    let rig = Rig {
+        size: (height, width),
+        rays: rays.as_slice()?,
+        start: start.as_slice()?,
+        leds: rows.outer_iter().map(|row| std::array::from_fn(|k| row[k] as f32)).collect(),
+        pose: std::array::from_fn(|k| pose[[k / 4, k % 4]] as f32),
+        farthest: if finite > 0.0 { finite.min(FARTHEST) } else { FARTHEST },
+    };
+    let area = height * width;
+    let mut veil = vec![0.0; 3 * area];
+    let mut clear = vec![1.0; area];
+    let mut image = planes.as_array_mut();
+    on_pool(py, || {
+        let grid = Grid::new(&rig, &medium);
+        let mut lines: Vec<_> = image.axis_iter_mut(ndarray::Axis(1)).collect();
+        let (red, rest) = veil.split_at_mut(area);
+        let (green, blue) = rest.split_at_mut(area);
+        let veils = red
+            .par_chunks_mut(width)
+            .zip(green.par_chunks_mut(width))
+            .zip(blue.par_chunks_mut(width));
+        lines.par_iter_mut().zip(veils).zip(clear.par_chunks_mut(width)).enumerate().for_each(
+            |(y, ((line, ((red, green), blue)), clear))| {
+                for x in 0..width {
+                    let pixel = y * width + x;
+                    let Some(node) = grid.at(&rig, (y, x), distance[pixel]) else { continue };
+                    for (k, veil) in [&mut *red, &mut *green, &mut *blue].into_iter().enumerate() {
+                        veil[x] = node[k];
+                        line[[k, x]] *= node[3 + k] * node[6 + k];
+                    }
+                    clear[x] = (-node[9]).exp();
+                }
+            },
+        );
+    });
+    let shape = "the sizes match";
+    let veil = ndarray::Array3::from_shape_vec((3, height, width), veil).expect(shape);
+    let clear = ndarray::Array2::from_shape_vec((height, width), clear).expect(shape);
+    Ok((veil.into_pyarray(py), clear.into_pyarray(py)))
+}
+
+/// Integrals along the rays of every few pixels, at the ends of all intervals.
+struct Grid {
+    columns: usize,
+    /// None where the camera sees nothing.
+    rays: Vec<Option<Box<[Node; SLICES + 1]>>>,
+}
+
+impl Grid {
+    fn new(rig: &Rig<'_>, medium: &Medium) -> Self {
+        let (height, width) = rig.size;
+        let (rows, columns) = (height.div_ceil(STEP) + 1, width.div_ceil(STEP) + 1);
+        let rays = (0..rows * columns).into_par_iter().map(|k| {
+            let (y, x) =
+                ((k / columns * STEP).min(height - 1), (k % columns * STEP).min(width - 1));
+            rig.ray(y * width + x).map(|(ray, start)| medium.integrate(rig, ray, start))
+        });
+        Grid { columns, rays: rays.collect() }
+    }
+
+    /// Numbers at a distance along the ray of a pixel; None where nothing near it is known.
+    fn at(&self, rig: &Rig<'_>, (y, x): (usize, usize), distance: f32) -> Option<Node> {
+        let (_, start) = rig.ray(y * rig.size.1 + x)?;
+        let distance = if distance.is_finite() { distance } else { FARTHEST };
+        let along = ((distance - start) / (rig.farthest - start).max(1e-6)).clamp(0.0, 1.0);
+        let along = along.sqrt() * SLICES as f32;
+        let slice = (along as usize).min(SLICES - 1);
+        let t = along - slice as f32;
+        let (mut sum, mut whole) = ([0.0; VALUES], 0.0);
+        let (v, u) = ((y % STEP) as f32 / STEP as f32, (x % STEP) as f32 / STEP as f32);
+        for (row, v) in [(y / STEP, 1.0 - v), (y / STEP + 1, v)] {
+            for (column, u) in [(x / STEP, 1.0 - u), (x / STEP + 1, u)] {
+                let weight = u * v;
+                let Some(ray) = &self.rays[row * self.columns + column] else { continue };
+                if weight > 0.0 {
+                    for k in 0..VALUES {
+                        sum[k] +=
+                            weight * (ray[slice][k] + t * (ray[slice + 1][k] - ray[slice][k]));
+                    }
+                    whole += weight;
+                }
+            }
+        }
+        (whole > 0.0).then(|| sum.map(|x| x / whole))
+    }
+}
+
+impl Rig<'_> {
+    /// Direction of a pixel's ray and the distance at which it leaves the capsule [m].
+    fn ray(&self, pixel: usize) -> Option<(Vec3, f32)> {
+        let ray = [0, 1, 2].map(|k| self.rays[3 * pixel + k]);
+        ray.iter().all(|x| x.is_finite()).then(|| (ray, self.start[pixel]))
+    }
+
+    /// A point in the frame that the clouds are fixed in [m].
+    fn fixed(&self, point: Vec3) -> Vec3 {
+        [0, 4, 8].map(|k| {
+            self.pose[k] * point[0]
+                + self.pose[k + 1] * point[1]
+                + self.pose[k + 2] * point[2]
+                + self.pose[k + 3]
+        })
+    }
+}
+
+impl Medium {
+    /// Integrals along a ray from the distance at which it leaves the capsule.
+    fn integrate(&self, rig: &Rig<'_>, ray: Vec3, start: f32) -> Box<[Node; SLICES + 1]> {
+        let mut out = Box::new([[0.0; VALUES]; SLICES + 1]);
+        // Optical depths: of transport by color, and of scattering.
+        let (mut depth, mut scattered, mut veil) = ([0.0f32; 3], 0.0f32, [0.0f32; 3]);
+        let length = (rig.farthest - start).max(1e-6);
+        let node = |at: f32, depth: &Vec3, scattered: f32, veil: &Vec3| -> Node {
+            let (lit, all) = self.arriving(rig, ray.map(|x| x * at), (start, at), depth);
+            let mut node = [0.0; VALUES];
+            for k in 0..3 {
+                node[k] = veil[k];
+                node[3 + k] = (-depth[k]).exp();
+                node[6 + k] = if all[k] > 0.0 { lit[k] / all[k] } else { (-depth[k]).exp() };
+            }
+            node[9] = scattered;
+            node
+        };
+        out[0] = node(start, &depth, 0.0, &veil);
+        let mut from = start;
+        for slice in 0..SLICES {
+            let part = (slice + 1) as f32 / SLICES as f32;
+            let to = start + length * part * part;
+            let (step, middle) = (to - from, 0.5 * (from + to));
+            let (density, flocs) = self.density(rig.fixed(ray.map(|x| x * middle)));
+            let back: Vec3 = std::array::from_fn(|k| {
+                density * (1.0 - self.anisotropy) * self.scattering[k] + flocs * self.floc_color[k]
+            });
+            let gone: Vec3 = std::array::from_fn(|k| {
+                let lost = self.absorption[k] + (1.0 - self.anisotropy) * self.scattering[k];
+                density * lost + flocs
+            });
+            let halfway: Vec3 = std::array::from_fn(|k| depth[k] + 0.5 * step * gone[k]);
+            let light = self.scattered(rig, ray.map(|x| x * middle), (start, middle), &halfway);
+            for k in 0..3 {
+                veil[k] += step * back[k] * light[k];
+                depth[k] += step * gone[k];
+            }
+            scattered += step * density * self.anisotropy * self.scattering[1];
+            out[slice + 1] = node(to, &depth, scattered, &veil);
+            from = to;
+        }
+        out
+    }
+
+    /// Irradiance at a point at a distance along a ray: with and without extinction on the way from
+    /// the LEDs, whose mean extinction is that of the ray.
+    fn arriving(
+        &self,
+        rig: &Rig<'_>,
+        point: Vec3,
+        (start, at): (f32, f32),
+        depth: &Vec3,
+    ) -> (Vec3, Vec3) {
+        let (mut lit, mut all) = ([0.0; 3], [0.0; 3]);
+        for led in &rig.leds {
+            let (arrives, way) = irradiance(led, point);
+            let ratio = (way - start).max(0.0) / (at - start).max(1e-6);
+            for k in 0..3 {
+                all[k] += arrives[k];
+                lit[k] += arrives[k] * (-depth[k] * ratio).exp();
+            }
+        }
+        (lit, all)
+    }
+
+    /// Radiance per scattering coefficient that a point on a ray sends to the camera, after
+    /// extinction on both ways, over all orders of scattering.
+    fn scattered(&self, rig: &Rig<'_>, point: Vec3, (start, at): (f32, f32), depth: &Vec3) -> Vec3 {
+        let mut sum = [0.0; 3];
+        for led in &rig.leds {
+            let (arrives, way) = irradiance(led, point);
+            let ratio = (way - start).max(0.0) / (at - start).max(1e-6);
+            for k in 0..3 {
+                let mut transmitted = (-depth[k] * (1.0 + ratio)).exp();
+                let (mut weight, mut orders) = (1.0, 0.0);
+                for order in 0..ORDERS {
+                    let last = order + 1 == ORDERS;
+                    orders += transmitted * weight / if last { 1.0 - self.orders[k] } else { 1.0 };
+                    transmitted = transmitted.sqrt();
+                    weight *= 0.5 * self.orders[k];
+                }
+                sum[k] += arrives[k] * orders / (4.0 * PI);
+            }
+        }
+        sum
+    }
+
+    /// Density relative to the mean, and extinction by flocs [1/m].
+    fn density(&self, point: Vec3) -> (f32, f32) {
+        let (spread, size) = self.clouds;
+        let mut density = 1.0;
+        if spread > 0.0 {
+            // Wisps: the clouds are longer along one direction.
+            let at = [point[0], point[1] + 0.5 * point[2], 0.4 * point[2]].map(|x| x / size);
+            let noise = fractal(at, self.seed);
+            density = (spread * noise - 0.5 * spread * spread).exp();
+        }
+        let (extinction, size) = self.flocs;
+        let mut flocs = 0.0;
+        if extinction > 0.0 {
+            let noise = fractal(point.map(|x| x / size), self.seed ^ 0x9e37_79b9);
+            let t = ((noise - 1.7) / 0.9).clamp(0.0, 1.0);
+            flocs = extinction * t * t * (3.0 - 2.0 * t);
+        }
+        (density, flocs)
+    }
+}
+
+/// Irradiance of a surface that faces an LED, and the distance from it [m].
+fn irradiance(led: &[f32; 10], point: Vec3) -> (Vec3, f32) {
+    let way: Vec3 = std::array::from_fn(|k| point[k] - led[k]);
+    let square = way.iter().map(|x| x * x).sum::<f32>().max(1e-8);
+    let length = square.sqrt();
+    let cosine = (way[0] * led[3] + way[1] * led[4] + way[2] * led[5]) / length;
+    let lobe = if led[9] == 0.0 { 1.0 } else { libm::powf(cosine.max(0.0), led[9]) };
+    ([6, 7, 8].map(|k| led[k] * lobe / square), length)
+}
+
+/// Sum of octaves of noise, of about unit variance and mean 0.
+fn fractal(point: Vec3, seed: u32) -> f32 {
+    let (mut sum, mut scale, mut height) = (0.0, 1.0, 1.0);
+    for octave in 0..OCTAVES {
+        let at = point.map(|x| x * scale);
+        sum += height * value_noise(at, seed.wrapping_add(octave.wrapping_mul(0x632b_e5ab)));
+        scale *= 2.1;
+        height *= 0.6;
+    }
+    sum / DEVIATION
+}
+
+/// Value noise: numbers from −1/2 to 1/2 at integer points, smooth in between (Perlin 1985).
+fn value_noise(point: Vec3, seed: u32) -> f32 {
+    let cell = point.map(f32::floor);
+    let t: Vec3 = std::array::from_fn(|k| {
+        let x = point[k] - cell[k];
+        x * x * (3.0 - 2.0 * x)
+    });
+    let corner = cell.map(|x| x as i32);
+    let at =
+        |dx: i32, dy: i32, dz: i32| lattice([corner[0] + dx, corner[1] + dy, corner[2] + dz], seed);
+    let mix = |a: f32, b: f32, t: f32| a + (b - a) * t;
+    let near = mix(mix(at(0, 0, 0), at(1, 0, 0), t[0]), mix(at(0, 1, 0), at(1, 1, 0), t[0]), t[1]);
+    let far = mix(mix(at(0, 0, 1), at(1, 0, 1), t[0]), mix(at(0, 1, 1), at(1, 1, 1), t[0]), t[1]);
+    mix(near, far, t[2])
+}
+
+/// Number from −1/2 to 1/2 of an integer point, by the finalizer of MurmurHash3 (Appleby 2011).
+fn lattice(point: [i32; 3], seed: u32) -> f32 {
+    let mut x = seed;
+    for (k, factor) in [0x8da6_b343_u32, 0xd816_3841, 0xcb1a_b31f].into_iter().enumerate() {
+        x ^= (point[k] as u32).wrapping_mul(factor);
+        x = x.rotate_left(13).wrapping_mul(5).wrapping_add(0xe654_6b64);
+    }
+    x ^= x >> 16;
+    x = x.wrapping_mul(0x85eb_ca6b);
+    x ^= x >> 13;
+    x = x.wrapping_mul(0xc2b2_ae35);
+    x ^= x >> 16;
+    x as f32 / u32::MAX as f32 - 0.5
+}

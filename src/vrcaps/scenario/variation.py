@@ -1,0 +1,202 @@
+"""Variation by prevalence: values that a scenario leaves open, drawn for each patient or recording.
+
+No registry states how often a capsule sees fluid, bubbles or debris. The prevalences are estimates
+from sheets of some 300 real small-bowel frames and from the wording of cleansing scales; each is
+an attribute of `Prevalence`, and `PREVALENCES` holds those of all organs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from vrcaps.core.rng import stream
+from vrcaps.lumen.contents import CM2, PREPARATIONS, Bubbles, Chyme, Contents
+from vrcaps.lumen.medium import Film, Medium
+from vrcaps.motion.fly_through import FlyThrough
+from vrcaps.organ.segments import Distension
+from vrcaps.scenario.scenario import OrganGenerated, Scenario
+
+_KINDS = ("bubbles", "chyme", "liquid", "medium", "film")
+
+
+@dataclass(frozen=True)
+class Prevalence:
+    """Prevalences of one organ.
+
+    Attributes:
+        distensions: Probability of each distension; empty for the organ's own.
+        tilt: Range of a fly-through's maximum tilt [rad].
+        bubbles: Mean fraction of the gut's length with bubbles.
+        chyme: Mean fraction of the gut's length with chyme.
+        liquid: Probability of each severity of liquid in pools, from 0 on.
+        preparations: Probability of each score of bowel preparation, from 3 down, which sets
+            bubbles, chyme and liquid; empty for the three attributes above.
+        medium: Mean fraction of the gut's length with turbid fluid.
+        film: Mean fraction of the gut's length with a film on the dome.
+    """
+
+    distensions: Mapping[Distension, float]
+    tilt: tuple[float, float]
+    bubbles: float = 0.0
+    chyme: float = 0.0
+    liquid: tuple[float, ...] = (1.0,)
+    preparations: tuple[float, ...] = ()
+    medium: float = 0.0
+    film: float = 0.0
+
+
+PREVALENCES: Mapping[str, Prevalence] = MappingProxyType(
+    {
+        "small-bowel": Prevalence(
+            distensions={"collapsed": 0.92, "normal": 0.08},
+            tilt=(0.3, 0.78),
+            bubbles=0.35,
+            chyme=0.1,
+            medium=0.35,
+            film=0.5,
+        ),
+        "colon": Prevalence(
+            distensions={},
+            tilt=(0.1, 0.35),
+            preparations=(0.5, 0.35, 0.12, 0.03),
+            medium=0.15,
+            film=0.3,
+        ),
+        "stomach": Prevalence(
+            distensions={},
+            tilt=(0.1, 0.35),
+            bubbles=0.2,
+            chyme=0.05,
+            liquid=(0.4, 0.3, 0.3),
+            medium=0.15,
+            film=0.3,
+        ),
+        "full-tract": Prevalence(
+            distensions={},
+            tilt=(0.1, 0.35),
+            bubbles=0.3,
+            chyme=0.1,
+            medium=0.25,
+            film=0.4,
+        ),
+    }
+)
+"""Prevalences by generated organ. All are assumed; those of the small bowel follow estimates from
+real frames: bubbles in a third, turbid fluid in a third, debris over the whole view in 5 to 10 %,
+an open round lumen in fewer than one in ten, and a third to a half of the frames soft."""
+
+
+def varied(scenario: Scenario) -> Scenario:
+    """Return the scenario with its open settings drawn by prevalence.
+
+    Settings that are given stay. Without `Scenario.variation`, or for an organ from a file,
+    contents that are open are none and other open settings stay open. Distension and contents
+    depend on the seeds of the patient, `organ.seed` and `contents.seed`; the tilt on that of the
+    recording.
+    """
+    organ, contents, motion = scenario.organ, scenario.contents, scenario.motion
+    found = PREVALENCES.get(organ.name) if isinstance(organ, OrganGenerated) else None
+    if found is None or not scenario.variation:
+        empty = {kind: 0 for kind in _KINDS if getattr(contents, kind) is None}
+        return replace(scenario, contents=replace(contents, **empty))
+    assert isinstance(organ, OrganGenerated)
+    if organ.distension is None and found.distensions:
+        rng = stream(organ.seed, "variation/distension")
+        kinds, weights = list(found.distensions), list(found.distensions.values())
+        organ = replace(organ, distension=kinds[int(rng.choice(len(kinds), p=weights))])
+    if isinstance(motion, FlyThrough) and motion.tilt is None:
+        tilt = stream(scenario.seed, "variation/tilt").uniform(*found.tilt)
+        motion = replace(motion, tilt=round(float(tilt), 3))
+    return replace(scenario, organ=organ, motion=motion, contents=drawn_contents(contents, found))
+
+
+def drawn_contents(contents: Contents, found: Prevalence) -> Contents:
+    """Return the contents with each kind that is open drawn by its prevalence.
+
+    Args:
+        contents: Contents whose open kinds are None.
+        found: Prevalences of the organ.
+    """
+    seed = contents.seed
+    drawn: dict[str, Any] = {
+        "bubbles": _bubbles(found.bubbles, stream(seed, "variation/bubbles")),
+        "chyme": _chyme(found.chyme, stream(seed, "variation/chyme")),
+        "liquid": _severity(found.liquid, seed, "liquid"),
+        "medium": _medium(found.medium, stream(seed, "variation/medium")),
+        "film": _film(found.film, stream(seed, "variation/film")),
+    }
+    if found.preparations:
+        score = len(found.preparations) - 1 - _severity(found.preparations, seed, "preparation")
+        prepared = PREPARATIONS[score]
+        drawn |= {kind: getattr(prepared, kind) for kind in ("bubbles", "chyme", "liquid")}
+    return replace(
+        contents, **{kind: drawn[kind] for kind in _KINDS if getattr(contents, kind) is None}
+    )
+
+
+def _severity(probabilities: tuple[float, ...], seed: int, name: str) -> int:
+    rng = stream(seed, f"variation/{name}")
+    return int(rng.choice(len(probabilities), p=probabilities))
+
+
+def _fraction(mean: float, rng: np.random.Generator) -> float:
+    """Fraction of the gut's length in one patient, for its mean over patients."""
+    return round(min(float(rng.uniform(0.4, 1.6)) * mean, 1.0), 4)
+
+
+def _bubbles(mean: float, rng: np.random.Generator) -> Bubbles | int:
+    """Bubbles of one patient: single ones up to foam, where there are any."""
+    prevalence, foam = _fraction(mean, rng), float(rng.uniform())
+    per_area = 2.0 * 8.0**foam  # 2 to 16 per cm²
+    raft = 5.0 * 8.0**foam
+    if prevalence == 0.0:
+        return 0
+    return Bubbles(
+        per_area=round(per_area / CM2, 1), prevalence=prevalence, raft_size=round(raft, 2)
+    )
+
+
+def _chyme(mean: float, rng: np.random.Generator) -> Chyme | int:
+    """Debris of one patient, from specks to much of the wall, where there is any."""
+    prevalence, amount = _fraction(mean, rng), float(rng.uniform())
+    if prevalence == 0.0:
+        return 0
+    return Chyme(
+        per_area=round(1.5 * 20.0**amount / CM2, 1),
+        prevalence=prevalence,
+        clump_size=round(8.0 * 6.0**amount, 2),
+    )
+
+
+def _medium(mean: float, rng: np.random.Generator) -> Medium | int:
+    """Turbid fluid of one patient: its prevalence, turbidity, and content of bile."""
+    prevalence = _fraction(mean, rng)
+    turbidity = math.exp(float(rng.normal(0.0, 0.3)))
+    bile = math.exp(float(rng.normal(0.0, 0.4)))
+    flocs = float(rng.uniform(0.0, 500.0))
+    if prevalence == 0.0:
+        return 0
+    red, green, blue = (round(bile * x, 3) for x in Medium().absorption)
+    scattering = round(turbidity * Medium().scattering[0], 3)
+    return Medium(
+        prevalence=prevalence,
+        absorption=(red, green, blue),
+        scattering=(scattering, scattering, scattering),
+        spread=0.6,
+        floc_extinction=round(flocs, 2),
+    )
+
+
+def _film(mean: float, rng: np.random.Generator) -> Film | int:
+    """Film on the dome in one recording: how often it is there, and its thickness."""
+    prevalence = _fraction(mean, rng)
+    thickness = Film().thickness * math.exp(float(rng.normal(0.0, 0.3)))
+    if prevalence == 0.0:
+        return 0
+    return Film(prevalence=prevalence, thickness=round(thickness, 7), spread=0.5)

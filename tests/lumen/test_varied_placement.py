@@ -73,7 +73,8 @@ def test_contents_move_with_the_wall() -> None:
     rest = model.resting_contents(State(0.0, far))
     seen = model.resting_contents(State(0.0, far, vertices_world=vertices))
     assert rest is not None and seen is not None
-    on_wall = len(rest.spheres) - len(rest.dome_sites)
+    assert model.lumen_contents is not None
+    on_wall = len(rest.spheres) - len(model.lumen_contents.dome_sites)
     before, after = (
         np.linalg.norm((each.spheres.centers @ model.T_world_patient[:3, :3])[:on_wall, 1:], axis=1)
         for each in (rest, seen)

@@ -15,7 +15,7 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import rotation_from_vector, transform_from
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.medium import Film, Medium, film_relief
-from vrcaps.render.immersion import order_ratio, shell_distance
+from vrcaps.render.immersion import _NOISE_DEVIATION, order_ratio, shell_distance
 from vrcaps.render.renderer import Renderer
 from vrcaps.world.model import Model
 
@@ -164,6 +164,13 @@ def test_core_agrees_with_its_twin():
     _core.scatter_forward(ours, lit, fraction, 2.0)
     twin_medium.scatter_forward(theirs, lit, fraction, 2.0)
     assert np.allclose(ours, theirs, atol=5e-3)
+
+
+def test_noise_has_the_stated_deviation():
+    points = np.random.default_rng(0).uniform(-50.0, 50.0, (20_000, 3))
+    noise = twin_medium.fractal(points, 5)
+    assert noise.std() == pytest.approx(_NOISE_DEVIATION, rel=0.03)
+    assert abs(noise.mean()) < 0.02
 
 
 def test_wrong_shapes_are_refused():

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 _STEP, _SLICES, _ORDERS, _OCTAVES = 4, 16, 5, 3
-_FARTHEST, _DEVIATION = 0.1, 0.228
+_FARTHEST, _SCALE = 0.1, 0.33
 
 
 def lattice(point: np.ndarray, seed: int) -> np.ndarray:
@@ -40,7 +40,7 @@ def fractal(point: np.ndarray, seed: int) -> np.ndarray:
             value += weight * lattice((cell + corner).astype(np.int64), own)
         total += height * value
         scale, height = scale * 2.1, height * 0.6
-    return total / _DEVIATION
+    return total / _SCALE
 
 
 def density(medium: Mapping[str, Any], point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -52,7 +52,7 @@ def density(medium: Mapping[str, Any], point: np.ndarray) -> tuple[np.ndarray, n
         noise = fractal(np.stack([x, y + 0.5 * z, 0.4 * z], axis=-1) / size, medium["seed"])
         clouds = np.exp(spread * noise - 0.5 * spread**2)
     if extinction > 0.0:
-        t = np.clip((fractal(point / apart, medium["seed"] ^ 0x9E3779B9) - 1.7) / 0.9, 0.0, 1.0)
+        t = np.clip((fractal(point / apart, medium["seed"] ^ 0x9E3779B9) - 1.2) / 0.6, 0.0, 1.0)
         flocs = extinction * t * t * (3.0 - 2.0 * t)
     return clouds, flocs
 

@@ -24,8 +24,8 @@ const SLICES: usize = 16;
 const ORDERS: usize = 5;
 /// Octaves of the noise.
 const OCTAVES: u32 = 3;
-/// Standard deviation of the noise before scaling, of three octaves of trilinear value noise.
-const DEVIATION: f32 = 0.228;
+/// Scale of three octaves of trilinear value noise; its standard deviation is then 0.69.
+const SCALE: f32 = 0.33;
 /// Distance beyond which no light returns [m].
 const FARTHEST: f32 = 0.1;
 
@@ -46,7 +46,7 @@ pub struct Medium {
     anisotropy: f32,
     /// Weight of each order of scattering relative to the one before, by color.
     orders: Vec3,
-    /// Standard deviation of the logarithm of density, and size of the largest clouds [m].
+    /// Factor of the noise in the logarithm of density, and size of the largest clouds [m].
     clouds: (f32, f32),
     /// Extinction inside flocs [1/m], and their size [m].
     flocs: (f32, f32),
@@ -300,7 +300,7 @@ impl Medium {
         let mut flocs = 0.0;
         if extinction > 0.0 {
             let noise = fractal(point.map(|x| x / size), self.seed ^ 0x9e37_79b9);
-            let t = ((noise - 1.7) / 0.9).clamp(0.0, 1.0);
+            let t = ((noise - 1.2) / 0.6).clamp(0.0, 1.0);
             flocs = extinction * t * t * (3.0 - 2.0 * t);
         }
         (density, flocs)
@@ -317,7 +317,7 @@ fn irradiance(led: &[f32; 10], point: Vec3) -> (Vec3, f32) {
     ([6, 7, 8].map(|k| led[k] * lobe / square), length)
 }
 
-/// Sum of octaves of noise, of about unit variance and mean 0.
+/// Sum of octaves of noise, of mean 0 and standard deviation 0.69.
 fn fractal(point: Vec3, seed: u32) -> f32 {
     let (mut sum, mut scale, mut height) = (0.0, 1.0, 1.0);
     for octave in 0..OCTAVES {
@@ -326,7 +326,7 @@ fn fractal(point: Vec3, seed: u32) -> f32 {
         scale *= 2.1;
         height *= 0.6;
     }
-    sum / DEVIATION
+    sum / SCALE
 }
 
 /// Value noise: numbers from −1/2 to 1/2 at integer points, smooth in between (Perlin 1985).

@@ -33,6 +33,10 @@ if TYPE_CHECKING:
     from vrcaps.world.model import Model, State
 
 
+_NOISE_DEVIATION = 0.69
+"""Standard deviation of the core's noise."""
+
+
 class CameraView(NamedTuple):
     """Constants of a camera.
 
@@ -142,7 +146,7 @@ class Immersion:
             "scattering": scattering,
             "anisotropy": medium.anisotropy,
             "orders": [order_ratio(round(albedo, 4)) for albedo in albedos],
-            "clouds": (medium.cloud_spread, medium.cloud_size),
+            "clouds": (medium.cloud_spread / _NOISE_DEVIATION, medium.cloud_size),
             "flocs": (min(density, 1.0) * medium.floc_extinction, medium.floc_size),
             "floc_color": medium.floc_color,
             "seed": self._noise,

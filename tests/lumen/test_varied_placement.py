@@ -81,7 +81,7 @@ def test_contents_move_with_the_wall() -> None:
     )
     shift = before - after
     assert np.median(shift) == pytest.approx(0.3 * RADIUS, rel=0.05)
-    assert shift.min() > 0.2 * RADIUS
+    assert np.quantile(shift, 0.05) > 0.2 * RADIUS  # others cling to the ends
     assert seen.spheres.radius is rest.spheres.radius
 
 

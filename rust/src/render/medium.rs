@@ -72,7 +72,7 @@ struct Rig<'a> {
 /// distances [h w] where a ray meets no wall.
 #[pyfunction]
 #[pyo3(signature = (planes, rays, distance, start, pose, leds, medium))]
-#[allow(clippy::type_complexity)]
+#[allow(clippy::type_complexity, clippy::too_many_arguments)] // the one door from Python
 pub fn immerse<'py>(
     py: Python<'py>,
     mut planes: PyReadwriteArray3<'py, f32>,

@@ -56,20 +56,28 @@ class Walk:
         return self.ranks[part(b)] > self.ranks[part(a)]
 
 
-def walk_of_recording(layers: Sequence[Sequence[str]]) -> Walk:
+def walks_of_recording(layers: Sequence[Sequence[str]]) -> tuple[Walk, Walk]:
     """Trace the set-up of the default recording, from `record` until `build` returns.
 
-    The organ is read from the cache; the first, untraced run writes it and loads all modules.
+    The organ is read from the cache in the user's folder; the first, untraced run writes it and
+    loads all modules.
+
+    Returns:
+        The set-up with the capsule's file parsed by an earlier recording of the process, and the
+        set-up that parses it.
     """
+    from vrcaps.capsule import device_file
     from vrcaps.recording.recorder import record
     from vrcaps.scenario.scenario import Scenario
 
     scenario = Scenario(frames=1)
     with tempfile.TemporaryDirectory() as folder:
         record(scenario, Path(folder) / "first")
-        calls = _trace(lambda: record(scenario, Path(folder) / "second"))
+        warm = _trace(lambda: record(scenario, Path(folder) / "second"))
+        device_file._parsed.clear()
+        cold = _trace(lambda: record(scenario, Path(folder) / "third"))
     ranks = {name: rank for rank, names in enumerate(layers) for name in names}
-    return Walk(tuple(calls), ranks)
+    return Walk(tuple(warm), ranks), Walk(tuple(cold), ranks)
 
 
 def _trace(run: Callable[[], object]) -> list[tuple[str, str]]:

@@ -144,7 +144,7 @@ def test_resolve_fills_in_what_is_open(mesh_file, device_file):
     assert isinstance(organ, OrganFile)
     assert isinstance(organ.path, FileRef)
     assert len(organ.path.sha256) == 64
-    assert resolve(resolved.scenario) == resolved
+    assert resolve(resolved.scenario).scenario == resolved.scenario
 
 
 def test_resolve_checks_checksums(mesh_file, tmp_path):

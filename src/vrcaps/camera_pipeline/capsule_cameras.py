@@ -48,7 +48,7 @@ class CapsuleCameras:
         seed: int = 0,
         channels: Sequence[str] = ("rgb",),
     ) -> None:
-        """Create the pipelines of the cameras of the renderer's device.
+        """Create the pipelines of the cameras of the renderer's device, with the effects on them.
 
         Args:
             renderer: Renderer of the world.
@@ -61,7 +61,7 @@ class CapsuleCameras:
             camera.name: CameraPipeline(
                 renderer, camera, effects, fps=fps, camera_index=k, seed=seed, channels=channels
             )
-            for k, camera in enumerate(renderer.model.device.cameras)
+            for k, camera in enumerate(effects.device(renderer.model.device).cameras)
         }
         self._fps, self._rate = fps, effects.resolve("adaptive_frame_rate")
         self._has_auto_exposure = effects.resolve("auto_exposure") is not None

@@ -103,7 +103,8 @@ class CameraPipeline:
 
         Args:
             renderer: Renderer of the world.
-            camera: Camera as changed by `Effects.device`, or the name of a camera of the device.
+            camera: Name of a camera of the device, to which the effects on cameras are applied; or a
+                camera that has them.
             effects: Effects, with each range of severities sampled; None for the capsule's own.
             fps: Frames per second; None for the capsule's own.
             camera_index: Index of the camera in the capsule.
@@ -115,8 +116,8 @@ class CameraPipeline:
             UnknownNameError: If the camera does not exist.
         """
         device = renderer.model.device
-        camera = device.camera(camera) if isinstance(camera, str) else camera
         effects = Effects().of_device(device, seed) if effects is None else effects
+        camera = effects.device(device).camera(camera) if isinstance(camera, str) else camera
         fps = device.frame_rate if fps is None else fps
         self.renderer, self.camera = renderer, camera
         self.channels = tuple(channels)

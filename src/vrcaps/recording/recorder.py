@@ -6,7 +6,7 @@ import errno
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -92,11 +92,12 @@ def record(
     require_free(out)
     with recording_lock(out):
         resolved = resolve(with_stored_organ(scenario, out))
-        require_same(out, resolved.scenario)
+        require_same(out, resolved)
         model, motion = build(resolved)
         try:
             organ_path = ORGAN_GLB if store_organ is None else store_organ(model.organ)
-            head = make_head(resolved.scenario, model, motion.notes, organ_path)
+            unit = replace(model, device=resolved.unit)
+            head = make_head(resolved.scenario, unit, motion.notes, organ_path)
             begin_episode(out, head)
             remove_damaged(read_episode(out, unfinished=True))
             run = _Recording(out, resolved, model, motion, progress or _silent, simulated)
@@ -287,7 +288,7 @@ def _new_preview(run: _Recording) -> Preview | None:
     """Preview encoder, if color images are recorded and the preview does not exist yet."""
     if "rgb" not in run.resolved.channels or (run.out / PREVIEW_MP4).exists():
         return None
-    cameras = run.model.device.cameras
+    cameras = run.resolved.unit.cameras
     return Preview(
         fps=run.resolved.fps,
         width=sum(c.width for c in cameras),

@@ -42,6 +42,7 @@ from vrcaps.recording.layout import (
 )
 from vrcaps.recording.pictures import require_preview
 from vrcaps.recording.table import FrameTable, read_table, write_table
+from vrcaps.scenario.build import ResolvedScenario
 from vrcaps.scenario.scenario import SOURCE_ORGAN, OrganFile, Scenario, scenario_to_plain
 
 LOCK = ".recording.lock"
@@ -108,7 +109,7 @@ def with_stored_organ(scenario: Scenario, out: Path) -> Scenario:
     return replace(scenario, organ=OrganFile(str(path)))
 
 
-def require_same(out: Path, scenario: Scenario) -> None:
+def require_same(out: Path, resolved: ResolvedScenario) -> None:
     """Check that an episode in a folder records a scenario.
 
     Raises:
@@ -116,7 +117,7 @@ def require_same(out: Path, scenario: Scenario) -> None:
     """
     if not (out / EPISODE_JSON).exists():
         return
-    if read_head(LocalFiles(out)).get("scenario") != scenario_to_plain(scenario):
+    if read_head(LocalFiles(out)).get("scenario") != scenario_to_plain(resolved.scenario):
         raise InputError(
             f"{out} contains an episode of a different scenario. Give a new or empty folder; "
             f"to resume that episode, record {out / EPISODE_JSON}."

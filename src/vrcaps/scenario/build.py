@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,21 +35,37 @@ Organ = OrganGenerated | OrganFile | OrganSurface
 class ResolvedScenario:
     """Scenario without open settings, see `resolve`.
 
+    The capsule's unit is drawn when its effects are first needed: organ, capsule and motion do not
+    depend on it.
+
     Attributes:
-        scenario: The scenario with all values filled in, as `episode.json` contains it.
-        device: Capsule, without the effects of the scenario.
+        given: The scenario with all values filled in but the capsule's own effects.
+        device: Nominal capsule, without effects on its cameras.
         organ: Source of the organ.
         fps: Frames per second.
         channels: Image channels, in the order of `Frame`.
-        effects: Effects, each with one severity or exact parameters.
     """
 
-    scenario: Scenario
+    given: Scenario
     device: Device
     organ: OrganSource
     fps: float
     channels: tuple[str, ...]
-    effects: Effects
+
+    @cached_property
+    def effects(self) -> Effects:
+        """Effects, each with one severity or exact parameters, the capsule's own included."""
+        return self.given.effects.of_device(self.device, self.given.seed)
+
+    @cached_property
+    def scenario(self) -> Scenario:
+        """The scenario with all values filled in, as `episode.json` contains it."""
+        return replace(self.given, effects=self.effects)
+
+    @cached_property
+    def unit(self) -> Device:
+        """Capsule with the camera effects on its cameras: LEDs, lens and resolution of its unit."""
+        return self.effects.device(self.device)
 
 
 def resolve(scenario: Scenario) -> ResolvedScenario:
@@ -67,19 +84,20 @@ def resolve(scenario: Scenario) -> ResolvedScenario:
     organ = resolve_organ(organ_named(given) if isinstance(given, str) else given)
     fps = device.frame_rate if scenario.fps is None else scenario.fps
     channels = tuple(channel for channel in CHANNELS if channel in scenario.channels)
-    effects = scenario.effects.of_device(device, scenario.seed).sample(scenario.seed)
+    effects = scenario.effects.sample(scenario.seed)
     motion = with_checksums(scenario.motion)
     scenario = replace(
         scenario, organ=organ, motion=motion, fps=fps, channels=channels, effects=effects
     )
     source = OrganSource(organ, scenario.lesions, scenario.posture, scenario.seed)
-    return ResolvedScenario(scenario, device, source, fps, channels, effects)
+    return ResolvedScenario(scenario, device, source, fps, channels)
 
 
 def build(scenario: Scenario | ResolvedScenario) -> tuple[Model, Motion]:
     """Build the world and the motion of a scenario.
 
-    The effects are applied to the capsule's cameras, the wall and the contents of the lumen.
+    The effects on the scene are applied to the wall and to the contents of the lumen; those on the
+    cameras by `CameraPipeline`, which the nominal capsule of the model does not contain.
 
     Returns:
         The model to render, without lesions for a clean twin, and the motion in it.
@@ -89,11 +107,11 @@ def build(scenario: Scenario | ResolvedScenario) -> tuple[Model, Motion]:
         UnknownNameError: As `resolve`.
     """
     resolved = resolve(scenario) if isinstance(scenario, Scenario) else scenario
-    scenario, effects = resolved.scenario, resolved.effects
+    scenario, effects = resolved.given, resolved.given.effects
     organ = effects.organ(resolved.organ.load())
     model = Model(
         organ,
-        effects.device(resolved.device),
+        resolved.device,
         posture_transform(scenario.posture),
         effects.contents(scenario.contents),
     )

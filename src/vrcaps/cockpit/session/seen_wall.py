@@ -33,6 +33,7 @@ class SeenWall:
 
     def __init__(self, session: Session) -> None:
         self._session, self._model = session, session.model
+        self._cameras = session.scenario.effects.device(session.model.device).cameras
         self._points = wall_points(self._model.organ, None)
         self._bit = 1 << POINT_LEVELS.index(LEVEL)
         self.version = 0
@@ -77,7 +78,7 @@ class SeenWall:
         """Add the view of a capsule's cameras in a patient of a posture."""
         # The wall does not move, so the capsule is placed relative to the patient.
         to_rest = self._model.T_world_patient @ invert(T_world_patient)
-        for camera in self._model.device.cameras:
+        for camera in self._cameras:
             gained = mark_points(
                 [self._model.wall],
                 [self._points],

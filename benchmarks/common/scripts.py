@@ -8,8 +8,8 @@ from pathlib import Path
 
 from benchmarks.common import sections
 from benchmarks.common.sources import ROOT
-from vrcaps.cli.benchmarks.page import table
 from vrcaps.cli.benchmarks.report import PAGE_TITLE as SPEED_TITLE
+from vrcaps.cli.benchmarks.report import table
 
 __all__ = ["DATA", "PAGE", "ROOT", "SPEED_PAGE", "options", "page_of", "parser", "table"]
 

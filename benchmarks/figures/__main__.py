@@ -27,7 +27,7 @@ from pathlib import Path
 from benchmarks.common.scripts import PAGE, ROOT, SPEED_PAGE, page_of
 from benchmarks.common.sections import accepted, sources, stamp_of, stamped
 from benchmarks.figures import summary
-from vrcaps.cli.benchmarks.page import read_sections, write_page
+from vrcaps.cli.benchmarks.report import read_sections, write_page
 
 BUILD = ROOT / "build" / "figures"
 BLENDER = os.environ.get("BLENDER_PYTHON", "")

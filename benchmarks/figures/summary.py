@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterator
 
 from benchmarks.common.scripts import PAGE, ROOT, SPEED_PAGE
-from vrcaps.cli.benchmarks.page import read_sections, table
+from vrcaps.cli.benchmarks.report import read_sections, table
 from vrcaps.core.files import write_bytes
 
 SUMMARY = ROOT / "docs" / "results" / "summary.md"

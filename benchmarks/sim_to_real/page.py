@@ -14,7 +14,7 @@ from benchmarks.sim_to_real.cells import LONG, LONG_FACTOR, Row
 from benchmarks.sim_to_real.general import GENERAL
 from benchmarks.sim_to_real.statistics import Judged, difference_interval, figure_interval
 from benchmarks.sim_to_real.tasks import DEPTH, PRESETS, TASKS, Task, task_named
-from vrcaps.cli.benchmarks.page import table
+from vrcaps.cli.benchmarks.report import table
 from vrcaps.metrics.bootstrap import Interval
 
 PAGE = ROOT / "docs" / "results" / "sim-to-real.md"

@@ -39,7 +39,7 @@ from vrcaps.tools.reconstruction.comparison import compare
 from vrcaps.tools.reconstruction.estimates import aligned, with_network_depth, with_poses
 from vrcaps.tools.reconstruction.fusion.fuse import FuseSettings, fuse
 from vrcaps.tools.reconstruction.fusion.odometry import OdometrySettings, estimated_poses
-from vrcaps.training.compute import ComputeSettings
+from vrcaps.training.settings import ComputeSettings
 
 RUNS = {
     "stomach": FlyThrough(whole=True),

@@ -17,7 +17,7 @@ from benchmarks.common.sections import (
 from benchmarks.common.sources import ROOT
 from benchmarks.figures import __main__ as figures
 from benchmarks.figures import summary
-from vrcaps.cli.benchmarks.page import read_sections, table, write_page
+from vrcaps.cli.benchmarks.report import read_sections, table, write_page
 
 
 def test_a_section_replaces_its_own_and_states_command_sources_and_time(tmp_path: Path) -> None:

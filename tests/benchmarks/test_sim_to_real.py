@@ -36,7 +36,7 @@ from benchmarks.sim_to_real.tasks import OUR_LESIONS, TASKS
 from tests.support.small_frames import image_of, small_sequence
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.cli.benchmarks.page import read_sections
+from vrcaps.cli.benchmarks.report import read_sections
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.data.plan import read_plan
 from vrcaps.learn.checkpoint import read_weights

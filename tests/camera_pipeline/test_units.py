@@ -9,12 +9,10 @@ import pytest
 
 from tests.support.shapes import looking, make_camera, make_model, patterned, tube
 from vrcaps.camera_pipeline.effect.exposure import AutoExposure
-from vrcaps.camera_pipeline.effect.lighting import LedBalance
-from vrcaps.camera_pipeline.effect.optics import DepthOfField
+from vrcaps.camera_pipeline.effect.optics import DepthOfField, LedBalance
 from vrcaps.camera_pipeline.effect.processing import Jpeg, WhiteBalance
-from vrcaps.camera_pipeline.effects import Effects, parse_effects
+from vrcaps.camera_pipeline.effects import Effects, parse_effects, unit_effects
 from vrcaps.camera_pipeline.pipeline import CameraPipeline
-from vrcaps.camera_pipeline.units import unit_effects
 from vrcaps.capsule.device_file import device_names, read_device, write_device
 from vrcaps.capsule.image_chain import EQUAL_UNITS, ImageChain, UnitVariation
 from vrcaps.core.errors import InputError

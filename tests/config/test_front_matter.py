@@ -3,7 +3,7 @@
 import pytest
 import yaml
 
-from vrcaps.config.front_matter import front_matter, size_category
+from vrcaps.config.plain_files import front_matter, size_category
 
 
 def read(text: str) -> dict:

@@ -17,7 +17,7 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 from tests.support.small_frames import small_sequence  # noqa: E402
 from vrcaps import cli  # noqa: E402
 from vrcaps.cli.parts import part_of  # noqa: E402
-from vrcaps.config.front_matter import front_matter  # noqa: E402
+from vrcaps.config.plain_files import front_matter  # noqa: E402
 from vrcaps.core.errors import InputError, StorageError, UnknownNameError  # noqa: E402
 from vrcaps.core.files import file_sha256, files_in  # noqa: E402
 from vrcaps.learn import hub, publishing  # noqa: E402
@@ -38,7 +38,7 @@ from vrcaps.learn.tasks.super_resolution import SuperResolutionTask  # noqa: E40
 from vrcaps.learn.training import BEST, train  # noqa: E402
 from vrcaps.recording.frame_files import write_images  # noqa: E402
 from vrcaps.scenario.settings import parse_change  # noqa: E402
-from vrcaps.training.compute import ComputeSettings  # noqa: E402
+from vrcaps.training.settings import ComputeSettings  # noqa: E402
 
 TASK = "super-resolution"
 LEARNER = SuperResolutionTask(2, size=32, blocks=1, features=8)

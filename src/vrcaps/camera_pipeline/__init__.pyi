@@ -13,12 +13,12 @@ from .effect.exposure import AdaptiveFrameRate as AdaptiveFrameRate
 from .effect.exposure import AutoExposure as AutoExposure
 from .effect.exposure import MotionBlur as MotionBlur
 from .effect.exposure import RollingShutter as RollingShutter
-from .effect.lighting import LedBalance as LedBalance
 from .effect.optics import Bloom as Bloom
 from .effect.optics import DepthOfField as DepthOfField
 from .effect.optics import Distortion as Distortion
 from .effect.optics import FieldOfView as FieldOfView
 from .effect.optics import LateralChromaticAberration as LateralChromaticAberration
+from .effect.optics import LedBalance as LedBalance
 from .effect.optics import Vignetting as Vignetting
 from .effect.processing import ColorMatrix as ColorMatrix
 from .effect.processing import Denoising as Denoising

@@ -103,8 +103,8 @@ class CameraPipeline:
 
         Args:
             renderer: Renderer of the world.
-            camera: Name of a camera of the device, to which the effects on cameras are applied; or a
-                camera that has them.
+            camera: Name of a camera of the device, to which the effects on cameras are applied, or
+                a camera that has them.
             effects: Effects, with each range of severities sampled; None for the capsule's own.
             fps: Frames per second; None for the capsule's own.
             camera_index: Index of the camera in the capsule.

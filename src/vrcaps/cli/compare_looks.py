@@ -16,7 +16,7 @@ from vrcaps.core.files import atomic_folder
 
 if TYPE_CHECKING:
     from vrcaps.tools.appearance.compare import DescribedSet
-    from vrcaps.tools.appearance.image_set import ImageSet
+    from vrcaps.tools.appearance.views import ImageSet
 
 _MIN_IMAGES = 12
 """Minimum of --max-images, so that halves of the real set can be compared."""
@@ -138,7 +138,7 @@ class CompareLooks:
 
     def _read(self, name: str, source: str) -> ImageSet:
         from vrcaps.formats import read_source
-        from vrcaps.tools.appearance.image_set import read_image_set
+        from vrcaps.tools.appearance.views import read_image_set
 
         with progress_bar(f"reading {name}") as show:
             return read_image_set(

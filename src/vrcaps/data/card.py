@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from vrcaps.config.convert import to_plain
-from vrcaps.config.front_matter import front_matter, size_category
+from vrcaps.config.plain_files import front_matter, size_category
 from vrcaps.data.counts import (
     Count,
     Row,

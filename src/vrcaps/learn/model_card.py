@@ -16,7 +16,7 @@ from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 from vrcaps.config.convert import to_plain
-from vrcaps.config.front_matter import front_matter
+from vrcaps.config.plain_files import front_matter
 from vrcaps.learn.evaluation import Evaluation
 from vrcaps.learn.hub import PublishedWeights
 from vrcaps.learn.networks import ENCODER

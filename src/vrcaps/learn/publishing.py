@@ -30,8 +30,7 @@ from vrcaps.learn.samples import batch_of
 from vrcaps.learn.settings import TrainSettings, read_settings
 from vrcaps.learn.task import Sample, Task
 from vrcaps.learn.training import BEST
-from vrcaps.training.checkpoint import PROGRESS
-from vrcaps.training.folder import SETTINGS
+from vrcaps.training.folder import PROGRESS, SETTINGS
 
 if TYPE_CHECKING:
     from jaxtyping import Float, UInt8

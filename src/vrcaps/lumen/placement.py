@@ -300,8 +300,6 @@ def _on_wall(
 _WIDEST = np.deg2rad(45.0)
 """Maximum angle of a site from the capsule's axis."""
 
-_TRIES = 12
-
 
 def place_dome_bubbles(
     organ: OrganSurface, bubbles: Bubbles, rng: np.random.Generator, *, before: int

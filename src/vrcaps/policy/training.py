@@ -25,9 +25,8 @@ from vrcaps.organ.surface import OrganSurface
 from vrcaps.policy.mlp_policy import read_mlp_policy, write_mlp_policy
 from vrcaps.policy.ppo import Ppo, PpoSettings, require_learner
 from vrcaps.scenario.scenario import OrganFile, OrganGenerated
-from vrcaps.training.checkpoint import PROGRESS, Progress, restoring, run_training
-from vrcaps.training.compute import exact_torch
-from vrcaps.training.folder import begin_training
+from vrcaps.training.folder import PROGRESS, Progress, begin_training, restoring, run_training
+from vrcaps.training.settings import exact_torch
 
 if TYPE_CHECKING:
     from vrcaps.policy.mlp_policy import MlpPolicy

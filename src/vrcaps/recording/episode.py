@@ -25,9 +25,9 @@ from vrcaps.recording.layout import (
     camera_from_plain,
     organ_name,
     read_head,
+    read_stored_organ,
     require_head,
 )
-from vrcaps.recording.organ_files import read_stored_organ
 from vrcaps.recording.table import FrameTable, decode_table, require_table
 from vrcaps.render.channels import CHANNELS, Frame
 from vrcaps.scenario.scenario import Scenario, scenario_from_plain

@@ -1,13 +1,15 @@
-"""File layout of an episode, access to its files, and the contents of `episode.json`."""
+"""File layout of an episode, access to its files and organ, and the contents of `episode.json`."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, Protocol
+
+import numpy as np
 
 from vrcaps import _core
 from vrcaps.camera.camera import Camera
@@ -18,6 +20,9 @@ from vrcaps.core.build_info import EPISODE_PACKAGES, core_sha256, versions
 from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.core.files import scratch_folder
 from vrcaps.core.names import inside
+from vrcaps.core.transforms import transform_points
+from vrcaps.mesh.mesh import Mesh
+from vrcaps.mesh.read_mesh import read_mesh
 from vrcaps.organ.surface import json_safe
 from vrcaps.recording.frame_files import wall_to_plain
 from vrcaps.render.channels import CHANNELS
@@ -277,3 +282,29 @@ def require_head(head: dict[str, Any], where: str) -> None:
     names = head["organ"].get("label_names")
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise InputError(f"{where}: organ.label_names is missing or not a list of strings.")
+
+
+def read_stored_organ(files: EpisodeFiles, head: dict[str, Any]) -> Mesh:
+    """Read the wall at rest in the world frame [m].
+
+    A shared file is in the patient frame, because episodes differ in posture.
+
+    Raises:
+        InputError: If the file is missing or damaged.
+        OSError: If the file cannot be read.
+    """
+    name = organ_name(head)
+    if name == ORGAN_GLB:
+        with file_here(files, name) as path:
+            return read_mesh(path, unit="m")
+    try:
+        with file_here(files, name) as path:
+            path.stat()
+            mesh = read_mesh(path, unit="m")
+    except FileNotFoundError as error:
+        raise InputError(
+            f"{files.url} belongs to a data set whose organ {name}, relative to the episode, is "
+            "missing. Copy it to the same relative path."
+        ) from error
+    T_world_patient = np.array(head["T_world_patient"])
+    return replace(mesh, vertices=transform_points(T_world_patient, mesh.vertices))

@@ -12,10 +12,8 @@ from PIL import Image
 from vrcaps.cli import main
 from vrcaps.core.errors import InputError
 from vrcaps.tools.appearance.compare import HAND, DescribedSet, compare, halves, nearest_to
-from vrcaps.tools.appearance.features import LEVELS
-from vrcaps.tools.appearance.image_set import SIDE, ImageSet
 from vrcaps.tools.appearance.report import blind_sheet, rows_of, write_report
-from vrcaps.tools.appearance.statistics import STATISTICS
+from vrcaps.tools.appearance.views import LEVELS, SIDE, STATISTICS, ImageSet
 
 
 def described(name: str, count: int, shift: float, seed: int) -> DescribedSet:

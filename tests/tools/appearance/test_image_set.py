@@ -7,7 +7,7 @@ import pytest
 
 from vrcaps.core.errors import InputError
 from vrcaps.recording.frame_sequence import FrameSequence
-from vrcaps.tools.appearance.image_set import SIDE, central_view, read_image_set
+from vrcaps.tools.appearance.views import SIDE, central_view, read_image_set
 
 
 def smooth_image(side: int) -> np.ndarray:

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from vrcaps.core.color import srgb_from_linear
-from vrcaps.tools.appearance.image_set import DISC, SIDE
-from vrcaps.tools.appearance.statistics import GATES, STATISTICS, view_statistics
+from vrcaps.tools.appearance.views import DISC, GATES, SIDE, STATISTICS, view_statistics
 
 
 def values(view: np.ndarray) -> dict[str, float]:

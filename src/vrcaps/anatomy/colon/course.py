@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 from vrcaps.anatomy.colon.parameters import SEGMENTS
-from vrcaps.anatomy.tube_mesh.tube import Course
+from vrcaps.anatomy.tube_mesh.tube import Course, Unbending, restore_spacing, unbend
 from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import smoothstep
 from vrcaps.core.rng import stream
@@ -30,6 +30,9 @@ FLEXURE_REACH = 5 * CM
 _SPACING = 12.5 * MM
 _GAP = 4 * MM
 _NUM_STEPS = 150
+_BEND = 1.5
+"""Minimum radius of curvature relative to the radius of the lumen."""
+_UNBENDING = Unbending((1, 2), strength=0.5, creep=0.02)
 _NUM_TRIES, _MAX_MISSING = 80, 2
 
 # Waypoints of the segments in a mean body, patient frame [cm]: x left, y posterior, z up, origin
@@ -187,8 +190,8 @@ def _relax(
         nodes += _push_apart(nodes, needed)
         nodes += 0.3 * (np.clip(nodes, low, high) - nodes)
         for _ in range(3):
-            nodes += _unbend(nodes, radius, spacing)
-            nodes += _set_spacing(nodes, spacing)
+            nodes += unbend(nodes, _BEND * radius, spacing, _UNBENDING)
+            nodes += restore_spacing(nodes, spacing)
     return _smooth_course(nodes, parameters.length)
 
 
@@ -264,33 +267,6 @@ def _cavity(parameters: ColonParameters, segment: np.ndarray) -> tuple[np.ndarra
 def _body_size(parameters: ColonParameters) -> float:
     """Size of the abdomen relative to the mean: longer colons belong to larger bodies."""
     return float(np.clip(np.sqrt(parameters.length / 1.895), 0.85, 1.1))
-
-
-def _unbend(nodes: np.ndarray, radius: np.ndarray, spacing: float) -> np.ndarray:
-    """Displacement that opens bends tighter than the lumen permits [m]."""
-    move = np.zeros_like(nodes)
-    for reach in (1, 2):
-        middle = nodes[reach:-reach]
-        sagitta = 0.5 * (nodes[: -2 * reach] + nodes[2 * reach :]) - middle
-        depth = np.linalg.norm(sagitta, axis=1) + 1e-12
-        # A circle of radius R has the sagitta d²/2R over chords of length about d.
-        limit = (reach * spacing) ** 2 / (2.0 * 1.5 * radius[reach:-reach])
-        pull = 0.5 * sagitta * (np.clip(depth - limit, 0.02 * depth, None) / depth)[:, None]
-        move[reach:-reach] += pull
-        move[: -2 * reach] -= 0.5 * pull
-        move[2 * reach :] -= 0.5 * pull
-    return 0.5 * move
-
-
-def _set_spacing(nodes: np.ndarray, spacing: float) -> np.ndarray:
-    """Displacement that restores the spacing of neighbors [m]."""
-    edges = np.diff(nodes, axis=0)
-    length = np.linalg.norm(edges, axis=1, keepdims=True) + 1e-12
-    pull = 0.5 * edges * (1.0 - spacing / length)
-    move = np.zeros_like(nodes)
-    move[:-1] += pull
-    move[1:] -= pull
-    return 0.7 * move
 
 
 def _chord_length(nodes: np.ndarray) -> np.ndarray:

@@ -124,9 +124,7 @@ class SmallBowelParameters:
             # Parts that are already narrow do not collapse further.
             least = min(diameter, _COLLAPSED)
             scaled[name] = max(diameter * factors.get("diameter", 1.0), least)
-        if distension == "collapsed":
-            scaled |= _SLACK
-        return replace(self, **scaled)
+        return replace(self, **scaled | _DIMENSIONS.get(distension, {}))
 
 
 _DEVIATIONS = {
@@ -138,10 +136,6 @@ _DEVIATIONS = {
 }
 
 _COLLAPSED = 14 * MM
-
-_SLACK = {"slack_fold_height": 3.0 * MM, "closed_radius": 1.9 * MM, "min_radius": 2.2 * MM}
-"""Dimensions of a slack wall: folds 2 to 3 mm thick in contact with each other, as in capsule
-frames of the fasting small bowel; estimated from frames, not from a measured series."""
 
 DISTENSIONS: dict[str, dict[str, float]] = {
     "inflated": {"diameter": 1.12, "contraction_depth": 0.3, "longitudinal_fold_depth": 0.0},
@@ -158,3 +152,14 @@ DISTENSIONS: dict[str, dict[str, float]] = {
 
 Triangles of collapsed walls, which touch the camera, are smaller to hide corners of fold crests.
 """
+
+_DIMENSIONS: dict[str, dict[str, float]] = {
+    "collapsed": {
+        "slack_fold_height": 3.0 * MM,
+        "closed_radius": 1.9 * MM,
+        "min_radius": 2.2 * MM,
+    },
+}
+"""Dimensions at a distension that do not scale with the patient's: a collapsed wall is slack, with
+folds 2 to 3 mm thick in contact with each other, as in capsule frames of the fasting small bowel;
+estimated from frames, not from a measured series."""

@@ -113,9 +113,26 @@ def make_tube(course: Course) -> Tube:
     return Tube(curve, course.arc_length, frames, bend)
 
 
+@dataclass(frozen=True)
+class Unbending:
+    """Relaxation of tight bends, see `unbend`.
+
+    Attributes:
+        reaches: Half lengths of the chords over which bends are measured [nodes].
+        strength: Fraction of the excess that one step removes.
+        creep: Minimum fraction of the sagitta that counts as excess.
+    """
+
+    reaches: tuple[int, ...]
+    strength: float
+    creep: float
+
+
 _NUM_NEAREST = 10
 _MARGIN = 4 * MM
 _BEND = 1.55
+"""Minimum radius of curvature relative to the radius of the tube."""
+_UNBENDING = Unbending((1, 2, 3), strength=0.4, creep=0.01)
 """Minimum bend radius in radii of the tube."""
 
 
@@ -202,9 +219,10 @@ def relax_chain(
         for _ in range(2):
             nodes[free] += _push_apart(nodes, chain, obstacles, near, fraction)[free]
             nodes[free] = _within_reach(nodes, chain)[free]
-            move = _unbend(nodes, chain.radius, lengths.mean()) + _set_spacing(nodes, lengths)
+            bend = np.maximum(_BEND * chain.radius, 1.7 * lengths.mean())
+            move = unbend(nodes, bend, lengths.mean(), _UNBENDING) + restore_spacing(nodes, lengths)
             nodes[free] += move[free]
-            nodes[free] += _set_spacing(nodes, lengths)[free]
+            nodes[free] += restore_spacing(nodes, lengths)[free]
     return nodes
 
 
@@ -319,25 +337,44 @@ def _within_reach(nodes: np.ndarray, chain: TubeChain) -> Float[np.ndarray, "n 3
     return chain.anchor + offset * (1.0 - 0.4 * (1.0 - fraction))[:, None]
 
 
-def _unbend(nodes: np.ndarray, radius: np.ndarray, spacing: float) -> Float[np.ndarray, "n 3"]:
-    """Displacement that opens bends tighter than the tube permits [m]."""
+def unbend(
+    nodes: Float[np.ndarray, "n 3"],
+    bend_radius: Float[np.ndarray, " n"],
+    spacing: float,
+    unbending: Unbending,
+) -> Float[np.ndarray, "n 3"]:
+    """Displacement that opens bends tighter than the tube permits [m].
+
+    Args:
+        nodes: Chain of nodes [m].
+        bend_radius: Minimum radius of curvature at each node [m].
+        spacing: Mean distance of neighbors [m].
+        unbending: Parameters of the relaxation.
+    """
     move = np.zeros_like(nodes)
-    for reach in (1, 2, 3):
+    for reach in unbending.reaches:
         middle = nodes[reach:-reach]
         sagitta = 0.5 * (nodes[: -2 * reach] + nodes[2 * reach :]) - middle
         depth = np.linalg.norm(sagitta, axis=1) + 1e-12
-        stiff = np.maximum(_BEND * radius[reach:-reach], 1.7 * spacing)
         # A circle of radius R has the sagitta d²/2R over chords of length about d.
-        limit = (reach * spacing) ** 2 / (2.0 * stiff)
-        pull = 0.4 * sagitta * (np.clip(depth - limit, 0.01 * depth, None) / depth)[:, None]
+        limit = (reach * spacing) ** 2 / (2.0 * bend_radius[reach:-reach])
+        excess = np.clip(depth - limit, unbending.creep * depth, None) / depth
+        pull = unbending.strength * sagitta * excess[:, None]
         move[reach:-reach] += pull
         move[: -2 * reach] -= 0.5 * pull
         move[2 * reach :] -= 0.5 * pull
     return 0.5 * move
 
 
-def _set_spacing(nodes: np.ndarray, lengths: np.ndarray) -> Float[np.ndarray, "n 3"]:
-    """Displacement that restores the spacing of neighbors [m]."""
+def restore_spacing(
+    nodes: Float[np.ndarray, "n 3"], lengths: float | Float[np.ndarray, " n-1"]
+) -> Float[np.ndarray, "n 3"]:
+    """Displacement that restores the distances of neighbors [m].
+
+    Args:
+        nodes: Chain of nodes [m].
+        lengths: Distance of each two neighbors, or of all [m].
+    """
     edges = np.diff(nodes, axis=0)
     pull = 0.5 * edges * (1.0 - lengths / (np.linalg.norm(edges, axis=1) + 1e-12))[:, None]
     move = np.zeros_like(nodes)

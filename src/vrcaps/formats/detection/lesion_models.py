@@ -15,7 +15,7 @@ from vrcaps.core.transforms import invert, transform_from, transform_points
 from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.organ.surface import face_label
-from vrcaps.recording.organ_files import read_stored_organ
+from vrcaps.recording.layout import read_stored_organ
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

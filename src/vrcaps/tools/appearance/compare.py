@@ -20,9 +20,13 @@ from vrcaps.metrics.appearance import (
     principal_axes,
     standardized,
 )
-from vrcaps.tools.appearance.features import view_features
-from vrcaps.tools.appearance.image_set import ImageSet
-from vrcaps.tools.appearance.statistics import GATES, STATISTICS, view_statistics
+from vrcaps.tools.appearance.views import (
+    GATES,
+    STATISTICS,
+    ImageSet,
+    view_features,
+    view_statistics,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

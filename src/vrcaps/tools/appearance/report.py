@@ -13,8 +13,7 @@ import numpy as np
 from vrcaps.core.files import write_bytes, write_csv, write_json
 from vrcaps.core.rng import stream
 from vrcaps.tools.appearance.compare import HAND, Comparison, DescribedSet, nearest_to
-from vrcaps.tools.appearance.features import LEVELS
-from vrcaps.tools.appearance.statistics import GATES, STATISTICS
+from vrcaps.tools.appearance.views import GATES, LEVELS, STATISTICS
 from vrcaps.tools.report import html_image, html_note, html_page, html_table
 
 if TYPE_CHECKING:

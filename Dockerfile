@@ -20,7 +20,7 @@ COPY src src
 RUN /tools/bin/maturin build --release --locked --out /wheels
 
 FROM python:3.12-slim-bookworm
-ARG EXTRAS=cockpit,env,lesions,scale
+ARG EXTRAS=cockpit,env,lesions,organs,reports,scale,video
 COPY --from=build /wheels /wheels
 COPY constraints.txt /wheels/
 RUN wheel=$(echo /wheels/*.whl) \

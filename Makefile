@@ -105,7 +105,7 @@ $(VENV)/.stamp-venv:
 
 $(VENV)/.stamp-run: $(VENV)/.stamp-venv $(SOURCES)
 	@echo "Building and installing vrcaps"
-	@$(INSTALL) --editable .
+	@$(INSTALL) --editable '.[organs,reports,video]'
 	@touch $@
 
 $(VENV)/.stamp-dev: $(VENV)/.stamp-venv $(SOURCES)

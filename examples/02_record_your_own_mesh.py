@@ -3,7 +3,8 @@
     python examples/02_record_your_own_mesh.py --organ colon.ply --unit mm
 
 Without --organ a small phantom is created first: a bent, folded tube, stored in millimeters as by a
-printer or a segmentation tool. The same from the shell:
+printer or a segmentation tool. It needs `pip install 'vrcaps[organs,reports]'`. The same from the
+shell:
 
     vrcaps record --organ colon.ply --unit mm --frames 30 --out runs/own-mesh
 """

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vrcaps._core import encode_srgb
-from vrcaps.core.color import lab_from_srgb, linear_from_srgb, luminance, srgb_from_linear
+from vrcaps.core.color import lab_from_srgb, linear_from_srgb, luminance, srgb_from_linear, turbo
 
 
 def test_every_byte_goes_to_light_and_back():
@@ -39,3 +39,10 @@ def test_white_black_and_grays():
     np.testing.assert_allclose(lab[[0, 255], 0], [0.0, 100.0], atol=1e-9)
     at_half = np.interp(50.0, lab[:, 0], luminance(linear_from_srgb(grays)))
     assert at_half == pytest.approx(0.1842, abs=2e-4)
+
+
+def test_turbo_is_that_of_matplotlib() -> None:
+    from matplotlib import colormaps
+
+    fraction = np.array([-1.0, 0.0, 0.25, 0.5, 1.0, 2.0, np.nan, *np.linspace(0.0, 1.0, 999)])
+    assert np.array_equal(turbo(fraction), colormaps["turbo"](fraction)[:, :3])

@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import sys
+
 import pytest
 from PIL import UnidentifiedImageError
 
-from vrcaps.core.errors import InputError, MissingExtraError, UnknownNameError, VrcapsError, reading
+from vrcaps.core.errors import (
+    InputError,
+    MissingExtraError,
+    UnknownNameError,
+    VrcapsError,
+    reading,
+    require_extra,
+)
 
 
 def test_unknown_name_lists_the_known_ones_sorted() -> None:
@@ -64,3 +73,10 @@ def test_reading_keeps_errors_that_are_clear():
 def test_an_error_is_one_line_that_does_not_steer_the_terminal() -> None:
     error = InputError("No file a\x1b[31m\nb\x9b1m\u202egnp.é.")
     assert str(error) == r"No file a\x1b[31m\nb\x9b1m\u202egnp.é."
+
+
+def test_an_extra_is_required_before_its_use(monkeypatch: pytest.MonkeyPatch) -> None:
+    require_extra("reports", "matplotlib", "trimesh")
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    with pytest.raises(MissingExtraError, match=r"trimesh is not .* 'vrcaps\[reports\]'"):
+        require_extra("reports", "matplotlib", "trimesh")

@@ -14,6 +14,7 @@ import pytest
 from tests.support.programs import run_program
 from vrcaps import _core
 from vrcaps.camera_pipeline.capsule_cameras import CapsuleCameras
+from vrcaps.core import build_info
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import file_sha256
 from vrcaps.recording.check import check_episode
@@ -207,6 +208,18 @@ def test_empty_folder_and_single_channel(scenario, tmp_path):
     out = record(replace(scenario, frames=2, channels=("depth",)), tmp_path)
     assert check_episode(out) == []
     assert not (out / "preview.mp4").exists()
+
+
+def test_without_pyav_a_recording_has_no_preview_and_is_complete(scenario, tmp_path, monkeypatch):
+    for name in ("av", "matplotlib", "skimage", "tifffile", "trimesh"):
+        monkeypatch.setitem(sys.modules, name, None)
+    known = build_info._version
+    monkeypatch.setattr(build_info, "_version", lambda name: "" if name == "av" else known(name))
+    out = record(replace(scenario, frames=2, channels=("rgb", "depth")), tmp_path)
+    assert not (out / "preview.mp4").exists()
+    assert read_episode(out).head["made_with"]["av"] == ""
+    assert check_episode(out) == []
+    record(read_episode(out).scenario, out)
 
 
 def test_no_flow_beyond_the_ends_of_the_run(recorded):

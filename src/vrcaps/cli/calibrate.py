@@ -11,7 +11,7 @@ from tyro.conf import Positional
 
 from vrcaps.cli.arguments import require_existing, require_out
 from vrcaps.cli.console import console, progress_bar
-from vrcaps.core.errors import InputError
+from vrcaps.core.errors import InputError, require_extra
 from vrcaps.core.units import DEG, MM, parse_length
 
 if TYPE_CHECKING:
@@ -70,6 +70,7 @@ class CalibrateGeometric:
     def run(self) -> None:
         """Detect the board, fit, report and write."""
         require_existing(self.photos, "pictures or videos, or folders of them")
+        require_extra("calibrate", "matplotlib")
         from vrcaps.capsule.device_file import read_device, write_device
         from vrcaps.tools.camera_calibration.board import find_views, parse_board
         from vrcaps.tools.camera_calibration.circle import image_circle
@@ -242,6 +243,7 @@ class CalibratePhotometric:
     def run(self) -> None:
         """Estimate, report and write."""
         require_existing(self.frames, "pictures or videos, or folders of them")
+        require_extra("calibrate", "matplotlib")
         from vrcaps.capsule.device_file import read_device, write_device
         from vrcaps.tools.camera_calibration.fit import find_camera, sees_image
         from vrcaps.tools.photometric_calibration.calibrate import (

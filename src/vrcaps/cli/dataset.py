@@ -11,7 +11,7 @@ from tyro.conf import Positional
 
 from vrcaps.cli.arguments import require_file, require_folder
 from vrcaps.cli.console import console, progress_bar
-from vrcaps.core.errors import InputError
+from vrcaps.core.errors import InputError, require_extra
 
 if TYPE_CHECKING:
     from vrcaps.data.counts import Row
@@ -296,6 +296,7 @@ class Show:
             InputError: If there is no data set, or it is empty.
         """
         require_folder(self.dataset, _DATASET)
+        require_extra("reports", "matplotlib")
         from vrcaps.data import open as open_dataset
         from vrcaps.data.card import read_plan_of
         from vrcaps.data.counts import rows_of

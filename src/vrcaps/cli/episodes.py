@@ -12,6 +12,7 @@ from tyro.conf import Positional
 
 from vrcaps.cli.arguments import require_folder
 from vrcaps.cli.console import console, progress_bar
+from vrcaps.core.errors import require_extra
 from vrcaps.core.units import MM
 from vrcaps.metrics.coverage import COVERAGE_LEVELS, CoverageCriteria
 
@@ -90,6 +91,7 @@ class Coverage:
     def run(self) -> None:
         """Measure, write and report."""
         require_folder(self.episode, "an episode")
+        require_extra("reports", "matplotlib", "trimesh")
         from vrcaps.recording.episode import read_episode
         from vrcaps.tools.reports.coverage import (
             episode_coverage,

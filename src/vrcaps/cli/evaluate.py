@@ -10,7 +10,7 @@ from tyro.conf import Positional
 
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.cli.parts import with_env_parts
-from vrcaps.core.errors import InputError
+from vrcaps.core.errors import InputError, require_extra
 
 if TYPE_CHECKING:
     from vrcaps.env.settings import EnvSettings
@@ -89,6 +89,9 @@ class Evaluate:
 
         if not self.policies:
             raise InputError("No policy is given. Allowed: one or more, such as centerline.")
+        require_extra("reports", "matplotlib")
+        if self.video:
+            require_extra("video", "av")
         subjects = self._evaluate()
         for subject in subjects:
             video = subject.evaluation.folder / VIDEO

@@ -202,7 +202,12 @@ class Make:
 
 
 def report_organ(organ: OrganSurface, picture: Path) -> None:
-    """Print the measures as a table, and the repairs of a mesh file, and write the figure."""
+    """Print the measures as a table, and the repairs of a mesh file, and write the figure.
+
+    Without Matplotlib, the figure is left out.
+    """
+    from importlib.util import find_spec
+
     from rich.table import Table
 
     from vrcaps.organ.measure import measure_organ
@@ -219,6 +224,9 @@ def report_organ(organ: OrganSurface, picture: Path) -> None:
         for number, line in enumerate(lines or ("none",)):
             table.add_row("" if number else title, line)
     console.print(table)
+    if find_spec("matplotlib") is None:
+        console.print(r"For a figure: pip install 'vrcaps\[reports]'")
+        return
     with console.status("drawing"):
         write_overview(organ, picture, facts=facts)
     console.print(f"Figure: {picture}.")

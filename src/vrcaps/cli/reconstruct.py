@@ -11,7 +11,7 @@ from tyro.conf import Positional
 
 from vrcaps.cli.arguments import require_file, require_folder, require_sources
 from vrcaps.cli.console import console, progress_bar
-from vrcaps.core.errors import InputError, require
+from vrcaps.core.errors import InputError, require, require_extra
 from vrcaps.core.files import atomic_folder, require_new_folder, write_bytes
 from vrcaps.core.units import MM
 
@@ -106,6 +106,7 @@ class Reconstruct:
         self._check()
         from vrcaps.formats.io import read_source
 
+        require_extra("reconstruct", "matplotlib", "skimage", "trimesh")
         require_new_folder(self.out)  # before the work
         sequences = read_source(self.source)
         chosen = [one for one in sequences if self.camera in ("", one.name.rpartition("/")[2])]

@@ -10,6 +10,7 @@ from tyro.conf import OmitArgPrefixes, Positional
 
 from vrcaps.cli.arguments import require_existing
 from vrcaps.cli.console import console, progress_bar
+from vrcaps.core.errors import require_extra
 from vrcaps.core.units import CM
 from vrcaps.tools.mucosa_from_photos.vessels import VesselPlacement
 
@@ -75,6 +76,8 @@ class Texture:
     def run(self) -> None:
         """Make, write and report."""
         require_existing(self.photos, "photographs or videos, or folders of them")
+        require_extra("organs", "skimage")
+        require_extra("reports", "matplotlib")
         from vrcaps.mucosa.texture import check_free, write_texture
         from vrcaps.tools.mucosa_from_photos.patches import PhotoScale, check_scale
         from vrcaps.tools.mucosa_from_photos.texture import (

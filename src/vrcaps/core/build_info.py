@@ -9,10 +9,10 @@ from pathlib import Path
 
 from vrcaps import _core
 
-ORGAN_PACKAGES = ("numpy", "potpourri3d", "scikit-image", "scipy", "trimesh", "xatlas")
+ORGAN_PACKAGES = ("numpy", "potpourri3d", "scikit-image", "scipy", "xatlas")
 """Packages that compute an organ."""
 
-EPISODE_PACKAGES = (*ORGAN_PACKAGES, "av", "matplotlib", "pillow", "pyarrow", "pyoidn")
+EPISODE_PACKAGES = (*ORGAN_PACKAGES, "av", "pillow", "pyarrow", "pyoidn")
 """Packages that compute or write a file of an episode."""
 
 

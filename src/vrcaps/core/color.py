@@ -1,8 +1,9 @@
-"""Conversions of sRGB, linear light and its logarithm (IEC 61966-2-1), luminance, CIE L*a*b*."""
+"""Conversions of sRGB, linear light and its logarithm (IEC 61966-2-1), CIE L*a*b*, color map."""
 
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -90,3 +91,20 @@ def mix(
         weight: Weight of `b`, 0 to 1.
     """
     return a + (b - a) * weight[:, None]
+
+
+def turbo(fraction: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch 3"]:
+    """SRGB colors, 0 to 1, of the color map Turbo.
+
+    The table of 256 colors is that of Mikhailov (Google, 2019, Apache-2.0), as in Matplotlib.
+
+    Args:
+        fraction: Position in the map, 0 to 1; beyond, the color of its end; NaN is black.
+    """
+    index = np.clip(np.nan_to_num(np.asarray(fraction) * 256.0), 0, 255).astype(np.int64)
+    return np.where(np.isnan(fraction)[..., None], 0.0, _turbo_table()[index])
+
+
+@cache
+def _turbo_table() -> Float[np.ndarray, "256 3"]:
+    return np.load(Path(__file__).with_name("turbo.npy")) / 1e5

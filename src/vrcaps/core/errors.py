@@ -134,6 +134,23 @@ def import_extra(module: str, extra: str, *, package: str = "") -> Any:
         raise MissingExtraError(package or module, extra) from error
 
 
+def require_extra(extra: str, *packages: str) -> None:
+    """Check that packages of an extra are installed, before work that ends with their use.
+
+    Args:
+        extra: Extra of vrcaps that installs them.
+        packages: Names of their modules.
+
+    Raises:
+        MissingExtraError: If one is not installed.
+    """
+    from importlib.util import find_spec
+
+    for package in packages:
+        if find_spec(package) is None:
+            raise MissingExtraError(package, extra)
+
+
 def require(is_valid: bool, name: str, value: object, allowed: str) -> None:
     """Check one value.
 

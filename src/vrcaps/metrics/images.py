@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.core.color import lab_from_srgb, linear_from_srgb
-from vrcaps.core.errors import InputError, require, require_one_shape
+from vrcaps.core.errors import InputError, import_extra, require, require_one_shape
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, UInt8
@@ -64,7 +64,9 @@ def ssim(
     Raises:
         InputError: If the shapes differ or the window does not fit.
     """
-    from skimage.metrics import structural_similarity
+    structural_similarity = import_extra(
+        "skimage.metrics", "learn", package="scikit-image"
+    ).structural_similarity
 
     d, t = _cropped(estimate, truth, crop)
     require(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from vrcaps.core.errors import InputError
+from vrcaps.core.errors import InputError, import_extra
 from vrcaps.core.geometry import triangle_areas, triangle_normals
 from vrcaps.mesh.mesh import find_edges
 
@@ -223,7 +223,7 @@ def without_short_cuts(grid: LumenGrid) -> tuple[LumenGrid, int]:
     Introduction to Algorithms, ch. 23). An omitted contact is closed if the path along the tree
     is long; a short one only goes around a fold.
     """
-    from skimage.segmentation import watershed
+    watershed = import_extra("skimage.segmentation", "organs", package="scikit-image").watershed
 
     highest = scipy.ndimage.maximum_filter(grid.clearance, 2 * _APART + 1)
     peaks = np.empty(grid.inside.shape, np.int32)

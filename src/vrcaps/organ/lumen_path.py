@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from vrcaps.core.errors import InputError
+from vrcaps.core.errors import InputError, import_extra
 from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import wall_distance
 from vrcaps.organ.lumen_grid import LumenGrid
@@ -77,7 +77,7 @@ def _depth(
 
     Infinite outside the lumen and next to its wall; None if over 1 % is unreachable.
     """
-    from skimage.graph import MCP_Geometric
+    MCP_Geometric = import_extra("skimage.graph", "organs", package="scikit-image").MCP_Geometric
 
     free = grid.clearance >= grid.voxel
     cost = np.where(grid.inside, np.where(free, 1.0, _WALL_COST), outside_cost)
@@ -144,7 +144,7 @@ def find_path(
     Raises:
         InputError: If an end lies outside the lumen, or both coincide.
     """
-    from skimage.graph import MCP_Geometric
+    MCP_Geometric = import_extra("skimage.graph", "organs", package="scikit-image").MCP_Geometric
 
     clear = np.maximum(grid.clearance / grid.voxel, 0.25)
     outside = _GAP_COST if cross_gaps else -1.0

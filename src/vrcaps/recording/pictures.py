@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.core.color import turbo
+from vrcaps.core.errors import import_extra
 from vrcaps.core.units import MM
 from vrcaps.render.channels import CHANNELS
 
@@ -52,7 +54,8 @@ def picture(
         fraction = np.nan_to_num((values - low) / max(high - low, 1e-12))
         fraction = fraction ** (1 / 2.2) if display == "color" else fraction
         colors = (np.clip(fraction, 0.0, 1.0) * 255.0).astype(np.uint8)
-        colors = _color_map("turbo")[colors] if display == "scalar" else colors
+        if display == "scalar":
+            colors = (turbo(colors / 255.0) * 255.0 + 0.5).astype(np.uint8)
     return np.where(valid[..., None], colors, _BACKGROUND)
 
 
@@ -155,12 +158,6 @@ def _hue_colors(hue: NDArray, value: NDArray) -> NDArray:
     return ((0.2 + 0.8 * channel) * value[..., None] * 255.0).astype(np.uint8)
 
 
-def _color_map(name: str) -> UInt8[np.ndarray, "256 3"]:
-    from matplotlib import colormaps
-
-    return (colormaps[name](np.arange(256))[:, :3] * 255.0 + 0.5).astype(np.uint8)
-
-
 class Preview:
     """Video encoded in memory; the same pictures give the same bytes."""
 
@@ -176,7 +173,7 @@ class Preview:
             crf: Constant rate factor of VP9: 0 is best, 63 smallest.
             key_interval: Frames from one key frame to the next.
         """
-        import av
+        av = import_extra("av", "video")
 
         self._buffer = io.BytesIO()
         self._size = (height + height % 2, width + width % 2)  # 4:2:0 needs even sizes
@@ -200,7 +197,7 @@ class Preview:
 
     def add(self, pictures: list[UInt8[np.ndarray, "h w 3"]]) -> None:
         """Add a frame: one picture per camera, left to right."""
-        import av
+        av = import_extra("av", "video")
 
         canvas = np.zeros((*self._size, 3), np.uint8)
         left = 0
@@ -223,8 +220,8 @@ def require_preview(path: Path, frames: int) -> None:
         OSError: If it cannot be read.
         ValueError: If it is not such a video.
     """
-    import av
-    from av.error import FFmpegError
+    av = import_extra("av", "video")
+    FFmpegError = import_extra("av.error", "video").FFmpegError
 
     try:
         with av.open(str(path)) as container:

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -285,8 +286,9 @@ def _preview_from_files(preview: Preview | None, episode: Episode, frame: int) -
 
 
 def _new_preview(run: _Recording) -> Preview | None:
-    """Preview encoder, if color images are recorded and the preview does not exist yet."""
-    if "rgb" not in run.resolved.channels or (run.out / PREVIEW_MP4).exists():
+    """Preview encoder; None without color images, without PyAV, or if the preview exists."""
+    is_wanted = "rgb" in run.resolved.channels and not (run.out / PREVIEW_MP4).exists()
+    if not is_wanted or find_spec("av") is None:
         return None
     cameras = run.resolved.unit.cameras
     return Preview(

@@ -243,11 +243,16 @@ def remove_damaged(episode: Episode) -> None:
 
 
 def pictures_of(episode: Episode) -> dict[Path, Callable[[], object]]:
-    """Contact sheet and preview, with functions that read them or raise OSError or ValueError."""
+    """Contact sheet and preview, with functions that read them or raise OSError or ValueError.
+
+    An episode recorded without PyAV has no preview.
+    """
     readers: dict[Path, Callable[[], object]] = {}
     sheet, preview = episode.path / SHEET_PNG, episode.path / PREVIEW_MP4
     readers[sheet] = partial(read_image, sheet)
-    if "rgb" in episode.channels:
+    made_with = episode.head.get("made_with")
+    has_video = not isinstance(made_with, dict) or made_with.get("av") != ""
+    if "rgb" in episode.channels and has_video:
         readers[preview] = partial(require_preview, preview, len(episode))
     return readers
 

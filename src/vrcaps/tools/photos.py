@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from vrcaps.core.color import LUMA_WEIGHTS
-from vrcaps.core.errors import InputError, reading
+from vrcaps.core.errors import InputError, import_extra, reading
 from vrcaps.core.files import file_sha256
 from vrcaps.core.names import listed
 from vrcaps.formats.shared.stored_images import read_rgb
@@ -84,7 +84,7 @@ def _read(path: Path, num_frames: int) -> list[Photo]:
 
 
 def _read_video(path: Path, num_frames: int) -> list[Photo]:
-    import av
+    av = import_extra("av", "video")
 
     with reading(f"the video {path}"):
         with av.open(str(path)) as container:
@@ -140,7 +140,7 @@ def field_of_view(rgb: UInt8[np.ndarray, "h w 3"]) -> FieldOfView:
     less a rim of 2 % of its width, where lenses blur. Boxes overlaid by the device are detected by
     colors that tissue does not have: more green or blue than red.
     """
-    from skimage.measure import label
+    label = import_extra("skimage.measure", "organs", package="scikit-image").label
 
     brightest = rgb.max(axis=2)
     bright = scipy.ndimage.binary_opening(brightest > BLACK, iterations=2)

@@ -8,6 +8,8 @@ import io
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from vrcaps.core.errors import import_extra
+
 if TYPE_CHECKING:
     import matplotlib.figure
 
@@ -30,13 +32,16 @@ def make_figure(width: float, height: float, **options: Any) -> matplotlib.figur
         width: Width [inch].
         height: Height [inch].
         options: Options of `matplotlib.figure.Figure`; the layout is constrained by default.
+
+    Raises:
+        MissingExtraError: If Matplotlib is not installed.
     """
-    import matplotlib.figure
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    figure = import_extra("matplotlib.figure", "reports", package="matplotlib")
+    agg = import_extra("matplotlib.backends.backend_agg", "reports", package="matplotlib")
 
     settings = {"layout": "constrained", **options}
-    created = matplotlib.figure.Figure(figsize=(width, height), **settings)
-    FigureCanvasAgg(created)
+    created = figure.Figure(figsize=(width, height), **settings)
+    agg.FigureCanvasAgg(created)
     return created
 
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.cockpit.scene.nodes import add_shape, move
+from vrcaps.core.errors import import_extra
 from vrcaps.core.transforms import transform_from, transform_points
 from vrcaps.core.units import CM, MM
 from vrcaps.magnet.field import field, magnet_lines
@@ -42,7 +43,7 @@ class MagnetNode:
     """Magnet with field lines that move with it and are therefore computed only once."""
 
     def __init__(self, scene: viser.SceneApi, magnet: Cylinder) -> None:
-        import trimesh
+        trimesh = import_extra("trimesh", "cockpit")
 
         self._frame = scene.add_frame("/magnet", show_axes=False)
         for name, color, side in (("south", _SOUTH_COLOR, -1.0), ("north", _NORTH_COLOR, 1.0)):
@@ -94,7 +95,7 @@ def link_meshes(arm: Arm) -> dict[int, tuple[Float[np.ndarray, "n 3"], Int[np.nd
 
     Frame 0 is the base, followed by the joints and the flange.
     """
-    import trimesh
+    trimesh = import_extra("trimesh", "cockpit")
 
     meshes: dict[int, list[trimesh.Trimesh]] = {}
     for number in range(arm.num_joints + 1):

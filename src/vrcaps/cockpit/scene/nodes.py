@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.cockpit.scene.colorings import PageMesh
+from vrcaps.core.errors import import_extra
 from vrcaps.core.transforms import quaternion_from_matrix
 
 if TYPE_CHECKING:
@@ -168,7 +169,7 @@ def add_capsule(
         radius: Radius of the body [m].
         color: Color of the body.
     """
-    import trimesh
+    trimesh = import_extra("trimesh", "cockpit")
 
     body = trimesh.creation.capsule(length - 2.0 * radius, radius, count=[16, 24])
     body.apply_translation([0.0, 0.0, -body.bounds.mean(axis=0)[2]])

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy
 
-from vrcaps.core.errors import InputError
+from vrcaps.core.errors import InputError, import_extra
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -86,7 +86,7 @@ def mask_of(segmentation: Any, height: int, width: int, where: str) -> Bool[np.n
 
 
 def _filled(corners: Float[np.ndarray, "k 2"], shape: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
-    from skimage.draw import polygon2mask  # slow to load
+    polygon2mask = import_extra("skimage.draw", "formats", package="scikit-image").polygon2mask
 
     return polygon2mask(shape, corners[:, ::-1] - 0.5)
 

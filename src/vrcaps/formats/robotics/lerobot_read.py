@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.config.plain_files import read_plain
-from vrcaps.core.errors import InputError, reading
+from vrcaps.core.errors import InputError, import_extra, reading
 from vrcaps.core.names import inside, listed
 from vrcaps.core.transforms import matrix_from_unit_quaternion, transform_from
 from vrcaps.formats.robotics.lerobot_tables import (
@@ -160,7 +160,7 @@ def _column(path: Path, name: str) -> Any:
 
 def _film_frame(path: Path, time: float) -> NDArray:
     """Video frame nearest to a time [s]."""
-    import av
+    av = import_extra("av", "formats")
 
     with reading(path), av.open(str(path)) as container:
         stream = container.streams.video[0]

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.core.errors import InputError, MissingExtraError, reading
+from vrcaps.core.errors import InputError, MissingExtraError, import_extra, reading
 from vrcaps.core.files import write_bytes
 from vrcaps.recording.frame_files import MAX_PIXELS, decode_image, require_pixels
 
@@ -148,7 +148,7 @@ def write_rgba(path: Path, rgba: NDArray) -> None:
 
 def write_tiff(path: Path, array: NDArray) -> None:
     """Write values [h w] or [h w 3] of 8 or 16 bits as TIFF, losslessly compressed (Deflate)."""
-    import tifffile
+    tifffile = import_extra("tifffile", "formats")
 
     data = io.BytesIO()
     photometric = "rgb" if array.ndim == 3 else "minisblack"
@@ -201,7 +201,7 @@ def _turned(stored: NDArray, orientation: Any) -> NDArray:
 
 
 def _read_tiff(path: Path, as_color: bool) -> NDArray:
-    import tifffile
+    tifffile = import_extra("tifffile", "formats")
 
     try:
         with tifffile.TiffFile(path) as file:

@@ -21,6 +21,7 @@ import torch
 from torch import Tensor, nn
 
 from vrcaps.config.limits import Range, check_fields
+from vrcaps.core.color import turbo
 from vrcaps.core.errors import InputError
 from vrcaps.learn.augment import Augmentation, flip, transpose
 from vrcaps.learn.letterbox import Letterbox
@@ -205,12 +206,10 @@ def depth_of(output: Float[np.ndarray, "1 s s"]) -> Float[np.ndarray, "s s"]:
 
 def depth_picture(depth: Float[np.ndarray, "s s"], sample: Sample) -> UInt8[np.ndarray, "s k 3"]:
     """Image, true depth if it is known, and predicted depth on one color scale."""
-    from matplotlib import colormaps
-
     maps = [sample["depth"], depth] if "depth" in sample else [depth]
     low, high = np.nanpercentile(np.stack(maps), [1.0, 99.0])
     scaled = [(one - low) / max(high - low, 1e-9) for one in maps]
-    colored = [(colormaps["turbo"](one)[..., :3] * 255.0).astype(np.uint8) for one in scaled]
+    colored = [(turbo(one) * 255.0).astype(np.uint8) for one in scaled]
     return np.concatenate([sample["image"], *colored], axis=1)
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.core.errors import import_extra
 from vrcaps.core.units import DEG
 from vrcaps.tools.camera_calibration.circle import ImageCircle
 from vrcaps.tools.camera_calibration.fit import Calibration
@@ -61,7 +62,7 @@ def _draw_view(axis, fit: Calibration, k: int, photo: Photo) -> None:
 
 
 def _draw_arrows(axis, fit: Calibration, circle: ImageCircle | None) -> None:
-    from matplotlib.patches import Circle
+    Circle = import_extra("matplotlib.patches", "calibrate", package="matplotlib").Circle
 
     width, height = fit.size
     gain = 0.03 * width / max(float(np.median(fit.errors)), 1e-9)

@@ -10,6 +10,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import KDTree
 
+from vrcaps.core.errors import import_extra
 from vrcaps.core.units import MM
 from vrcaps.tools.ct.fraction import LumenFraction
 from vrcaps.tools.ct.lumen import mm_text
@@ -137,7 +138,7 @@ class _End:
 
 def _ends(part: Volume, label: int) -> list[_End]:
     """Find the two ends of a part; those of a short part may overlap."""
-    from skimage.graph import MCP_Geometric
+    MCP_Geometric = import_extra("skimage.graph", "ct", package="scikit-image").MCP_Geometric
 
     own = part.values == label
     stride = np.maximum(np.rint(_COARSE / part.spacing), 1).astype(int)

@@ -110,7 +110,7 @@ def extract_wall(lumen: LumenFraction, *, blur: float, pass_band: float, edge: f
         InputError: If the fraction does not cross one half.
         MissingExtraError: If fast-simplification is not installed.
     """
-    from skimage.measure import marching_cubes
+    marching_cubes = import_extra("skimage.measure", "ct", package="scikit-image").marching_cubes
 
     fraction, transform = _refined(_blurred(lumen.fraction, blur), lumen)
     if not fraction.min() < 0.5 < fraction.max():

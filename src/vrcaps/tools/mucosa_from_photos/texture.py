@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 
 from vrcaps.core.color import LUMINANCE, log_luminance, srgb_from_log_linear
-from vrcaps.core.errors import InputError
+from vrcaps.core.errors import InputError, import_extra
 from vrcaps.core.rng import stream
 from vrcaps.core.units import MM
 from vrcaps.mucosa.texture import HEIGHT_STEP, MucosaTexture
@@ -307,7 +307,7 @@ def write_report(path: Path, work: TextureResult) -> None:
 
 def _draw_source(axes, source: PhotoAnalysis) -> None:
     """Draw one photograph: original, masks, without shading, vessels."""
-    from matplotlib.patches import Rectangle
+    Rectangle = import_extra("matplotlib.patches", "reports", package="matplotlib").Rectangle
 
     rgb, view, region = source.photo.rgb, source.view, source.region
     masked = rgb.copy()

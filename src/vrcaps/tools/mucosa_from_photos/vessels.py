@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy
 
+from vrcaps.core.errors import import_extra
+
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
@@ -69,10 +71,10 @@ def find_vessels(
         usable: Pixels that show the wall.
         width: Width of the field [px].
     """
-    from skimage.exposure import equalize_adapthist
-    from skimage.filters import apply_hysteresis_threshold, sato
-    from skimage.measure import label
-    from skimage.morphology import skeletonize
+    exposure, filters, measure, morphology = (
+        import_extra(f"skimage.{name}", "organs", package="scikit-image")
+        for name in ("exposure", "filters", "measure", "morphology")
+    )
 
     density = scipy.ndimage.median_filter(-flat[..., 1], 3)
     inside = scipy.ndimage.binary_erosion(usable, iterations=max(3, width // 80), border_value=1)
@@ -80,16 +82,16 @@ def find_vessels(
         return Vessels([], np.zeros_like(usable), 0.0)
     low, high = np.percentile(density[inside], [1.0, 99.0])
     gray = np.clip((density - low) / max(float(high - low), 1e-6), 0.0, 1.0)
-    gray = equalize_adapthist(gray, kernel_size=max(16, width // 8), clip_limit=0.01)
+    gray = exposure.equalize_adapthist(gray, kernel_size=max(16, width // 8), clip_limit=0.01)
     sigmas: Any = [max(0.8, fraction * width) for fraction in _RADII]
     ridge, opposite = (
-        sato(gray.astype(np.float32), sigmas=sigmas, black_ridges=is_dark, mode="reflect")
+        filters.sato(gray.astype(np.float32), sigmas=sigmas, black_ridges=is_dark, mode="reflect")
         for is_dark in (False, True)
     )
     strong = float(np.percentile(opposite[inside], _NOISE))
-    ridges = apply_hysteresis_threshold(ridge, _LOW * strong, strong) & inside
-    skeleton = skeletonize(ridges)
-    part = np.asarray(label(skeleton, connectivity=2))
+    ridges = filters.apply_hysteresis_threshold(ridge, _LOW * strong, strong) & inside
+    skeleton = morphology.skeletonize(ridges)
+    part = np.asarray(measure.label(skeleton, connectivity=2))
     member = np.where(ridges, part[_nearest(part > 0)], 0)
     around = scipy.ndimage.gaussian_filter(flat, (0.02 * width, 0.02 * width, 0.0))
     extra = around - flat

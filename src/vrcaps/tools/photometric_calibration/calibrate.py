@@ -12,7 +12,7 @@ from vrcaps.camera.camera import Camera, Led
 from vrcaps.capsule.device import Device
 from vrcaps.capsule.image_chain import EQUAL_UNITS
 from vrcaps.config.plain_files import write_toml
-from vrcaps.core.errors import InputError
+from vrcaps.core.errors import InputError, import_extra
 from vrcaps.tools.camera_calibration.circle import ImageCircle, image_circle
 from vrcaps.tools.camera_calibration.fit import find_camera, with_camera
 from vrcaps.tools.photometric_calibration.frames import Frames, blockiness
@@ -212,7 +212,7 @@ def write_report(path: Path, calibration: PhotometricCalibration, frames: Frames
 
 
 def _draw_circle(axis, calibration: PhotometricCalibration, frames: Frames) -> None:
-    from matplotlib.patches import Circle
+    Circle = import_extra("matplotlib.patches", "calibrate", package="matplotlib").Circle
 
     axis.imshow(frames.rgb.mean(axis=0).astype(np.uint8))
     axis.set(xticks=[], yticks=[], title="mean frame: no circular dark rim detected")

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vrcaps.core.color import turbo
+from vrcaps.core.errors import import_extra
 from vrcaps.core.files import atomic_write, write_bytes, write_csv
 from vrcaps.core.geometry import triangle_areas
 from vrcaps.core.units import MM
@@ -63,14 +65,12 @@ def write_comparison(folder: Path, mesh: Mesh, comparison: Comparison) -> None:
 
 def error_colors(distances: Float[np.ndarray, " n"]) -> UInt8[np.ndarray, "n 3"]:
     """Map errors to colors from blue at 0 to red at 3 mm and more."""
-    from matplotlib import colormaps
-
-    return (colormaps["turbo"](np.clip(distances / _SCALE, 0.0, 1.0))[:, :3] * 255).astype(np.uint8)
+    return (turbo(np.clip(distances / _SCALE, 0.0, 1.0)) * 255).astype(np.uint8)
 
 
 def write_ply(path: Path, mesh: Mesh, color: UInt8[np.ndarray, "n 3"]) -> None:
     """Write a mesh with colored vertices as binary PLY [m]."""
-    import trimesh
+    trimesh = import_extra("trimesh", "reconstruct")
 
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=color, process=False)
     data: Any = solid.export(file_type="ply")
@@ -79,8 +79,10 @@ def write_ply(path: Path, mesh: Mesh, color: UInt8[np.ndarray, "n 3"]) -> None:
 
 def _write_picture(path: Path, mesh: Mesh, comparison: Comparison) -> None:
     """Draw two views of the vertices, colored by error, the nearest in front; and a histogram."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
+    ScalarMappable = import_extra(
+        "matplotlib.cm", "reconstruct", package="matplotlib"
+    ).ScalarMappable
+    Normalize = import_extra("matplotlib.colors", "reconstruct", package="matplotlib").Normalize
 
     fig = make_figure(13.0, 5.0)
     views = fig.subplots(1, 3, width_ratios=[1, 1, 0.7])

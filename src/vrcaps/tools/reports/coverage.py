@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.core.errors import InputError
+from vrcaps.core.errors import InputError, import_extra
 from vrcaps.core.files import write_bytes
 from vrcaps.core.geometry import triangle_areas, wall_of
 from vrcaps.core.transforms import transform_points
@@ -189,7 +189,7 @@ def write_coverage_mesh(path: Path, coverage: EpisodeCoverage) -> None:
         path: GLB file to write or replace.
         coverage: Coverage of an episode.
     """
-    import trimesh
+    trimesh = import_extra("trimesh", "reports")
 
     organ, first = coverage.organ, coverage.coverage.first_seen["visible"]
     level = vertex_level(coverage)
@@ -255,7 +255,7 @@ def write_coverage_figure(path: Path, coverage: EpisodeCoverage, *, title: str =
 
 
 def _legend() -> list[Any]:
-    from matplotlib.patches import Patch
+    Patch = import_extra("matplotlib.patches", "reports", package="matplotlib").Patch
 
     return [
         Patch(color=color, label=name) for color, name in zip(LEVEL_COLORS, _NAMES, strict=True)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps._core import Wall
+from vrcaps.core.errors import import_extra
 from vrcaps.core.geometry import wall_of
 from vrcaps.core.units import CM, MM
 from vrcaps.organ.measure import OrganMeasures, arc_length_bins, measure_organ, segment_spans
@@ -174,7 +175,7 @@ def marked_lesions(organ: OrganSurface) -> list[Marked]:
 
 def _palette(count: int) -> Float[np.ndarray, "k 3"]:
     """Colors along a rainbow of uniform chroma, distinct from their neighbors."""
-    from matplotlib.colors import hsv_to_rgb
+    hsv_to_rgb = import_extra("matplotlib.colors", "reports", package="matplotlib").hsv_to_rgb
 
     hue = (0.60 - 0.92 * np.arange(count) / max(count, 5)) % 1.0
     odd = np.arange(count) % 2

@@ -15,7 +15,7 @@ import numpy as np
 
 from vrcaps.camera.camera import Camera, in_image, pixel_grid, project_points, unproject_pixels
 from vrcaps.config.limits import Range, check_fields
-from vrcaps.core.errors import InputError, require
+from vrcaps.core.errors import InputError, import_extra, require
 from vrcaps.core.transforms import invert, transform_points
 from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import Mesh
@@ -142,7 +142,9 @@ class Volume:
         Raises:
             InputError: If nothing was fused, or the box around it is too large.
         """
-        from skimage.measure import marching_cubes
+        marching_cubes = import_extra(
+            "skimage.measure", "reconstruct", package="scikit-image"
+        ).marching_cubes
 
         if not self._slots:
             raise InputError("There is no depth to fuse: no frame sees a wall.")

@@ -24,7 +24,7 @@ import numpy as np
 
 from vrcaps.camera.camera import Camera, pixel_grid
 from vrcaps.core.color import linear_from_srgb, luminance
-from vrcaps.core.errors import InputError, require
+from vrcaps.core.errors import InputError, import_extra, require
 from vrcaps.core.files import write_csv
 from vrcaps.core.geometry import triangle_normals, unit, wall_of
 from vrcaps.core.transforms import rotation_from_vector, transform_points
@@ -170,7 +170,7 @@ def depth_from_shading(rgb: UInt8[np.ndarray, "h w 3"], camera: Camera) -> Float
         rgb: Image lit by lights next to the lens, without highlights.
         camera: Pinhole camera of the image.
     """
-    from skimage.transform import resize
+    resize = import_extra("skimage.transform", "reconstruct", package="scikit-image").resize
 
     is_seen = rgb.max(axis=2) > 0
     light = luminance(linear_from_srgb(rgb))

@@ -1,4 +1,4 @@
-"""The cameras that take our frames and real ones: lens, sensor and recorder of each class."""
+"""Cameras of simulated and real frames: lens, sensor and recorder of each class."""
 
 from __future__ import annotations
 
@@ -57,14 +57,14 @@ def is_colonoscopy(name: str) -> bool:
 
 
 def our_discs(name: str, shots: Iterable[Shot]) -> list[np.ndarray]:
-    """Frames of a class as sRGB discs, as a camera and its recorder would leave them."""
+    """Frames of a class as sRGB discs, processed by a camera and its recorder."""
     return [disc(photographed(name, shot, number)) for number, shot in enumerate(shots)]
 
 
 def photographed(name: str, shot: Shot, number: int) -> np.ndarray:
-    """A frame of a class as its camera sends it.
+    """Frame of a class as transmitted by its camera.
 
-    The mean luminance at the sensor, each pixel cut at white, is what automatic exposure aims at.
+    Automatic exposure aims at the mean luminance at the sensor, with pixels clipped at white.
     """
     rng = np.random.default_rng([11, number])
     light = MEAN_LUMINANCE[is_colonoscopy(name)] * np.exp(EXPOSURE_SPREAD * rng.normal())
@@ -87,7 +87,7 @@ def photographed(name: str, shot: Shot, number: int) -> np.ndarray:
 
 
 def effects_of(name: str, gains: np.ndarray, number: int) -> Effects:
-    """Lens and sensor of one frame; white stays as bright as it is."""
+    """Apply lens and sensor to one frame; the level of white is unchanged."""
     effects = EFFECTS[is_colonoscopy(name)].sample(number)
     red, green, blue = (gains / luminance(gains)).tolist()
     quality = JPEG_QUALITY.get(name.partition("_grade")[0])

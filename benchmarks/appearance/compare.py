@@ -1,14 +1,14 @@
-"""Claim: frames look more like real ones than those of VR-Caps do.
+"""Claim: simulated frames are closer to real ones than those of VR-Caps.
 
-Sets our frames of each class beside the real frames of that class, and the synthetic frames
-published with VR-Caps next to the same: means, spreads and gradients in CIE L*a*b*, and highlights.
+Compares simulated frames of each class, and the synthetic frames published with VR-Caps, with real
+frames of that class: means, spreads and gradients in CIE L*a*b*, and highlights.
 
     python -m benchmarks.appearance.compare
     python -m benchmarks.appearance.compare --only clean_colon --sheets /tmp/looks   # while tuning
     python -m benchmarks.appearance.compare --mixed /tmp/mixed.png                  # mixed sheet
 
 With `--sheets` it writes a picture for each class that shows both, with `--mixed` one of ours and
-real ones shuffled, with the key beside it.
+real ones shuffled, with the key in a text file.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def has_overlays(name: str) -> bool:
 
 
 def kept_discs(name: str, folder: Path | None) -> list[np.ndarray]:
-    """Our frames of a class, from a folder if an earlier run has kept them there."""
+    """Simulated frames of a class, read from a folder if an earlier run stored them there."""
     path = None if folder is None else folder / f"{name}.npy"
     if path is not None and path.exists():
         return list(np.load(path))
@@ -69,7 +69,7 @@ def read_folder(paths: list[Path]) -> list[np.ndarray]:
 
 
 def write_sheet(path: Path, discs: dict[str, list[np.ndarray]]) -> None:
-    """Two rows of ours over one of real frames."""
+    """Two rows of simulated frames above one of real frames."""
     inside = valid_pixels(False)[..., None]
     ours, real = discs["ours"], discs["real"]
     chosen = [ours[k] for k in np.linspace(0, len(ours) - 1, 24).astype(int)]
@@ -80,9 +80,9 @@ def write_sheet(path: Path, discs: dict[str, list[np.ndarray]]) -> None:
 
 
 def write_mixed(path: Path, sets: dict[str, dict[str, list[np.ndarray]]]) -> None:
-    """Ours and real ones of the same classes, as many of each, shuffled and numbered.
+    """Equal numbers of simulated and real frames of the same classes, shuffled and numbered.
 
-    Which are ours is written beside the picture, into a text file of the same name. Frames of
+    A text file of the same name states which are simulated. Frames of
     HyperKvasir lose where their recorders print, and ours the same.
     """
     rng, tiles = np.random.default_rng(), []
@@ -218,7 +218,7 @@ wall.
 
 
 def report(rows: list, channels: list, changes: list[float]) -> str:
-    """The section of the page; `changes` of palettes by the tuning half alone, by class [%]."""
+    """Section of the page; `changes` [%] are of palettes of the tuning half alone, by class."""
     text = TEXT.format(
         **{"size": SIZE, "red": WHITE_SPREAD[0], "blue": WHITE_SPREAD[2]},
         **{"least": min(changes), "most": max(changes), "red_low": RED[0], "red_high": RED[1]},

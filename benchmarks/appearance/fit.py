@@ -1,17 +1,17 @@
 """Fit the palettes of the wall to real frames, under a kind of light.
 
-What a wall looks like depends on the light: where it bounces between walls, a color counts more
-than once. For each class of real frames this finds the factors on red, green and blue of our wall's
-base colors at which our frames have their mean a* and b* and their spread of L*, and prints the
-colors that go into `vrcaps.mucosa.mucosa` and `vrcaps.lesion.colitis`.
+The appearance of a wall depends on the light: light reflected several times is multiplied by its
+color each time. For each class of real frames, the script fits factors on red, green and blue of
+the base colors so that simulated frames have the same mean a* and b* and the same spread of L*, and
+prints the colors for `vrcaps.mucosa.mucosa` and `vrcaps.lesion.colitis`.
 
     python -m benchmarks.appearance.fit
     python -m benchmarks.appearance.fit --only small-bowel --light direct
-    python -m benchmarks.appearance.fit --only colon --carriers   # what else moves the statistics
+    python -m benchmarks.appearance.fit --only colon --carriers   # effect of other parameters
 
-The base color scales the baked texture, so no organ is made anew. Exposure follows the mean, so
-the level of the reflectance shows only in how much light bounces, and with it in the spread of L*;
-it stays within `compare.RED`.
+The base color scales the baked texture, so no organ is generated again. Exposure follows the mean,
+so the level of the reflectance shows only through multiple reflection, and thus in the spread of
+L*; it stays within `compare.RED`.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class Looks:
 
 
 def looks(sets: dict[str, list[np.ndarray]]) -> Looks:
-    """Looks of discs by class; each class has the same weight."""
+    """Appearance statistics of discs by class; each class has the same weight."""
     means, spreads = [], []
     for name, discs in sets.items():
         valid = valid_pixels(has_overlays(name))
@@ -95,13 +95,13 @@ def looks(sets: dict[str, list[np.ndarray]]) -> Looks:
 
 
 def real_looks(tissue: str) -> Looks:
-    """Looks of the real frames of a tissue."""
+    """Appearance statistics of the real frames of a tissue."""
     folder = DATA / "real_frames"
     return looks({name: read_folder(list((folder / name).iterdir())) for name in CLASSES[tissue]})
 
 
 class Wall:
-    """Frames of ours of a tissue whose base colors can be changed."""
+    """Simulated frames of a tissue whose base colors can be changed."""
 
     def __init__(self, tissue: str, settings: RenderSettings) -> None:
         self._scenes = {
@@ -111,7 +111,7 @@ class Wall:
         self._settings = settings
 
     def discs(self, logs: np.ndarray) -> dict[str, list[np.ndarray]]:
-        """By class, with factors on red, green and blue of the whole wall, given by logarithms."""
+        """Statistics by class for logarithms of the factors on the color of the whole wall."""
         sets = {}
         for name, chosen in self._scenes.items():
             painted = ((_scaled(model, np.exp(logs)), states) for model, states in chosen)
@@ -142,7 +142,7 @@ def fit(wall: Wall, target: Looks, base: np.ndarray, *, is_free: bool) -> np.nda
         wall: Ours.
         target: Of the real frames.
         base: Base color that the factors apply to.
-        is_free: Whether the level is fitted too; otherwise red stays as it is.
+        is_free: Whether the level is fitted; otherwise red is unchanged.
     """
     own = slice(0 if is_free else 1, 3)
     used = slice(0, 3 if is_free else 2)
@@ -192,7 +192,7 @@ def _gained(sets: dict[str, list[np.ndarray]], gains: np.ndarray) -> dict[str, l
 
 
 def carriers(tissue: str, settings: RenderSettings) -> Iterator[tuple[str, ...]]:
-    """Spread, gradient and highlights of our frames with each of `CARRIERS` lowered."""
+    """Spread, gradient and highlights of simulated frames with each of `CARRIERS` lowered."""
     name, frames = next(iter(CLASSES[tissue].items()))
     chosen = [(_small(model), states) for model, states in scenes(name, 1, frames)]
     valid = valid_pixels(has_overlays(name))

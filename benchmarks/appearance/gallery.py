@@ -4,7 +4,7 @@
     python -m benchmarks.appearance.gallery --only lesions     # some sheets again
 
 The sheets go to docs/images, the page's text before the first section that another script
-writes is written anew.
+writes is replaced.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ class Sheet:
     """A contact sheet of the page.
 
     Attributes:
-        name: Of its file, and what `--only` asks for the beginning of.
+        name: Name of its file; `--only` selects by its first letters.
         title: Heading.
-        text: What it shows.
-        commands: What a user types to get such frames.
+        text: Description of its content.
+        commands: Commands that record such frames.
         tiles: Makes its tiles.
         columns: Tiles in a row.
     """
@@ -78,7 +78,7 @@ def flight(organ: OrganSurface, capsule: str, number: int, seed: int = 0) -> tup
 
 
 def of_segments(name: str, capsule: str, each: int) -> list[Tile]:
-    """Frames of each segment that show most of it from nearby, one of each of its parts."""
+    """Frames of each segment that show the largest area from nearby, one for each of its parts."""
     organ = vrcaps.generate_organ(name, seed=0)
     model, states = flight(organ, capsule, 60)
     seen = frames(model, states)
@@ -115,7 +115,7 @@ def of_distensions() -> list[Tile]:
 
 
 def of_tract() -> list[Tile]:
-    """From the duodenum to the rectum, evenly."""
+    """Evenly spaced frames from the duodenum to the rectum."""
     organ = vrcaps.generate_organ("full-tract", seed=1)
     model, states = flight(organ, "mirocam", 60)
     tiles = []
@@ -146,7 +146,7 @@ def of_capsules() -> list[Tile]:
 
 
 def of_lesions(organ: str, texts: tuple[str, ...], seed: int = 0) -> list[Tile]:
-    """Each lesion from where it is seen best."""
+    """Best view of each lesion."""
     rng = np.random.default_rng([seed, 5])
     model, states = at_lesions(organ, seed, texts, vrcaps.read_device("mirocam"), rng)
     shown = frames(model, states)
@@ -161,7 +161,7 @@ def caption(text: str) -> str:
 
 
 def of_colitis() -> list[Tile]:
-    """Three grades in one colon, and beside each its border."""
+    """Three grades in one colon, each next to its border."""
     segments = {1: "ascending", 2: "transverse", 3: "descending"}
     texts = tuple(f"colitis-{mayo}:spread=25cm,segment={at}" for mayo, at in segments.items())
     return of_lesions("colon", texts) + of_lesions("colon", texts, seed=1)
@@ -290,7 +290,7 @@ def image_path(sheet: Sheet) -> Path:
 
 
 def section(sheet: Sheet) -> str:
-    """Its part of the page."""
+    """Section of the page."""
     commands = "\n".join(sheet.commands)
     return (
         f"## {sheet.title}\n\n{sheet.text}\n\n![{sheet.title}: {sheet.text}]"
@@ -312,7 +312,7 @@ the exposure that its capsule states.
 
 
 def write_page(page: Path) -> None:
-    """The page's text; what other scripts write into it stays."""
+    """Text of the page; sections of other scripts are kept."""
     mark = "<!-- written by "
     before = page.read_text(encoding="utf-8") if page.exists() else ""
     kept = mark + before.partition(mark)[2] if mark in before else ""

@@ -1,4 +1,4 @@
-"""Endoscopic images brought to one scale: the disc that an image shows, and what is valid in it."""
+"""Endoscopic images at one scale: the disc shown by an image, and its valid pixels."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def read_disc(path: Path) -> np.ndarray:
 def disc(rgb: np.ndarray) -> np.ndarray:
     """The middle of the field of view, `SIZE` pixels wide.
 
-    The view is the bounding box of rows and columns of which a fifth is brighter than 24 of 255
+    The view is the bounding box of rows and columns in which a fifth is brighter than 24 of 255
     in a channel: this leaves out black borders and words printed on them. Of it, a square of
     0.9 of its shorter side about its middle is taken and its pixels averaged.
     """
@@ -38,7 +38,7 @@ def disc(rgb: np.ndarray) -> np.ndarray:
 
 
 def valid_pixels(overlays: bool) -> np.ndarray:
-    """The disc; with `overlays`, less where HyperKvasir's recorders print text and boxes.
+    """Mask of the disc; with `overlays`, without the areas in which HyperKvasir's recorders print.
 
     Those are its left sixth, and its left two fifths in the lowest third. One mask serves all
     images of a comparison, whether they have text or not.

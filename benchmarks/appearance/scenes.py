@@ -1,4 +1,4 @@
-"""Frames of ours for each class of real frames: organs, lesions, cameras, views."""
+"""Simulated frames for each class of real frames: organs, lesions, cameras, views."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ BLEEDS = ("bleeding-1", "bleeding-2", "bleeding-3", "bleeding-4")
 
 
 def colonoscope(side_px: int = SIDE_PX) -> Device:
-    """A video colonoscope's tip: 140° across, two light guides beside the lens.
+    """Tip of a video colonoscope: a field of 140° and two light guides next to the lens.
 
     Field of view as makers state it for standard colonoscopes; the guides' places are assumed.
     """
@@ -59,7 +59,7 @@ def colonoscope(side_px: int = SIDE_PX) -> Device:
 
 @dataclass(frozen=True)
 class Shot:
-    """A frame with `CHANNELS`, what was there, and what rendered it."""
+    """Frame with `CHANNELS`, its state and its renderer."""
 
     frame: vrcaps.Frame
     state: State
@@ -97,7 +97,7 @@ def shots(chosen: Iterable[Scene], settings: vrcaps.RenderSettings = SETTINGS) -
 
 
 def views(name: str, seed: int, frames: int, rng: np.random.Generator) -> Iterator[Scene]:
-    """Organs of one patient, and places to look from."""
+    """Organs of one patient, and camera positions."""
     capsule, colonoscopy = vrcaps.read_device("pillcam-sb3"), colonoscope()
     if name == "clean_colon":
         organ = vrcaps.generate_organ("colon", seed=seed)
@@ -119,7 +119,7 @@ def views(name: str, seed: int, frames: int, rng: np.random.Generator) -> Iterat
 
 
 def filled(scene: Scene, kinds: tuple[Contents, ...]) -> Iterator[Scene]:
-    """A scene with something in the lumen: its views in turn with each kind of contents."""
+    """Scene with lumen contents: its views cycle through the kinds of contents."""
     model, states = scene
     for k, contents in enumerate(kinds):
         yield replace(model, contents=contents), states[k :: len(kinds)]
@@ -141,7 +141,7 @@ def flight(
     frames: int,
     rng: np.random.Generator,
 ) -> Scene:
-    """Evenly along a stretch of the lumen, now and then looking at the wall."""
+    """Views at equal distances along a stretch of the lumen, some of them towards the wall."""
     model = Model(organ, device)
     low, high = np.clip(stretch, 0.01, 0.99)
     settings = vrcaps.FlyThrough(start=low, end=high, whole=True, tilt=0.78, drift=0.6)
@@ -152,7 +152,7 @@ def flight(
 def at_lesions(
     name: str, seed: int, texts: tuple[str, ...], device: Device, rng: np.random.Generator
 ) -> Scene:
-    """Each lesion of a patient from where it is seen best."""
+    """Best view of each lesion of a patient."""
     lesions = [parse_lesion(text) for text in texts]
     organ = add_lesions(vrcaps.generate_organ(name, seed=seed), lesions, rng).organ
     model, camera = Model(organ, device), device.cameras[0]

@@ -44,7 +44,7 @@ def measured(images: Discs, valid: np.ndarray) -> list[Measured]:
 
 
 def totals(ours: list[Measured], real: list[Measured]) -> np.ndarray:
-    """Distance in each of `STATISTICS`, over L*, a*, b* together where it has these."""
+    """Distance in each of `STATISTICS`, over L*, a* and b* together if it has these."""
     found = color_distance([m.color for m in ours], [m.color for m in real])
     apart = [float(np.linalg.norm(getattr(found, name))) for name in STATISTICS[:3]]
     fractions = [np.array([m.fraction for m in side]) for side in (ours, real)]
@@ -52,7 +52,7 @@ def totals(ours: list[Measured], real: list[Measured]) -> np.ndarray:
 
 
 def bootstrap(ours: list[Measured], theirs: list[Measured], real: list[Measured]) -> np.ndarray:
-    """Distances [resample, side, statistic] when the images of each set are drawn anew."""
+    """Distances [resample, side, statistic] of bootstrap resamples of the images of each set."""
     rng = np.random.default_rng(3)
 
     def drawn(images: list[Measured]) -> list[Measured]:
@@ -74,7 +74,7 @@ def compare(
 
     Args:
         name: Of the class.
-        discs: Of `ours`, `real`, `VR-Caps` and, where they were kept, `before`.
+        discs: Discs of `ours`, `real`, `VR-Caps` and, if stored, `before`.
         valid: Pixels that count.
     """
     sets = {side: measured(images, valid) for side, images in discs.items()}
@@ -103,7 +103,7 @@ def compare(
 
 
 def refitted(ours: Discs, real: Discs, valid: np.ndarray) -> Discs:
-    """Our frames as if palettes had been fitted to the tuning half of the real ones alone.
+    """Simulated frames with palettes fitted to the tuning half of the real frames alone.
 
     See `refitted_gains`.
     """
@@ -115,7 +115,7 @@ def refitted(ours: Discs, real: Discs, valid: np.ndarray) -> Discs:
 
 
 def refitted_gains(real: Discs, valid: np.ndarray) -> np.ndarray:
-    """Gains of red, green and blue by which a palette changes when half of the frames is left out.
+    """Gains of red, green and blue between palettes fitted to half and to all of the frames.
 
     Palettes were fitted to the color of all real frames of a class; here by their geometric means
     of red to green and of green to blue.

@@ -17,7 +17,7 @@ _STAMP = re.compile(
 
 
 def module_of(script: Path) -> str:
-    """Dotted name by which a script is run: `benchmarks.speed.env`."""
+    """Dotted name of a script as a module: `benchmarks.speed.env`."""
     if not script.resolve().is_relative_to(ROOT):
         return script.stem
     names = script.resolve().relative_to(ROOT).with_suffix("").parts

@@ -141,7 +141,7 @@ def read_rows(text: str) -> Iterator[dict[str, str]]:
 
 
 def find(rows: list[dict[str, str]], asked: str) -> str:
-    """The cell that a figure asks for, see `FIGURES`."""
+    """Cell selected by an entry of `FIGURES`."""
     column, bar, key = asked.partition(" | ")
     if bar:
         found = [row[column] for row in rows if column in row and next(iter(row.values())) == key]

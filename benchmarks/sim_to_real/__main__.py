@@ -1,16 +1,17 @@
-"""Claim: a network is better on real images because it saw ours.
+"""Claim: pre-training on simulated images improves networks on real images.
 
-Trains networks for masks, classes and super-resolution on shares of real images, each time from
-scratch, from ImageNet's weights, from weights that were learned on our images, and from ImageNet's
-that went on with ours; judges them by images of folds that they saw nothing of, near copies
-included. Networks for depth are judged on real frames without learning from any.
+Trains networks for segmentation, classification and super-resolution on fractions of the real
+images, each initialized at random, from ImageNet weights, from weights pre-trained on simulated
+images, and from ImageNet weights fine-tuned on simulated images. Evaluates them on held-out folds,
+which contain no near copies of training images. Networks for depth are evaluated on real frames
+without training on any.
 
     vrcaps dataset make benchmarks/sim_to_real/plan.toml --out runs/ours --units 0:60
     python -m benchmarks.sim_to_real --real /data/endoscopy --ours runs/ours --run runs/transfer
     python -m benchmarks.sim_to_real --run runs/transfer --report   # the page only
 
 Each network is one row of `rows.jsonl`; the same command resumes after an interruption and
-computes none twice. Folders of real data are found by their names below `--real`: WCEBleedGen,
+computes none twice. Folders of real data are located by their names below `--real`: WCEBleedGen,
 HyperKvasir, Kvasir-SEG, BKAI-IGH NeoPolyp, C3VD, sinus endoscopy, UnityCam; others are named by
 `--layout kvasir_seg=/data/my/polyps`.
 """
@@ -44,7 +45,7 @@ def parsed() -> argparse.Namespace:
 
 
 def main() -> None:
-    """Run what is missing, then write the page."""
+    """Run the missing cells, then write the page."""
     given = parsed()
     try:
         rows = RowFile(given.run)
@@ -59,7 +60,7 @@ def run(given: argparse.Namespace, rows: RowFile) -> None:
     """Run the cells that have no row.
 
     Raises:
-        InputError: If there is no data for what is asked.
+        InputError: If there is no data for a requested task.
     """
     setup = Setup(
         found_layouts(given.real, given.layout),
@@ -73,7 +74,7 @@ def run(given: argparse.Namespace, rows: RowFile) -> None:
 
 
 def main_cells(given: argparse.Namespace, setup: Setup) -> list[Cell]:
-    """Cells of the tasks that there is data for."""
+    """Cells of the tasks with data."""
     check_tasks(given.tasks)
     for fraction in given.fractions:
         require(0.0 < fraction <= 1.0, "A fraction", fraction, "above 0, at most 1")
@@ -97,7 +98,7 @@ def main_cells(given: argparse.Namespace, setup: Setup) -> list[Cell]:
 
 
 def possible_arms(setup: Setup, task: Task) -> list[str]:
-    """Arms of a task that there are images for; says what our data set lacks."""
+    """Arms of a task with images; reports missing images of the simulated data set."""
     arms = [arm for arm in task.arms if is_possible(setup, task, arm)]
     reason = lacks(setup, task) if "ours" in arms else ""
     if reason:

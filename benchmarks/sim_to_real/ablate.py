@@ -1,9 +1,9 @@
-"""Claim: networks for real images need what the simulator renders, told thing by thing.
+"""Claim: networks for real images need the components of the simulator: an ablation.
 
 Makes the images of one small plan again without indirect light, without effects of lens and sensor,
-with a wall of one color, with an empty lumen, and with polyps that are told by color alone (Paris
-IIb). Networks learn from each and go on with a tenth of the real images; those for depth see no
-real image. The table shows how their figures change.
+with a wall of one color, with an empty lumen, and with polyps that differ by color alone (Paris
+IIb). Networks are pre-trained on each and fine-tuned on a tenth of the real images; those for depth
+see no real image. The table shows the changes of their metrics.
 
     python -m benchmarks.sim_to_real.ablate --real /data/endoscopy --run runs/ablations --workers 2
     python -m benchmarks.sim_to_real.ablate --run runs/ablations --report   # the page, as it stands
@@ -54,7 +54,7 @@ COMMAND = f"python -m {MODULE} --run runs/ablations --report"
 
 
 def main() -> None:
-    """Run what is missing, then write the page."""
+    """Run the missing cells, then write the page."""
     given = experiment_parser(__doc__ or "", PAGE, preset="short").parse_args()
     try:
         rows = RowFile(given.run)
@@ -70,7 +70,7 @@ def run(given: argparse.Namespace, rows: RowFile) -> None:
     """Make the data sets and run the networks that are missing.
 
     Raises:
-        InputError: If there is no data for what is asked.
+        InputError: If there is no data for a requested task.
     """
     check_tasks(given.tasks)
     real = found_layouts(given.real, given.layout)
@@ -82,7 +82,7 @@ def run(given: argparse.Namespace, rows: RowFile) -> None:
 
 
 def cells_of(tasks: Sequence[str], layouts: Sequence[str], seeds: int) -> list[Cell]:
-    """Networks of the tasks that there is real data for.
+    """Networks of the tasks with real data.
 
     Raises:
         InputError: If there is none.
@@ -100,7 +100,7 @@ def cells_of(tasks: Sequence[str], layouts: Sequence[str], seeds: int) -> list[C
 
 
 def page_text(rows: Sequence[Row]) -> str:
-    """The section: what changes where our images lack something."""
+    """Section of the page: changes by missing component."""
     found = by_arm(rows)
     names = [name for name in TASKS if (name, "ours", FRACTION, COMPLETE) in found]
     titles = [f"{TASKS[name].title}: {TASKS[name].figure}" for name in names]
@@ -127,7 +127,7 @@ def page_text(rows: Sequence[Row]) -> str:
 
 
 def table_rows(found: Found, names: Sequence[str]) -> list[list[str]]:
-    """Figures [%] of networks whose images lack nothing, then changes [points]."""
+    """Metrics [%] of networks trained on complete images, then changes [points]."""
     of = {
         (name, variant): found.get((name, "ours", FRACTION, variant), {})
         for name in names
@@ -143,7 +143,7 @@ def table_rows(found: Found, names: Sequence[str]) -> list[list[str]]:
 
 
 def _change(interval: Interval, scale: float = 100.0, digits: int = 1) -> str:
-    """A change; bold where its interval leaves out 0."""
+    """Change; bold if its interval excludes 0."""
     shown = shown_interval(interval, scale, digits, "+")
     return f"**{shown}**" if interval.low * interval.high > 0.0 else shown
 
@@ -154,7 +154,7 @@ def _has_depth(found: Found, figure: str) -> bool:
 
 
 def depth_cells(found: Found, variant: str, figures: Sequence[str]) -> list[str]:
-    """Figures of depth, or how they change, of networks with the same seed."""
+    """Metrics of depth, or their changes, of networks with the same seed."""
     own, full = (found.get((DEPTH, "ours", 0.0, one), {}) for one in (variant, COMPLETE))
     seeds = [seed for seed in sorted(own) if seed in full]
     if not seeds:

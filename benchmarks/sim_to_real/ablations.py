@@ -40,7 +40,7 @@ _SIDE = 64
 
 
 def ablation_cells(tasks: Sequence[str], seeds: int) -> list[Cell]:
-    """Networks that saw a variant of ours, then a tenth of the real images; for depth none."""
+    """Networks trained on a variant, then on a tenth of the real images; for depth on none."""
     return [
         Cell(task, "ours", 0.0 if task == DEPTH else FRACTION, seed, variant)
         for seed in range(seeds)
@@ -50,12 +50,12 @@ def ablation_cells(tasks: Sequence[str], seeds: int) -> list[Cell]:
 
 
 def made_variants(run: Path, workers: int, plan: Path = PLAN, patients: int = PATIENTS) -> None:
-    """Make the data sets that are not there yet, below `variants` of the experiment's folder.
+    """Make the missing data sets, below `variants` of the experiment's folder.
 
-    A patient that cannot be made, whose lumen is too narrow for a polyp, is in none of them.
+    A patient that cannot be made, such as one whose lumen is too narrow for a polyp, is in none.
 
     Raises:
-        InputError: If no recording can be made, or one only where nothing is missing.
+        InputError: If no recording can be made, or one can be made only with all components.
     """
     base = read_plan(plan)
     numbers: Sequence[int] = range(patients)
@@ -81,12 +81,12 @@ def made_variants(run: Path, workers: int, plan: Path = PLAN, patients: int = PA
 
 
 def without(name: str, scenario: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """A plan's scenario that lacks one thing.
+    """Scenario of a plan without one component.
 
     Args:
-        name: What it lacks, of `VARIANTS`.
+        name: Missing component, of `VARIANTS`.
         scenario: As the plan has it.
-        folder: Where a texture of one color is kept.
+        folder: Folder of the texture of one color.
     """
     change: dict[str, Callable[[dict[str, Any]], Any]] = {
         COMPLETE: lambda plain: None,

@@ -1,4 +1,4 @@
-"""Cells of the experiment, the order in which they run, and the file that keeps what they found."""
+"""Cells of the experiment, their order, and the file of their results."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ LONG_FACTOR = 10
 
 @dataclass(frozen=True)
 class Cell:
-    """One network: trained, judged, noted in one row.
+    """One network: trained, evaluated, stored in one row.
 
     Attributes:
         task: Name of the task.
-        arm: What training on real images begins with.
+        arm: Initialization of training on real images.
         fraction: Of the real training images; 0 is without any.
         seed: Of all that is random, and of the fold that is held out.
-        variant: What our images lack, for ablations; empty where they lack nothing.
+        variant: Missing component of the simulated images, for ablations; empty for none.
     """
 
     task: str
@@ -43,7 +43,7 @@ class Cell:
 
 
 def cell_key(cell: Cell, made_of: Mapping[str, str]) -> str:
-    """Name of a cell's result: the same cell of other data or settings has another."""
+    """Name of a cell's result; other data or settings give another name."""
     return digest_of([asdict(cell), dict(made_of)])
 
 
@@ -55,7 +55,7 @@ def digest_of(plain: Any) -> str:
 def ordered_cells(
     arms: Mapping[str, Sequence[str]], fractions: Sequence[float], seeds: int
 ) -> list[Cell]:
-    """All cells of tasks on real images, so that what is told by few of them comes first.
+    """All cells of tasks on real images, in the order of importance of their comparisons.
 
     Fraction by fraction in the order given, in each seed by seed, so that an experiment that was
     stopped has as many seeds of each arm. After the first fraction come the cells that need no
@@ -96,9 +96,9 @@ class Row:
     Attributes:
         cell: The cell.
         made_of: Names of the settings and data that it follows from.
-        values: What was found of each image that was judged.
+        values: Result of each evaluated image.
         groups: Group of each of them.
-        seconds: What it took.
+        seconds: Duration [s].
     """
 
     cell: Cell
@@ -114,7 +114,7 @@ class Row:
 
 
 class RowFile:
-    """A file of rows, one a line, that grows; each line is whole or is not read.
+    """File of rows, one per line, to which rows are appended; incomplete lines are not read.
 
     Attributes:
         path: The file.
@@ -127,7 +127,7 @@ class RowFile:
         self.rows = {row.key: row for row in _read(self.path)}
 
     def add(self, row: Row) -> None:
-        """Write a row behind the others; it is on the disk when this returns."""
+        """Append a row; it is on the disk when this returns."""
         line = json.dumps(asdict(row), allow_nan=False) + "\n"
         is_torn = self.path.is_file() and not self.path.read_bytes().endswith(b"\n")
         with self.path.open("ab") as file:

@@ -1,4 +1,4 @@
-"""Depth on real frames by networks that saw none: a phantom's dense depth, a patient's points."""
+"""Depth on real frames by networks trained on none: a dense phantom, points of a patient."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def read_sinus(folder: Path) -> list[DepthImage]:
 
 
 def without_border(one: DepthImage) -> DepthImage:
-    """The image without rows and columns at its edges in which nearly all is black."""
+    """Image without the rows and columns at its edges that are nearly black."""
     rows, columns = bright_part(one.image)
     (top, bottom), (left, right) = (rows.start, rows.stop), (columns.start, columns.stop)
     pixels = one.pixels - (left, top)
@@ -138,7 +138,7 @@ def _projected(
 
 
 def _read_points(path: Path) -> np.ndarray:
-    """Vertices [n 3] of an ASCII PLY file; what PCL writes behind them is left out."""
+    """Vertices [n 3] of an ASCII PLY file; elements that PCL writes after them are left out."""
     head, _, body = path.read_text().partition("end_header\n")
     words = head.split()
     count = int(words[words.index("vertex") + 1])
@@ -205,7 +205,7 @@ def by_network(trained: Any) -> Estimate:
 
 
 def by_mean(sequences: Sequence[FrameSequence], size: int, most: int = 300) -> Estimate:
-    """The mean depth of the training images at each place of the image, whatever it shows."""
+    """Mean depth of the training images at each pixel: a baseline that ignores the image."""
     learner = DepthTask(backbone=Backbone(size))
     logs = [np.log(learner.sample(*frame)["depth"]) for frame in evenly(sequences, most)]
     with np.errstate(invalid="ignore"):
@@ -220,12 +220,12 @@ def by_mean(sequences: Sequence[FrameSequence], size: int, most: int = 300) -> E
 
 
 def constant(image: np.ndarray, camera: Camera) -> np.ndarray:
-    """One depth for all pixels."""
+    """Constant depth."""
     return np.ones(image.shape[:2])
 
 
 def by_light(image: np.ndarray, camera: Camera) -> np.ndarray:
-    """One over the root of linear brightness: distance, if the wall were of one color and flat.
+    """Inverse square root of linear brightness: the distance of a flat wall of one color.
 
     Smoothed over a fiftieth of the width, so that highlights and noise count less.
     """

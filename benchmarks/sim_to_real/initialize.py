@@ -1,4 +1,4 @@
-"""Weights that training on real images begins with, learned from ours or from UnityCam's."""
+"""Initial weights for training on real images: pre-trained on simulated images or on UnityCam."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def first_weights(setup: Setup, cell: Cell) -> str:
 
 
 def first_folder(setup: Setup, cell: Cell, learner: NetworkTask) -> Path:
-    """Folder of what a learner learned before; tasks that learn the same have the same."""
+    """Folder of the pre-trained weights; tasks with equal pre-training share it."""
     effort = setup.effort(task_of(cell))
     digest = data_digest(setup.ours_of(cell)) if cell.arm.endswith("ours") else "frames"
     what = digest_of([to_plain(learner, type(learner)), to_plain(effort, Effort), digest])
@@ -75,7 +75,7 @@ def first_folder(setup: Setup, cell: Cell, learner: NetworkTask) -> Path:
 
 
 def _learned(setup: Setup, cell: Cell, learner: NetworkTask, start: str) -> str:
-    """File of weights that a learner learned from images that are not real."""
+    """File of weights pre-trained on simulated images."""
     effort, out = setup.effort(task_of(cell)), first_folder(setup, cell, learner)
     settings = replace(
         settings_of(setup, cell, learner, effort.first_steps),
@@ -94,7 +94,7 @@ def _learned(setup: Setup, cell: Cell, learner: NetworkTask, start: str) -> str:
 
 
 def first_seed(cell: Cell) -> int:
-    """Seed of what is learned before: one for all of a task, but for depth and ablations."""
+    """Seed of pre-training: one for all cells of a task, except for depth and ablations."""
     return cell.seed if cell.task == DEPTH or cell.variant else 0
 
 
@@ -103,7 +103,7 @@ def _first_start(cell: Cell) -> str:
 
 
 def given_weights(setup: Setup, cell: Cell) -> Path | None:
-    """File of weights that were learned on ours elsewhere, if there is one."""
+    """File of weights pre-trained elsewhere on simulated images, if there is one."""
     if setup.weights is None or cell.variant:
         return None
     task = task_of(cell)
@@ -128,7 +128,7 @@ def is_possible(setup: Setup, task: Task, arm: str) -> bool:
 
 
 def lacks(setup: Setup, task: Task) -> str:
-    """Reason why our data set cannot serve a task; empty if it can."""
+    """Reason why the simulated data set is unsuitable for a task; empty if it is suitable."""
     cell = Cell(task.name, "ours", 0.0, 0)
     if task.kind not in ("classes", "masks"):
         return ""
@@ -142,7 +142,7 @@ def lacks(setup: Setup, task: Task) -> str:
 
 
 def _first_samples(setup: Setup, cell: Cell, learner: NetworkTask) -> tuple[Samples, Samples]:
-    """Images that are not real, to learn from and to validate with."""
+    """Simulated training and validation images."""
     task = task_of(cell)
     if cell.arm.endswith("unitycam"):
         sequences = unitycam(setup.real["unitycam"])
@@ -170,8 +170,8 @@ def _first_samples(setup: Setup, cell: Cell, learner: NetworkTask) -> tuple[Samp
 def unitycam(folder: Path) -> list[FrameSequence]:
     """Frames of VR-Caps, as published with EndoSLAM, with depth up to scale.
 
-    Their depth images are bright where the wall is near, in steps that grow with distance, as the
-    reversed depth buffer of Unity is, which falls with 1 / z. So depth is the inverse of what is
+    Their depth images are bright for a near wall, in steps that grow with distance, as in the
+    reversed depth buffer of Unity, which falls with 1 / z. So depth is the inverse of the
     stored; a value of eight steps, the median, is taken as 30 mm.
     """
     return [_with_camera(_inverted(one)) for one in read_format("endoslam", folder)]

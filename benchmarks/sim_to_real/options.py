@@ -1,4 +1,4 @@
-"""Options that the experiments on real images share."""
+"""Common options of the experiments on real images."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ KNOWN = (*TASKS, DEPTH)
 def experiment_parser(
     description: str, page: Path, *, preset: str = "quick"
 ) -> argparse.ArgumentParser:
-    """Command-line options: data, effort, and where rows and the page go."""
+    """Command-line options: data, effort, and the files of rows and page."""
     parser = argparse.ArgumentParser(
         prog=f"python -m {module_of(Path(sys.argv[0]))}",
         description=description,
@@ -40,7 +40,7 @@ def experiment_parser(
 
 
 def check_tasks(names: Sequence[str]) -> None:
-    """Refuse names of tasks that there are none of.
+    """Refuse unknown names of tasks.
 
     Raises:
         UnknownNameError: If a name is unknown.

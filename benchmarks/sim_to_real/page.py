@@ -1,4 +1,4 @@
-"""The page of the experiment, a section a task: tables with intervals, where ours does not help."""
+"""Page of the experiment with one section per task: tables with intervals, and negative results."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ BySeed = Mapping[int, Row]
 
 
 def report(rows: Sequence[Row], page: Path) -> None:
-    """Write the section of each task that has rows, and its figure; others stay as they are."""
+    """Write section and chart of each task that has rows; others are unchanged."""
     found = by_arm(rows)
     for name in (*TASKS, DEPTH):
         own = [row for row in rows if row.cell.task == name and not row.cell.variant]
@@ -80,7 +80,7 @@ Found = Mapping[tuple[str, str, float, str], BySeed]
 
 
 def by_arm(rows: Iterable[Row]) -> Found:
-    """Rows by what they are of; where settings or data have changed, those of the newest."""
+    """Rows by cell; if settings or data have changed, those of the newest."""
     rows = list(rows)
     basis = {row.cell.task: row.made_of["basis"] for row in rows}
     first = {_arm_key(row): row.made_of["first"] for row in rows if _is_of(row, basis)}
@@ -121,17 +121,17 @@ def about(rows: Sequence[Row]) -> str:
 
 
 def judged(task: Task, row: Row, name: str = "") -> Judged:
-    """A row as its statistics need it."""
+    """Row in the form needed by its statistics."""
     return Judged(task.features(row.values, name), np.array(row.groups))
 
 
 def interval_of(task: Task, rows: BySeed, name: str = "") -> Interval:
-    """A figure of an arm over its seeds."""
+    """Metric of an arm over its seeds."""
     return figure_interval(task.figure_of, [judged(task, row, name) for row in rows.values()])
 
 
 def difference_of(task: Task, first: BySeed, second: BySeed, name: str = "") -> Interval | None:
-    """Figure of the first less that of the second, of the seeds that both have."""
+    """Metric of the first minus that of the second, over common seeds."""
     seeds = sorted({*first} & {*second})
     if not seeds:
         return None
@@ -145,7 +145,7 @@ def fractions_of(task: Task, found: Found) -> list[float]:
 
 
 def task_part(task: Task, found: Found) -> list[str]:
-    """Tables of one task; nothing where it has no rows."""
+    """Tables of one task; none without rows."""
     fractions = fractions_of(task, found)
     if not fractions:
         return []
@@ -191,7 +191,7 @@ def shown_interval(interval: Interval, scale: float, digits: int, sign: str = ""
 
 
 def difference_part(task: Task, found: Found, fractions: Sequence[float]) -> list[str]:
-    """Differences between arms on the same images; nothing where no pair of arms is there."""
+    """Differences between arms on the same images; none without a pair of arms."""
     scale, digits = (1.0, 2) if task.unit == "dB" else (100.0, 1)
     body = []
     for fraction in fractions:
@@ -234,7 +234,7 @@ def _over_bicubic(task: Task, rows: BySeed, name: str) -> Interval:
 
 
 def depth_part(found: Found) -> list[str]:
-    """Errors on real frames by networks that saw none; nothing without rows."""
+    """Errors on real frames of networks trained on none; empty without rows."""
     arms = {key[1]: rows for key, rows in found.items() if key[0] == DEPTH}
     if not arms:
         return []
@@ -258,13 +258,13 @@ def _depth_cell(rows: BySeed, name: str) -> str:
 
 
 def interval_of_networks(figures: Sequence[float]) -> Interval:
-    """Mean of a figure of each network, with its interval over networks."""
+    """Mean of a metric of each network, with its interval over networks."""
     seeds = [Judged(np.array([[value, 1.0]]), np.zeros(1, int)) for value in figures]
     return figure_interval(lambda sums: sums[:, 0] / sums[:, 1], seeds)
 
 
 def verdict_part(task: Task, found: Found, fractions: Sequence[float]) -> list[str]:
-    """A list of all comparisons in which ours is not better."""
+    """List of all comparisons in which simulated images do not help."""
     scale, digits = (1.0, 2) if task.unit == "dB" else (100.0, 1)
     lines = []
     for fraction in fractions:
@@ -281,7 +281,7 @@ def verdict_part(task: Task, found: Found, fractions: Sequence[float]) -> list[s
 
 
 def draw_curves(task: Task, found: Found, path: Path) -> bool:
-    """Draw a task's figure over the number of real images; says whether there were two points."""
+    """Plot a task's metric over the number of real images; return whether there were two points."""
     ticks = [fraction for fraction in fractions_of(task, found) if fraction > 0.0]
     if len(ticks) < 2:
         return False

@@ -1,4 +1,4 @@
-"""Real images in the layouts that their makers publish, found in one folder or named one by one."""
+"""Real images in their published layouts, searched in one folder or named individually."""
 
 from __future__ import annotations
 
@@ -49,11 +49,11 @@ def found_layouts(root: Path | None, named: Sequence[str]) -> dict[str, Path]:
 
     Args:
         root: Folder whose folders are looked through for known names; None looks at none.
-        named: Texts LAYOUT=FOLDER, which come first.
+        named: Texts LAYOUT=FOLDER, which take precedence.
 
     Raises:
         UnknownNameError: If there is no layout of a name.
-        InputError: If a folder is missing, or none is found.
+        InputError: If a folder is missing, or there is none.
     """
     found: dict[str, Path] = {}
     for text in named:
@@ -136,7 +136,7 @@ def read_masks(folder: Path, size: int, kind: str) -> Pictures:
 
 
 def read_large(folder: Path, side: int) -> Pictures:
-    """The middle of large images.
+    """Center of large images.
 
     Raises:
         InputError: If there is no image.
@@ -149,7 +149,7 @@ def read_large(folder: Path, side: int) -> Pictures:
 
 
 def middle(image: np.ndarray, side: int) -> np.ndarray:
-    """The middle of an image, of at most a side [px], with separate memory."""
+    """Center of an image, at most a side [px] wide, as a copy."""
     top, left = (max(0, length - side) // 2 for length in image.shape[:2])
     return image[top : top + side, left : left + side].copy()
 
@@ -167,7 +167,7 @@ def small_map(values: np.ndarray, size: int) -> np.ndarray:
 
 
 def _frames(folder: Path) -> Iterator[Frame]:
-    """Images of a folder with their classes and masks; those for tests are left alone."""
+    """Images of a folder with their classes and masks, without those for tests."""
     for sequence in read_format("images", folder):
         if sequence.split == "test":
             continue
@@ -180,7 +180,7 @@ def _frames(folder: Path) -> Iterator[Frame]:
 
 
 def _numbers(place: Path, count: int) -> list[int | None]:
-    """Numbers of the images of a folder, in its order; None where names are no numbers."""
+    """Indices of the images of a folder, in its order; None if the names are not numbers."""
     stems = [path.stem for path in place.iterdir()] if place.is_dir() else []
     if len(stems) != count or not all(stem.isdecimal() for stem in stems):
         return [None] * count
@@ -188,7 +188,7 @@ def _numbers(place: Path, count: int) -> list[int | None]:
 
 
 def _ordered(frames: Sequence[Frame]) -> list[int | None]:
-    """Numbers by which frames follow each other: class by class, whatever split they are in."""
+    """Indices of consecutive frames, by class, across all splits."""
     kinds = sorted({frame.kind for frame in frames})
     most = max((frame.number or 0 for frame in frames), default=0)
     return [None if f.number is None else 2 * most * kinds.index(f.kind) + f.number for f in frames]

@@ -1,4 +1,4 @@
-"""One cell of the experiment: training on real images, judging; and all cells that are missing."""
+"""One cell of the experiment: training on real images, evaluation; and all missing cells."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ DEPTH_READERS = {"c3vd": read_c3vd, "sinus": read_sinus}
 
 
 def run_cell(setup: Setup, cell: Cell) -> Row:
-    """Train and judge; nothing of it stays but the row and the weights learned on ours.
+    """Train and evaluate; only the row and the pre-trained weights are kept.
 
     Raises:
         InputError: If data that it needs cannot be read.
@@ -99,7 +99,7 @@ def _transfer(setup: Setup, cell: Cell) -> tuple[dict[str, list[float]], list[in
 
 
 def _depth(setup: Setup, cell: Cell) -> tuple[dict[str, list[float]], list[int]]:
-    """Values of the real frames with depth, by their data set; groups are not known."""
+    """Values of the real frames with depth, by their data set; groups are unknown."""
     if cell.arm in WITHOUT_LEARNING:
         size = setup.effort(DEPTH_TASK).size
         estimate = {"constant": constant, "light": by_light}.get(cell.arm)
@@ -115,10 +115,10 @@ def _depth(setup: Setup, cell: Cell) -> tuple[dict[str, list[float]], list[int]]
 
 
 def made_of(setup: Setup, cell: Cell) -> dict[str, str]:
-    """Names of what a cell's result follows from, beside the cell itself.
+    """Names of the inputs of a cell's result, besides the cell itself.
 
-    Results of one task are compared where `basis` is the same: settings, and real images. `first`
-    is what was learned before, from what, and how long.
+    Results of one task are compared if `basis` is the same: settings and real images. `first`
+    states the pre-training: task, data and duration.
     """
     task = task_of(cell)
     if task.kind == DEPTH:
@@ -156,13 +156,13 @@ def _plain(task: NetworkTask) -> dict[str, Any]:
 
 @cache
 def folder_digest(folder: Path) -> str:
-    """Twelve digits that name the files of a folder, by names and sizes."""
+    """Digest of the names and sizes of the files of a folder, of twelve digits."""
     files = [(str(path.relative_to(folder)), path.stat().st_size) for path in files_in(folder)]
     return digest_of(files)
 
 
 def complete(setup: Setup, cells: Sequence[Cell], rows: RowFile, workers: int) -> None:
-    """Run the cells that have no row yet, and say how it goes."""
+    """Run the cells that have no row yet, and report the progress."""
     missing = [cell for cell in cells if not rows.has(cell, made_of(setup, cell))]
     print(f"{len(cells)} networks, {len(cells) - len(missing)} of them known.", flush=True)
     began = time.monotonic()
@@ -182,7 +182,7 @@ def _first_name(setup: Setup, cell: Cell) -> str:
 
 
 def made_rows(setup: Setup, cells: Sequence[Cell], workers: int) -> Iterator[Row]:
-    """Rows of cells as they come: made in this process, or in several."""
+    """Rows of cells in the order of completion, made in one or several processes."""
     if workers < 2:
         yield from (run_cell(setup, cell) for cell in cells)
         return

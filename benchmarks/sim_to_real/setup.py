@@ -27,8 +27,8 @@ class Setup:
         ours: Folders or URLs of our data sets; without any, arms that need them are left out.
         weights: Folder of weights that were learned on ours; None learns them here.
         preset: Name of the preset.
-        device: Where networks learn.
-        variants: Our data sets that lack something, by what they lack.
+        device: Device of the training.
+        variants: Simulated data sets without one component, by that component.
     """
 
     real: Mapping[str, Path]
@@ -53,7 +53,7 @@ class Setup:
         return task.read(self.real[task.layout], self.effort(task))
 
     def ours_of(self, cell: Cell) -> Urls:
-        """Our data sets that a cell's weights were learned on.
+        """Simulated data sets of a cell's pre-training.
 
         Raises:
             InputError: If none was given.

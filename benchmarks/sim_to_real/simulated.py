@@ -1,4 +1,4 @@
-"""Our images, of data sets of `vrcaps dataset make`: with classes, with masks, or as they are."""
+"""Simulated images of data sets of `vrcaps dataset make`: with classes, with masks, or alone."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ _NEGATIVES = 0.2
 
 @dataclass(frozen=True)
 class OurFrame:
-    """One of our images at the size of a network.
+    """Simulated image at the size of a network.
 
     Attributes:
         image: Colors, uint8 [h w 3].
         lesions: Kind of the lesion at each pixel, its number in `kinds` plus 1; 0 for none.
         kinds: Names of the kinds of lesions.
-        shown: Class of the image; None where its lesions are too small.
+        shown: Class of the image; None if its lesions are too small.
         is_validation: Whether its patient is not learned from.
     """
 
@@ -47,7 +47,7 @@ class OurFrame:
     is_validation: bool
 
     def mask(self, kinds: Sequence[str]) -> np.ndarray:
-        """Number of the kind at each pixel, in `kinds` plus 1; 0 where none of them is [h w].
+        """Index of the kind at each pixel, in `kinds` plus 1; 0 for none [h w].
 
         The kind `lesion` is any that is not named itself.
         """
@@ -58,7 +58,7 @@ class OurFrame:
 
 @cache
 def data_digest(urls: Urls) -> str:
-    """Twelve digits that name the bytes of data sets: plans, versions and whole recordings.
+    """Digest of data sets, of twelve digits: plans, versions and complete recordings.
 
     Raises:
         InputError: If there is no data set, or it is empty.
@@ -110,7 +110,7 @@ def _frames(sequence: FrameSequence, size: int) -> Iterator[OurFrame]:
 
 
 def our_classes(urls: Urls, classes: Sequence[str], size: int) -> tuple[Pictures, Pictures]:
-    """Images with classes for training and for validation, in discs as the real ones.
+    """Training and validation images with classes, in discs like the real ones.
 
     Args:
         urls: Of the data sets.
@@ -134,7 +134,7 @@ def our_classes(urls: Urls, classes: Sequence[str], size: int) -> tuple[Pictures
 
 
 def our_masks(urls: Urls, kinds: Sequence[str], size: int) -> tuple[Pictures, Pictures]:
-    """Images with masks of lesions of some kinds, and some without, to learn and to validate.
+    """Training and validation images with masks of lesions of some kinds, and some without.
 
     Raises:
         InputError: If no image shows such a lesion.
@@ -160,7 +160,7 @@ def our_masks(urls: Urls, kinds: Sequence[str], size: int) -> tuple[Pictures, Pi
 def _by_split(
     urls: Urls, size: int, pictures: Callable[[Sequence[OurFrame]], Pictures], wanted: str
 ) -> tuple[Pictures, Pictures]:
-    """Pictures of training and of validation; of a small data set both are of training."""
+    """Training and validation images; of a small data set both are training images."""
     frames = our_frames(urls, size)
     train = pictures([frame for frame in frames if not frame.is_validation])
     if not len(train):
@@ -180,7 +180,7 @@ def our_sequences(urls: Urls) -> tuple[Sequence[FrameSequence], Sequence[FrameSe
 
 
 def evenly(sequences: Sequence[FrameSequence], most: int) -> list[tuple[FrameSequence, int]]:
-    """At most so many frames of sequences, evenly spread."""
+    """Frames of sequences, evenly spaced, up to a number."""
     frames = [(sequence, index) for sequence in sequences for index in range(len(sequence))]
     chosen = np.unique(np.linspace(0, len(frames) - 1, min(most, len(frames))).astype(int))
     return [frames[k] for k in chosen]

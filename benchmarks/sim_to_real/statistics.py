@@ -16,10 +16,10 @@ _LEVEL = 0.95
 
 @dataclass(frozen=True)
 class Judged:
-    """One network's result on the images that it was judged by.
+    """Result of one network on its evaluation images.
 
     Attributes:
-        features: Numbers of each image [n k] whose sums the figure follows from.
+        features: Terms of each image [n k]; the metric is a function of their sums.
         groups: Group of each image [n]; images of one group are alike.
     """
 
@@ -41,13 +41,13 @@ Statistic = Callable[[np.ndarray], np.ndarray]
 def figure_interval(
     statistic: Statistic, seeds: Sequence[Judged], *, resamples: int = RESAMPLES
 ) -> Interval:
-    """Mean of a figure over seeds with its 95 % interval.
+    """Mean of a metric over seeds with its 95 % interval.
 
     Two-stage bootstrap (Davison and Hinkley, Bootstrap Methods, 1997, section 3.8): seeds are drawn
     with replacement, and in each the groups of its images.
 
     Args:
-        statistic: The figure.
+        statistic: The metric.
         seeds: Results by seed, at least one.
         resamples: Number of draws.
     """
@@ -61,12 +61,12 @@ def difference_interval(
     *,
     resamples: int = RESAMPLES,
 ) -> Interval:
-    """Mean over seeds of a figure of the first less that of the second, with its 95 % interval.
+    """Mean over seeds of the metric of the first minus that of the second, with its 95 % interval.
 
     Both are judged by the same images seed by seed, and the same are drawn for both.
 
     Args:
-        statistic: The figure.
+        statistic: The metric.
         first: Results by seed.
         second: Results of the same seeds on the same images.
         resamples: Number of draws.
@@ -93,6 +93,6 @@ def _interval(
 
 
 def _figure(statistic: Statistic, sums: Sequence[np.ndarray]) -> np.ndarray:
-    """The figure of one arm, or that of the first less that of the second."""
+    """Metric of one arm, or of the first minus that of the second."""
     figures = [statistic(one) for one in sums]
     return figures[0] if len(figures) == 1 else figures[0] - figures[1]

@@ -1,4 +1,4 @@
-"""Tasks of the experiment: what is learned, from which real images, how long, and its figure."""
+"""Tasks of the experiment: prediction, real images, duration of training, and metric."""
 
 from __future__ import annotations
 
@@ -102,8 +102,8 @@ class Task:
         kind: Task of the learner.
         layout: Real images that it is learned from and judged by.
         kinds: Classes, or kinds of lesions in our masks.
-        title: What the page calls it.
-        figure: Name of the figure that is compared.
+        title: Title on the page.
+        figure: Name of the compared metric.
         unit: Of a difference: `points` are hundredths.
         has_overlays: Whether recorders print into the corners of its real images.
     """
@@ -131,7 +131,7 @@ class Task:
         return tuple(kind for kind in self.kinds if kind != "normal")
 
     def first_learners(self, effort: Effort) -> tuple[NetworkTask, ...]:
-        """Tasks of the pre-training on our images, one after another.
+        """Tasks of the pre-training on simulated images, in order.
 
         One network learned masks of all kinds of lesions. It went on to masks of any lesion, with
         which all tasks of masks begin, and to classes of images, for those of classes: a mask says
@@ -151,7 +151,7 @@ class Task:
         )
 
     def learner(self, effort: Effort) -> NetworkTask:
-        """The learner, for images of a preset's size."""
+        """Task settings for images of a preset's size."""
         if self.kind == "classes":
             return ClassificationTask(classes=self.kinds, backbone=Backbone(effort.size))
         if self.kind == "masks":
@@ -182,11 +182,11 @@ class Task:
         return {name: _rounded(each) for name, each in zip(names, columns, strict=True)}
 
     def features(self, values: Mapping[str, Sequence[float]], name: str = "") -> np.ndarray:
-        """Numbers of each image [n k] whose sums a figure follows from.
+        """Terms of each image [n k]; a metric is a function of their sums.
 
         Args:
             values: Of the images that were judged.
-            name: Of the figure; by default the one that the task is compared by.
+            name: Name of the metric; by default the compared one of the task.
         """
         if self.kind == "classes":
             truth, chance = np.array(values["truth"], int), np.array(values["chance"])
@@ -195,7 +195,7 @@ class Task:
         return np.column_stack([figures, np.ones_like(figures)])
 
     def figure_of(self, sums: np.ndarray) -> np.ndarray:
-        """The figure [b] of sums of features [b k]: mean F1 of two classes, or a mean."""
+        """Metric [b] of sums of terms [b k]: mean F1 of two classes, or a mean."""
         if self.kind != "classes":
             return sums[:, 0] / sums[:, 1]
         true_0, false_1, false_0, true_1 = sums.T
@@ -260,5 +260,5 @@ DEPTH_TASK = Task(DEPTH, DEPTH, "c3vd", (), "Depth without any real frame", "Abs
 
 
 def task_named(name: str) -> Task:
-    """One of `TASKS`, or that of depth."""
+    """Task with a name: one of `TASKS`, or depth."""
     return DEPTH_TASK if name == DEPTH else TASKS[name]

@@ -120,7 +120,7 @@ def watched(cockpit: Cockpit) -> Iterator[dict[str, float]]:
 
 
 def without_browser(cockpit: Cockpit, seconds: float, presses: int) -> tuple[str, ...]:
-    """The server's side alone: a client in another process takes the images."""
+    """Server without a browser: a client in another process receives the images."""
     panel = next(panel for panel in cockpit.page.panels if isinstance(panel, CameraPanel))
     context = multiprocessing.get_context("spawn")
     told = context.Queue()
@@ -145,7 +145,7 @@ def row(
     """A row of the table.
 
     Args:
-        windows: At rest and driving: what `watched` found, and times of images [ms].
+        windows: At rest and driving: result of `watched`, and times of images [ms].
         latency: Of presses [ms].
         seconds: Length of a window.
     """
@@ -168,7 +168,7 @@ def row(
 def in_browsers(
     cockpit: Cockpit, seconds: float, presses: int, loads: list[float]
 ) -> list[tuple[str, ...]]:
-    """A row for each window; times [s] until the page was there are added to `loads`."""
+    """Row of each window; times [s] until the page is loaded are added to `loads`."""
     browser_path, rows = shutil.which("chromium") or shutil.which("chromium-browser"), []
     with sync_playwright() as playwright:
         for name, (size, scale) in WINDOWS.items():
@@ -184,7 +184,7 @@ def in_browsers(
 
 
 def load(tab: Page, cockpit: Cockpit) -> float:
-    """Time [s] until the page's buttons are there."""
+    """Time [s] until the page's buttons exist."""
     began = time.perf_counter()
     tab.goto(cockpit.gate.address)
     tab.get_by_role("button", name="Pause").wait_for()
@@ -214,7 +214,7 @@ def measured(tab: Page, cockpit: Cockpit, seconds: float, presses: int) -> tuple
 
 
 def latency_of_a_press(tab: Page, key: str) -> float:
-    """From the event of a key to the first image of a state that it has moved [ms]."""
+    """Latency from the event of a key to the first image of a state moved by it [ms]."""
     number = tab.evaluate("window.seen.images.length")
     tab.keyboard.down(key)
     tab.wait_for_function(f"window.seen.marked.slice({number}).some(Boolean)", timeout=30_000)
@@ -226,7 +226,7 @@ def latency_of_a_press(tab: Page, key: str) -> float:
 
 
 def mark_images(cockpit: Cockpit) -> None:
-    """Paints a corner yellow of images of states after a command that moves the magnet."""
+    """Paint a corner of the images yellow after a command that moves the magnet."""
     images, operator = cockpit.page.images, cockpit.session.operator
     make = images.image
 

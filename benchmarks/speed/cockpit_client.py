@@ -1,6 +1,6 @@
-"""A client of the cockpit's page that draws nothing: it takes the images and holds keys.
+"""Client of the cockpit's page without a display: it receives the images and holds keys.
 
-Run in a separate process, it shows what the server does without the work of a browser.
+Run in a separate process, it measures the server without the work of a browser.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ REPEAT = 0.25
 
 @dataclass
 class Client:
-    """A connection to the page's server.
+    """Connection to the page's server.
 
     Attributes:
         socket: The connection.
@@ -41,17 +41,17 @@ class Client:
     marked: list[bool] = field(default_factory=list)
 
     def send(self, **message: Any) -> None:
-        """Sends a message as a browser does."""
+        """Send a message in the format of a browser."""
         self.socket.send(msgspec.msgpack.encode(message))
 
     def hold(self, axis: float) -> None:
-        """Holds the first axis."""
+        """Hold the first axis."""
         said = {"axes": [axis, 0, 0, 0, 0, 0], "pad": "", "standard": True, "actions": []}
         text = "vrcaps:" + json.dumps({**said, "at": time.perf_counter()})
         self.send(type="GuiUpdateMessage", uuid=self.keys, updates={"value": text})
 
     def take(self, seconds: float) -> None:
-        """Takes what comes within a time [s], at least until the next message."""
+        """Receive messages for a time [s], at least until the next message."""
         try:
             data = self.socket.recv(timeout=seconds)
         except TimeoutError:
@@ -70,7 +70,7 @@ class Client:
                 self.marked.append(bool(red > 200 and green > 200 and blue < 60))
 
     def watch(self, seconds: float, *, is_driving: bool) -> list[float]:
-        """Times of the images within a window [s]; driving, a key is held to and fro."""
+        """Times of the images within a window [s]; while driving, keys are held in alternation."""
         number, begin, told = len(self.times), time.perf_counter(), -np.inf
         while (passed := time.perf_counter() - begin) < seconds:
             if is_driving and passed - told > REPEAT:
@@ -85,7 +85,7 @@ class Client:
         return times
 
     def latency_of_a_press(self, axis: float) -> float:
-        """From the message of a held axis to the first image of a state that it has moved [s]."""
+        """Latency from the message of a held axis to the first image of a state moved by it [s]."""
         number, began = len(self.times), time.perf_counter()
         told = -np.inf
         while not any(self.marked[number:]):
@@ -101,7 +101,7 @@ class Client:
 
 
 def open_client(address: str, image: str, keys: str) -> Client:
-    """A client that counts as a browser."""
+    """Client that the server treats as a browser."""
     version: Any = f"viser-v{viser.__version__}"
     socket = connect(address.replace("http:", "ws:"), subprotocols=[version], max_size=None)
     client, corner = Client(socket, image, keys), (0.0, 0.0, 1.0)
@@ -112,14 +112,14 @@ def open_client(address: str, image: str, keys: str) -> Client:
 
 
 def measure(address: str, image: str, keys: str, seconds: float, presses: int, out: Any) -> None:
-    """Measures, and puts what it finds into a queue.
+    """Measure, and put the results into a queue.
 
     Args:
         address: Of the page, with its token.
         image: Name of the element of the live image.
         keys: Name of the element that takes held axes.
         seconds: Length of a window.
-        presses: How often a key is pressed.
+        presses: Number of key presses.
         out: Takes "begin" and times of images [s], at rest and driving, then latencies [s].
     """
     client = open_client(address, image, keys)

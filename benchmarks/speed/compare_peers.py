@@ -1,10 +1,10 @@
-"""Claim: a complete labeled frame costs less than what peers need for a part of it.
+"""Claim: a complete labeled frame takes less time than a part of it takes in peers.
 
 At most 0.40 of Embree's time for the same rays unshaded (embreex as trimesh and its users call it:
-`EmbreeScene.run(origins, directions, output=1)`, one thread; ours on one thread is stated beside);
-half of Mitsuba's direct light and AOV in the fastest set-up found, compiled by LLVM, and a fourth
-of the same by `mi.render`; a sixth of MuJoCo's rgb, depth and segmentation.
-Sources: https://github.com/trimesh/embreex, https://www.mitsuba-renderer.org, https://mujoco.org
+`EmbreeScene.run(origins, directions, output=1)`, one thread; the table also states ours on one
+thread); half of Mitsuba's direct light and AOV in its fastest known set-up, compiled by LLVM, and a
+fourth of the same by `mi.render`; a sixth of MuJoCo's rgb, depth and segmentation. Sources:
+https://github.com/trimesh/embreex, https://www.mitsuba-renderer.org, https://mujoco.org
 
     python -m benchmarks.speed.compare_peers [--quick] [--only embree] [--out PAGE.md]
 """

@@ -1,4 +1,4 @@
-"""A whole scan becomes an organ in minutes, in bounded memory.
+"""Conversion of a whole scan to an organ: duration and memory.
 
 Claim: 512 × 512 × 600 voxels to an organ in ≤ 3 minutes on two cores; 512 × 512 × 1000 voxels in
 < 6 GB. Reference: radiology's usual matrix; the longest scan is a whole trunk at half a millimeter.
@@ -33,7 +33,7 @@ HEAD = ("voxels", "options", "time", "peak memory", "triangles", "claimed")
 
 
 def whole_scan(num_slices: int, *, fluid_depth: float) -> Volume:
-    """A scan of 512 × 512 pixels a slice, all of it filled by body, gut and the air around."""
+    """Scan of 512 × 512 pixels per slice, filled by body, gut and surrounding air."""
     organ = generate_organ("colon", seed=1)
     spacing = (HEIGHT / num_slices, PIXEL, PIXEL)
     scanner = Scanner(spacing=spacing, turn_deg=(0.0, 0.0, 0.0), fluid_depth=fluid_depth)

@@ -1,4 +1,4 @@
-"""Claim: a data set is made as fast as its workers record: nothing grows with its size.
+"""Claim: the time per unit of a data set is that of its recording and independent of its size.
 
 Measured on this machine: recordings of two frames by pools of 1 and 2 processes, the time of the
 head for each unit, and entering and asking for units in ledgers of 1,000 to 100,000. Simulated from
@@ -102,7 +102,7 @@ Work done once for each unit or each run, by the number of units that are there;
 
 
 def measure(plan_file: Path, folder: Path) -> Times:
-    """Make the data set in this process and by pools; the last one finds all units whole."""
+    """Make the data set in this process and by pools; in the last run all units are complete."""
     plan, units = read_plan(plan_file), []
     maker = Maker(Job(plan, str(folder / "here"), folder))
     numbers = range(len(Units(plan)))
@@ -129,11 +129,11 @@ def measure(plan_file: Path, folder: Path) -> Times:
 
 
 def simulated(times: Times, workers: int, scale: float) -> tuple[float, float]:
-    """Units a second, and the share of the time that the head is at work.
+    """Units per second, and the fraction of the time in which the head works.
 
     Args:
         times: As measured.
-        workers: How many, each with a processor.
+        workers: Number of workers, each with a processor.
         scale: Factor on the time of a unit.
     """
     draw, count = np.random.default_rng(SEED), 100 * workers
@@ -152,7 +152,7 @@ def simulated(times: Times, workers: int, scale: float) -> tuple[float, float]:
 
 
 def ledger_row(folder: Path, count: int) -> list[str]:
-    """A ledger of some units: what it costs to enter one, to ask for one, to list all."""
+    """Cost of a ledger of some units: to enter one, to look up one, to list all."""
     (folder / "ledger").mkdir(parents=True)
     for number in range(count):
         (folder / "ledger" / f"p00000-{number:06d}.json").touch()

@@ -1,8 +1,8 @@
-"""Claim: making a data set takes no more memory the longer it runs.
+"""Claim: the memory of making a data set does not grow with time.
 
 Makes many short recordings of a small tube in this process, one for each patient, and compares the
 resident memory after all with that after the 50th. Writes a section of docs/concepts/datasets.md
-and fails where it has grown by more than 5 %. For example:
+and fails if it has grown by more than 5 %. For example:
 
     python -m benchmarks.speed.dataset_memory
 """
@@ -80,7 +80,7 @@ def measure(units: int, folder: Path) -> list[tuple[int, float]]:
 
 
 def main() -> None:
-    """Measure, write, and fail where memory grows."""
+    """Measure, write, and fail if memory grows."""
     given = options(__doc__ or "", 1000)
     with tempfile.TemporaryDirectory() as folder:
         found = dict(measure(given.size, Path(folder)))

@@ -1,4 +1,4 @@
-"""Claim: frames with every effect at severity 2 and radiosity come at 45 a second or more.
+"""Claim: 45 or more frames per second with every effect at severity 2 and radiosity.
 
 A flight at 2 cm/s through a generated colon, 320 x 320 pixels, color and four labels: the plain
 frame, with indirect light, with lens and sensor, and with both; and each effect by itself. No
@@ -101,7 +101,7 @@ def _scenario(effects: str, light: RenderSettings, frames: int) -> Scenario:
 
 
 def _recorded(effects: str, light: RenderSettings) -> float:
-    """Seconds a frame of a recording once set up."""
+    """Time per frame of a recording after its set-up [s]."""
     whole: list[float] = []
     with tempfile.TemporaryDirectory() as folder:
         scenario = _scenario(effects, light, RECORDED)

@@ -3,7 +3,7 @@
 Coverage of a generated stomach with the observations `state` and `map`, N worlds side by side under
 smooth random actions: quasi-static, by a wrench that balances gravity and by a magnet, and by the
 physics in substeps of 200 µs. A step is 1/30 s, an action five; visibility is tested once an
-action. Beside it Gymnasium's `AsyncVectorEnv` over as many single environments.
+action. The baseline is Gymnasium's `AsyncVectorEnv` over as many single environments.
 
     python -m benchmarks.speed.env [--most 256]
 """
@@ -76,7 +76,7 @@ physics, and a rest of at most 15 %. `AsyncVectorEnv` is Gymnasium's, a process 
 
 
 def native(settings: EnvSettings, count: int) -> tuple[str, ...]:
-    """A line of the table: so many worlds in one call."""
+    """Row of the table: a number of worlds in one call."""
     envs = CapsuleVectorEnv(settings, count)
     warm(envs)
     spent = dict.fromkeys(CORE, 0.0)
@@ -99,7 +99,7 @@ def native(settings: EnvSettings, count: int) -> tuple[str, ...]:
 
 
 def asynchronous(settings: EnvSettings, count: int) -> tuple[str, ...]:
-    """A line of the table: Gymnasium's processes, one environment each."""
+    """Row of the table: processes of Gymnasium with one environment each."""
     makers = [lambda: CapsuleEnv(settings)] * count
     # A forked process has none of the core's threads and would wait for them.
     envs = gymnasium.vector.AsyncVectorEnv(makers, context="spawn")
@@ -113,7 +113,7 @@ def asynchronous(settings: EnvSettings, count: int) -> tuple[str, ...]:
 
 
 def warm(envs: Any) -> None:
-    """Begin episodes and take a few steps."""
+    """Start episodes and take a few steps."""
     envs.reset(seed=0)
     envs.action_space.seed(0)
     for _ in range(3):
@@ -132,7 +132,7 @@ def run(envs: Any) -> tuple[float, float, int]:
 
 
 def timed(function: Callable, name: str, spent: dict[str, float]) -> Callable:
-    """The function, which adds the processor time that it takes."""
+    """Return the function with its processor time added to a counter."""
 
     def call(*args: Any, **keywords: Any) -> Any:
         begin = time.process_time()

@@ -2,7 +2,7 @@
 
 CPU time of this process, so that other work on the machine counts little; single-threaded but for
 carrying the organ's vertices. In a world a capsule lies on the wall, and a step of the layer with
-the exchange of forces is what that world takes beyond one whose wall does not move.
+the exchange of forces is the time of that world minus that of one whose wall does not move.
 
     python -m benchmarks.speed.fem [--size STEPS]
 """

@@ -1,4 +1,4 @@
-"""Table: size and time of image files by codec, for a labeled frame; who can open each.
+"""Size, time and readers of image files by codec, for a labeled frame.
 
 Renders frames of a flight through the default colon and codes each channel in memory, so that no
 disk counts. Times are of one processor. Writes a section of docs/concepts/datasets.md. For example:
@@ -29,7 +29,7 @@ from vrcaps.scenario.scenario import DEFAULT_CHANNELS, Scenario
 
 @dataclass(frozen=True)
 class Codec:
-    """A way to store the numbers of an image without loss.
+    """Lossless encoding of the values of an image.
 
     Attributes:
         name: As the table prints it.
@@ -57,7 +57,7 @@ def _npz(array: np.ndarray) -> bytes:
 
 
 def _pillow_png(array: np.ndarray) -> bytes:
-    """Slow PNG; Pillow has no 16-bit colors, so their bytes stand side by side."""
+    """Slow PNG; Pillow has no 16-bit colors, so their bytes are stored side by side."""
     file = io.BytesIO()
     shown = array.view(np.uint8).reshape(len(array), -1) if _is_wide_color(array) else array
     Image.fromarray(shown).save(file, "PNG", compress_level=6)

@@ -46,7 +46,7 @@ HEAD = ("8 sources", "distance", "a wrench, median", "p10 to p90", "claimed")
 
 
 def kinds() -> dict[str, Source]:
-    """One of each kind, 100 mm across."""
+    """One source of each kind, 100 mm wide."""
     return {
         "dipoles": Dipole(100.0),
         "cylinders": Cylinder(0.1, 0.1, 1.48),
@@ -57,7 +57,7 @@ def kinds() -> dict[str, Source]:
 
 
 def around(source: Source, distance: float) -> list[Source]:
-    """Eight of them around the origin, each turned its own way."""
+    """Eight sources around the origin with different orientations."""
     rng = np.random.default_rng(0)
     values = {k: v for k, v in source.__dict__.items() if k != "T_world_magnet"}
     places = rng.normal(size=(COUNT, 3))
@@ -85,7 +85,7 @@ def measure(sources: list[Source], count: int) -> np.ndarray:
 
 
 def control_rows() -> list[tuple[str, ...]]:
-    """Rows of the control step of a recording, by hand and by arm, where `record` makes it."""
+    """Rows of the control step within a recording, for a free magnet and an arm."""
     organ = generate_stomach(StomachParameters().at("inflated"), seed=0)
     model, rows = Model(organ, read_device("magnetic"), posture_transform("supine")), []
     for arm in (None, "panda"):
@@ -105,7 +105,7 @@ def control_rows() -> list[tuple[str, ...]]:
 
 
 def timed(call: Callable[..., Control], taken: list[float]) -> Callable[..., Control]:
-    """The same call, whose processor times [µs] are kept."""
+    """Call whose processor times [µs] are recorded."""
 
     def made(*given: Any) -> Control:
         begin = time.process_time()

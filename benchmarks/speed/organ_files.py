@@ -1,4 +1,4 @@
-"""Claim: an episode's organ takes a fifth of the exact file and looks the same.
+"""Claim: an episode's organ file has a fifth of the size of the exact file, with equal images.
 
 Renders a flight through the default colon with the textures as each coding gives them back, and
 compares with the exact ones; then measures the two files of `write_organ`. Writes the table in
@@ -46,7 +46,7 @@ _MB = 1e6
 
 @dataclass(frozen=True)
 class Flight:
-    """Images of the organ from the same places, whatever its textures."""
+    """Images of the organ from the same poses for any textures."""
 
     model: object
     states: list
@@ -86,7 +86,7 @@ def stepped(name: str, value: float, code: Callable[[], bytes | None]) -> bytes:
 def codings(
     look: Appearance,
 ) -> list[tuple[str, str, Callable[[], bytes], Callable[[bytes], dict]]]:
-    """Texture, coding, what encodes it, and what gives the changed field of the appearance."""
+    """Texture, coding, encoder, and decoder to a field of the appearance."""
 
     def picture(data: bytes) -> dict:
         return {"albedo": np.array(Image.open(io.BytesIO(data)))}

@@ -1,6 +1,6 @@
 """Claim: PyTorch's loader with 2 workers gives 300 frames (rgb and depth, 320²) a second or more.
 
-The second claim: the first batch of a data set at a remote URL is there in less than 2 s.
+The second claim: the first batch of a data set at a remote URL arrives within 2 s.
 
 A data set of a generated colon is made for it: 8 patients, one recording of a camera each. Batches
 are of 8 frames, shuffled. Local files are in the memory of the operating system. The remote URL is
@@ -125,7 +125,7 @@ def processor_time(loader: Any) -> float:
 
 
 def row(name: str, found: float, used: float) -> tuple[str, ...]:
-    """A line of the table of local files; the claim is of frames with workers."""
+    """Row of the table of local files; the claim concerns frames with workers."""
     verdict = ("yes" if found >= MIN_RATE else "NO") if name.startswith("`") else ""
     return name, f"{found:.0f}", f"{used * 1e3:.2f} ms", verdict
 
@@ -164,7 +164,7 @@ def first_batch(url: str) -> tuple[float, float]:
 
 @contextmanager
 def served(folder: Path, latency: float) -> Iterator[str]:
-    """URL at which another process serves a folder, waiting so long [s] before each answer."""
+    """URL of a folder served by another process, which waits for a time [s] before each answer."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=serve, args=(folder, latency, theirs), daemon=True)
@@ -177,7 +177,7 @@ def served(folder: Path, latency: float) -> Iterator[str]:
 
 
 def serve(folder: Path, latency: float, connection: Any) -> None:
-    """Serve a folder; tells the number of the port."""
+    """Serve a folder, and report the port."""
 
     class Handler(http.server.SimpleHTTPRequestHandler):
         protocol_version = "HTTP/1.1"  # connections stay open

@@ -1,6 +1,6 @@
 """Claim: `import vrcaps` costs 50 ms of processor time beyond NumPy, and `vrcaps --help` 0.5 s.
 
-Prints the least of some runs: ``python -m benchmarks.speed.start [--size RUNS]``.
+Prints the minimum of some runs: ``python -m benchmarks.speed.start [--size RUNS]``.
 """
 
 from __future__ import annotations

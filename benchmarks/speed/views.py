@@ -2,7 +2,7 @@
 
 Direct light on generated organs at rest, poses along the centerline, the front camera of the
 capsule `magnetic` scaled. A batch of `render_batch` and as many `Renderer.render` calls alternate
-in one run; the median of rounds. Shadows of six LEDs take most of the time, so both are stated.
+in one run; the median of rounds. Shadows of six LEDs dominate the time, so both are stated.
 Visibility: `ViewCoverage.mark` with 32 by 32 rays, in batches and one by one.
 
     python -m benchmarks.speed.views [--size ROUNDS]

@@ -2,7 +2,7 @@
 
 Magnetic capsules in a generated stomach, each led along the upper wall by a separate magnet at
 15 mm/s; N worlds in one call, by both dynamics: steps a second of the clock and of a processor, the
-share of Python, what reading all of them costs, and memory and time to make a world.
+fraction of Python, cost of reading all of them, and memory and time to create a world.
 
     python -m benchmarks.speed.worlds [--most 256]
 """
@@ -64,7 +64,7 @@ and `are_inside`. Claimed: 5,000 quasi-static steps a second.
 
 
 def row(model: Model, count: int, dynamics: DynamicsKind) -> tuple[str, ...]:
-    """A line of the table: so many worlds at once."""
+    """Row of the table: a number of parallel worlds."""
     memory, begin = resident(), time.process_time()
     worlds = [made(model, k / count, dynamics) for k in range(count)]
     making = (time.process_time() - begin) / count
@@ -103,7 +103,7 @@ def row(model: Model, count: int, dynamics: DynamicsKind) -> tuple[str, ...]:
 
 
 def made(model: Model, share: float, dynamics: DynamicsKind) -> World:
-    """A world with a magnet above the upper wall, at a share of the middle half of the gut."""
+    """World with a magnet above the upper wall, at a fraction of the middle half of the gut."""
     start = model.place((0.25 + 0.5 * share) * model.organ.centerline.length)
     above = start.T_world_capsule[None, :3, 3]
     distance, _ = model.wall.cast(above, np.array([[0.0, 0.0, 1.0]]))

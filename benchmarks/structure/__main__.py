@@ -1,4 +1,4 @@
-"""Print the structure of the code beside its goals, and the patterns of its prose.
+"""Print the structure of the code with its goals, and the patterns of its prose.
 
 For example:
   python -m benchmarks.structure

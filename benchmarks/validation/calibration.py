@@ -1,6 +1,6 @@
-"""Claim: lenses come back from pictures of a chessboard.
+"""Claim: calibration recovers lenses from pictures of a chessboard.
 
-Real photographs (`../shared/data/calibration`, left out where absent) fit with mean errors no worse
+Real photographs (`../shared/data/calibration`, left out if absent) fit with mean errors no worse
 than those published with them; boards rendered by catalog devices, LEDs and all, give the focal
 length back within 0.5 %.
 

@@ -29,7 +29,7 @@ IMAGE = ROOT / "docs" / "images" / "capsule_designs.png"
 
 
 def main() -> None:
-    """Judge all designs, write the table and the picture."""
+    """Evaluate all designs, write the table and the picture."""
     made = parser(__doc__ or "")
     made.add_argument("--size", type=int, default=20, help="seeds, of two episodes each")
     made.add_argument("--run", type=Path, default=ROOT / "build" / "designs", help="folder")
@@ -58,7 +58,7 @@ or the number of episodes that reached the value. The policy was trained with th
 
 
 def design_rows(policy: str, path: Path) -> list[tuple[str, ...]]:
-    """Rows of one policy: a design each."""
+    """Rows of one policy, one per design."""
     with path.open(newline="") as file:
         found = {row["figure"]: row for row in csv.DictReader(file)}
     return [

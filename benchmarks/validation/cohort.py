@@ -1,8 +1,8 @@
-"""Claim: a cohort of generated patients is the published population, and every wall is sound.
+"""Claim: a cohort of generated patients matches the published population, and every wall is valid.
 
 Measures each patient's organs on their courses and walls, then makes whole tracts, whose
-generator refuses a wall that cuts itself, and looks for open edges. What is done is kept in
-`--store`, so that a broken-off run goes on. For example, in two processes:
+generator refuses a wall that intersects itself, and searches for open edges. Results are kept in
+`--store`, so that an interrupted run resumes. For example, in two processes:
 ``python -m benchmarks.validation.cohort --patients 100 --tracts 100 --processes 2``.
 """
 
@@ -57,7 +57,7 @@ class Published:
 
     Attributes:
         text: As the table prints it, with its source.
-        mean: In the unit of the quantity; None where only a range or a mean is known.
+        mean: Mean in the unit of the quantity; None if only a range or a mean is known.
         deviation: In the same unit.
     """
 
@@ -131,7 +131,7 @@ def measure(seed: int, distension: str | None = None) -> dict[str, float]:
 
 
 def _bowel_figures(wall: SmallBowelWall) -> dict[str, float]:
-    """Diameters of the plain wall and folds by place."""
+    """Diameters of the smooth wall, and folds, by location."""
     p, folds = wall.parameters, wall.folds.arc_length
     ileum = p.length - 0.6 * (p.length - p.duodenum_length)
     places = {
@@ -169,7 +169,7 @@ def _stomach_figures(seed: int) -> dict[str, float]:
 
 
 def make(seed: int, distension: str | None = None) -> dict[str, float]:
-    """Make one patient's tract and look for what is wrong with it."""
+    """Make one patient's tract and search for defects."""
     patient = draw_patient_anatomy(seed, distension)
     start = time.process_time()
     colon = replace(patient.colon, triangles=FULL_TRACT_COLON_TRIANGLES)
@@ -186,7 +186,7 @@ def make(seed: int, distension: str | None = None) -> dict[str, float]:
 
 
 def run(jobs: list[tuple[str, int, str | None]], store: Path, processes: int) -> None:
-    """Do what is not in the store yet, and add it, one line each."""
+    """Compute the results missing in the store, and append them, one per line."""
     done = {(line["kind"], line["seed"], line["distension"]) for line in read(store)}
     todo = [job for job in jobs if job not in done]
     store.parent.mkdir(parents=True, exist_ok=True)
@@ -217,7 +217,7 @@ def _one(job: tuple[str, int, str | None]) -> dict:
 
 
 def figures_table(measured: list[dict[str, float]]) -> str:
-    """The cohort beside the published population."""
+    """Cohort compared with the published population."""
     rows = []
     for name, published in PUBLISHED.items():
         values = np.array([measures[name] for measures in measured])
@@ -239,7 +239,7 @@ def figures_table(measured: list[dict[str, float]]) -> str:
 
 
 def probabilities(values: np.ndarray, mean: float, deviation: float) -> tuple[float, float]:
-    """Two-sided probabilities of a sample so far off the mean, and off the variance."""
+    """Two-sided p-values of the mean and of the variance of a sample."""
     num = len(values)
     z = (values.mean() - mean) / (deviation / num**0.5)
     ratio = (num - 1) * values.var(ddof=1) / deviation**2
@@ -248,7 +248,7 @@ def probabilities(values: np.ndarray, mean: float, deviation: float) -> tuple[fl
 
 
 def walls_table(lines: list[dict]) -> str:
-    """Organs at each distension, and their faults."""
+    """Organs at each distension, and their defects."""
     rows = []
     for distension in (None, "inflated", "collapsed"):
         chosen = [line for line in lines if line["distension"] == distension]

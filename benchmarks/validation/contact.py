@@ -1,8 +1,8 @@
-"""Claim: contact is right, loses only what friction takes, and holds the capsule in every organ.
+"""Claim: contact forces are correct, energy is lost to friction alone, and no capsule escapes.
 
-Presses spheres and capsules into walls of several meshes beside the closed form, lets a capsule
-fly, slide and be pulled through a tube, and pushes capsules about in five organs with random forces
-of up to 5 N in random posture. Organs from CT are left out where they are absent.
+Presses spheres and capsules into walls of several meshes and compares with the closed form, lets a
+capsule fly, slide and be pulled through a tube, and pushes capsules about in five organs with
+random forces of up to 5 N in random posture. Organs from CT are left out if absent.
 
     python -m benchmarks.validation.contact [--steps 1000000]
 """
@@ -70,7 +70,7 @@ after each force, at which the capsule's axis was not in the lumen.
 
 
 def closed_form_rows() -> Iterator[tuple[str, str, str]]:
-    """With u = R − s, by integration over the flat wall."""
+    """Closed form with u = R − s, by integration over the flat wall."""
     for name, foundation in (("linear", LINEAR), ("stiffening", WinklerFoundation(rate_gain=0.0))):
         for shape, half_axis in (("sphere", 0.0), ("capsule", HALF_AXIS)):
             errors = [
@@ -188,7 +188,7 @@ def sliding_rows() -> Iterator[tuple[str, str, str]]:
 
 
 def _dragged(tissue: Tissue, speed: float) -> _core.World:
-    """A heavy capsule that has gone along the tube at a speed [m/s] until its drag is steady."""
+    """Heavy capsule moved along the tube at a speed [m/s] until its drag is steady."""
     if tissue.deformation is None:
         world = _gripped(tissue, speed)
         world.step(1e-5, 100, FREE, STILL)
@@ -204,7 +204,7 @@ def _dragged(tissue: Tissue, speed: float) -> _core.World:
 def _gripped(
     tissue: Tissue, speed: float = 0.0, mass: float = 1e6, settle: float = 0.0
 ) -> _core.World:
-    """A capsule 26 mm long in a tube 8.4 mm wide, that goes along it at a speed [m/s]."""
+    """Capsule 26 mm long in a tube 8.4 mm wide, moved along it at a speed [m/s]."""
     deformation = tissue.deformation
     world = world_on(
         tube(4.2 * MM, 120.0 * MM, 1.0 * MM),
@@ -257,7 +257,7 @@ class Walk:
 
 
 def organ_makers() -> Iterator[tuple[str, Callable[[], OrganSurface]]]:
-    """Five organs: three generated, with muscle at work, and two from CT."""
+    """Five organs: three generated ones with active muscle, and two from CT."""
     for name in ("colon", "stomach", "small-bowel"):
         yield f"{name}, muscle at work", lambda name=name: generate_organ(name, seed=0)
     for name in ("colon_GI1_mm", "stomach_A_mm"):
@@ -267,7 +267,7 @@ def organ_makers() -> Iterator[tuple[str, Callable[[], OrganSurface]]]:
 
 
 def walk(name: str, organ: OrganSurface, num_steps: int) -> Walk:
-    """Pushes a capsule about; one that has escaped starts anew."""
+    """Push a capsule at random; a capsule that has escaped is placed again."""
     rng = np.random.default_rng(len(organ.faces))
     tissue = Tissue(motility=Motility() if "muscle" in name else None)
     found, world = Walk(name, len(organ.faces)), _start(organ, tissue)

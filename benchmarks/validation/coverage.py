@@ -1,4 +1,4 @@
-"""Claim: what `visible` counts is what brute force finds, within 1 % of an organ's area.
+"""Claim: `visible` agrees with brute force within 1 % of an organ's area.
 
 Brute force: points spread over every triangle are looked at from every pose; a triangle is seen if
 a point of it is in the image and Embree's ray to it meets nothing before it. A capsule flies
@@ -48,14 +48,14 @@ HALF_FIELD = math.radians(60.0)
 
 
 def organs() -> list[OrganSurface]:
-    """Two generated organs, and one from CT where it is there."""
+    """Two generated organs, and one from CT if present."""
     made = [generate_organ("colon", seed=21), generate_organ("stomach", seed=21)]
     path = DATA / "stomach_A_mm.ply"
     return made + ([read_organ(path, unit="mm")] if path.exists() else [])
 
 
 def points_on(corners: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Points [m k 3] on triangles: the middle, and others anywhere."""
+    """Points [m k 3] on triangles: the centroid, and random ones."""
     u = rng.random((len(corners), POINTS, 2))
     u = np.where(u.sum(axis=-1, keepdims=True) > 1.0, 1.0 - u, u)
     u[:, 0] = 1.0 / 3.0
@@ -64,7 +64,7 @@ def points_on(corners: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def brute_force(model: Model, camera: Camera, poses: np.ndarray) -> np.ndarray:
-    """Triangles of which some point is seen from some pose."""
+    """Triangles with a point visible from a pose."""
     organ = model.organ
     vertices = transform_points(model.T_world_patient, organ.vertices)
     caster = EmbreeCaster(vertices, organ.faces)

@@ -1,6 +1,6 @@
-"""CT is read right: a scan made of a known organ comes back as that organ.
+"""Accuracy of organs from CT: a synthetic scan of a known organ.
 
-Claim: mean distance between the wall found and the true wall ≤ 0.35 mm, 95 % ≤ 0.8 mm, centerline
+Claim: mean distance between estimated and true wall ≤ 0.35 mm, 95 % ≤ 0.8 mm, centerline
 length within 2 %, every polyp of 6 mm or more present.
 """
 
@@ -54,7 +54,7 @@ def surface_distances(found: Mesh, truth: Mesh, rng: np.random.Generator) -> np.
 
 
 def polyp_shares(organ: OrganSurface, truth: Mesh, polyps: list[Polyp]) -> np.ndarray:
-    """Height of each polyp in the wall found over its true height, along its axis.
+    """Height of each polyp in the estimated wall over its true height, along its axis.
 
     Both heights are over the same base: the polyp's foot in the true wall.
     """
@@ -71,7 +71,7 @@ def polyp_shares(organ: OrganSurface, truth: Mesh, polyps: list[Polyp]) -> np.nd
 
 @dataclass(frozen=True)
 class Truth:
-    """A wall with polyps on it, and the length of its centerline [m]."""
+    """Wall with polyps, and the length of its centerline [m]."""
 
     name: str
     wall: Mesh
@@ -80,7 +80,7 @@ class Truth:
 
 
 def known(name: str, wall: Mesh) -> Truth:
-    """The wall with polyps raised on it."""
+    """Wall with raised polyps."""
     wall, polyps = with_polyps(wall, POLYPS, np.random.default_rng(0))
     return Truth(name, wall, polyps, compute_centerline(wall).length)
 

@@ -55,9 +55,9 @@ class Drive:
     """Result of one drive.
 
     Attributes:
-        folder: Where it is kept.
+        folder: Folder of the drive.
         poses: `T_world_capsule` of each frame.
-        way: Along the gut, from where to where [m].
+        way: First and last arc length [m].
         left: From the capsule to the end of the centerline [m].
         has_arrived: Whether the capsule is in the pylorus.
         simulated: Time that passed in the simulation [s].
@@ -144,7 +144,7 @@ def driven(browser: Browser, scenario: Scenario, folder: Path, seconds: float) -
 
 
 def lead(tab: Page, cockpit: Cockpit, pilot: PadPilot, goal: float, seconds: float) -> None:
-    """Looks and pushes until the capsule is at the goal or the time is over."""
+    """Steer until the capsule is at the goal or the time is over."""
     told = 0.0
     while pilot.arc_length < goal:
         tab.wait_for_timeout(LOOK_MS)
@@ -168,7 +168,7 @@ def pylorus(organ: object) -> float:
 
 
 def result(drive: Drive) -> tuple[str, ...]:
-    """Cells of a row: the drive, and what its episode is like."""
+    """Cells of a row: the drive and its episode."""
     scenario = read_scenario(drive.folder / "drive.json")
     scenario = replace(scenario, frames=len(drive.poses))
     episode = record(scenario, drive.folder / "episode")

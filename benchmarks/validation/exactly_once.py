@@ -1,10 +1,10 @@
-"""Claim: a data set whose workers and heads are killed has every unit once, and the same bytes.
+"""Claim: a data set whose workers and heads are killed has every unit once, with equal bytes.
 
 200 units on a pool of processes and on Ray, with 1, 2 and 4 workers: a random worker is killed by
 SIGKILL at 100 random moments and the head at five, each time started again with the same command,
 at last to the end. Reference: the same plan made in one process, undisturbed.
 
-Goes on with the next row where it was interrupted.
+An interrupted run resumes with the next row.
 
     python -m benchmarks.validation.exactly_once [--size UNITS] [--kills 100] [--heads 5]
 """
@@ -100,13 +100,13 @@ def undisturbed(folder: Path, units: int) -> tuple[dict[str, str], float]:
 
 
 def disturbed(out: Path, given, runner: str, workers: int, interval: float) -> Kills:
-    """Make the data set while its processes are killed; what was killed.
+    """Make the data set while its processes are killed; return the counts.
 
     Args:
         out: Of the data set.
         given: Numbers of units and of kills.
         runner: `pool` or `Ray`.
-        workers: How many.
+        workers: Number of workers.
         interval: Time that one worker takes for a unit [s].
     """
     draw = random.Random(f"{SEED} {runner} {workers}")
@@ -135,7 +135,7 @@ def disturbed(out: Path, given, runner: str, workers: int, interval: float) -> K
 
 
 def wait_for(out: Path, units: int, process: subprocess.Popen, flags: list[str]):
-    """The head, when some units are whole; one that has ended is started again.
+    """Head process, once some units are complete; if it has ended, a new one.
 
     Args:
         out: Of the data set.
@@ -155,7 +155,7 @@ def wait_for(out: Path, units: int, process: subprocess.Popen, flags: list[str])
 
 
 def head(out: Path, *flags: str) -> subprocess.Popen:
-    """The command that makes the data set, at work."""
+    """Running command that makes the data set."""
     words = ["dataset", "make", "plan.toml", "--out", str(out), *flags]
     script = out.parent / "run.py"
     script.write_text(
@@ -189,7 +189,7 @@ def num_whole(out: Path) -> int:
 
 
 def judged(out: Path, before: dict[str, str], kills: Kills, units: int) -> list[str]:
-    """The cells of a row beside its runner."""
+    """Cells of a row after that of its runner."""
     from vrcaps.data.check import check_dataset
     from vrcaps.data.ledger import entries
     from vrcaps.data.store import LocalStore
@@ -204,7 +204,7 @@ def judged(out: Path, before: dict[str, str], kills: Kills, units: int) -> list[
 
 
 def checksums(out: Path) -> dict[str, str]:
-    """Checksums of all files but of those that are being made."""
+    """Checksums of all complete files."""
     return {
         path.relative_to(out).as_posix(): file_sha256(path)
         for path in files_in(out)

@@ -1,7 +1,7 @@
-"""Claim: the elements of an elastic wall are right, thin or nearly incompressible as they may be.
+"""Claim: the elements of an elastic wall are accurate, also if thin or nearly incompressible.
 
 Measures what the tests of the elements bound: patch test, cantilever against scikit-fem, thick tube
-under pressure beside Lamé, bending of thin plates, first modes.
+under pressure against Lamé, bending of thin plates, first modes.
 
     python -m benchmarks.validation.fem
 """
@@ -42,7 +42,7 @@ Ten-node tetrahedra with projected change of volume, against closed forms and ag
 
 
 def rows() -> Iterator[tuple[str, str, str]]:
-    """Quantity, its error and what is promised."""
+    """Quantity, its error and the claimed bound."""
     yield "patch test on curved elements", f"{patch_error():.1e}", "1e-9"
     yield "cantilever, worst node, against scikit-fem", f"{cantilever_error():.1e}", "1e-6"
     for nu in RATIOS:

@@ -1,7 +1,7 @@
-"""Feed all readers with mutated files, and print what each came to.
+"""Feed all readers with mutated files, and print the outcomes.
 
 An input is read, or refused in one line; a traceback, a panic of the core, more than 20 s, or a
-value that cannot be (poses that are not rigid, numbers that are not finite, negative depth) is a
+impossible value (poses that are not rigid, numbers that are not finite, negative depth) is a
 fault. The same seed gives the same inputs::
 
     python -m benchmarks.validation.fuzz_readers --count 10000 --seed 0 --keep /tmp/failing
@@ -19,7 +19,7 @@ from tests.support.reader_targets import all_targets, recorded_tube
 
 
 def main() -> int:
-    """Number of faults found, as status: 0 or 1."""
+    """Exit status: 1 if a fault occurred, otherwise 0."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=10_000, help="inputs, over all readers")
     parser.add_argument("--seed", type=int, default=0, help="of the mutations")

@@ -1,4 +1,4 @@
-"""Claim: every generated colon is sound, and the cohort is the published population.
+"""Claim: every generated colon is valid, and the cohort matches the published population.
 
 Length and flexures against 1.895 ± 0.263 m and 10.9 ± 2.4 (Khashab et al. 2009, Endoscopy
 41:674). Run with the number of seeds: ``python -m benchmarks.validation.generated_colons 10``.

@@ -1,4 +1,4 @@
-"""Claim: a run killed by SIGKILL at any moment loses nothing, leaves nothing, and can be repeated.
+"""Claim: a run killed by SIGKILL at any time loses and leaves no files, and can be repeated.
 
 Each kill hits one process, the head, at a seeded moment of its usual duration. Then no process of
 the run may be alive after 2 s; the same command must succeed; its files must be those of an
@@ -88,13 +88,13 @@ class Kills:
 
 
 class Place:
-    """A folder with small inputs, and the runs of vrcaps in it."""
+    """Folder with small inputs, and runs of vrcaps in it."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.cache = folder, folder / "cache"
 
     def start(self, words: str, out: Path, mark: str = "none") -> subprocess.Popen[str]:
-        """A run, not waited for."""
+        """Start a run without waiting for it."""
         given = [str(out) if word == "OUT" else word for word in words.split()]
         code = "from vrcaps.cli import main\nif __name__ == '__main__':\n    main()\n"
         script = self.folder / "run.py"
@@ -110,7 +110,7 @@ class Place:
         )
 
     def run(self, words: str, out: Path, mark: str = "none") -> None:
-        """A run to its end.
+        """Complete a run.
 
         Raises:
             RuntimeError: If it fails.
@@ -205,7 +205,7 @@ def _usual(place: Place, verb: str, whole: Path) -> tuple[float, float]:
 
 
 def _repeat(place: Place, verb: str, number: int, out: Path, whole: Path, found: Kills) -> None:
-    """The same command once more, to its end; a whole folder needs none, and some refuse it."""
+    """Run the same command to its end; a complete folder needs none, and some verbs refuse it."""
     try:
         place.run(VERBS[verb].words, out)
     except RuntimeError as error:
@@ -224,7 +224,7 @@ def _repeat(place: Place, verb: str, number: int, out: Path, whole: Path, found:
 def _drive_again(
     place: Place, verb: str, number: int, out: Path, whole: Path, found: Kills
 ) -> None:
-    """Record what was driven; the same command opens the page once more, or names the drive."""
+    """Record a drive; the same command opens the page again, or names the drive."""
     drive = out / "drive.json"
     if drive.exists():
         text, _ = place.start(_with_port(verb, number), out).communicate()
@@ -254,12 +254,12 @@ def _with_port(verb: str, number: int) -> str:
 
 
 def files_beside(out: Path) -> list[Path]:
-    """All that a run has written so far, its own lock left out."""
+    """Files written by a run so far, without its lock."""
     return [path for path in files_in(out.parent) if not path.name.endswith(".lock")]
 
 
 def life(mark: str) -> float:
-    """Time until no process of a run is alive [s]; those that live too long are ended."""
+    """Time until no process of a run is alive [s]; after a limit they are killed."""
     began = time.monotonic()
     while alive(mark):
         if time.monotonic() - began > 60.0:

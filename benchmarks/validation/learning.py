@@ -1,7 +1,7 @@
-"""Claim: the trained policy sees more of unseen stomachs, sooner, than planners that know them.
+"""Claim: the trained policy covers held-out stomachs better than planners that know them.
 
-Judges the policy that comes with the package, and baselines, under full physics in twenty generated
-stomachs in which it never learned. Interrupted, the same command goes on.
+Evaluates the policy of the package, and baselines, under full physics in twenty generated stomachs
+held out from its training. If interrupted, the same command resumes.
 
     python -m benchmarks.validation.learning [--size SEEDS] [--run FOLDER]
 """
@@ -38,7 +38,7 @@ Rows = list[dict[str, Any]]
 
 
 def main() -> None:
-    """Judge, write the tables."""
+    """Evaluate, write the tables."""
     made = parser(__doc__ or "")
     made.add_argument("--size", type=int, default=80, help="seeds, of five episodes each")
     made.add_argument("--run", type=Path, default=ROOT / "build" / "judged", help="folder")
@@ -80,12 +80,12 @@ def figures_row(name: str, rows: Rows) -> tuple[str, ...]:
 
 
 def said(value: float) -> str:
-    """A figure, or that it was not reached."""
+    """Value, or a note that it was not reached."""
     return f"{value:.1f}" if np.isfinite(value) else "not"
 
 
 def difference_row(other: str, judged: dict[str, Rows]) -> tuple[str, ...]:
-    """A row of the table of differences, of episodes that both have."""
+    """Row of the table of differences, over common episodes."""
     ours, theirs = (
         {(row["seed"], row["episode"]): row for row in judged[name]}
         for name in (POLICIES[0], other)

@@ -1,4 +1,4 @@
-"""Claim: LeRobot's own loader reads what is exported for it, with the values that were recorded.
+"""Claim: LeRobot's own loader reads exported data sets with the recorded values.
 
 Records a capsule that flies and one that a magnet steers, exports both with films and with images,
 and reads them by `LeRobotDataset` in the interpreter of a separate environment, for
@@ -86,7 +86,7 @@ def scenarios() -> dict[str, vrcaps.Scenario]:
 
 
 def _loaded(python: str, folder: Path) -> dict[str, np.ndarray]:
-    """Every item of a data set, as the loader gives it."""
+    """Every item of a data set, as returned by the loader."""
     out = folder.with_suffix(".npz")
     environment = {**os.environ, "HF_HUB_OFFLINE": "1", "PYTHONWARNINGS": "ignore"}
     environment.pop("PYTHONPATH", None)

@@ -1,4 +1,4 @@
-"""Claim: the largest lesions do not cut the wall either.
+"""Claim: lesions of maximum size do not intersect the wall.
 
 Puts the largest lesion that each kind allows into a generated organ, or the largest that fits
 there, each tenth smaller than the one refused, and counts the pairs of triangles of it that cut
@@ -45,7 +45,7 @@ CASES = {
 
 
 def largest(organ: OrganSurface, lesion: Lesion) -> tuple[Lesion, LesionPair]:
-    """A lesion as large as asked for or as fits, and the organ with it."""
+    """Lesion of the requested or largest possible size, and the organ with it."""
     while True:
         try:
             return lesion, add_lesions(organ, [lesion], np.random.default_rng(0))

@@ -1,13 +1,14 @@
-"""Claim: lesions are where their masks say, and nowhere else.
+"""Claim: the masks of lesions are exact.
 
 Puts each kind and grade of lesion into a generated organ, and looks at it from ten views, in every
 second view at its border.
 
 - *Mask*: `instance` of the renderer against Embree through the same rays, each hit taken back to
-  the wall without lesions and measured there anew (`tests/organ/lesion/oracle_footprint.py`).
-  Claimed: intersection over union ≥ 0.98 over the ten views.
+  the wall without lesions and measured there independently
+  (`tests/organ/lesion/oracle_footprint.py`). Claimed: intersection over union ≥ 0.98 over the ten
+  views.
 - *Clean twin*: the same views without the lesion. Claimed: outside the mask depth and albedo are
-  the same; light differs only by the lesion's shadow and the slope of the wall beside it.
+  the same; light differs only by the lesion's shadow and the slope of the wall next to it.
 - *Cuts*: pairs of triangles of the lesion that cut the wall. Claimed: none.
 
     python -m benchmarks.validation.lesions
@@ -54,7 +55,7 @@ SAME_LEVEL = 2
 
 
 def eyes(organ: OrganSurface, wall, target: np.ndarray, arc_length: float):
-    """Places in the lumen, from which a target is seen, near first in no order."""
+    """Positions in the lumen from which a target is visible, unordered, near ones first."""
     rng = np.random.default_rng(0)
     for _ in range(4000):
         at = np.clip(arc_length + rng.uniform(-40.0, 40.0) * MM, 0.0, organ.centerline.length)
@@ -155,7 +156,7 @@ def measure(organ: OrganSurface, text: str, step: int) -> tuple[str, ...]:
 
 
 def cuts(patient: LesionPair) -> int:
-    """Pairs of triangles, one of them the lesion's, that cut each other."""
+    """Intersecting pairs of triangles, one of them of the lesion."""
     organ = patient.organ
     own = organ.instance == 1
     corners = organ.vertices[organ.faces]
@@ -186,7 +187,7 @@ def main() -> None:
 
 
 def section(rows: list[tuple[str, ...]], step: int) -> str:
-    """The table and what it means."""
+    """Table with its explanation."""
     head = (
         *("organ", "lesion", "pixels", "IoU", "≥ 0.98", "outside"),
         *("depth", "albedo", "light", "light and shadow", "cuts"),

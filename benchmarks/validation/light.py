@@ -1,8 +1,8 @@
-"""Claim: light is right.
+"""Claim: direct light is correct.
 
-Renders linear radiance beside Mitsuba 3: same mesh, textures, lights and rays, its principled BSDF,
-direct light. Claimed: relative RMSE at most 1 % diffuse, 2 % with specular and clearcoat, with
-shadows on and off. Textures are coarse, so that no pixel averages texels: Mitsuba's ray has no
+Renders linear radiance, also by Mitsuba 3: same mesh, textures, lights and rays, its principled
+BSDF, direct light. Claimed: relative RMSE at most 1 % diffuse, 2 % with specular and clearcoat,
+with shadows on and off. Textures are coarse, so that no pixel averages texels: Mitsuba's ray has no
 footprint.
 
     python -m benchmarks.validation.light
@@ -42,7 +42,7 @@ CLAIM = {"diffuse": 0.01, "specular and clearcoat": 0.02}
 
 @dataclass(frozen=True)
 class Scene:
-    """A lumen and a place in it."""
+    """Lumen and camera pose."""
 
     name: str
     organ: OrganSurface

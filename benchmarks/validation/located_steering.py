@@ -40,7 +40,7 @@ class Errors:
     """Errors of all frames: from the target, and of the estimate.
 
     Attributes:
-        place: From the target, along the gut [mm].
+        place: Distance from the target along the gut [mm].
         heading: From the target's look [°].
         located: Position [mm], axis [°], roll [°], velocity [mm/s], and σ of position and roll.
     """
@@ -93,7 +93,7 @@ def runs():
 
 
 def held(tube: Tube, pose: str) -> Dynamics:
-    """A capsule that is held at a place of a tube against a push along the gut."""
+    """Capsule held at a position in a tube against a push along the gut."""
     length = tube.organ.centerline.length
     steering = MagnetSteering(wall="upper", pose=pose, waypoints=(Waypoint(0.0, tube.arc_length),))
     forces = (0.0, PUSH, PUSH, -PUSH, -PUSH)
@@ -111,7 +111,7 @@ def led(pose: str) -> Dynamics:
 
 
 def measure(model: Model, motion: Dynamics, seed: int, errors: Errors) -> None:
-    """Adds the errors of one run."""
+    """Add the errors of one run."""
     run = Rollout(model, motion, frames=round(ENDS[-1] * FPS), fps=FPS, seed=seed)
     program = run.program
     assert program is not None
@@ -134,7 +134,7 @@ def measure(model: Model, motion: Dynamics, seed: int, errors: Errors) -> None:
 
 
 def add_estimate(step: Step, errors: Errors) -> None:
-    """Adds how far the estimate of a frame is off, if there is one."""
+    """Add the error of the estimate of a frame, if there is one."""
     belief = None if step.command is None else step.command.estimate
     if belief is None:
         return

@@ -1,4 +1,4 @@
-"""Claim: fields, forces and the arm are right.
+"""Claim: fields, forces and kinematics of the arm are correct.
 
 Fields against closed forms and magpylib (Ortner and Bandeira, SoftwareX 11, 2020), forces against
 published numbers, forward kinematics against pinocchio's model of the Panda, the inverse against
@@ -46,12 +46,12 @@ Row = tuple[str, str, str, str]
 
 
 def verdict(worst: float, limit: float, unit: str = "") -> tuple[str, str]:
-    """The last two columns of a row whose figure must not pass a limit."""
+    """Last two columns of a row whose value has an upper limit."""
     return f"{worst:.1e}{unit}", f"≤ {limit:g}{unit}: {'yes' if worst <= limit else 'NO'}"
 
 
 def same_in_magpylib(source: Source) -> magpylib.misc.Dipole:
-    """The source as magpylib has it, in its own frame."""
+    """Source of magpylib in its own frame."""
     match source:
         case Cylinder():
             size = (source.diameter, source.length)
@@ -68,7 +68,7 @@ def same_in_magpylib(source: Source) -> magpylib.misc.Dipole:
 
 
 def sources() -> dict[str, Source]:
-    """One of each kind; the magnets by name."""
+    """One source of each kind, and the named magnets."""
     named: dict[str, Source] = {f"`{name}`": read_magnet(name) for name in magnet_names()}
     named |= {"coil, 100 mm": Coil(0.05, 12.0, 100)}
     return named | {"solenoid, 100 × 80 mm": Solenoid(0.05, 0.08, 10.0, 300)}

@@ -1,7 +1,7 @@
-"""Claim: the gut contracts as manometry says.
+"""Claim: contractions agree with manometry.
 
-Simulates 200 cycles of the migrating motor complex in 20 patients beside the published figures they
-were drawn from, counts contractions at places of the wall, compares the wall's radius with the
+Simulates 200 cycles of the migrating motor complex in 20 patients against the published values of
+their distributions, counts contractions at places of the wall, compares the wall's radius with the
 commanded wave, and measures how fast a ring carries a capsule.
 
     python -m benchmarks.validation.motility
@@ -65,7 +65,7 @@ The capsule is 10.8 mm thick, the lumen 22 mm wide. Time of a wave: `vrcaps benc
 
 
 def cycle_rows(clocks: list[MigratingMotorComplex]) -> list[tuple[str, ...]]:
-    """Lengths of cycles and where their fronts start."""
+    """Lengths of cycles, and origins of their fronts."""
     cycles = [np.diff(clock.starts[:11]) / MINUTE for clock in clocks]
     means, each = [cycle.mean() for cycle in cycles], np.concatenate(cycles)
     spread = np.mean([cycle.std(ddof=1) for cycle in cycles])
@@ -97,7 +97,7 @@ def cycle_rows(clocks: list[MigratingMotorComplex]) -> list[tuple[str, ...]]:
 
 
 def phase_rows(clocks: list[MigratingMotorComplex]) -> list[tuple[str, ...]]:
-    """Shares of the phases by cycle, and how long phase III lasts."""
+    """Fractions of the phases by cycle, and duration of phase III."""
     rows = []
     for zone, phase, published in (
         ("antrum", 1, "55 ± 23 % (Dooley 1992)"),
@@ -118,7 +118,7 @@ def phase_rows(clocks: list[MigratingMotorComplex]) -> list[tuple[str, ...]]:
 
 
 def phase_shares(clock: MigratingMotorComplex, place: float) -> np.ndarray:
-    """Shares of phases I to IV in each of ten cycles at a place."""
+    """Fractions of phases I to IV in each of ten cycles at a position."""
     moment = replace(clock, offset=0.0)
     delay = float(np.interp(place, clock.positions, clock.delays))
     shares = np.empty((10, 4))
@@ -130,7 +130,7 @@ def phase_shares(clock: MigratingMotorComplex, place: float) -> np.ndarray:
 
 
 def third_phases(clock: MigratingMotorComplex, place: float) -> np.ndarray:
-    """Durations [s] of phases III seen at a place in ten cycles."""
+    """Durations [s] of phase III at a position in ten cycles."""
     at = np.arange(0.0, clock.starts[10], SAMPLE)
     third = replace(clock, offset=0.0).phase(np.full(at.shape, place), at)[0] == 3
     edges = np.flatnonzero(np.diff(np.concatenate([[False], third, [False]]).astype(int)))
@@ -138,7 +138,7 @@ def third_phases(clock: MigratingMotorComplex, place: float) -> np.ndarray:
 
 
 def speed_rows(clocks: list[MigratingMotorComplex]) -> list[tuple[str, ...]]:
-    """Speeds of the front between two places, from when phase III comes to each."""
+    """Speeds of the front between two positions, from the arrivals of phase III."""
     published = {
         "duodenum": "8.7 ± 0.9 (Ouyang 1989), up to 11.4",
         "jejunum": "4.7 ± 1.8 (Kerlin 1982)",
@@ -154,7 +154,7 @@ def speed_rows(clocks: list[MigratingMotorComplex]) -> list[tuple[str, ...]]:
 
 
 def front_speed(clock: MigratingMotorComplex, oral: float, anal: float) -> float | None:
-    """Mean speed [cm/min] of the fronts that pass both places, None where there is none."""
+    """Mean speed [cm/min] of the fronts that pass both positions; None without a front."""
     passes = np.flatnonzero((clock.first <= oral) & (clock.last >= anal))
     arrivals = []
     for cycle in passes[:10]:
@@ -169,7 +169,7 @@ def front_speed(clock: MigratingMotorComplex, oral: float, anal: float) -> float
 
 
 def count_rows(gut: OrganSurface) -> list[tuple[str, ...]]:
-    """Contractions per minute, in phase III and else."""
+    """Contractions per minute in phase III and in other phases."""
     rows = []
     steady = {
         name: replace(segment_motilities()[name], activity=1.0, retrograde=0.0, standing=0.0)
@@ -202,7 +202,7 @@ def count_rows(gut: OrganSurface) -> list[tuple[str, ...]]:
 
 
 def contraction_rate(muscle: Muscle, place: float, minutes: float = 30.0) -> float:
-    """Contractions per minute at a place [m]."""
+    """Contractions per minute at a position [m]."""
     sample = int(np.argmin(np.abs(muscle.layout.arc_length - place)))
     span = slice(sample, sample + 1)
     depth = np.array(
@@ -213,7 +213,7 @@ def contraction_rate(muscle: Muscle, place: float, minutes: float = 30.0) -> flo
 
 
 def physics_rows() -> list[tuple[str, ...]]:
-    """The wall beside the commanded wave, and a capsule before a ring."""
+    """Rows of the wall against the commanded wave, and of a capsule ahead of a ring."""
     ring = replace(
         segment_motilities()["jejunum"],
         rates=(11.4 * PER_MINUTE,) * 2,

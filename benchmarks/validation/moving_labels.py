@@ -1,7 +1,7 @@
 """Claim: labels are exact while the wall moves.
 
 Records episodes by dynamics with the wall of each frame (`--wall`), then casts the same rays by
-Embree through what was written: pose, camera, and `wall/*.npy` on the triangles of `organ.glb`.
+Embree through the written pose, camera, and `wall/*.npy` on the triangles of `organ.glb`.
 Embree's hits are carried by their own triangles to the wall of the neighboring frame and projected
 there. Claimed, as on a wall at rest: depth within one 10 µm step for 99.9 % of the pixels, normals
 within 0.1°; `flow_forward` and `flow_backward` within 0.05 px, hidden or not; `occlusion` as by
@@ -64,14 +64,14 @@ _HIDING = 20 * UM
 
 @dataclass
 class MovingTally(Tally):
-    """Errors of the pixels seen by both, backwards too."""
+    """Errors of the pixels seen by both, forward and backward."""
 
     back_px: list[np.ndarray] = field(default_factory=list)
     occlusion: list[np.ndarray] = field(default_factory=list)
     moved: list[float] = field(default_factory=list)
 
     def row(self) -> tuple[str, ...]:
-        """Figures for the table."""
+        """Values for the table."""
         back, occlusion = np.concatenate(self.back_px), np.concatenate(self.occlusion)
         more = (_percent(np.mean(back <= 0.05)), _percent(occlusion.mean()))
         return (f"{1e3 * max(self.moved):.1f}", *super().row(), *more)
@@ -107,7 +107,7 @@ def compare_motion(
     """`flow_…` of one image, and `occlusion`.
 
     Args:
-        episode: What was recorded.
+        episode: Recorded episode.
         now: The wall of the frame.
         camera: Of the image.
         index: Of the frame.

@@ -1,6 +1,6 @@
-"""Claim: path tracing is right.
+"""Claim: path tracing is unbiased.
 
-Renders linear radiance beside Mitsuba 3's `path`: same mesh, textures, lights and rays, its
+Renders linear radiance, also by Mitsuba 3's `path`: same mesh, textures, lights and rays, its
 principled BSDF, as many reflections; colors as texels hold them. Claimed: mean radiance within
 0.5 %, and nothing but noise in the difference: of the images by blocks, of their means within 3
 standard errors.
@@ -86,10 +86,10 @@ def scores(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def noise_scores(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Mean z² of images that are nothing but noise, many times over [trials].
+    """Mean z² of images of pure noise [trials].
 
     Normal noise with the covariance that each block's colors have in the images, so that the few
-    images and what the colors share count alike in both.
+    images and the noise common to the colors count equally in both.
     """
     rng = np.random.default_rng(0)
     spreads = [(x - x.mean(axis=0)).swapaxes(0, 1) / np.sqrt(len(x) - 1) for x in (a, b)]

@@ -1,4 +1,4 @@
-"""Scenes of the scripts about path tracing: lumens lit by point LEDs, also in Mitsuba 3."""
+"""Scenes of the path-tracing scripts: lumens lit by point LEDs, also for Mitsuba 3."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ FIELD = 2.0
 
 @dataclass(frozen=True)
 class Scene:
-    """A lumen and a place in it.
+    """Lumen and camera pose.
 
     Attributes:
         name: For tables.
         model: The lumen; its textures are coarse, for Mitsuba's rays have no footprint.
         camera: A pinhole camera with the LEDs of MiroCam, alike in all directions.
-        state: Where the capsule is.
+        state: State with the pose of the capsule.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Scene:
     def ours(
         self, *, max_bounces: int, spp: int, denoise: bool = False
     ) -> Callable[[int], np.ndarray]:
-        """Makes linear radiance [h w 3] of a seed."""
+        """Render linear radiance [h w 3] of a seed."""
 
         def image(seed: int) -> np.ndarray:
             settings = RenderSettings(
@@ -58,7 +58,7 @@ class Scene:
         return image
 
     def theirs(self, *, max_bounces: int, spp: int) -> Callable[[int], np.ndarray]:
-        """The same by Mitsuba's `path`, compiled by LLVM."""
+        """Render linear radiance by Mitsuba's `path`, compiled by LLVM."""
         import mitsuba as mi
 
         from tests.support.oracle_mitsuba import compiled_path_light
@@ -103,7 +103,7 @@ def scenes(size: int) -> Iterator[Scene]:
 
 
 def _flat(organ: OrganSurface) -> OrganSurface:
-    """The same triangles, none of which shares a vertex: normals are those of the faces."""
+    """Triangles without common vertices, so that normals are those of the faces."""
     from tests.support.shapes import make_organ
 
     vertices = organ.vertices[organ.faces].reshape(-1, 3)
@@ -112,9 +112,9 @@ def _flat(organ: OrganSurface) -> OrganSurface:
 
 
 def _smooth(organ: OrganSurface) -> OrganSurface:
-    """The shape with 16 triangles for each, after Loop, so that normals and faces agree.
+    """Loop subdivision into 16 triangles each, so that normals and faces agree.
 
-    Where a smooth normal faces away from a ray, Mitsuba loses the light and we bend the normal.
+    If a smooth normal faces away from a ray, Mitsuba loses the light and vrcaps bends the normal.
     """
     import trimesh
 

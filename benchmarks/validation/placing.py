@@ -1,7 +1,7 @@
-"""Claim: a magnet on an arm places a capsule on the walls of a stomach, and says where it cannot.
+"""Claim: a magnet on an arm places a capsule on a stomach's walls, or refuses the target.
 
 Reference: closed-loop placing by a magnet on an arm has a mean error of up to 1.8 ± 2.1 mm
-(Robo-Mag-CE). The capsule is led from one random place to the next, along the wall.
+(Robo-Mag-CE). The capsule is moved between random positions along the wall.
 
     python -m benchmarks.validation.placing [--size PLACES]
 """
@@ -46,10 +46,10 @@ class Walls:
     """Some of the walls.
 
     Attributes:
-        name: What they are called.
-        least: Least angle of their outward normal from straight up [°].
-        most: Largest [°].
-        part: How many of the places are tried on them.
+        name: Name of the walls.
+        least: Minimum angle of their outward normal from vertical [°].
+        most: Maximum angle [°].
+        part: Fraction of the positions on them.
     """
 
     name: str
@@ -136,15 +136,15 @@ def spread(values: np.ndarray) -> str:
 
 
 def highest(values: np.ndarray) -> str:
-    """95 % and the largest."""
+    """95th percentile and maximum."""
     return f"{np.quantile(values, 0.95):.1f}, {values.max():.1f}" if len(values) else "–"
 
 
 class Spots:
-    """Random places on some of the walls of a stomach."""
+    """Random positions on some of the walls of a stomach."""
 
     def __init__(self, model: Model, walls: Walls) -> None:
-        """Finds the vertices of body and antrum that slope as they should."""
+        """Select the vertices of body and antrum with the required slope."""
         organ = model.organ
         self.model = model
         normals = organ.normals @ model.T_world_patient[:3, :3].T
@@ -154,7 +154,7 @@ class Spots:
         self.points = (model.vertices_world + 1e-3 * normals)[among]
 
     def draw(self, rng: np.random.Generator, last: CapsuleTarget | None) -> CapsuleTarget:
-        """A place, neither too near to the last nor too far, and a direction the arm can hold."""
+        """Position at some distance from the last, and a direction that the arm can hold."""
         points, middle = self.points, rng.normal(size=3)
         if last is not None:
             way = np.linalg.norm(points - np.asarray(last.position), axis=1)
@@ -168,7 +168,7 @@ class Spots:
 
 
 def begin(model: Model, target: CapsuleTarget) -> tuple[MagnetController, World, CapsuleTarget]:
-    """The capsule held at a place, with the magnet above it."""
+    """Capsule held at a position, with the magnet above it."""
     place, press = np.asarray(target.position), np.asarray(target.wall_normal)
     pose = magnet_pose(place - 2e-3 * press, np.asarray(target.direction))
     magnet = read_magnet("cylinder-76.2")

@@ -1,4 +1,4 @@
-"""Claim: led by a magnet, quasi-static motion goes the way of the physics, within 0.5 mm (median).
+"""Claim: quasi-static motion under a magnet agrees with the full physics within 0.5 mm (median).
 
 Generated stomachs and colons, a magnetic capsule at three positions of each, settled by the
 physics; from there the same commands under both dynamics: the twist of a free magnet outside that
@@ -54,7 +54,7 @@ HEAD = (
 
 @dataclass(frozen=True)
 class Run:
-    """One run: what each step ends in.
+    """One run: result of each step.
 
     Attributes:
         rows: Position [mm], heading, contact force [mN] and speed [mm/s] of each step.
@@ -103,7 +103,7 @@ one's. {failed} runs in which the capsule came to the magnet are left out.
 
 
 def pair(model: Model, height: float, place: float, command: str) -> tuple[Run, Run]:
-    """A run by the physics and a quasi-static one, from the same state."""
+    """Full-physics and quasi-static run from the same state."""
     worlds = {name: world(model, height, place, command, name) for name in DYNAMICS}
     start = settled(worlds["physics"], command)
     physics, quasi_static = (run(worlds[name], start, command) for name in DYNAMICS)
@@ -130,7 +130,7 @@ def along_gut(T_world_capsule: np.ndarray) -> np.ndarray:
 
 
 def settled(physics: World, command: str) -> Snapshot:
-    """The state to start from: at the upper wall beside a magnet, else where gravity brings it."""
+    """Initial state: at the upper wall next to a magnet, otherwise at rest under gravity."""
     for number in range(SETTLING):
         lift = LIFT if command == "magnet" and number < LIFTED else 0.0
         physics.step(Control(force_world=(0.0, 0.0, lift)), FRAME)

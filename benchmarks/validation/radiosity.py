@@ -1,4 +1,4 @@
-"""Claim: indirect light by radiosity is nearly right, at a fraction of a frame's cost.
+"""Claim: indirect light by radiosity has a small error, at a fraction of a frame's cost.
 
 Renders linear radiance with each setting of light and path tracing, which
 `benchmarks.validation.path` compares with Mitsuba 3: error and cost of the same setting stand
@@ -54,7 +54,7 @@ TIMES = (
 
 @dataclass(frozen=True)
 class Scene:
-    """An organ, what its wall does, and the views."""
+    """Organ, state of its wall, and views."""
 
     organ: str
     wall: str
@@ -62,7 +62,7 @@ class Scene:
 
 
 def squeezed(stage: Stage) -> Stage:
-    """The same views with a ring of contraction ahead of each: 40 % of the radius, 25 mm off."""
+    """Views with a ring of contraction 25 mm ahead of each, by 40 % of the radius."""
     organ, rest = stage.model.organ, stage.model.vertices_world
     line, T_world_patient = organ.centerline, stage.model.T_world_patient
     middle = [np.interp(organ.arc_length, line.arc_length, line.points[:, k]) for k in range(3)]
@@ -76,7 +76,7 @@ def squeezed(stage: Stage) -> Stage:
 
 
 def scenes() -> Iterator[Scene]:
-    """The organs: fitted to, held out, and from CT where they are at hand."""
+    """Organs: of the fit, held out, and from CT if present."""
     for kind, seed in FITTED + HELD_OUT:
         stage = make_stage(generate_organ(kind, seed=seed), num_views=NUM_VIEWS)
         name = kind if (kind, seed) in FITTED else f"{kind}, seed {seed}, held out"
@@ -112,7 +112,7 @@ def errors(scene: Scene, size: int) -> list[tuple[str, ...]]:
 
 
 def figures(images: np.ndarray) -> tuple[str, ...]:
-    """Shares and errors over views [n 6 h w 3].
+    """Fractions and errors over views [n 6 h w 3].
 
     Relative RMSE is the root of the mean squared difference from path tracing over its mean. The
     square is the product of the differences from two renderings of independent noise, whose mean

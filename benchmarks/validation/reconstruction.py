@@ -1,4 +1,4 @@
-"""Claim: images alone reconstruct a wall, and networks trained on our images do it more exactly.
+"""Claim: images alone reconstruct a wall, better with networks trained on simulated images.
 
 Records a stomach and a stretch of a small bowel, and fuses each run from true and estimated depth
 and poses. Depth is estimated by the published weights of `depth`, and by `sfm`, which is
@@ -92,7 +92,7 @@ stomach and 22.6 mm for the small bowel.
 
 
 def recorded(organ: str, frames: int, folder: Path) -> FrameSequence:
-    """A run of that many frames, recorded once."""
+    """Run of a number of frames, recorded once."""
     out = folder / f"{organ}-{frames}"
     if not out.is_dir():
         scenario = Scenario(
@@ -109,7 +109,7 @@ def recorded(organ: str, frames: int, folder: Path) -> FrameSequence:
 def learned(
     sequence: FrameSequence, learner: Task, start: str, steps: int, out: Path
 ) -> TrainedNetwork:
-    """A network of sfm that learned from the run."""
+    """Network of `sfm` trained on the run."""
     settings = TrainSettings(
         learner, start=start, steps=steps, batch=4, evaluate_every=steps, evaluation_frames=20
     )
@@ -145,7 +145,7 @@ def organ_rows(
 
 
 def simplest(organ: str, sequence: FrameSequence) -> tuple[str, ...]:
-    """A row of what needs no image: the run's mean depth map, and a camera that stays."""
+    """Row of the trivial baseline: mean depth map of the run, and a static camera."""
     places = range(0, len(sequence), 5)
     truth = [sequence.image("depth", k) for k in places]
     stack = np.array(truth)
@@ -193,8 +193,8 @@ def result(
 
     Args:
         organ: Name of the run.
-        depth: Where depth comes from.
-        poses: Where poses come from.
+        depth: Source of the depth.
+        poses: Source of the poses.
         estimate: Frames with both, moved to the true poses.
         sequence: The same frames with the true ones.
         best: The wall by true depth and poses.

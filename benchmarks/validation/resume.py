@@ -1,4 +1,4 @@
-"""Claim: a training killed by SIGKILL at any time and started anew ends in the same policy.
+"""Claim: a training killed by SIGKILL at any time and resumed gives the same policy.
 
 Reference: the same training undisturbed.
 
@@ -57,7 +57,7 @@ time restarted; then to the end. The same bytes: {"yes" if same else "NO"}.
 
 
 def run(out: Path, wait: float | None) -> int:
-    """Train in a process, killed some time [s] after its first checkpoint; the rounds done."""
+    """Train in a process that is killed after its first checkpoint; return the completed rounds."""
     before = num_rounds(out)
     process = subprocess.Popen(
         [sys.executable, "-m", "benchmarks.validation.resume", "--train", str(out)], cwd=ROOT

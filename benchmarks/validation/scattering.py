@@ -1,13 +1,13 @@
-"""Claim: walks in tissue are right, and give what diffusion says where diffusion holds.
+"""Claim: random walks in tissue agree with exact transport, and with diffusion within its validity.
 
-A thin beam enters a half-space along its normal. How much comes back is held against exact
+A thin beam enters a half-space along its normal. The reflected fraction is compared with exact
 transport (Chandrasekhar's H behind Fresnel's border) and against diffusion: claimed within 3 % from
-a single-scattering albedo of 0.98 on. Where it comes back is held against diffusion with sources
+a single-scattering albedo of 0.98 on. Its radial profile is compared with diffusion with sources
 along the beam: claimed within 3 % beyond six free paths.
 
-Then radiosity, without and with tissue, beside path tracing through it. Claimed for red, where
-light goes farthest: with tissue at most 5 % of relative RMSE on a colon and 15 % beside ring folds,
-for at most three times a plain frame.
+Then radiosity, without and with tissue, is compared with path tracing through it. Claimed for red,
+where light goes farthest: with tissue at most 5 % of relative RMSE on a colon and 15 % next to ring
+folds, for at most three times a plain frame.
 
     python -m benchmarks.validation.scattering
 """
@@ -133,7 +133,7 @@ def profile_rows(ior: float, albedo: float, count: int) -> list[tuple[str, ...]]
 
 @dataclass(frozen=True)
 class View:
-    """A place in an organ, and those that come after it on a flight."""
+    """Position in an organ, and those after it on a flight."""
 
     name: str
     model: Model

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def half_space_reflectance(albedo: Float[np.ndarray, " k"], ior: float) -> Float[np.ndarray, " k"]:
-    """Share of a beam along the normal that tissue gives back diffusely: exact transport.
+    """Diffuse reflectance of a beam along the normal by exact transport.
 
     By reciprocity it is the radiance seen along the normal under even light.
     """
@@ -35,7 +35,7 @@ def half_space_reflectance(albedo: Float[np.ndarray, " k"], ior: float) -> Float
 
 
 def _light_down(albedo: Float[np.ndarray, " k"], ior: float) -> Float[np.ndarray, "k n"]:
-    """Radiance just inside that goes down, under radiance 1 from everywhere outside."""
+    """Downward radiance just inside, under isotropic radiance 1 outside."""
     cosine, _ = directions(ior)
     r = fresnel(cosine, 1.0 / ior)
     return ior**2 * (1.0 - r) + r * radiance_inside(albedo, ior)
@@ -43,7 +43,7 @@ def _light_down(albedo: Float[np.ndarray, " k"], ior: float) -> Float[np.ndarray
 
 @dataclass(frozen=True)
 class Medium:
-    """Tissue as diffusion knows it.
+    """Parameters of tissue in the diffusion approximation.
 
     Attributes:
         absorption: µa [1/m].
@@ -73,7 +73,7 @@ def dipole_profile(medium: Medium, radius: Float[np.ndarray, "*n"]) -> Float[np.
 
 
 def diffusion_profile(medium: Medium, radius: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """The same, with sources all along the beam and what passes the border of fluence and flux.
+    """Reflectance with sources along the beam, from fluence and flux at the border.
 
     R = ∫ (1 − r(µ)) (φ + 3 J µ)/(4π) µ dω (Kienle and Patterson, J. Opt. Soc. Am. A 14(1), 1997,
     eq. 8), the border extrapolated by the flux that it reflects (Aronson, ibid. 12(11), 1995).
@@ -99,7 +99,7 @@ def _dipole(
         medium: The tissue.
         radius: Distance along the surface [m].
         depth: Of the source in mean free paths.
-        border: Height of the border at which fluence is nothing, in units of 2/3 free paths.
+        border: Height of the border of zero fluence, in units of 2/3 free paths.
     """
     total = medium.absorption + medium.scattering
     effective = np.sqrt(3.0 * medium.absorption * total)

@@ -1,8 +1,8 @@
-"""Claim: a stated Hall array finds the capsule within 5 mm and 4°, mean.
+"""Claim: a stated Hall array localizes the capsule with mean errors within 5 mm and 4°.
 
 Reference: ≤ 5 mm and 4° mean for static magnets in capsules (Zeising et al., Adv. Radio Sci. 20,
-2023). Random places and directions, the earth's field in a random direction, noise, resolution, and
-errors of gain and offset left in by the calibration.
+2023). Random positions and directions, the earth's field in a random direction, noise, resolution,
+and errors of gain and offset left in by the calibration.
 
     python -m benchmarks.validation.sensing [--size FIXES]
 """
@@ -31,7 +31,7 @@ HEAD = (
 
 @dataclass(frozen=True)
 class Setup:
-    """An array and where the magnet may be in front of it."""
+    """Array and the region of the magnet in front of it."""
 
     name: str
     array: HallArray

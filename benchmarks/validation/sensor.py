@@ -1,6 +1,6 @@
-"""Claim: lens and sensor do what their formulas say.
+"""Claim: lens and sensor follow their formulas.
 
-Measured on images alone, as a laboratory measures a camera: flat fields for the photon-transfer
+Measured on images alone, as in a laboratory: flat fields for the photon-transfer
 curve, points and lines for the optics. Claimed: gain and read noise within 3 %.
 
     python -m benchmarks.validation.sensor
@@ -120,7 +120,7 @@ def optics(camera: Camera) -> list[Row]:
 
 
 def motion(camera: Camera) -> list[Row]:
-    """Length of a streak, and lean of a line under a rolling shutter."""
+    """Length of a streak, and tilt of a line under a rolling shutter."""
     height, width = camera.height, camera.width
     image = np.zeros((height, width, 3), np.float32)
     image[160, 160] = 1.0
@@ -144,7 +144,7 @@ def motion(camera: Camera) -> list[Row]:
 
 
 def exposure() -> list[Row]:
-    """Time after which the exposure of a scene that stays is within 1/e and 1 % of its goal."""
+    """Times after which the exposure of a static scene is within 1/e and 1 % of its target."""
     rows = []
     for constant in (0.3, 1.0, 5.0):
         automatic, exposures = AutoExposure(constant, min_light=1e-4), [1.0]

@@ -1,12 +1,12 @@
-"""Claim: a passive capsule passes the small bowel in the time that patients' capsules need.
+"""Claim: the passive transit time of the small bowel is that of patients.
 
 Reference: median 198.5 min, quartiles 157 and 240.5 (71 healthy subjects; O'Grady et al., Endosc.
 Int. Open 8:E396, 2020); mean 282 ± 132 min (336 patients; Tominaga et al., Ann. Transl. Med. 2020).
 
-The muscle is the simulator's own. The capsule is a reduced model, because hours of full physics
-take hours: it moves along the centerline only, without inertia and gravity; the wall presses with
-the pressure of `WinklerFoundation` where the lumen is narrower than the capsule; the capsule stays
-where the axial part of that pressure is below Coulomb friction, else moves to where it is.
+The muscle is the simulator's own. The capsule is a reduced model, because full physics takes about
+real time: it moves along the centerline only, without inertia and gravity; the wall presses with
+the pressure of `WinklerFoundation` where the lumen is narrower than the capsule; the capsule rests
+if the axial part of that pressure is below Coulomb friction, else moves to where it is.
 
     python -m benchmarks.validation.small_bowel_transit [--size PATIENTS]
 """
@@ -38,14 +38,14 @@ _FINE = np.linspace(0.0, 1.0, 49)
 
 @dataclass(frozen=True)
 class Slider:
-    """A capsule on the centerline, by places along its own length from the rear [m]."""
+    """Capsule on the centerline, with positions along its length from the rear [m]."""
 
     along: np.ndarray
     radius: np.ndarray
     area_slope: np.ndarray
 
     def forces(self, lumen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Axial force and grip [N] for the lumen's radius at each place, `... n`."""
+        """Axial force and grip [N] for the lumen's radius at each position, `... n`."""
         foundation = WinklerFoundation()
         depth = np.maximum(self.radius - lumen, 0.0)
         fold = foundation.stiffening_depth
@@ -66,7 +66,7 @@ def slider() -> Slider:
 
 
 def small_bowel() -> tuple[OrganSurface, np.ndarray, np.ndarray]:
-    """A straight bowel of mean length, and places [m] with the lumen's radius there [m]."""
+    """Straight bowel of mean length: positions [m] and the lumen's radius there [m]."""
     p = SmallBowelParameters()
     rest = p.length - p.duodenum_length
     lengths = {

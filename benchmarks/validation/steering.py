@@ -1,6 +1,6 @@
 """Claim: a magnet holds the capsule in a tube, by hand and by arm, within 2 mm and 3°.
 
-In a straight and in a bent tube a push along the tube of 0.1 N rises within 2 s, stays, turns round
+In a straight and in a bent tube a push along the tube of 0.1 N rises within 2 s, stays, reverses
 within 4 s and stays.
 
     python -m benchmarks.validation.steering
@@ -48,7 +48,7 @@ SPEED_HEAD = ("what", "CPU time", "claimed")
 
 @dataclass(frozen=True)
 class Tube:
-    """A tube, and where in it the capsule is held [m]."""
+    """Tube, and position of the capsule in it [m]."""
 
     name: str
     organ: OrganSurface
@@ -124,7 +124,7 @@ def hold_row(tube: Tube, by_arm: bool, press: float) -> tuple[str, ...]:
 
 
 def panda(magnet: Cylinder, place: np.ndarray, workspace: Workspace) -> MagnetActuator:
-    """The Panda at a place, the magnet across its flange."""
+    """Panda at a position, with the magnet across its flange."""
     base = transform_from(np.eye(3), place)
     return RobotActuator(
         ArmWithPayload(read_arm("panda"), magnet, base, transverse_mount(magnet)), workspace
@@ -132,13 +132,13 @@ def panda(magnet: Cylinder, place: np.ndarray, workspace: Workspace) -> MagnetAc
 
 
 def lead(world: World, controller: MagnetController, target: CapsuleTarget, seconds: float) -> None:
-    """Steps a world to a target."""
+    """Step a world to a target."""
     for _ in range(round(seconds / DT)):
         world.step(controller.track(world, target, DT), DT)
 
 
 def error_of(world: World, target: CapsuleTarget, counted: np.ndarray) -> tuple[float, float]:
-    """Distance from the target in the directions that count [mm], and angle [°]."""
+    """Distance from the target in the controlled directions [mm], and angle [°]."""
     T = world.T_world_capsule
     off = np.linalg.norm(counted @ (T[:3, 3] - np.asarray(target.position)))
     cosine = np.clip(np.asarray(target.direction) @ T[:3, 2], -1.0, 1.0)
@@ -146,7 +146,7 @@ def error_of(world: World, target: CapsuleTarget, counted: np.ndarray) -> tuple[
 
 
 def speed_rows() -> list[tuple[str, ...]]:
-    """Rows of what 8 sources take in a substep, beside the same substep without them."""
+    """Rows of the time of 8 sources in a substep, and of the substep without them."""
     organ = bent_tube(radius=0.04, around=24, along=60)
     model = Model(organ, read_device("magnetic"), np.eye(4))
     pose = transform_from(organ.centerline.frames[15], organ.centerline.points[15])

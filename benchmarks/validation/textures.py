@@ -1,8 +1,8 @@
-"""Textures made from photographs look like them, and show neither seam nor repetition.
+"""Textures from photographs: similarity, seams and repetition.
 
-Claim: the step over the edges where a texture continues is that inside (within 15 %), the highest
+Claim: the step over the edges of a texture that continues is that inside (within 15 %), the highest
 autocorrelation beyond a region's side is < 0.25, and the mean color is that of the regions it was
-made from within ΔE*ab = 1, at which a difference begins to be seen.
+made from within ΔE*ab = 1, the threshold of visible differences.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Other renderers, run from their own packages on the same wall, views and lights.
 
-Each module has ``subjects(stage) -> list[Subject]`` and raises `PeerMissingError` where its
+Each module has ``subjects(stage) -> list[Subject]`` and raises `PeerMissingError` if its
 package is not installed or does not work on this machine.
 """
 
@@ -27,7 +27,7 @@ PACKAGES = {"embree": "embreex", "mitsuba": "mitsuba", "mujoco": "mujoco"}
 
 
 class PeerMissingError(Exception):
-    """A peer that cannot be measured here; its text says why and what would change that."""
+    """A peer that cannot be measured here; its text states the reason and the remedy."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class WeldedMesh:
 
 
 def welded_mesh(stage: Stage) -> WeldedMesh:
-    """The wall as renderers hold it that know no texture coordinates of face corners."""
+    """Wall for renderers without texture coordinates of face corners."""
     organ, places = stage.model.organ, stage.model.vertices_world
     corners = np.column_stack([organ.faces.reshape(-1), organ.uv.reshape(-1, 2)])
     unique, number = np.unique(corners, axis=0, return_inverse=True)
@@ -80,7 +80,7 @@ def load_package(name: str) -> Any:
 def find_peers(
     stage: Stage, names: Sequence[str] = tuple(PACKAGES)
 ) -> tuple[list[Subject], dict[str, str]]:
-    """Subjects of the peers that work here, and why the others are left out."""
+    """Subjects of the peers that work here, and the reasons why others are left out."""
     found: list[Subject] = []
     skipped: dict[str, str] = {}
     for name in names:

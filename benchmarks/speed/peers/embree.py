@@ -14,7 +14,7 @@ PRIMARY_RAYS = "Embree, primary rays only"
 
 
 def subjects(stage: Stage) -> list[Subject]:
-    """Nearest hit of every pixel's ray: distance, face and weights, nothing shaded.
+    """Nearest hit of every pixel's ray: distance, face and weights, without shading.
 
     Raises:
         PeerMissingError: If embreex is not installed.

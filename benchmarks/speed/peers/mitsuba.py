@@ -41,7 +41,7 @@ print(mi.render(scene, integrator=mi.load_dict({_BOTH!r}), spp=1).numpy().shape)
 
 
 def subjects(stage: Stage) -> list[Subject]:
-    """A frame through `mi.render`, and the same without what only `mi.render` costs.
+    """A frame through `mi.render`, and the same without the overhead of `mi.render`.
 
     Raises:
         PeerMissingError: If Mitsuba is not installed or finds no LLVM that works.

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from benchmarks.common.sources import PACKAGE, ROOT, digest
-from vrcaps.cli.benchmarks import page as pages
+from vrcaps.cli.benchmarks import report
 
 _STARTED = time.monotonic()
 _STAMP = re.compile(
@@ -88,4 +88,4 @@ def write_section(page: Path, name: str, text: str, *, command: str, title: str)
         title: Title of a new page.
     """
     text = stamped(text, name, command, time.monotonic() - _STARTED)
-    pages.write_section(page, name, text, title=title)
+    report.write_section(page, name, text, title=title)

@@ -15,9 +15,9 @@ from functools import cache
 from itertools import accumulate
 from pathlib import Path
 
-from vrcaps.cli.benchmarks import page
+from vrcaps import core
 
-PACKAGE = Path(page.__file__).resolve().parents[2]
+PACKAGE = Path(core.__file__).resolve().parents[1]
 ROOT = Path(__file__).resolve().parents[2]
 
 _COMMANDS = PACKAGE / "cli" / "__init__.py"

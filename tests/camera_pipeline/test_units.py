@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from tests.support.shapes import looking, make_camera, make_model, patterned, tube
+from vrcaps.camera.camera import led_ring
+from vrcaps.camera_pipeline.capsule_cameras import CapsuleCameras
 from vrcaps.camera_pipeline.effect.exposure import AutoExposure
 from vrcaps.camera_pipeline.effect.optics import DepthOfField, LedBalance
 from vrcaps.camera_pipeline.effect.processing import Jpeg, WhiteBalance
@@ -173,6 +175,19 @@ def test_camera_as_built_is_the_default_and_none_is_the_renderers_image(renderer
     assert np.array_equal(image(renderer), image(renderer, own))
     assert np.abs(image(renderer).astype(int) - plain).mean() > 5.0
     assert not np.array_equal(image(renderer), image(renderer, seed=2))
+
+
+def test_effects_on_cameras_are_applied_to_the_nominal_capsule_once(renderer: Renderer) -> None:
+    device = renderer.model.device
+    lit = replace(CAMERA, leds=led_ring(4, radius=3e-3))
+    effects = Effects(led_balance=LedBalance(0.3, seed=4))
+    named = Renderer(replace(renderer.model, device=replace(device, cameras=(lit,))))
+    (changed,) = effects.device(named.model.device).cameras
+    pipeline = CameraPipeline(named, lit.name, effects)
+    assert pipeline.camera == changed != lit
+    assert CameraPipeline(named, changed, effects).camera == changed
+    (of_capsule,) = CapsuleCameras(named, effects, fps=1.0).pipelines.values()
+    assert of_capsule.camera == changed
 
 
 @pytest.mark.parametrize("loop", [0, 1])

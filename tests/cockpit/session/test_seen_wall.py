@@ -11,6 +11,7 @@ import pytest
 
 from tests.support.tubes import straight_gut
 from vrcaps.camera.derive import scaled_camera
+from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.capsule.device_file import read_device
 from vrcaps.cockpit.session.seen_wall import SeenWall
 from vrcaps.world.model import Model
@@ -33,7 +34,8 @@ def model() -> Model:
 def session_of(model: Model, poses: np.ndarray) -> Any:
     """As much of a session as counts here."""
     rollout = SimpleNamespace(fps=FPS, settings=SimpleNamespace(posture_changes=TURN))
-    return SimpleNamespace(model=model, rollout=rollout, poses=poses)
+    scenario = SimpleNamespace(effects=Effects())
+    return SimpleNamespace(model=model, rollout=rollout, poses=poses, scenario=scenario)
 
 
 def test_after_a_return_frames_of_a_turned_patient_count_as_when_they_were_seen(model):

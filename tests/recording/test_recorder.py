@@ -4,6 +4,7 @@ import json
 import os
 import pickle
 import shutil
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path

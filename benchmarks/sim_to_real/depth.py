@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from vrcaps.formats.shared.stored_images import image_size, read_plane, read_rgb
 from vrcaps.formats.shared.text_files import read_yaml
 from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.networks import Backbone
-from vrcaps.learn.picture_border import bright_part
+from vrcaps.learn.picture_border import at_mean_exposure, tissue_view
 from vrcaps.learn.samples import batch_of
 from vrcaps.learn.tasks.depth import DepthTask, depth_of
 from vrcaps.metrics.depth import depth_errors
@@ -114,16 +114,16 @@ def read_sinus(folder: Path) -> list[DepthImage]:
 
 
 def without_border(one: DepthImage) -> DepthImage:
-    """Image without the rows and columns at its edges that are nearly black."""
-    rows, columns = bright_part(one.image)
-    (top, bottom), (left, right) = (rows.start, rows.stop), (columns.start, columns.stop)
-    pixels = one.pixels - (left, top)
-    inside = ((pixels >= 0) & (pixels < (right - left, bottom - top))).all(axis=1)
-    old: Any = one.camera.lens
-    lens = replace(old, cx=float(old.cx - left), cy=float(old.cy - top))
-    camera = Camera(one.camera.name, lens, int(right - left), int(bottom - top))
-    image = np.ascontiguousarray(one.image[top:bottom, left:right])
-    return DepthImage(image, camera, pixels[inside], one.depth[inside], one.group)
+    """Image without black border and inserts, as in `vrcaps predict` and `vrcaps evaluate`."""
+    view = tissue_view(one.image, one.camera)
+    rows, columns = view.region
+    pixels = one.pixels - (columns.start, rows.start)
+    height, width = view.image.shape[:2]
+    inside = ((pixels >= 0) & (pixels < (width, height))).all(axis=1)
+    pixels, depth = pixels[inside], one.depth[inside]
+    is_tissue = ~view.is_insert[pixels[:, 1], pixels[:, 0]]
+    camera: Any = view.camera
+    return DepthImage(view.image, camera, pixels[is_tissue], depth[is_tissue], one.group)
 
 
 def _projected(
@@ -198,7 +198,8 @@ def by_network(trained: Any) -> Estimate:
 
     def estimate(image: np.ndarray, camera: Camera) -> np.ndarray:
         fit = Letterbox(image.shape[0], image.shape[1], learner.input_size)
-        output = trained(batch_of([learner.inputs(image, fit, camera)], trained.device))[0]
+        sample = learner.inputs(at_mean_exposure(image), fit, camera)
+        output = trained(batch_of([sample], trained.device))[0]
         return fit.back(depth_of(output))
 
     return estimate

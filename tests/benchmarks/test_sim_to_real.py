@@ -20,6 +20,7 @@ from benchmarks.sim_to_real.cells import LONG, ROWS, Cell, Row, RowFile, ordered
 from benchmarks.sim_to_real.depth import (
     DepthImage,
     by_light,
+    by_network,
     constant,
     depth_values,
     read_sinus,
@@ -45,6 +46,7 @@ from vrcaps.learn.tasks.segmentation import LESION
 from vrcaps.learn.training import WEIGHTS
 from vrcaps.metrics.bootstrap import Interval
 from vrcaps.metrics.labels import confusion_matrix, f1_scores
+from vrcaps.recording.frame_sequence import FrameSequence
 
 ARMS = {"masks": ("scratch", "imagenet", "ours"), "classes": ("scratch", "ours")}
 MADE_OF = {"basis": "a", "first": "b"}
@@ -280,6 +282,35 @@ def test_a_black_border_is_left_out_and_rays_stay():
     rays = [one.lens.unproject(places.astype(float)) for one, places in given]
     np.testing.assert_allclose(*rays)
     np.testing.assert_array_equal(one.depth, [1.0, 2.0])
+
+
+def test_predict_writes_what_the_benchmark_scores(tmp_path):
+    """On a whole image with border and insert, both crop the same part and use the same rays."""
+    torch = pytest.importorskip("torch", reason="PyTorch is not installed")
+    from vrcaps.learn.checkpoint import TrainedNetwork
+    from vrcaps.learn.networks import Backbone
+    from vrcaps.learn.prediction import predict
+    from vrcaps.learn.tasks.depth import DepthTask
+    from vrcaps.recording.frame_files import read_image
+
+    torch.manual_seed(0)
+    learner = DepthTask(backbone=Backbone(32))
+    trained = TrainedNetwork(learner, learner.network(is_pretrained=False).eval(), {})
+    image = np.zeros((60, 80, 3), np.uint8)
+    image[10:50, 20:70] = np.random.default_rng(0).integers(60, 220, (40, 50, 1)) * [1.0, 0.5, 0.4]
+    image[36:50, 20:36] = (30, 60, 160)  # an insert of the device
+    camera = Camera("front", LensPinhole(fx=60.0, fy=60.0, cx=40.0, cy=31.0), 80, 60)
+    pixels = np.array([[25, 12], [69, 30], [60, 49], [22, 48], [5, 5]])
+    one = without_border(DepthImage(image, camera, pixels, np.arange(1.0, 6.0), 0))
+    np.testing.assert_array_equal(one.depth, [1.0, 2.0, 3.0])  # not in the insert or the border
+    column, row = one.pixels.T
+    scored = by_network(trained)(one.image, one.camera)[row, column]
+    sequence = FrameSequence("a", ("rgb",), {"time": np.zeros(1)}, lambda *at: image, camera)
+    predict(trained, (sequence,), tmp_path / "out")
+    written = read_image(tmp_path / "out" / "a" / "000000.png") * 1e-5
+    column, row = pixels[:3].T
+    np.testing.assert_allclose(written[row, column], scored, atol=0.51e-5)
+    assert (written[[48, 5], [22, 5]] == 0.0).all()
 
 
 def write_sinus(folder):

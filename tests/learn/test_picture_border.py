@@ -58,7 +58,39 @@ def test_depth_takes_the_image_at_the_exposure_of_the_camera() -> None:
     half = srgb_from_linear(0.5 * linear_from_srgb(image))
     np.testing.assert_array_equal(input_image(exposed, 0, predicts_lengths=True), half)
     np.testing.assert_array_equal(input_image(exposed, 0), image)
-    np.testing.assert_array_equal(input_image(one, 0, predicts_lengths=True), image)
+    np.testing.assert_array_equal(input_image(one, 0), image)
+
+
+def test_an_unknown_exposure_is_compensated() -> None:
+    """Depth then sees the same image at any exposure that keeps all detail, border or not."""
+    image = framed()
+    given = [srgb_from_linear(factor * linear_from_srgb(image)) for factor in (0.5, 1.0, 2.0)]
+    seen = [input_image(sequence(one), 0, predicts_lengths=True) for one in given]
+    part = (slice(TOP, TOP + HEIGHT - 20), slice(LEFT, LEFT + WIDTH))
+    for one in seen:
+        assert np.median(linear_from_srgb(one[part]).mean(axis=-1)) == pytest.approx(0.06, rel=0.03)
+        np.testing.assert_allclose(one[part].astype(float), seen[1][part], atol=3.0)
+    unknown = replace(sequence(image), values={"time": np.zeros(1), EXPOSURE: np.array([np.nan])})
+    np.testing.assert_array_equal(input_image(unknown, 0, predicts_lengths=True), seen[1])
+    black = np.zeros_like(image)
+    np.testing.assert_array_equal(input_image(sequence(black), 0, predicts_lengths=True), black)
+
+
+def test_training_drops_the_exposure_of_a_fraction_of_images() -> None:
+    pytest.importorskip("torch", reason="PyTorch is not installed")
+    from vrcaps.learn.augment import Augmentation
+    from vrcaps.learn.tasks.depth import DepthTask
+
+    none = Augmentation(1.0, 1.0, 1.0, 1.0)
+    image = np.full((32, 32, 3), (180, 90, 70), np.uint8)
+    sample = {"image": image, "ray": np.ones((32, 32, 3)), "depth": np.ones((32, 32))}
+    for dropout, expected in ((0.0, 0), (1.0, 40), (0.25, 10)):
+        learner = DepthTask(Backbone(32), exposure_dropout=dropout, augmentation=none)
+        changed = [
+            (learner.augment(sample, np.random.default_rng(k))["image"] != image).any()
+            for k in range(40)
+        ]
+        assert abs(sum(changed) - expected) <= 6 * (0.0 < dropout < 1.0)
 
 
 def test_an_insert_is_a_box_of_foreign_color_with_a_margin() -> None:

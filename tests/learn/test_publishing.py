@@ -13,7 +13,7 @@ from vrcaps.learn.checkpoint import TrainedNetwork, read_weights  # noqa: E402
 from vrcaps.learn.hub import read_index  # noqa: E402
 from vrcaps.learn.letterbox import Letterbox  # noqa: E402
 from vrcaps.learn.networks import Backbone  # noqa: E402
-from vrcaps.learn.publishing import (  # noqa: E402
+from vrcaps.learn.responses import (  # noqa: E402
     MIN_RESPONSE,
     probes,
     require_responses,
@@ -71,9 +71,8 @@ def test_a_constant_network_is_found() -> None:
         require_responses(untrained)
     video = SfmTask(backbone=Backbone(32))
     network = video.network(is_pretrained=False).eval()
-    for value in network.moves.get_classifier().parameters():
-        torch.nn.init.constant_(value, 0.1)
-    torch.nn.init.zeros_(network.moves.get_classifier().weight)
+    for value in network.moves.head[-1].parameters():
+        torch.nn.init.zeros_(value)
     with pytest.raises(InputError, match="motion 0 changes by 0 of"):
         require_responses(TrainedNetwork(video, network, {}))
 

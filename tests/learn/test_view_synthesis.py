@@ -23,11 +23,12 @@ from vrcaps.learn.losses import (  # noqa: E402
     smoothness,
     synthesize_view,
 )
+from vrcaps.learn.motion_network import Flow, motion_from_flow  # noqa: E402
 from vrcaps.learn.networks import Backbone  # noqa: E402
 from vrcaps.learn.samples import Samples, batch_of  # noqa: E402
 from vrcaps.learn.settings import TrainSettings  # noqa: E402
 from vrcaps.learn.tasks.depth import MIDDLE  # noqa: E402
-from vrcaps.learn.tasks.sfm import SfmTask  # noqa: E402
+from vrcaps.learn.tasks.sfm import SfmTask, true_flow  # noqa: E402
 from vrcaps.learn.training import BEST, train  # noqa: E402
 from vrcaps.training.settings import ComputeSettings  # noqa: E402
 
@@ -35,6 +36,7 @@ SIDE, RADIUS = 32, 0.03
 PINHOLE = LensPinhole(fx=22.0, fy=23.0, cx=15.2, cy=15.9, k1=-0.05, k2=0.01, p1=1e-3, p2=-2e-3)
 FISHEYE = LensKannalaBrandt(fx=14.0, fy=14.5, cx=15.2, cy=15.9, k1=-0.05, k2=0.002)
 EQUIDISTANT = LensEquidistant(focal=13.0, cx=15.5, cy=15.5, max_angle=1.4)
+EQUIDISTANT_128 = LensEquidistant(focal=45.0, cx=63.5, cy=63.5, max_angle=1.4)
 MOTION = torch.tensor([[0.02, -0.03, 0.05, 0.001, -0.002, 0.003]], dtype=torch.float64)
 
 PLACE = np.eye(4)
@@ -142,11 +144,14 @@ def test_learner_trains_and_writes_a_trajectory(tmp_path):
     assert poses.shape == (len(sequence), 4, 4)
     np.testing.assert_allclose(np.linalg.det(poses[:, :3, :3]), 1.0, atol=1e-5)
     step = np.linalg.inv(poses[4]) @ poses[5]
-    frames = batch_of(
-        [{"image": Letterbox(48, 48, 32).image(sequence.image("rgb", k))} for k in (5, 4)]
+    letterbox = Letterbox(48, 48, 32)
+    here, before = (
+        batch_of([learner.inputs(sequence.image("rgb", k), letterbox, sequence.camera)])
+        for k in (5, 4)
     )
     with torch.inference_mode():
-        motion = trained.network.motion(frames["image"][:1], frames["image"][1:])
+        own = learner.output(trained.network, here)
+        motion = trained.network.moves(here["image"], before["image"], here["ray"], own)
     expected = pose_matrix(motion)[0].numpy()
     expected[:3, 3] *= MIDDLE  # distances are in units of 30 mm, and so are motions
     np.testing.assert_allclose(step, expected, atol=1e-5)
@@ -159,37 +164,60 @@ def test_true_distances_and_motion_cost_nothing_under_supervision():
     sequence = ellipsoid_sequence(EQUIDISTANT, SIDE, SIDE)
     learner = SfmTask(backbone=Backbone(32), supervision=1.0)
     batch = batch_of([learner.sample(sequence, k) for k in learner.items(sequence)])
-    Ts = torch.stack([batch[f"T_{name}_own"] for name in ("before", "after")])
+    Ts = [batch[f"T_{name}_own"] for name in ("before", "after")]
 
     class Known(torch.nn.Module):
-        """Distances and motions that are right, but for a factor and a turn."""
+        """Distances and flows that are right, but for a factor and a shift of the image."""
 
-        def __init__(self, factor, turn):
+        def __init__(self, factor, shift):
             super().__init__()
-            self.factor, self.turn, self.calls = factor, turn, 0
+            self.factor, self.shift, self.calls, self.moves = factor, shift, 0, self
 
         def forward(self, image, ray):
             along = ray[:, 2].where(ray[:, 2] > 0.05, torch.nan)
             distance = (batch["depth"] / along).nan_to_num(0.03)
             return torch.log(self.factor * distance / MIDDLE)[:, None]
 
-        def motion(self, image, other):
-            T = Ts[self.calls % 2].double()
+        def flow(self, image, other, ray):
+            truth = true_flow(batch, Ts[self.calls % 2])
             self.calls += 1
-            turn = Rotation.from_matrix(T[:, :3, :3].numpy()).as_rotvec() + self.turn
-            return torch.cat([torch.from_numpy(turn), T[:, :3, 3] / MIDDLE], dim=1)
+            known = torch.isfinite(truth).all(dim=1, keepdim=True)
+            return Flow(truth.nan_to_num(0.0) + self.shift, known.float())
 
-    def labels(factor=1.0, turn=0.0):
-        return float(learner.loss(Known(factor, turn), batch)["labels"])
+    def labels(factor=1.0, shift=0.0):
+        return float(learner.loss(Known(factor, shift), batch)["labels"])
 
-    assert labels() < 1e-3
-    assert labels(factor=1.1) == pytest.approx(np.log(1.1), rel=1e-3)
-    # A turn by θ about an axis moves a matrix by √8 sin(θ/2); θ is √3 · 0.02 here, both ways.
-    assert labels(turn=0.02) == pytest.approx(2.0 * np.sqrt(2.0) * np.sqrt(3.0), rel=0.02)
+    assert labels() < 0.3
+    assert labels(factor=1.1) > labels() + 0.5 * np.log(1.1)
+    # A flow that is wrong by one pixel along both axes costs √2 a neighbor, and its motion more.
+    assert labels(shift=1.0) > labels() + 2.0 * np.sqrt(2.0)
     blind = replace(sequence, channels=("rgb",))
     with pytest.raises(InputError, match=r"Supervision requires depth\. ball/front has none"):
         learner.items(blind)
     assert "T_before_own" not in SfmTask(backbone=Backbone(32)).sample(sequence, 1)
+
+
+def test_motion_follows_from_the_true_flow_and_distances():
+    """Of a flow without error, motion is exact up to the size of a position; none gives none."""
+    sequence = ellipsoid_sequence(EQUIDISTANT_128, 128, 128)
+    learner = SfmTask(backbone=Backbone(128), supervision=1.0)
+    batch = batch_of([learner.sample(sequence, k) for k in learner.items(sequence)])
+    distance = batch["depth"] / batch["ray"][:, 2].clamp(min=0.05)
+    log_distance = torch.log(distance.nan_to_num(MIDDLE) / MIDDLE)[:, None]
+    for name in ("before", "after"):
+        T = batch[f"T_{name}_own"]
+        truth = true_flow(batch, T)
+        known = torch.isfinite(truth).all(dim=1, keepdim=True)
+        flow = Flow(truth.nan_to_num(0.0), known.float())
+        motion = motion_from_flow(flow, batch["ray"], log_distance)
+        error = MIDDLE * motion[:, 3:] - T[:, :3, 3]
+        assert float((error.norm(dim=1) / T[:, :3, 3].norm(dim=1)).max()) < 0.02
+        turned = pose_matrix(motion)[:, :3, :3] - T[:, :3, :3]
+        assert float(turned.flatten(1).norm(dim=1).max()) < 1e-3
+        still = Flow(torch.zeros_like(flow.pixels), flow.weight)
+        assert float(motion_from_flow(still, batch["ray"], log_distance).abs().max()) < 1e-3
+        wild = replace(flow, weight=0.0 * flow.weight)  # nothing to go by is no motion
+        assert float(motion_from_flow(wild, batch["ray"], log_distance).abs().max()) < 1e-4
 
 
 def test_gradients_are_those_of_finite_differences():

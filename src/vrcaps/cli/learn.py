@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import radians
+from math import degrees, radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -172,8 +172,12 @@ class _Evaluate:
     split: str = ""
     """Split of the data to use, if it has splits: train, val or test."""
 
+    perturb: bool = False
+    """Also evaluate 100 of the frames with other exposure, JPEG, noise, a border or a crop."""
+
     out: Path | None = None
-    """Output folder for scores.csv, evaluation.json (input of a model card) and a picture."""
+    """Output folder for scores.csv, evaluation.json (input of a model card), and pictures of frames
+    and of the worst ones."""
 
     device: str = "auto"
     """cpu, cuda, mps, or auto for the fastest available."""
@@ -190,34 +194,38 @@ class _Evaluate:
         from vrcaps.learn.hub import find_weights
 
         weights = find_weights(self.weights, self.task)
-        from vrcaps.core.files import file_sha256, write_csv
+        from vrcaps.cli.learn_tables import (
+            print_evaluation,
+            print_perturbed,
+            warn_if_constant,
+            write_evaluation_folder,
+        )
+        from vrcaps.core.files import file_sha256
         from vrcaps.formats.io import read_sources
         from vrcaps.learn.checkpoint import read_weights
-        from vrcaps.learn.evaluation import Evaluation, evaluate, write_evaluation, write_pictures
+        from vrcaps.learn.comparison import main_metric, perturbed
+        from vrcaps.learn.evaluation import Evaluation, evaluate
         from vrcaps.learn.samples import samples_of
         from vrcaps.training.settings import available_device
 
         trained = read_weights(weights, task=self.task, device=available_device(self.device))
+        warn_if_constant(trained)
         sequences = [s for s in read_sources(self.data) if self.split in ("", s.split)]
         samples = samples_of(trained.task, sequences)
         result = evaluate(trained, samples)
-        for name, value in result.metrics.items():
-            console.print(f"{name:16} {value:.4f}")
+        table, groups = print_evaluation(trained, result, sequences)
+        rows: dict[str, dict[str, float]] = {}
+        if self.perturb:
+            with progress_bar("perturbing") as show:
+                rows = perturbed(trained, samples, progress=show)
+            print_perturbed(rows, main_metric(trained.task))
         _report_skipped(samples.skipped)
-        if self.out is not None:
-            self.out.mkdir(parents=True, exist_ok=True)
-            write_csv(self.out / "scores.csv", [dict(result.metrics)])
-            evaluation = Evaluation(
-                task=self.task,
-                sha256=file_sha256(weights),
-                data=self.data,
-                split=self.split,
-                frames=len(result.samples),
-                skipped=len(samples.skipped),
-                scores=result.metrics,
-            )
-            write_evaluation(self.out, evaluation)
-            write_pictures(self.out / "frames.png", trained.task, result)
+        if self.out is None:
+            return
+        counts = len(result.samples), len(samples.skipped)
+        stated = self.task, file_sha256(weights), self.data, self.split, *counts
+        evaluation = Evaluation(*stated, result.metrics, table, rows, groups)
+        write_evaluation_folder(self.out, evaluation, trained.task, result)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -271,11 +279,22 @@ class _Predict:
                 f"Assumed for images without a camera: an equidistant lens with a field of view of "
                 f"{self.fov:g} degrees."
             )
+        if "ray" in TASKS[self.task].input_names:
+            _report_lenses(images)
         trained = read_weights(weights, task=self.task, device=available_device(self.device))
         with progress_bar("predicting") as show:
             skipped = predict(trained, images, self.out, field_of_view=field, progress=show)
         _report_skipped(skipped)
         console.print(f"Written: {self.out}, with contact sheet sheet.png.")
+
+
+def _report_lenses(images: Sequence[FrameSequence]) -> None:
+    """Print the field of view of each camera, on which depth depends."""
+    from vrcaps.learn.picture_border import horizontal_field
+
+    for camera in dict.fromkeys(one.camera for one in images if one.camera is not None):
+        angle = degrees(horizontal_field(camera))
+        console.print(f"Lens of {camera.name}: {angle:.0f} degrees across the image.")
 
 
 def check_paths(args: Sequence[str]) -> None:

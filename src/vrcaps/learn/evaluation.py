@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -16,12 +16,16 @@ from vrcaps.core.files import write_json
 from vrcaps.learn.checkpoint import TrainedNetwork
 from vrcaps.learn.samples import Samples, batch_of
 from vrcaps.learn.task import Sample, Task
+from vrcaps.recording.frame_sequence import FrameSequence
 
 if TYPE_CHECKING:
     from jaxtyping import UInt8
     from numpy.typing import NDArray
 
 EVALUATION = "evaluation.json"
+Table: TypeAlias = Mapping[str, Mapping[str, Sequence[float]]]
+"""Value, lower and upper end of an interval, by method and metric."""
+_NUMBERS = ("scores", "table", "perturbed")
 _BATCH = 8
 _ROWS = 6
 """Maximum number of frames of a picture."""
@@ -35,11 +39,13 @@ class EvaluationResult:
         metrics: Metrics of the task.
         outputs: The network's output for each frame.
         samples: Input and ground truth of each frame.
+        frames: Sequence and index of each frame.
     """
 
     metrics: Mapping[str, float]
     outputs: list[NDArray]
     samples: list[Sample]
+    frames: list[tuple[FrameSequence, int]]
 
 
 def evaluate(
@@ -56,9 +62,10 @@ def evaluate(
         InputError: If no frame can be read.
     """
     indices = samples.evenly(len(samples) if max_frames is None else max_frames)
-    known = [sample for k in indices if (sample := samples.get(int(k))) is not None]
-    if not known:
+    read = [(samples.frames[k], sample) for k in indices if (sample := samples.get(int(k)))]
+    if not read:
         samples.next(0)  # raises with the reason
+    frames, known = (list(values) for values in zip(*read, strict=True))
     is_one_size = len({sample["image"].shape for sample in known}) == 1
     step = _BATCH if is_one_size else 1
     task, outputs, losses = trained.task, [], []
@@ -70,14 +77,36 @@ def evaluate(
     metrics = dict(task.metrics(outputs, known))
     if losses:
         metrics["loss"] = float(np.mean(losses))
-    return EvaluationResult(metrics, outputs, known)
+    return EvaluationResult(metrics, outputs, known, frames)
 
 
-def write_pictures(path: Path, task: Task, result: EvaluationResult) -> UInt8[np.ndarray, "h w 3"]:
-    """Write a picture of a few frames, stacked vertically, and return it."""
+def worst_frames(task: Task, result: EvaluationResult) -> list[int]:
+    """Indices of the frames with the worst metric of the task, the worst first."""
+    name, is_error = task.metric.name, task.metric.is_error
+    values = []
+    for output, sample in zip(result.outputs, result.samples, strict=True):
+        metrics = task.metrics([output], [sample])
+        value = float(metrics.get("abs_rel" if name == "loss" else name, math.nan))
+        values.append(-value if is_error else value)
+    known = [k for k in np.argsort(values, kind="stable") if math.isfinite(values[k])]
+    return [int(k) for k in known[:_ROWS]]
+
+
+def write_pictures(
+    path: Path, task: Task, result: EvaluationResult, frames: Sequence[int] = ()
+) -> UInt8[np.ndarray, "h w 3"]:
+    """Write a picture of a few frames, stacked vertically, and return it.
+
+    Args:
+        path: File to write.
+        task: Task that draws the frames.
+        result: Evaluated frames.
+        frames: Indices of the frames; by default evenly spaced ones.
+    """
     from PIL import Image
 
-    chosen = np.unique(np.linspace(0, len(result.samples) - 1, _ROWS).astype(int))
+    even = np.unique(np.linspace(0, len(result.samples) - 1, _ROWS).astype(int))
+    chosen = list(frames) or even.tolist()
     rows = [task.picture(result.outputs[k], result.samples[k]) for k in chosen]
     picture = stack_vertically(rows)
     path.parent.mkdir(exist_ok=True)
@@ -104,6 +133,9 @@ class Evaluation:
         frames: Number of evaluated frames.
         skipped: Number of frames that could not be read.
         scores: Metrics of the task; NaN if undefined.
+        table: Metrics of the network and of baselines as [value, low, high], by method.
+        perturbed: Main metric of each method on perturbed frames, by perturbation.
+        groups: Number and kind of the groups that the intervals resample.
     """
 
     task: str
@@ -113,12 +145,32 @@ class Evaluation:
     frames: int
     skipped: int
     scores: Mapping[str, float]
+    table: Table = field(default_factory=dict)
+    perturbed: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    groups: str = ""
 
 
 def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
     """Write an evaluation into a folder atomically; NaN becomes null."""
-    scores = {k: v if math.isfinite(v) else None for k, v in evaluation.scores.items()}
-    write_json(folder / EVALUATION, {**asdict(evaluation), "scores": scores})
+    write_json(folder / EVALUATION, _with_null(asdict(evaluation)))
+
+
+def _with_null(plain: Any) -> Any:
+    """Plain values with None instead of NaN."""
+    if isinstance(plain, dict):
+        return {key: _with_null(value) for key, value in plain.items()}
+    if isinstance(plain, list | tuple):
+        return [_with_null(value) for value in plain]
+    return None if isinstance(plain, float) and not math.isfinite(plain) else plain
+
+
+def _with_nan(plain: Any) -> Any:
+    """Numbers of plain values, with NaN instead of None."""
+    if isinstance(plain, dict):
+        return {key: _with_nan(value) for key, value in plain.items()}
+    if isinstance(plain, list):
+        return [_with_nan(value) for value in plain]
+    return math.nan if plain is None else float(plain)
 
 
 def read_evaluation(folder: Path) -> Evaluation:
@@ -134,7 +186,7 @@ def read_evaluation(folder: Path) -> Evaluation:
         )
     plain = read_plain(path, "evaluation")
     try:
-        scores = {k: math.nan if v is None else float(v) for k, v in plain["scores"].items()}
-        return Evaluation(**{**plain, "data": tuple(plain["data"]), "scores": scores})
+        numbers = {key: _with_nan(plain[key]) for key in _NUMBERS if key in plain}
+        return Evaluation(**{**plain, "data": tuple(plain["data"]), **numbers})
     except (AttributeError, LookupError, TypeError, ValueError) as error:
         raise InputError(f"The evaluation file {path} is damaged: {error}.") from error

@@ -23,9 +23,10 @@ def initialized_network(task: Task, start: str) -> nn.Module:
     From a checkpoint of the same task, all parameters of the same shape are copied; of the last
     layer, the rows of the classes that both have, by name. Classes missing from the checkpoint are
     initialized from the task's fallback class, if the checkpoint has it: for segmentation, that of
-    any lesion. From a checkpoint of another
-    task, the encoder is copied. The rest of a network is then initialized from ImageNet weights if
-    the checkpoint was, and if these weights need no hub.
+    any lesion. A checkpoint of a similar task counts as one of the same task: `sfm` starts with the
+    network of `depth`. From a checkpoint of another task, the encoder is copied. The rest of a
+    network is then initialized from ImageNet weights if the checkpoint was, and if these weights
+    need no hub.
 
     Args:
         task: The task and its settings.
@@ -38,7 +39,7 @@ def initialized_network(task: Task, start: str) -> nn.Module:
         return task.network(is_pretrained=start == IMAGENET)
     path = find_weights(start)
     trained = read_weights(path)
-    is_same_task = trained.task.kind == task.kind
+    is_same_task = trained.task.kind in (task.kind, *task.similar_tasks)
     is_known = task.encoder == ENCODER and _origin(trained) == IMAGENET
     network = task.network(is_pretrained=is_known and not is_same_task)
     own = network.state_dict()

@@ -17,6 +17,7 @@ from typing import Any
 
 from vrcaps.config.convert import to_plain
 from vrcaps.config.plain_files import front_matter
+from vrcaps.learn.card_results import results_of
 from vrcaps.learn.evaluation import Evaluation
 from vrcaps.learn.hub import PublishedWeights
 from vrcaps.learn.networks import ENCODER
@@ -87,7 +88,7 @@ def card_text(
             *_usage(entry),
             *_training_data(training),
             *_procedure(entry, training),
-            *_results(training, evaluations),
+            *results_of(training.scores, evaluations, entry.name),
             _NOTES,
             "",
             notes.strip()
@@ -298,33 +299,6 @@ def _value_text(value: object) -> str:
     return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
-def _results(training: Training, evaluations: Sequence[Evaluation]) -> list[str]:
-    selection = Evaluation(
-        training.settings.task.kind, "", training.settings.data, "", 0, 0, training.scores
-    )
-    columns = [("validation", selection)]
-    columns += [(_data_text(one), one) for one in evaluations]
-    names = dict.fromkeys(name for _, one in columns for name in one.scores)
-    return [
-        "## Evaluation results",
-        "",
-        "| | " + " | ".join(title for title, _ in columns) + " |",
-        "|---|" + "---:|" * len(columns),
-        *(
-            f"| {name} | "
-            + " | ".join(_number(one.scores.get(name, math.nan)) for _, one in columns)
-            + " |"
-            for name in names
-        ),
-        "",
-        "Validation metrics are optimistic: the checkpoint was selected on them."
-        if evaluations
-        else "These metrics are optimistic: the checkpoint was selected on them, and there is no "
-        "other evaluation.",
-        "",
-    ]
-
-
 def _plans(training: Training) -> list[str]:
     """Plans as input of `vrcaps dataset make`, in collapsed sections."""
     return [
@@ -342,12 +316,3 @@ def _plans(training: Training) -> list[str]:
             "",
         )
     ]
-
-
-def _data_text(one: Evaluation) -> str:
-    split = f", {one.split}" if one.split else ""
-    return f"{one.frames:,} frames of {' '.join(f'`{source}`' for source in one.data)}{split}"
-
-
-def _number(value: float) -> str:
-    return f"{value:.4g}" if math.isfinite(value) else "—"

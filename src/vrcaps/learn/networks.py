@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from copy import copy
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -166,29 +165,6 @@ def classifier(
         own = network.state_dict()
         kept = {k: v for k, v in imagenet_weights().items() if own[k].shape == v.shape}
         network.load_state_dict(kept, strict=False)
-    return network
-
-
-def motion_network(encoder: str, *, is_pretrained: bool) -> nn.Module:
-    """Create a network from two color images [b 6 s s], −1 to 1, to six values [b 6].
-
-    Raises:
-        UnknownNameError: If timm has no such encoder.
-        InputError: If its ImageNet weights cannot be downloaded.
-        MissingExtraError: If a package is not installed.
-    """
-    network = classifier(encoder, 6, is_pretrained=is_pretrained)
-    name, stem = next(
-        (name, one) for name, one in network.named_modules() if isinstance(one, nn.Conv2d)
-    )
-    wide = copy(stem)
-    # Each filter reads one of the images: sums of both would lose their order.
-    weight, is_even = stem.weight.detach(), torch.arange(len(stem.weight)) % 2 == 0
-    halves = [weight * one[:, None, None, None] for one in (is_even, ~is_even)]
-    wide.weight = nn.Parameter(torch.cat(halves, dim=1))
-    wide.in_channels = 6
-    parent, _, last = name.rpartition(".")
-    setattr(network.get_submodule(parent), last, wide)
     return network
 
 

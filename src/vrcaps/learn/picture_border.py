@@ -1,6 +1,7 @@
 """Parts of an endoscope's picture that show no tissue: black border, corners, inserts and text.
 
-Depth prediction excludes border and inserts, in `vrcaps predict` and in `vrcaps evaluate`.
+Depth prediction excludes border and inserts, in `vrcaps predict` and in `vrcaps evaluate`, and
+compensates unknown exposure.
 Recordings of vrcaps have no border to exclude: their cameras state the extent of the image.
 
 Overlays differ between hospitals and classes, so that a network can classify by them without using
@@ -32,7 +33,13 @@ if TYPE_CHECKING:
     from vrcaps.recording.frame_sequence import FrameSequence
 
 BLACK = 24
-"""Maximum channel value of the border around an endoscope's picture [of 255]."""
+"""Maximum channel value of the border around an endoscope's picture [of 255], unless it is dark."""
+_DARK_FRACTION, _BRIGHT = 0.2, 0.98
+"""Level of black in a dark image, relative to this quantile of its pixels."""
+_MEDIAN_BRIGHTNESS = 0.06
+"""Median linear brightness of an image, geometric mean over the frames of `vrcaps-motion-30`."""
+_DARKEST = 1e-4
+"""Minimum median brightness, a third of a step of 8 bits."""
 _FILLED = 0.02
 """Minimum fraction of brighter pixels of a row or column that belongs to the picture."""
 _MAX_INSERT = 0.3
@@ -87,14 +94,40 @@ def input_image(
     Args:
         sequence: Sequence of the image.
         index: Index of the frame.
-        predicts_lengths: Whether the task infers lengths. An image of a known automatic exposure is
-            then converted to the camera's own exposure, because brightness is a cue of distance.
+        predicts_lengths: Whether the task infers lengths. Brightness is then a cue of distance: an
+            image of a known automatic exposure is converted to the camera's own exposure, and one
+            of an unknown exposure to the mean brightness of recordings.
     """
     image = sequence.image("rgb", index)
-    if not predicts_lengths or EXPOSURE not in sequence.values:
+    if not predicts_lengths or (sequence.episode is not None and EXPOSURE not in sequence.values):
         return image
-    exposure = float(sequence.values[EXPOSURE][index])
+    exposure = float(sequence.values[EXPOSURE][index]) if EXPOSURE in sequence.values else math.nan
+    if math.isnan(exposure):
+        return at_mean_exposure(image)
     return srgb_from_linear(linear_from_srgb(image) / exposure)
+
+
+def at_mean_exposure(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
+    """Scale an image so that its tissue has the median brightness of recordings.
+
+    Distances then do not depend on exposure. They are right if the wall is as far and as pale as in
+    recordings on average: a prior instead of a measurement.
+    """
+    region = bright_part(image)
+    part = image[region]
+    is_tissue = part.max(axis=-1) > _black_level(part)
+    if not is_tissue.any():
+        return image
+    linear = linear_from_srgb(part)
+    gain = _MEDIAN_BRIGHTNESS / max(float(np.median(linear.mean(axis=-1)[is_tissue])), _DARKEST)
+    result = image.copy()
+    result[region] = srgb_from_linear(np.clip(gain * linear, 0.0, 1.0))
+    return result
+
+
+def _black_level(image: UInt8[np.ndarray, "h w 3"]) -> float:
+    """Channel value up to which pixels are black; lower than `BLACK` in dark images."""
+    return min(float(BLACK), _DARK_FRACTION * float(np.quantile(image.max(axis=-1), _BRIGHT)))
 
 
 def view_of(
@@ -123,18 +156,38 @@ def view_of(
             f"{camera.width} x {camera.height}. Give a capsule with images of this size (--capsule "
             "NAME or FILE), or an assumed lens (--fov DEGREES)."
         )
-    rows, columns = slice(0, height), slice(0, width)
-    is_insert: NDArray = np.zeros((height, width), bool)
-    if predicts_lengths and sequence.episode is None:
-        rows, columns = bright_part(image)
-        foreign = inserts(image[rows, columns])
-        is_insert = foreign & (foreign.mean() < _MAX_INSERT)
+    is_recording = sequence.episode is not None and camera in sequence.episode.cameras
+    if predicts_lengths and not is_recording:
+        return tissue_view(image, camera, field_of_view)
+    if camera is None and field_of_view is not None:
+        camera = assumed_camera(width, height, field_of_view)
+    whole, nowhere = (slice(0, height), slice(0, width)), np.zeros((height, width), bool)
+    return PictureView(image, camera, whole, (height, width), nowhere)
+
+
+def tissue_view(
+    image: UInt8[np.ndarray, "h w 3"],
+    camera: Camera | None = None,
+    field_of_view: float | None = None,
+) -> PictureView:
+    """Return the tissue of an endoscope's picture: without black border, inserts marked.
+
+    `vrcaps predict`, `vrcaps evaluate` and the benchmark on real images use this function.
+
+    Args:
+        image: The whole image.
+        camera: Its camera, of the same size; None if it is not known.
+        field_of_view: Angle across the width of the part [rad], for an assumed lens instead.
+    """
+    rows, columns = bright_part(image)
     part = np.ascontiguousarray(image[rows, columns])
+    foreign = inserts(part)
     if camera is not None:
         camera = _part_of(camera, rows, columns)
     elif field_of_view is not None:
         camera = assumed_camera(part.shape[1], part.shape[0], field_of_view)
-    return PictureView(part, camera, (rows, columns), (height, width), is_insert)
+    is_insert = foreign & (foreign.mean() < _MAX_INSERT)
+    return PictureView(part, camera, (rows, columns), image.shape[:2], is_insert)
 
 
 def bright_part(image: UInt8[np.ndarray, "h w 3"]) -> tuple[slice, slice]:
@@ -142,7 +195,7 @@ def bright_part(image: UInt8[np.ndarray, "h w 3"]) -> tuple[slice, slice]:
 
     All rows and columns if the whole image is black.
     """
-    bright = image.max(axis=-1) > BLACK
+    bright = image.max(axis=-1) > _black_level(image)
     rows, columns = (np.flatnonzero(bright.mean(axis=axis) > _FILLED) for axis in (1, 0))
     if not rows.size or not columns.size:
         return slice(0, image.shape[0]), slice(0, image.shape[1])
@@ -189,6 +242,16 @@ def assumed_camera(width: int, height: int, field_of_view: float) -> Camera:
         focal=focal, cx=0.5 * (width - 1), cy=0.5 * (height - 1), max_angle=widest
     )
     return Camera("assumed", lens, width, height)
+
+
+def horizontal_field(camera: Camera) -> float:
+    """Angle [rad] between the leftmost and the rightmost ray of a camera's middle row."""
+    columns = np.arange(camera.width, dtype=float)
+    pixels = np.stack([columns, np.full(camera.width, 0.5 * (camera.height - 1))], axis=-1)
+    rays = camera.lens.unproject(pixels)
+    known = rays[np.isfinite(rays).all(axis=-1)]
+    ends = np.arctan2(np.hypot(known[:, 0], known[:, 1]), known[:, 2]) * np.sign(known[:, 0])
+    return float(np.ptp(ends))
 
 
 @lru_cache(maxsize=64)

@@ -9,6 +9,7 @@ signs, so that one hash gives the hashes of all eight orientations of an image.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -20,6 +21,7 @@ from torch import Tensor
 
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError, reason_of
+from vrcaps.learn.perturbation import Perturbation
 from vrcaps.learn.task import Batch, Sample, Task
 from vrcaps.recording.frame_sequence import FrameSequence
 
@@ -32,6 +34,8 @@ _KEPT_BYTES = 4 * 10**9
 _IMAGES = ("image", "before", "after")
 _HELD_OUT = 0.2
 """Fraction of frames that is held out if the data has no split."""
+_MIN_GROUPS, _BLOCKS = 5, 20
+"""Minimum number of patients or sequences, and number of blocks, that are resampled."""
 _SIDE, _FREQUENCIES = 64, 16
 """Side of the gray image [px], and number of frequencies kept per axis."""
 NEAR = 0.12
@@ -48,11 +52,13 @@ class Samples:
         task: Task that reads the frames.
         frames: Sequence and index of each frame.
         skipped: Reasons of unreadable frames, by name; they are counted but not used.
+        perturbation: Change of each frame before it is read; None for none.
     """
 
     task: Task
     frames: Sequence[tuple[FrameSequence, int]]
     skipped: dict[str, str] = field(default_factory=dict)
+    perturbation: Perturbation | None = None
     _kept: dict[int, Sample] = field(default_factory=dict, repr=False)
     _num_bytes: int = 0
 
@@ -68,7 +74,7 @@ class Samples:
         if name in self.skipped:
             return None
         try:
-            sample = self.task.sample(sequence, index)
+            sample = self._read(sequence, index)
         except (InputError, OSError) as error:
             self.skipped[name] = reason_of(error)
             return None
@@ -77,6 +83,11 @@ class Samples:
             self._num_bytes += size
             self._kept[position] = sample
         return sample
+
+    def _read(self, sequence: FrameSequence, index: int) -> Sample:
+        if self.perturbation is None:
+            return self.task.sample(sequence, index)
+        return self.task.perturbed_sample(sequence, index, self.perturbation)
 
     def next(self, position: int) -> Sample:
         """Return a sample, or the next readable one.
@@ -99,6 +110,29 @@ class Samples:
     def evenly(self, count: int) -> Int[np.ndarray, " m"]:
         """Indices of at most `count` frames, evenly spaced."""
         return np.unique(np.linspace(0, len(self) - 1, min(count, len(self))).astype(int))
+
+
+def frame_groups(frames: Sequence[tuple[FrameSequence, int]]) -> tuple[list[str], str]:
+    """Group of each frame for confidence intervals, and the kind of the groups.
+
+    Frames of one patient are alike, so whole groups are resampled: patients if there are five or
+    more, otherwise sequences if there are five or more, otherwise blocks of consecutive frames,
+    about twenty in total. Intervals over blocks do not contain the variation between patients.
+
+    Returns:
+        The groups, and `patient`, `sequence` or `block`.
+    """
+    for kind in ("patient", "sequence"):
+        names = [one.patient if kind == "patient" else one.name for one, _ in frames]
+        if None not in names and len({*names}) >= _MIN_GROUPS:
+            return [str(name) for name in names], kind
+    length = max(1, len(frames) // _BLOCKS)
+    counts: Counter[str] = Counter()
+    blocks = []
+    for one, _ in frames:
+        blocks.append(f"{one.name}, block {counts[one.name] // length}")
+        counts[one.name] += 1
+    return blocks, "block"
 
 
 def samples_of(task: Task, sequences: Sequence[FrameSequence]) -> Samples:

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from vrcaps.config.convert import register_family
 from vrcaps.learn.networks import Backbone
+from vrcaps.learn.perturbation import Perturbation
 from vrcaps.learn.registry import TASKS
 from vrcaps.recording.frame_sequence import FrameSequence
 
@@ -73,6 +74,7 @@ class Task:
         metric: Metric by which the best checkpoint is selected.
         presets: Changes of the settings of a training by preset.
         fallback_class: Class from which classes missing from a checkpoint are initialized.
+        similar_tasks: Tasks whose checkpoints initialize all parameters of the same name and shape.
         predicts_lengths: Whether the network infers lengths: its input is then the tissue alone, at
             the camera's own exposure.
         free_axes: Axes of the inputs and the output of any size, by index, for ONNX.
@@ -85,6 +87,7 @@ class Task:
     metric: ClassVar[Metric]
     presets: ClassVar[Presets] = {}
     fallback_class: ClassVar[str] = ""
+    similar_tasks: ClassVar[tuple[str, ...]] = ()
     predicts_lengths: ClassVar[bool] = False
     free_axes: ClassVar[Mapping[int, str]] = {0: "batch"}
     pipeline_tag: ClassVar[str] = ""
@@ -126,6 +129,16 @@ class Task:
         """
         raise NotImplementedError
 
+    def perturbed_sample(
+        self, sequence: FrameSequence, index: int, perturbation: Perturbation
+    ) -> Sample:
+        """Return the sample of a perturbed frame, for tests of robustness.
+
+        Raises:
+            InputError: If an image cannot be read.
+        """
+        return self.sample(perturbation.sequence(sequence), index)
+
     def augment(self, sample: Sample, rng: np.random.Generator) -> Sample:
         """Augment a sample and its labels."""
         return sample
@@ -158,7 +171,39 @@ class Task:
 
     def metrics(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
         """Compute metrics over samples, from the network's outputs [c s s] or [c]."""
-        raise NotImplementedError
+        if type(self).summary is Task.summary:
+            raise NotImplementedError
+        return self.summary([self.terms(*pair) for pair in zip(outputs, samples, strict=True)])
+
+    def terms(self, output: NDArray, sample: Sample) -> Any:
+        """Part of the metrics that depends on one frame alone, for `summary`.
+
+        Resampling of frames repeats only `summary`. Without these two methods, a task's `metrics`
+        is repeated.
+        """
+        return output, sample
+
+    def summary(self, terms: Sequence[Any]) -> Mapping[str, float]:
+        """Compute metrics from the terms of frames."""
+        outputs, samples = zip(*terms, strict=True)
+        return self.metrics(outputs, samples)
+
+    def baselines(
+        self, samples: Sequence[Sample], groups: Sequence[str]
+    ) -> Mapping[str, Sequence[NDArray]]:
+        """Outputs of trivial baselines for each sample, by name, in the network's format.
+
+        Args:
+            samples: Frames with ground truth.
+            groups: Group of each frame, such as its patient.
+        """
+        return {}
+
+    def sequence_errors(
+        self, network: nn.Module, sequence: FrameSequence, device: str
+    ) -> Mapping[str, Mapping[str, float]]:
+        """Errors over a whole sequence by method, `network` and baselines; empty for no metric."""
+        return {}
 
     def inputs(
         self, image: UInt8[np.ndarray, "h w 3"], letterbox: Letterbox, camera: Camera | None

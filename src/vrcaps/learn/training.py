@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -19,6 +19,7 @@ from vrcaps.core import rng
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import atomic_write, write_csv
 from vrcaps.learn.checkpoint import TrainedNetwork, write_weights
+from vrcaps.learn.dead_features import require_alive
 from vrcaps.learn.evaluation import evaluate, write_pictures
 from vrcaps.learn.initialize import initialized_network, origin
 from vrcaps.learn.networks import freeze_batch_norm
@@ -35,6 +36,8 @@ CHECKPOINT = "checkpoint.pt"
 WEIGHTS, BEST = "weights.safetensors", "best.safetensors"
 _PACKAGES = ("numpy", "pillow", "segmentation-models-pytorch", "timm", "torch")
 """Packages that a training's bytes depend on."""
+_ALIVE_FRAMES = 4
+"""Number of validation frames on which features are compared."""
 _WARM_UP = 0.05
 """Fraction of the steps in which the learning rate rises."""
 _MAX_GRADIENT = 1.0
@@ -70,8 +73,8 @@ def train(
         report: Called after each step.
 
     Raises:
-        InputError: If the folder holds something else, or the loss is not finite; the last good
-            checkpoint is kept.
+        InputError: If the folder holds something else, the loss is not finite, or a layer has the
+            same features for all images; the last good checkpoint is kept.
         MissingExtraError: If a package is not installed.
     """
     compute = compute or ComputeSettings()
@@ -160,6 +163,7 @@ class _Run:
         """Evaluate, keep the best weights, and write the checkpoint."""
         trained = TrainedNetwork(self.task, self.network.eval(), {}, self.device, threads=None)
         result = evaluate(trained, self.validation, self.settings.evaluation_frames)
+        require_alive(trained, _spread(result.samples), self.progress.step)
         progress = self.progress
         row = {
             "step": float(progress.step),
@@ -235,6 +239,13 @@ class _Run:
                 optimizer.load(one)
             progress = state["progress"]
             self.progress = Progress(**{**progress, "rows": tuple(progress["rows"])})
+
+
+def _spread(samples: Sequence[Sample]) -> list[Sample]:
+    """A few evenly spaced samples of the size of the first."""
+    chosen = np.unique(np.linspace(0, len(samples) - 1, _ALIVE_FRAMES).astype(int))
+    alike = [samples[k] for k in chosen if samples[k]["image"].shape == samples[0]["image"].shape]
+    return [{k: v for k, v in one.items() if isinstance(v, np.ndarray)} for one in alike]
 
 
 class _NetworkOptimizer:

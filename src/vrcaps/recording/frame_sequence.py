@@ -26,7 +26,8 @@ _LATEST = 1e12
 TIME, CAMERA_POSE = "time", "T_world_camera"
 """Names of values used by sequences of all sources."""
 EXPOSURE = "exposure"
-"""Name of the exposure of each frame, relative to the camera's own, where it is automatic."""
+"""Name of the exposure of each frame, relative to the camera's own, where it is automatic. NaN is
+an unknown exposure."""
 
 
 @dataclass(frozen=True)

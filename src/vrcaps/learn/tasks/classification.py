@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError, require
 from vrcaps.learn.augment import Augmentation, random_flip
+from vrcaps.learn.baselines import class_baselines
 from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.networks import Backbone, classifier
 from vrcaps.learn.picture_border import Overlay, tissue_mask
@@ -168,10 +169,14 @@ class ClassificationTask(BackboneTask):
         output = self.output(network, batch)
         return {"loss": nn.functional.cross_entropy(output, batch["class"].long())}
 
-    def metrics(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
+    def terms(self, output: NDArray, sample: Sample) -> Any:
+        """Logits and true class of one image."""
+        return output, int(sample["class"])
+
+    def summary(self, terms: Sequence[Any]) -> Mapping[str, float]:
         """Mean F1 of the classes that occur, F1 of each, accuracy, Matthews coefficient and AUC."""
-        logits = np.stack(list(outputs))
-        truth = np.array([int(sample["class"]) for sample in samples])
+        logits = np.stack([output for output, _ in terms])
+        truth = np.array([label for _, label in terms])
         count = len(self.classes)
         confusion = confusion_matrix(logits.argmax(axis=1), truth, count)
         each = f1_scores(confusion)
@@ -185,6 +190,14 @@ class ClassificationTask(BackboneTask):
             "mcc": matthews(confusion),
             "auc": float(np.mean(areas)),
         }
+
+    def baselines(
+        self, samples: Sequence[Sample], groups: Sequence[str]
+    ) -> Mapping[str, Sequence[NDArray]]:
+        """The class frequencies, and mean redness or brightness."""
+        images = [sample["image"] for sample in samples]
+        labels = [int(sample["class"]) for sample in samples]
+        return class_baselines(images, labels, len(self.classes))
 
     def picture(self, output: NDArray, sample: Sample) -> UInt8[np.ndarray, "s k 3"]:
         """Image with its true and its predicted class."""

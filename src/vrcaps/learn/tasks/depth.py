@@ -12,21 +12,22 @@ The loss is on d = ln prediction − ln ground truth: its mean absolute value, i
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from vrcaps.config.limits import Range, check_fields
-from vrcaps.core.color import turbo
+from vrcaps.core.color import linear_from_srgb, srgb_from_linear, turbo
 from vrcaps.core.errors import InputError
 from vrcaps.learn.augment import Augmentation, flip, transpose
+from vrcaps.learn.baselines import log_depth_baselines
 from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.networks import Backbone, UNet
-from vrcaps.learn.picture_border import LENS_NEEDED, input_image, view_of
+from vrcaps.learn.picture_border import LENS_NEEDED, at_mean_exposure, input_image, view_of
 from vrcaps.learn.task import MAX_WEIGHT, BackboneTask, Batch, Losses, Metric, Sample, total
 from vrcaps.metrics.depth import depth_errors, mean_depth_errors
 from vrcaps.recording.frame_sequence import FrameSequence
@@ -44,6 +45,8 @@ MIDDLE = 0.03
 _DARK = 0.004
 """Offset of the linear brightness in the light cue: one step of 8 bits."""
 _SCALES = 4
+_MAX_EXPOSURE = 4.0
+"""Maximum change of an exposure that is treated as unknown, as a factor."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,8 @@ class DepthTask(BackboneTask):
         backbone: Input size and encoder of the network.
         has_light_cue: Whether the light cue is an input of the network.
         gradient_weight: Weight of the gradient loss.
+        exposure_dropout: Fraction of training images whose exposure is treated as unknown: changed
+            by up to a factor of 4, then compensated as in prediction.
         augmentation: Random changes of training images. Disable the changes of color for one camera
             with known exposure and light.
     """
@@ -61,6 +66,7 @@ class DepthTask(BackboneTask):
     backbone: Backbone = field(default_factory=Backbone)
     has_light_cue: bool = True
     gradient_weight: Annotated[float, Range(0.0, MAX_WEIGHT)] = 0.5
+    exposure_dropout: Annotated[float, Range(0.0, 1.0)] = 0.25
     augmentation: Augmentation = field(default_factory=lambda: Augmentation(1.2, 1.2, 1.15, 0.6))
 
     kind: ClassVar[str] = "depth"
@@ -119,29 +125,38 @@ class DepthTask(BackboneTask):
         if rng.random() < 0.5:
             sample = transpose(sample)
             sample["ray"] = sample["ray"][..., [1, 0, 2]]
+        if rng.random() < self.exposure_dropout:
+            return sample | {"image": at_mean_exposure(_exposed(sample["image"], rng))}
         if rng.random() < 0.5:
             return sample
         return sample | {"image": self.augmentation.recolor(sample["image"], rng)}
 
     def network(self, *, is_pretrained: bool) -> nn.Module:
         """Create a network from batches to ln(depth / 30 mm) [b 1 s s]."""
-        return _DepthNetwork(self.backbone, self.has_light_cue, is_pretrained=is_pretrained)
+        return DepthNetwork(self.backbone, self.has_light_cue, is_pretrained=is_pretrained)
 
     def loss(self, network: nn.Module, batch: Batch) -> Losses:
         """Loss terms over the pixels that have a true depth."""
         return depth_loss(self.output(network, batch), batch["depth"], self.gradient_weight)
 
-    def metrics(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
-        """Errors without alignment, and the relative error after scaling by the median."""
-        plain, aligned = [], []
-        for output, sample in zip(outputs, samples, strict=True):
-            estimate = depth_of(output)
-            plain.append(depth_errors(estimate, sample["depth"]))
-            aligned.append(depth_errors(estimate, sample["depth"], align="median"))
-        return {
-            **asdict(mean_depth_errors(plain)),
-            "abs_rel_median": mean_depth_errors(aligned).abs_rel,
-        }
+    def terms(self, output: NDArray, sample: Sample) -> Any:
+        """Errors of one frame without alignment and after scaling by the median, rank and scale."""
+        return depth_terms(depth_of(output), sample["depth"])
+
+    def summary(self, terms: Sequence[Any]) -> Mapping[str, float]:
+        """Means over frames; `scale` is the geometric mean of median prediction over median truth.
+
+        `rank` is Spearman's correlation: it needs no scale, and is 0 for a constant.
+        """
+        return depth_summary(terms)
+
+    def baselines(
+        self, samples: Sequence[Sample], groups: Sequence[str]
+    ) -> Mapping[str, Sequence[NDArray]]:
+        """A constant, the mean image of other groups, and brightness."""
+        found = log_depth_baselines(samples, groups)
+        middle = np.log(MIDDLE)
+        return {name: [(one - middle)[None] for one in logs] for name, logs in found.items()}
 
     def picture(self, output: NDArray, sample: Sample) -> UInt8[np.ndarray, "s k 3"]:
         """Image, true depth and predicted depth on one color scale."""
@@ -152,7 +167,39 @@ class DepthTask(BackboneTask):
         return {".png": CHANNELS["depth"].encoding.encode(letterbox.back(depth_of(output)))}
 
 
-class _DepthNetwork(UNet):
+def _exposed(
+    image: UInt8[np.ndarray, "s s 3"], rng: np.random.Generator
+) -> UInt8[np.ndarray, "s s 3"]:
+    """Image at a random exposure; what it saturates is lost."""
+    factor = _MAX_EXPOSURE ** rng.uniform(-1.0, 1.0)
+    return srgb_from_linear(np.clip(factor * linear_from_srgb(image), 0.0, 1.0))
+
+
+def depth_terms(estimate: Float[np.ndarray, "s s"], truth: Float[np.ndarray, "s s"]) -> Any:
+    """Depth errors of one frame: unaligned, scaled by the median, rank correlation, ln scale."""
+    from scipy.stats import rankdata
+
+    with np.errstate(invalid="ignore"):
+        known = np.isfinite(estimate) & (truth > 0.0)
+    d, t = estimate[known], truth[known]
+    plain = depth_errors(d, t)
+    aligned = depth_errors(d, t, align="median")
+    rank = float(np.corrcoef(rankdata(d), rankdata(t))[0, 1]) if np.ptp(d) * np.ptp(t) else 0.0
+    return plain, aligned.abs_rel, rank, float(np.log(np.median(d) / np.median(t)))
+
+
+def depth_summary(terms: Sequence[Any]) -> Mapping[str, float]:
+    """Means of the depth errors of frames, and the geometric mean of their scales."""
+    plain, aligned, rank, log_scale = zip(*terms, strict=True)
+    return {
+        **asdict(mean_depth_errors(plain)),
+        "abs_rel_median": float(np.mean(aligned)),
+        "rank": float(np.mean(rank)),
+        "scale": float(np.exp(np.mean(log_scale))),
+    }
+
+
+class DepthNetwork(UNet):
     """U-Net on color, rays and the light cue."""
 
     def __init__(self, backbone: Backbone, has_light_cue: bool, *, is_pretrained: bool) -> None:
@@ -160,6 +207,7 @@ class _DepthNetwork(UNet):
         self.has_light_cue = has_light_cue
 
     def forward(self, image: Tensor, *maps: Tensor) -> Tensor:
+        """Return ln(depth / 30 mm) [b 1 s s] of color images and rays."""
         return super().forward(image, *maps, *([light_cue(image)] if self.has_light_cue else []))
 
 
@@ -170,6 +218,8 @@ def depth_loss(output: Tensor, depth: Tensor, gradient_weight: float) -> Losses:
         output: ln(depth / 30 mm).
         depth: True depth [m] [b s s], NaN or 0 where it is not known.
         gradient_weight: Weight of the gradient loss.
+        exposure_dropout: Fraction of training images whose exposure is treated as unknown: changed
+            by up to a factor of 4, then compensated as in prediction.
     """
     valid = torch.isfinite(depth) & (depth > 0.0)
     target = torch.log(torch.where(valid, depth, MIDDLE) / MIDDLE)

@@ -6,9 +6,9 @@ et al., Nature Methods 18, 2021, use this sum).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import torch
@@ -16,6 +16,7 @@ from torch import Tensor, nn
 
 from vrcaps.core.errors import InputError, require
 from vrcaps.learn.augment import Augmentation, random_flip, transpose
+from vrcaps.learn.baselines import mask_baselines
 from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.networks import Backbone, UNet
 from vrcaps.learn.task import MAX_CLASSES, BackboneTask, Batch, Losses, Metric, Sample, total
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 LESION = "lesion"
 """Class of any lesion: any `instance` of a recording, any mask of an image folder."""
 _OUTLINE = np.array([60, 220, 90], np.uint8)
+_METRICS = ("dice", "iou", "boundary_f", "specificity")
 _UNKNOWN = 2
 """Label of the padding around the image, which is neither inside nor outside a mask."""
 
@@ -119,24 +121,45 @@ class SegmentationTask(BackboneTask):
         """Cross-entropy and Dice over the pixels of the images."""
         return segmentation_loss(self.output(network, batch), batch["mask"])
 
-    def metrics(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
+    def terms(self, output: NDArray, sample: Sample) -> Any:
+        """Metrics of each class of one image."""
+        values = []
+        for index in range(len(self.classes)):
+            mask = sample["mask"][..., index]
+            truth, estimate = mask == 1, (output[index] > 0.0) & (mask != _UNKNOWN)
+            if not truth.any():
+                values.append({"specificity": float(not estimate.any())})
+                continue
+            scores = dice(estimate, truth), iou(estimate, truth), boundary_f_score(estimate, truth)
+            values.append(dict(zip(("dice", "iou", "boundary_f"), scores, strict=True)))
+        return values
+
+    def summary(self, terms: Sequence[Any]) -> Mapping[str, float]:
         """Means over images and classes; images without a lesion count in `specificity` only.
 
         `specificity` is the fraction of lesion-free masks with an empty prediction.
         """
-        names = ("dice", "iou", "boundary_f", "specificity")
-        values: dict[str, list[float]] = {name: [] for name in names}
-        for output, sample in zip(outputs, samples, strict=True):
-            for index in range(len(self.classes)):
-                mask = sample["mask"][..., index]
-                truth, estimate = mask == 1, (output[index] > 0.0) & (mask != _UNKNOWN)
-                if not truth.any():
-                    values["specificity"].append(float(not estimate.any()))
-                    continue
-                values["dice"].append(dice(estimate, truth))
-                values["iou"].append(iou(estimate, truth))
-                values["boundary_f"].append(boundary_f_score(estimate, truth))
-        return {k: float(np.mean(v)) if v else float("nan") for k, v in values.items()}
+        found: dict[str, list[float]] = {name: [] for name in _METRICS}
+        for name, value in (pair for one in terms for scores in one for pair in scores.items()):
+            found[name].append(value)
+        return {k: float(np.mean(v)) if v else float("nan") for k, v in found.items()}
+
+    def baselines(
+        self, samples: Sequence[Sample], groups: Sequence[str]
+    ) -> Mapping[str, Sequence[NDArray]]:
+        """Nothing, the whole image, a centered disc and a redness threshold, for each class."""
+        images = [sample["image"] for sample in samples]
+        each = [
+            mask_baselines(images, [sample["mask"][..., index] == 1 for sample in samples])
+            for index in range(len(self.classes))
+        ]
+        return {
+            name: [
+                np.where(np.stack(masks), 1.0, -1.0)
+                for masks in zip(*(one[name] for one in each), strict=True)
+            ]
+            for name in each[0]
+        }
 
     def picture(self, output: NDArray, sample: Sample) -> UInt8[np.ndarray, "s k 3"]:
         """Image with the outlines of the true and of the predicted masks."""

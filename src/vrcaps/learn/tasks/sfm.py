@@ -15,27 +15,31 @@ The LEDs move with the camera, so a wall gets brighter as the camera approaches:
 scaled to the mean and standard deviation of the frame's colors before they are compared (Ozyoruk et
 al., Medical Image Analysis 71, 2021).
 
-From scratch, training takes very long to leave its trivial solution: constant distance and no
-motion. Simulated video has labels, and `supervision` uses them; such a checkpoint can then be
-fine-tuned on video without labels.
+The motion follows from the flow of features and the distances, see `motion_network`. From scratch,
+training takes very long to leave its trivial solution: constant distance and no motion. Simulated
+video has labels, and `supervision` uses them; such a checkpoint can then be fine-tuned on video
+without labels.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, ClassVar, cast
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import invert
 from vrcaps.formats.slam.tum import trajectory_text
 from vrcaps.learn.augment import with_gain
+from vrcaps.learn.baselines import log_depth_baselines
 from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.losses import (
     inconsistency,
@@ -45,10 +49,28 @@ from vrcaps.learn.losses import (
     smoothness,
     synthesize_view,
 )
-from vrcaps.learn.networks import Backbone, UNet, motion_network
+from vrcaps.learn.motion_errors import motion_baselines, motion_errors
+from vrcaps.learn.motion_network import (
+    STRIDE,
+    Flow,
+    MotionNetwork,
+    at_positions,
+    motion_from_flow,
+)
+from vrcaps.learn.networks import Backbone
+from vrcaps.learn.picture_border import LENS_NEEDED
+from vrcaps.learn.samples import batch_of
 from vrcaps.learn.task import MAX_WEIGHT, BackboneTask, Batch, Losses, Metric, Sample, total
-from vrcaps.learn.tasks.depth import MIDDLE, depth_loss, depth_of, depth_picture, image_and_rays
-from vrcaps.metrics.depth import depth_errors, mean_depth_errors
+from vrcaps.learn.tasks.depth import (
+    MIDDLE,
+    DepthNetwork,
+    depth_loss,
+    depth_of,
+    depth_picture,
+    depth_summary,
+    depth_terms,
+    image_and_rays,
+)
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.render.channels import CHANNELS
 
@@ -61,6 +83,10 @@ if TYPE_CHECKING:
 _NEIGHBORS = ("before", "after")
 _GRADIENT_WEIGHT = 0.5
 """Weight of the gradient loss on true distances."""
+_MIN_POSES = 3
+"""Minimum number of poses of an evaluated trajectory."""
+_MAX_FLOW = 14.0
+"""Maximum flow that the flow is trained on [px]."""
 _MIN_COSINE = 0.05
 """Minimum cosine of the angle between a ray and the axis: near a right angle, depth along the axis
 does not determine the distance."""
@@ -77,7 +103,10 @@ class SfmTask(BackboneTask):
         smoothness_weight: Weight of the smoothness loss.
         geometry_weight: Weight of the loss of inconsistent distances.
         matches_brightness: Whether predictions are scaled to the frame's brightness.
-        supervision: Weight of the loss on true distances and motions; 0 needs no labels.
+        supervision: Weight of the loss on true distances, flow and motions; 0 needs no labels.
+        has_light_cue: Whether the light cue of `depth` is an input of the network of distances.
+        trains_distances: Whether the network of distances is trained; otherwise it keeps its
+            initial weights, such as those of `--start depth`, and training is four times as fast.
     """
 
     backbone: Backbone = field(default_factory=Backbone)
@@ -87,12 +116,15 @@ class SfmTask(BackboneTask):
     geometry_weight: Annotated[float, Range(0.0, MAX_WEIGHT)] = 0.5
     matches_brightness: bool = True
     supervision: Annotated[float, Range(0.0, MAX_WEIGHT)] = 0.0
+    has_light_cue: bool = True
+    trains_distances: bool = True
 
     kind: ClassVar[str] = "sfm"
     pipeline_tag: ClassVar[str] = "depth-estimation"
     input_names: ClassVar[tuple[str, ...]] = ("image", "ray")
     output_text: ClassVar[str] = "ln(distance along the ray / 30 mm), up to a scale [b 1 s s]"
     metric: ClassVar[Metric] = Metric("loss", is_error=True)
+    similar_tasks: ClassVar[tuple[str, ...]] = ("depth",)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -150,27 +182,31 @@ class SfmTask(BackboneTask):
 
     def network(self, *, is_pretrained: bool) -> nn.Module:
         """Create a network from batches to ln(distance / 30 mm) [b 1 s s], and motion."""
-        return SfmNetwork(self.backbone, is_pretrained=is_pretrained)
+        return SfmNetwork(self.backbone, self.has_light_cue, is_pretrained=is_pretrained)
 
     def loss(self, network: nn.Module, batch: Batch) -> Losses:
         """Loss terms over both neighbors."""
         image, ray = batch["image"], batch["ray"]
         photometric, geometry, labels = (image.new_zeros(()) for _ in range(3))
-        own = self.output(network, batch)
+        own = self._trained_output(network, batch)
         for name in _NEIGHBORS:
-            other = network(batch[name], ray).float()
-            T_other_own = _motion(network, image, batch[name])
-            view = synthesize_view(batch[name], other, own, T_other_own, ray, batch["view"])
-            unlike, color = inconsistency(view), view.color
-            if self.matches_brightness:
-                color = match_brightness(color, image, view.is_valid)
-            error = photometric_error(color, image) * (1.0 - unlike)
-            count = view.is_valid.sum().clamp(min=1)
-            photometric = photometric + (error * view.is_valid).sum() / count
-            geometry = geometry + (unlike * view.is_valid).sum() / count
+            flow, motion = _motion(network, image, batch[name], ray, own)
+            T_other_own = pose_matrix(motion)
+            if self.photometric_weight > 0.0 or self.geometry_weight > 0.0:
+                other = self._trained_output(network, {"image": batch[name], "ray": ray})
+                view = synthesize_view(batch[name], other, own, T_other_own, ray, batch["view"])
+                unlike, color = inconsistency(view), view.color
+                if self.matches_brightness:
+                    color = match_brightness(color, image, view.is_valid)
+                error = photometric_error(color, image) * (1.0 - unlike)
+                count = view.is_valid.sum().clamp(min=1)
+                photometric = photometric + (error * view.is_valid).sum() / count
+                geometry = geometry + (unlike * view.is_valid).sum() / count
             if self.supervision > 0.0:
-                labels = labels + _motion_error(T_other_own, batch[f"T_{name}_own"])
-        if self.supervision > 0.0:
+                T_true = batch[f"T_{name}_own"]
+                labels = labels + _motion_error(T_other_own, T_true)
+                labels = labels + _flow_error(flow, true_flow(batch, T_true))
+        if self.supervision > 0.0 and self.trains_distances:
             labels = labels + depth_loss(own, _distances(batch), _GRADIENT_WEIGHT)["loss"]
         return total(
             {
@@ -181,20 +217,43 @@ class SfmTask(BackboneTask):
             }
         )
 
+    def _trained_output(self, network: nn.Module, batch: Batch) -> Tensor:
+        """Distances, without gradients if they are not trained."""
+        with nullcontext() if self.trains_distances else torch.no_grad():
+            return self.output(network, batch)
+
     def outputs(self, network: nn.Module, batch: Batch) -> dict[str, Tensor]:
         """Return the distances, and the motion between neighbors in the batch."""
-        image = batch["image"]
-        motion = cast(SfmNetwork, network).motion(image, image.roll(1, 0)).float()
-        return {**super().outputs(network, batch), "motion": motion}
+        image, ray, own = batch["image"], batch["ray"], self.output(network, batch)
+        _, motion = _motion(network, image, image.roll(1, 0), ray, own)
+        return {"output": own, "motion": motion}
 
-    def metrics(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
+    def terms(self, output: NDArray, sample: Sample) -> Any:
+        """Depth errors of one frame; None if its true depth is not known."""
+        if "depth" not in sample:
+            return None
+        return depth_terms(_depth_of(output, sample), sample["depth"])
+
+    def summary(self, terms: Sequence[Any]) -> Mapping[str, float]:
         """Depth errors after scaling by the median of each frame, where true depth is known."""
-        errors = [
-            depth_errors(_depth_of(output, sample), sample["depth"], align="median")
-            for output, sample in zip(outputs, samples, strict=True)
-            if "depth" in sample
-        ]
-        return asdict(mean_depth_errors(errors)) if errors else {}
+        known = [one for one in terms if one is not None]
+        if not known:
+            return {}
+        both = depth_summary(known)
+        return {"abs_rel": both["abs_rel_median"], "rank": both["rank"]}
+
+    def baselines(
+        self, samples: Sequence[Sample], groups: Sequence[str]
+    ) -> Mapping[str, Sequence[NDArray]]:
+        """A constant depth, the mean image of other groups, and brightness."""
+        if any("depth" not in sample for sample in samples):
+            return {}
+        found = log_depth_baselines(samples, groups)
+        shift = [np.log(MIDDLE * np.maximum(one["ray"][..., 2], _MIN_COSINE)) for one in samples]
+        return {
+            name: [(log - own)[None] for log, own in zip(logs, shift, strict=True)]
+            for name, logs in found.items()
+        }
 
     def picture(self, output: NDArray, sample: Sample) -> UInt8[np.ndarray, "s k 3"]:
         """Image, true depth if it is known, and predicted depth scaled to it."""
@@ -206,6 +265,17 @@ class SfmTask(BackboneTask):
     def files(self, output: NDArray, letterbox: Letterbox) -> Mapping[str, NDArray]:
         """Distance along the ray in 16 bits, in steps of 10 µm, at a reference scale of 30 mm."""
         return {".png": CHANNELS["ray_distance"].encoding.encode(letterbox.back(depth_of(output)))}
+
+    def sequence_errors(
+        self, network: nn.Module, sequence: FrameSequence, device: str
+    ) -> Mapping[str, Mapping[str, float]]:
+        """Errors of the trajectory, of a static camera and of a constant velocity."""
+        if CAMERA_POSE not in sequence.values or len(sequence) < _MIN_POSES:
+            return {}
+        truth = sequence.Ts_world_camera
+        estimate = self.trajectory(network, sequence, device=device).Ts_world_camera
+        found = {"network": estimate, **motion_baselines(truth)}
+        return {name: motion_errors(poses, truth) for name, poses in found.items()}
 
     def sequence_files(
         self, network: nn.Module, sequence: FrameSequence, frames: Sequence[int], device: str
@@ -239,39 +309,80 @@ class SfmTask(BackboneTask):
         Raises:
             InputError: If an image cannot be read.
         """
+        if sequence.camera is None:
+            raise InputError(LENS_NEEDED)
         poses = [np.eye(4)]
         kept = np.array(frames or range(len(sequence)))
-        squares = (self._square(sequence.image("rgb", int(index)), device) for index in kept)
+        batches = (self._batch(sequence, int(index), device) for index in kept)
         with torch.inference_mode():
-            for before, here in pairwise(squares):
-                T_before_here = _motion(network, here, before)[0].double().cpu().numpy()
+            for before, here in pairwise(batches):
+                own = self.output(network, here)
+                _, motion = _motion(network, here["image"], before["image"], here["ray"], own)
+                T_before_here = pose_matrix(motion.double())[0].cpu().numpy()
                 T_before_here[:3, 3] *= MIDDLE  # the scale of its distances
                 poses.append(poses[-1] @ T_before_here)
         values = {TIME: sequence.times[kept], CAMERA_POSE: np.stack(poses)}
         return replace(sequence.subset(kept), values=values)
 
-    def _square(self, image: UInt8[np.ndarray, "h w 3"], device: str) -> Tensor:
-        """Image as input of the network [1 3 s s]."""
-        square = Letterbox(image.shape[0], image.shape[1], self.input_size).image(image)
-        channels = np.ascontiguousarray(np.moveaxis(square[None], -1, 1))
-        return torch.from_numpy(channels).to(device).float() / 255.0
+    def _batch(self, sequence: FrameSequence, index: int, device: str) -> Batch:
+        """Inputs of the network for one frame."""
+        image = sequence.image("rgb", index)
+        letterbox = Letterbox(image.shape[0], image.shape[1], self.input_size)
+        return batch_of([self.inputs(image, letterbox, sequence.camera)], device)
 
 
-class SfmNetwork(UNet):
+class SfmNetwork(DepthNetwork):
     """Distances of one frame, and the motion between two."""
 
-    def __init__(self, backbone: Backbone, *, is_pretrained: bool) -> None:
-        super().__init__(backbone, 6, 1, is_pretrained=is_pretrained)
-        self.moves = motion_network(backbone.encoder, is_pretrained=is_pretrained)
+    def __init__(self, backbone: Backbone, has_light_cue: bool, *, is_pretrained: bool) -> None:
+        super().__init__(backbone, has_light_cue, is_pretrained=is_pretrained)
+        self.moves = MotionNetwork()
 
-    def motion(self, image: Tensor, other: Tensor) -> Tensor:
-        """Rotation vector [rad] and translation of the frame in the other [b 6]."""
-        return 0.01 * self.moves(2.0 * torch.cat([image, other], dim=1) - 1.0)
+    def forward(self, image: Tensor, *maps: Tensor) -> Tensor:
+        """Return ln(distance / 30 mm) [b 1 s s] of color images and rays, from depth along z."""
+        along = maps[0][:, 2:]
+        cosine = torch.where(along > 0.0, along.clamp(min=_MIN_COSINE), 1.0)
+        return super().forward(image, *maps) - torch.log(cosine)
 
 
-def _motion(network: nn.Module, image: Tensor, other: Tensor) -> Tensor:
-    """Pose [b 4 4] of frames in others."""
-    return pose_matrix(cast(SfmNetwork, network).motion(image, other).float())
+def _motion(
+    network: nn.Module, image: Tensor, other: Tensor, ray: Tensor, own: Tensor
+) -> tuple[Flow, Tensor]:
+    """Flow and motion [b 6] of frames in others; distances get no gradient of the motion."""
+    moves = cast(SfmNetwork, network).moves
+    flow = moves.flow(image, other, ray)
+    return flow, motion_from_flow(flow, ray, own.detach())
+
+
+def true_flow(batch: Batch, T_other_own: Tensor) -> Tensor:
+    """Flow of a static wall [b 2 h w] in pixels at the positions of `MotionNetwork`.
+
+    It is NaN where no distance is known, or where it is longer than what the network correlates.
+
+    Args:
+        batch: `depth` [b s s], `ray` [b 3 s s] and `view`, letterbox and camera of each image.
+        T_other_own: Pose of the frame's camera in the neighbor's [m] [b 4 4].
+    """
+    size = batch["ray"].shape[-1]
+    distance = functional.avg_pool2d(_distances(batch)[:, None], STRIDE)
+    points = (distance * at_positions(batch["ray"])).flatten(2)
+    moved = T_other_own[:, :3, :3] @ points + T_other_own[:, :3, 3:]
+    flows = []
+    for (letterbox, camera), start, end in zip(
+        batch["view"], points.transpose(1, 2), moved.transpose(1, 2), strict=True
+    ):
+        pixels = [torch.stack(letterbox.to_square(camera.lens.project(p))) for p in (start, end)]
+        flows.append((pixels[1] - pixels[0]).view(2, size // STRIDE, -1))
+    flow = torch.stack(flows)
+    is_near = (flow.abs() < _MAX_FLOW).all(dim=1, keepdim=True)
+    return torch.where(is_near, flow, torch.nan)
+
+
+def _flow_error(flow: Flow, truth: Tensor) -> Tensor:
+    """Mean distance of the flow from the true one [px]."""
+    known = torch.isfinite(truth).all(dim=1)
+    difference = torch.where(known[:, None], flow.pixels - truth, 0.0)
+    return ((difference**2).sum(dim=1) + 1e-4).sqrt().mul(known).sum() / known.sum().clamp(min=1)
 
 
 def _motion_error(motion: Tensor, T_other_own: Tensor) -> Tensor:

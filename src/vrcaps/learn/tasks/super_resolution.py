@@ -14,10 +14,9 @@ with features φ of a network pre-trained on ImageNet. The output looks sharper 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from functools import partial
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import torch
@@ -26,6 +25,8 @@ from torch import Tensor, nn
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError
 from vrcaps.learn.augment import random_flip, with_gain
+from vrcaps.learn.baselines import upsampling_baselines
+from vrcaps.learn.degradation import Degradation
 from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.losses import (
     content_loss,
@@ -41,6 +42,7 @@ from vrcaps.learn.networks import (
     PatchDiscriminator,
     feature_network,
 )
+from vrcaps.learn.perturbation import Perturbation
 from vrcaps.learn.task import MAX_WEIGHT, Batch, Losses, Metric, Presets, Sample, Task, total
 from vrcaps.metrics.images import psnr, ssim
 from vrcaps.recording.frame_sequence import FrameSequence
@@ -72,6 +74,7 @@ class SuperResolutionTask(Task):
         style: Weight of the squared difference of the features' Gram matrices.
         feature_encoder: Network of these features, by its timm name, such as vgg19; the default's
             weights need no hub.
+        degradation: Random degradations of the small training images, such as of a recorder.
     """
 
     factor: Literal[2, 4, 8] = 4
@@ -85,6 +88,7 @@ class SuperResolutionTask(Task):
     content: Annotated[float, Range(0.0, MAX_WEIGHT)] = 0.0
     style: Annotated[float, Range(0.0, MAX_WEIGHT)] = 0.0
     feature_encoder: str = ENCODER
+    degradation: Degradation = field(default_factory=Degradation)
 
     kind: ClassVar[str] = "super-resolution"
     pipeline_tag: ClassVar[str] = "image-to-image"
@@ -148,15 +152,23 @@ class SuperResolutionTask(Task):
         )
         return self._pair(_middle(image, *sides))
 
+    def perturbed_sample(
+        self, sequence: FrameSequence, index: int, perturbation: Perturbation
+    ) -> Sample:
+        """Return a pair whose small image is perturbed in color; its true image is clean."""
+        sample = self.sample(perturbation.framing(sequence), index)
+        return sample | {"image": perturbation.recolored(sample["image"], index)}
+
     def augment(self, sample: Sample, rng: np.random.Generator) -> Sample:
-        """Apply a random crop, flips, rotations by 90° and exposure."""
+        """Apply a random crop, flips, rotations by 90°, exposure and degradations."""
         truth = sample["truth"]
         top, left = (int(rng.integers(side - self.size + 1)) for side in truth.shape[:2])
         crop = {"truth": truth[top : top + self.size, left : left + self.size]}
         crop = random_flip(crop, rng)
         turned = np.ascontiguousarray(np.rot90(crop["truth"], int(rng.integers(4))))
         gain = 1.2 ** rng.uniform(-1.0, 1.0) * rng.uniform(0.95, 1.05, 3)
-        return self._pair(with_gain(turned, gain, 1.0))
+        pair = self._pair(with_gain(turned, gain, 1.0))
+        return pair | {"image": self.degradation.apply(pair["image"], rng)}
 
     def _pair(self, truth: UInt8[np.ndarray, "h w 3"]) -> Sample:
         small = _resized(truth, truth.shape[0] // self.factor, truth.shape[1] // self.factor)
@@ -199,28 +211,26 @@ class SuperResolutionTask(Task):
             terms["style"] = self.style * style_loss(outputs, targets)
         return terms
 
-    def metrics(self, outputs: Iterable[NDArray], samples: Iterable[Sample]) -> Mapping[str, float]:
-        """PSNR [dB] and SSIM of 8-bit images, also for bicubic upsampling.
+    def terms(self, output: NDArray, sample: Sample) -> Any:
+        """PSNR [dB], SSIM and feature distance of one 8-bit image."""
+        image, truth = image_of(output), sample["truth"]
+        within = {"data_range": _LARGEST, "crop": self.factor}
+        distance = feature_distance(image, truth, self.feature_encoder)
+        return psnr(image, truth, **within), ssim(image, truth, **within), distance
+
+    def summary(self, terms: Sequence[Any]) -> Mapping[str, float]:
+        """Mean PSNR [dB], SSIM and feature distance of 8-bit images.
 
         A border of `factor` pixels is excluded. `feature_distance` is that of `losses`,
         with the feature network of the settings.
         """
-        rows = []
-        distance = partial(feature_distance, encoder=self.feature_encoder)
-        within = {"data_range": _LARGEST, "crop": self.factor}
-        functions = (partial(psnr, **within), partial(ssim, **within), distance)
-        for output, sample in zip(outputs, samples, strict=True):
-            truth = sample["truth"]
-            bicubic = _resized(sample["image"], *truth.shape[:2])
-            rows.append(
-                [
-                    function(image, truth)
-                    for image in (image_of(output), bicubic)
-                    for function in functions
-                ]
-            )
-        names = [f"{n}{of}" for of in ("", "_bicubic") for n in _METRICS]
-        return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))
+        return dict(zip(_METRICS, np.mean(terms, axis=0).tolist(), strict=True))
+
+    def baselines(
+        self, samples: Sequence[Sample], groups: Sequence[str]
+    ) -> Mapping[str, Sequence[NDArray]]:
+        """Bicubic and nearest-neighbor upsampling."""
+        return upsampling_baselines(samples)
 
     def picture(self, output: NDArray, sample: Sample) -> UInt8[np.ndarray, "s k 3"]:
         """Central parts of the bicubic upsampling, the output and the ground truth."""

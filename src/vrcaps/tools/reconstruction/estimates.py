@@ -122,7 +122,9 @@ def read_depth(folder: Path, sequence: FrameSequence) -> FrameSequence:
 
 
 def with_network_depth(sequence: FrameSequence, trained: TrainedNetwork) -> FrameSequence:
-    """Copy of a sequence with depth estimated by a network on access.
+    """Copy of a sequence with depth estimated by a network on access, as by `vrcaps predict`.
+
+    It is NaN in the black border and the inserts of an endoscope's picture.
 
     Args:
         sequence: Images and camera.
@@ -134,17 +136,17 @@ def with_network_depth(sequence: FrameSequence, trained: TrainedNetwork) -> Fram
     camera = sequence.camera
     if camera is None:
         raise InputError(f"{sequence.name} has no calibrated camera, which depth requires.")
-    from vrcaps.learn.picture_border import input_image
+    from vrcaps.learn.picture_border import input_image, view_of
 
     require_depth(trained)
-    return with_depth(
-        sequence,
-        lambda index: network_depth(
-            trained,
-            input_image(sequence, index, predicts_lengths=trained.task.predicts_lengths),
-            camera,
-        ),
-    )
+    lengths = {"predicts_lengths": trained.task.predicts_lengths}
+
+    def depth_of(index: int) -> Float[np.ndarray, "h w"]:
+        view = view_of(sequence, input_image(sequence, index, **lengths), **lengths)
+        depth = view.whole(network_depth(trained, view.image, view.camera or camera))
+        return np.where(depth > 0.0, depth, np.nan)
+
+    return with_depth(sequence, depth_of)
 
 
 def network_depth(

@@ -96,18 +96,8 @@ def estimated_poses(
         InputError: If the camera or depth is missing, or no two frames overlap.
         MissingExtraError: If OpenCV is not installed.
     """
-    camera = sequence.camera
-    if camera is None:
-        raise InputError(f"{sequence.name} has no calibrated camera, which odometry requires.")
-    is_seen, pitch = _field(camera)
     count = len(sequence)
-    views = []
-    for index in range(count):
-        rgb = without_highlights(sequence.image("rgb", index))
-        views.append(
-            _view(rgb, sequence.image("depth", index), camera, is_seen, settings.num_features)
-        )
-        progress(index + 1, 2 * count)
+    views, pitch = feature_views(sequence, settings, lambda done: progress(done, 2 * count))
     pairs = _pairs(views, settings, settings.tolerance * pitch, progress)
     frames = connected(count, pairs)
     if not frames:
@@ -122,6 +112,35 @@ def estimated_poses(
     deviations = Deviations(settings.angle_deviation * pitch, settings.distance_deviation)
     poses = adjusted_poses(poses, *_renumbered(frames, views, pairs), deviations)
     return Odometry(np.array(frames), invert(poses[0]) @ poses, len(pairs))
+
+
+def feature_views(
+    sequence: FrameSequence,
+    settings: OdometrySettings,
+    progress: Callable[[int], None] = lambda done: None,
+) -> tuple[list[View], float]:
+    """Features of each frame with their positions, and the median angle of a pixel [rad].
+
+    Args:
+        sequence: Images, depth and camera.
+        settings: Settings of the odometry.
+        progress: Called with the number of frames done.
+
+    Raises:
+        InputError: If the camera or depth is missing.
+        MissingExtraError: If OpenCV is not installed.
+    """
+    camera = sequence.camera
+    if camera is None:
+        raise InputError(f"{sequence.name} has no calibrated camera, which odometry requires.")
+    is_seen, pitch = _field(camera)
+    views = []
+    for index in range(len(sequence)):
+        rgb = without_highlights(sequence.image("rgb", index))
+        depth = sequence.image("depth", index)
+        views.append(_view(rgb, depth, camera, is_seen, settings.num_features))
+        progress(index + 1)
+    return views, pitch
 
 
 def _field(camera: Camera) -> tuple[Bool[np.ndarray, "h w"], float]:

@@ -91,6 +91,7 @@ def test_predict_writes_what_evaluate_scores(learner, tmp_path) -> None:
     trained, one = trained_of(learner), external()
     if learner.kind == "super-resolution":
         found = evaluate(trained, samples_of(learner, [one]))
+        (tmp_path / "in").mkdir()
         images = [sample["image"] for sample in found.samples]
         write_images([(tmp_path / "in" / f"{k:03}.png", x) for k, x in enumerate(images)])
         (given,) = read_source(str(tmp_path / "in"))
@@ -102,13 +103,18 @@ def test_predict_writes_what_evaluate_scores(learner, tmp_path) -> None:
         lines = (tmp_path / "out" / "classification.csv").read_text().splitlines()
         for line, output in zip(lines[1:], found.outputs, strict=True):
             row = learner.row(output)
-            assert line.split(",")[1:] == [str(value) for value in row.values()]
+            name, *values = line.split(",")[1:]
+            expected = [float(str(value)) for value in list(row.values())[1:]]
+            assert name == row["class"]
+            assert list(map(float, values)) == pytest.approx(expected, abs=2e-4)
         return
     letterbox = Letterbox(SIDE, SIDE, learner.input_size)
     for output, (_, index) in zip(found.outputs, found.frames, strict=True):
         for suffix, expected in learner.files(output, letterbox).items():
             (path,) = (tmp_path / "out").rglob(f"*{index:03}{suffix}")
-            np.testing.assert_array_equal(read_image(path), expected)
+            # Batches of other sizes round differently.
+            difference = read_image(path).astype(int) - expected.astype(int)
+            assert (np.abs(difference) > 1).mean() < 1e-3
 
 
 @pytest.mark.parametrize("learner", LEARNERS, ids=ids)

@@ -23,12 +23,13 @@ from vrcaps.learn.losses import (  # noqa: E402
     smoothness,
     synthesize_view,
 )
+from vrcaps.learn.motion_loss import true_flow  # noqa: E402
 from vrcaps.learn.motion_network import Flow, motion_from_flow  # noqa: E402
 from vrcaps.learn.networks import Backbone  # noqa: E402
 from vrcaps.learn.samples import Samples, batch_of  # noqa: E402
 from vrcaps.learn.settings import TrainSettings  # noqa: E402
 from vrcaps.learn.tasks.depth import MIDDLE  # noqa: E402
-from vrcaps.learn.tasks.sfm import SfmTask, true_flow  # noqa: E402
+from vrcaps.learn.tasks.sfm import SfmTask  # noqa: E402
 from vrcaps.learn.training import BEST, train  # noqa: E402
 from vrcaps.training.settings import ComputeSettings  # noqa: E402
 

@@ -170,7 +170,7 @@ class DepthTask(BackboneTask):
 def _exposed(
     image: UInt8[np.ndarray, "s s 3"], rng: np.random.Generator
 ) -> UInt8[np.ndarray, "s s 3"]:
-    """Image at a random exposure; what it saturates is lost."""
+    """Change the exposure of an image at random; saturated values are lost."""
     factor = _MAX_EXPOSURE ** rng.uniform(-1.0, 1.0)
     return srgb_from_linear(np.clip(factor * linear_from_srgb(image), 0.0, 1.0))
 

@@ -32,7 +32,6 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError
@@ -50,11 +49,10 @@ from vrcaps.learn.losses import (
     synthesize_view,
 )
 from vrcaps.learn.motion_errors import motion_baselines, motion_errors
+from vrcaps.learn.motion_loss import MIN_COSINE, distances_of, flow_error, motion_error, true_flow
 from vrcaps.learn.motion_network import (
-    STRIDE,
     Flow,
     MotionNetwork,
-    at_positions,
     motion_from_flow,
 )
 from vrcaps.learn.networks import Backbone
@@ -85,11 +83,6 @@ _GRADIENT_WEIGHT = 0.5
 """Weight of the gradient loss on true distances."""
 _MIN_POSES = 3
 """Minimum number of poses of an evaluated trajectory."""
-_MAX_FLOW = 14.0
-"""Maximum flow that the flow is trained on [px]."""
-_MIN_COSINE = 0.05
-"""Minimum cosine of the angle between a ray and the axis: near a right angle, depth along the axis
-does not determine the distance."""
 
 
 @dataclass(frozen=True)
@@ -204,10 +197,10 @@ class SfmTask(BackboneTask):
                 geometry = geometry + (unlike * view.is_valid).sum() / count
             if self.supervision > 0.0:
                 T_true = batch[f"T_{name}_own"]
-                labels = labels + _motion_error(T_other_own, T_true)
-                labels = labels + _flow_error(flow, true_flow(batch, T_true))
+                labels = labels + motion_error(T_other_own, T_true)
+                labels = labels + flow_error(flow, true_flow(batch, T_true))
         if self.supervision > 0.0 and self.trains_distances:
-            labels = labels + depth_loss(own, _distances(batch), _GRADIENT_WEIGHT)["loss"]
+            labels = labels + depth_loss(own, distances_of(batch), _GRADIENT_WEIGHT)["loss"]
         return total(
             {
                 "photometric": 0.5 * self.photometric_weight * photometric,
@@ -249,7 +242,7 @@ class SfmTask(BackboneTask):
         if any("depth" not in sample for sample in samples):
             return {}
         found = log_depth_baselines(samples, groups)
-        shift = [np.log(MIDDLE * np.maximum(one["ray"][..., 2], _MIN_COSINE)) for one in samples]
+        shift = [np.log(MIDDLE * np.maximum(one["ray"][..., 2], MIN_COSINE)) for one in samples]
         return {
             name: [(log - own)[None] for log, own in zip(logs, shift, strict=True)]
             for name, logs in found.items()
@@ -341,7 +334,7 @@ class SfmNetwork(DepthNetwork):
     def forward(self, image: Tensor, *maps: Tensor) -> Tensor:
         """Return ln(distance / 30 mm) [b 1 s s] of color images and rays, from depth along z."""
         along = maps[0][:, 2:]
-        cosine = torch.where(along > 0.0, along.clamp(min=_MIN_COSINE), 1.0)
+        cosine = torch.where(along > 0.0, along.clamp(min=MIN_COSINE), 1.0)
         return super().forward(image, *maps) - torch.log(cosine)
 
 
@@ -352,50 +345,6 @@ def _motion(
     moves = cast(SfmNetwork, network).moves
     flow = moves.flow(image, other, ray)
     return flow, motion_from_flow(flow, ray, own.detach())
-
-
-def true_flow(batch: Batch, T_other_own: Tensor) -> Tensor:
-    """Flow of a static wall [b 2 h w] in pixels at the positions of `MotionNetwork`.
-
-    It is NaN where no distance is known, or where it is longer than what the network correlates.
-
-    Args:
-        batch: `depth` [b s s], `ray` [b 3 s s] and `view`, letterbox and camera of each image.
-        T_other_own: Pose of the frame's camera in the neighbor's [m] [b 4 4].
-    """
-    size = batch["ray"].shape[-1]
-    distance = functional.avg_pool2d(_distances(batch)[:, None], STRIDE)
-    points = (distance * at_positions(batch["ray"])).flatten(2)
-    moved = T_other_own[:, :3, :3] @ points + T_other_own[:, :3, 3:]
-    flows = []
-    for (letterbox, camera), start, end in zip(
-        batch["view"], points.transpose(1, 2), moved.transpose(1, 2), strict=True
-    ):
-        pixels = [torch.stack(letterbox.to_square(camera.lens.project(p))) for p in (start, end)]
-        flows.append((pixels[1] - pixels[0]).view(2, size // STRIDE, -1))
-    flow = torch.stack(flows)
-    is_near = (flow.abs() < _MAX_FLOW).all(dim=1, keepdim=True)
-    return torch.where(is_near, flow, torch.nan)
-
-
-def _flow_error(flow: Flow, truth: Tensor) -> Tensor:
-    """Mean distance of the flow from the true one [px]."""
-    known = torch.isfinite(truth).all(dim=1)
-    difference = torch.where(known[:, None], flow.pixels - truth, 0.0)
-    return ((difference**2).sum(dim=1) + 1e-4).sqrt().mul(known).sum() / known.sum().clamp(min=1)
-
-
-def _motion_error(motion: Tensor, T_other_own: Tensor) -> Tensor:
-    """Error of motions [b 4 4], in units of 2 mm and 0.02 rad, about a pixel each."""
-    turned = (motion[:, :3, :3] - T_other_own[:, :3, :3]).flatten(1).norm(dim=1)
-    shifted = (MIDDLE * motion[:, :3, 3] - T_other_own[:, :3, 3]).norm(dim=1)
-    return (turned / 0.02 + shifted / 0.002).mean()
-
-
-def _distances(batch: Batch) -> Tensor:
-    """True distances along rays [b s s]."""
-    along = batch["ray"][:, 2]
-    return batch["depth"] / along.where(along > _MIN_COSINE, np.nan)
 
 
 def _depth_of(output: NDArray, sample: Sample) -> NDArray:

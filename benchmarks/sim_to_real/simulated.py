@@ -15,8 +15,7 @@ from benchmarks.sim_to_real.real import small_image, small_map
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError
 from vrcaps.learn.tasks.segmentation import LESION
-from vrcaps.recording.frame_sequence import FrameSequence
-from vrcaps.recording.image_classes import image_class, lesion_instances
+from vrcaps.recording.frame_sequence import FrameSequence, image_class, lesion_instances
 
 Urls = tuple[str, ...]
 """Folders or URLs of data sets."""

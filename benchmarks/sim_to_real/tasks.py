@@ -32,7 +32,7 @@ from vrcaps.learn.tasks.segmentation import LESION, SegmentationTask
 from vrcaps.learn.tasks.super_resolution import SuperResolutionTask, image_of
 from vrcaps.metrics.images import psnr, ssim
 from vrcaps.metrics.labels import dice
-from vrcaps.recording.image_classes import NORMAL
+from vrcaps.recording.frame_sequence import NORMAL
 
 FRACTIONS = (0.1, 1.0, 0.25, 0.05, 0.5)
 """Fractions of the real training images, the most informative first."""

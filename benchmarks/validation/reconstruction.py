@@ -27,8 +27,7 @@ from vrcaps.learn.task import Task
 from vrcaps.learn.tasks.sfm import SfmTask
 from vrcaps.learn.training import WEIGHTS, train
 from vrcaps.mesh.mesh import Mesh
-from vrcaps.metrics.depth import depth_errors, mean_depth_errors
-from vrcaps.metrics.surface import surface_distances
+from vrcaps.metrics.depth import depth_errors, mean_depth_errors, surface_distances
 from vrcaps.metrics.trajectory import TrajectoryAlignment, absolute_trajectory_error
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.recording.episode import read_episode

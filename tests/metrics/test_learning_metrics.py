@@ -6,6 +6,7 @@ import pytest
 from vrcaps.core.errors import InputError
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.metrics.bootstrap import bootstrap, mean_band
+from vrcaps.metrics.depth import surface_distances, surface_errors
 from vrcaps.metrics.images import psnr, ssim
 from vrcaps.metrics.labels import (
     accuracy,
@@ -19,7 +20,6 @@ from vrcaps.metrics.labels import (
     roc_auc,
 )
 from vrcaps.metrics.simcol3d import score_depth
-from vrcaps.metrics.surface import surface_distances, surface_errors
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@
 import numpy as np
 
 from vrcaps.lumen.particles import FIRST_CLUMP
-from vrcaps.recording.image_classes import NORMAL, image_class, lesion_instances
+from vrcaps.recording.frame_sequence import NORMAL, image_class, lesion_instances
 
 LESIONS = [{"instance": 1, "kind": "polyp"}, {"instance": 2, "kind": "bleeding"}]
 

@@ -5,8 +5,11 @@ from .coverage import COVERAGE_LEVELS as COVERAGE_LEVELS
 from .coverage import CoverageCriteria as CoverageCriteria
 from .coverage import CoverageMap as CoverageMap
 from .depth import DepthErrors as DepthErrors
+from .depth import SurfaceErrors as SurfaceErrors
 from .depth import depth_errors as depth_errors
 from .depth import mean_depth_errors as mean_depth_errors
+from .depth import surface_distances as surface_distances
+from .depth import surface_errors as surface_errors
 from .images import ColorDistance as ColorDistance
 from .images import ImageColor as ImageColor
 from .images import color_distance as color_distance
@@ -28,9 +31,6 @@ from .simcol3d import DepthScore as DepthScore
 from .simcol3d import PoseScore as PoseScore
 from .simcol3d import score_depth as score_depth
 from .simcol3d import score_poses as score_poses
-from .surface import SurfaceErrors as SurfaceErrors
-from .surface import surface_distances as surface_distances
-from .surface import surface_errors as surface_errors
 from .trajectory import RelativePoseError as RelativePoseError
 from .trajectory import Similarity as Similarity
 from .trajectory import absolute_trajectory_error as absolute_trajectory_error

@@ -1,4 +1,4 @@
-"""Depth metrics, by the definitions used in papers.
+"""Metrics of depth and of reconstructed surfaces, by the definitions used in papers.
 
 With estimate d and truth t over the pixels that have both::
 
@@ -17,10 +17,13 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from vrcaps.core.errors import InputError, UnknownNameError, require_one_shape
+from vrcaps.core.errors import InputError, UnknownNameError, require, require_one_shape
+from vrcaps.core.geometry import wall_of
 
 if TYPE_CHECKING:
     from jaxtyping import Float
+
+    from vrcaps.mesh.mesh import Mesh
 
 DepthAlignment = Literal["none", "median", "scale", "scale-and-shift"]
 """Alignment of the estimate to the truth before evaluation: none; ratio of medians; least-squares
@@ -117,3 +120,47 @@ def _aligned(d: np.ndarray, t: np.ndarray, align: str) -> np.ndarray:
         columns = np.column_stack([d, np.ones_like(d)])
         return columns @ np.linalg.lstsq(columns, t, rcond=None)[0]
     raise UnknownNameError("alignment of depth", align, get_args(DepthAlignment))
+
+
+@dataclass(frozen=True)
+class SurfaceErrors:
+    """Statistics of distances of points from a surface.
+
+    Attributes:
+        rmse: Root mean square [m].
+        mean: Mean [m].
+        median: Median [m].
+        percentile_95: 95th percentile [m].
+    """
+
+    rmse: float
+    mean: float
+    median: float
+    percentile_95: float
+
+
+def surface_distances(points: Float[np.ndarray, "n 3"], surface: Mesh) -> Float[np.ndarray, " n"]:
+    """Distance of each point from the nearest point of a surface [m].
+
+    Raises:
+        InputError: If a point is not finite.
+    """
+    require(bool(np.isfinite(points).all()), "a point", "not finite", "finite numbers")
+    wall = wall_of(surface.vertices, surface.faces)
+    nearest, _ = wall.closest_point(np.ascontiguousarray(points, float))
+    return np.linalg.norm(nearest - points, axis=1)
+
+
+def surface_errors(distances: Float[np.ndarray, " n"]) -> SurfaceErrors:
+    """Statistics of the distances [m] of points that should lie on a surface.
+
+    Raises:
+        InputError: If there are no points.
+    """
+    require(len(distances) > 0, "number of points", len(distances), "1 or more")
+    return SurfaceErrors(
+        float(np.sqrt(np.mean(distances**2))),
+        float(np.mean(distances)),
+        float(np.median(distances)),
+        float(np.percentile(distances, 95)),
+    )

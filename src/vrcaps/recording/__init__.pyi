@@ -3,8 +3,8 @@ from .check import check_episode as check_episode
 from .episode import Episode as Episode
 from .episode import read_episode as read_episode
 from .frame_sequence import FrameSequence as FrameSequence
-from .image_classes import image_class as image_class
-from .image_classes import lesion_instances as lesion_instances
+from .frame_sequence import image_class as image_class
+from .frame_sequence import lesion_instances as lesion_instances
 from .layout import EpisodeFiles as EpisodeFiles
 from .layout import LocalFiles as LocalFiles
 from .recorder import record as record

@@ -1,4 +1,4 @@
-"""Frames of one camera over time, from any source."""
+"""Frames of one camera over time, from any source, and the class of a frame by its lesions."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from vrcaps.camera.camera import Camera
 from vrcaps.core.errors import InputError, UnknownNameError, reading
 from vrcaps.core.names import require_name
 from vrcaps.core.transforms import require_rigid
+from vrcaps.lumen.particles import FIRST_CLUMP
 from vrcaps.render.channels import CHANNELS, Frame
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Float, Int, UInt16
     from numpy.typing import NDArray
-
 
 SPLITS = ("train", "val", "test")
 """Splits of a data set."""
@@ -209,3 +209,31 @@ def _require_possible(channel: str, image: NDArray, what: str) -> None:
         raise InputError(
             f"{what} contains a negative distance. Allowed: 0 or more, or NaN for none."
         )
+
+
+NORMAL = "normal"
+"""Class of images without a lesion."""
+
+
+def image_class(
+    instance: UInt16[np.ndarray, "h w"], lesions: Sequence[dict[str, Any]], min_fraction: float
+) -> str | None:
+    """Kind of the largest lesion in an image, or `NORMAL`; None if the largest is too small.
+
+    Args:
+        instance: Lesion ID of each pixel.
+        lesions: Lesions of the organ, as in `organ.lesions` of an episode.
+        min_fraction: Fraction of the image that the lesion must cover.
+    """
+    pixels = np.bincount(lesion_instances(instance).ravel())[1:]
+    if not pixels.any():
+        return NORMAL
+    if pixels.max() < min_fraction * instance.size:
+        return None
+    kinds = {one["instance"]: one["kind"] for one in lesions}
+    return kinds.get(int(pixels.argmax()) + 1)
+
+
+def lesion_instances(instance: UInt16[np.ndarray, "h w"]) -> UInt16[np.ndarray, "h w"]:
+    """Lesion ID of each pixel of a recording; 0 also where it shows a clump of chyme."""
+    return np.where(instance < FIRST_CLUMP, instance, np.uint16(0))

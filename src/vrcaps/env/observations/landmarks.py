@@ -16,7 +16,7 @@ from vrcaps.env.parts import EnvView, Observation
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-    from vrcaps.env.course import CoursePoint
+    from vrcaps.env.worlds import CoursePoint
 
 _DISTANCE = 20.0 * MM
 _FAR = 10.0 * CM

@@ -24,8 +24,13 @@ from vrcaps.formats.format import Needs, require_channels
 from vrcaps.formats.shared.folders import folder_name, image_loader
 from vrcaps.formats.shared.stored_images import IMAGES, read_plane, read_rgb
 from vrcaps.recording.frame_files import write_images
-from vrcaps.recording.frame_sequence import SPLITS, TIME, FrameSequence
-from vrcaps.recording.image_classes import image_class, lesion_instances
+from vrcaps.recording.frame_sequence import (
+    SPLITS,
+    TIME,
+    FrameSequence,
+    image_class,
+    lesion_instances,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -19,8 +19,7 @@ from vrcaps.learn.networks import Backbone, classifier
 from vrcaps.learn.picture_border import Overlay, tissue_mask
 from vrcaps.learn.task import MAX_CLASSES, BackboneTask, Batch, Losses, Metric, Presets, Sample
 from vrcaps.metrics.labels import accuracy, confusion_matrix, f1_scores, matthews, roc_auc
-from vrcaps.recording.frame_sequence import FrameSequence
-from vrcaps.recording.image_classes import NORMAL, image_class
+from vrcaps.recording.frame_sequence import NORMAL, FrameSequence, image_class
 
 if TYPE_CHECKING:
     from jaxtyping import UInt8

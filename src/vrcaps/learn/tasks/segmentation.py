@@ -22,8 +22,7 @@ from vrcaps.learn.networks import Backbone, UNet
 from vrcaps.learn.task import MAX_CLASSES, BackboneTask, Batch, Losses, Metric, Sample, total
 from vrcaps.lesion.library import LESIONS
 from vrcaps.metrics.labels import boundary_f_score, dice, iou
-from vrcaps.recording.frame_sequence import FrameSequence
-from vrcaps.recording.image_classes import lesion_instances
+from vrcaps.recording.frame_sequence import FrameSequence, lesion_instances
 
 if TYPE_CHECKING:
     from jaxtyping import UInt8

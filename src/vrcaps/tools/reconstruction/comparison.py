@@ -14,7 +14,7 @@ from vrcaps.core.files import atomic_write, write_bytes, write_csv
 from vrcaps.core.geometry import triangle_areas
 from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import Mesh
-from vrcaps.metrics.surface import SurfaceErrors, surface_distances, surface_errors
+from vrcaps.metrics.depth import SurfaceErrors, surface_distances, surface_errors
 from vrcaps.tools.report import make_figure
 
 if TYPE_CHECKING:

@@ -99,16 +99,23 @@ class FrameWriter:
 
 
 class Background:
-    """Work in a thread that runs while the frames are rendered.
+    """Work in a thread that runs while the frames are rendered, after the first of them.
 
-    The compression of textures takes longer than the first frames, and needs one core. The thread
-    is a daemon, so that an error or an interruption of the recording does not wait for it.
+    The compression of textures takes longer than the first frames, and needs one core, which would
+    delay the first picture. The thread is a daemon, so that an error or an interruption of the
+    recording does not wait for it.
     """
 
     def __init__(self, work: Callable[[], None]) -> None:
         self._error: BaseException | None = None
         self._thread = Thread(target=self._run, args=(work,), daemon=True)
-        self._thread.start()
+        self._is_started = False
+
+    def start(self) -> None:
+        """Start the work if it has not been started."""
+        if not self._is_started:
+            self._is_started = True
+            self._thread.start()
 
     def _run(self, work: Callable[[], None]) -> None:
         try:
@@ -118,6 +125,7 @@ class Background:
 
     def wait(self) -> None:
         """Wait until the work is done, and raise its error if it failed."""
+        self.start()
         self._thread.join()
         if self._error is not None:
             raise self._error

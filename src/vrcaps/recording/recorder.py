@@ -103,10 +103,9 @@ def record(
             remove_damaged(read_episode(out, unfinished=True))
             run = _Recording(out, resolved, model, motion, progress or _silent, simulated)
             is_missing = store_organ is None and not (out / ORGAN_GLB).exists()
-            organ = Background(partial(_write_organ, out, model)) if is_missing else None
-            _write_frames(out, run)
-            if organ is not None:
-                organ.wait()
+            organ = Background(partial(_write_organ, out, model) if is_missing else _nothing)
+            _write_frames(out, run, organ)
+            organ.wait()
             _finish(out, head)
         except OSError as error:
             raise _explained(out, error) from error
@@ -171,6 +170,10 @@ def _silent(done: int, total: int) -> None:
     """Ignore progress."""
 
 
+def _nothing() -> None:
+    """Do no work."""
+
+
 def _write_organ(out: Path, model: Model) -> None:
     from vrcaps.organ.organ_file import write_organ
 
@@ -191,7 +194,7 @@ class _Timer:
         return True
 
 
-def _write_frames(out: Path, run: _Recording) -> None:
+def _write_frames(out: Path, run: _Recording, organ: Background) -> None:
     """Write missing images, table and preview; render and encode in parallel."""
     total = run.scenario.frames
     preview = _new_preview(run)
@@ -201,7 +204,7 @@ def _write_frames(out: Path, run: _Recording) -> None:
             for frame in range(total):
                 writer.submit(frame, partial(_preview_from_files, preview, episode, frame))
         else:
-            _write_steps(run, preview, episode, writer)
+            _write_steps(run, preview, episode, writer, organ)
         writer.finish()
     if preview is not None:
         write_bytes(out / PREVIEW_MP4, preview.finish())
@@ -212,6 +215,7 @@ def _write_steps(
     preview: Preview | None,
     episode: Episode,
     writer: FrameWriter,
+    organ: Background,
 ) -> None:
     """Iterate over the motion, submit files to be written, write the table."""
     start = run.checkpoint()
@@ -241,6 +245,7 @@ def _write_steps(
             files=partial(_write_images, run, step.index, images, wall),
             then=then,
         )
+        organ.start()
     if not (run.out / FRAMES_PARQUET).exists():
         write_table(run.out / FRAMES_PARQUET, rows.table())
 

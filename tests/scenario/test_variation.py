@@ -30,9 +30,9 @@ def test_all_open_settings_are_drawn_and_stored():
     assert None not in (contents.bubbles, contents.chyme, contents.liquid)
     assert isinstance(contents.medium, Medium)
     assert isinstance(contents.film, Film)
-    assert resolved.organ.distension in ("collapsed", "normal")
+    assert resolved.organ.distension in (None, "normal")
     assert 0.3 <= resolved.motion.tilt <= 0.78
-    # Nothing is open, so that recording it again draws nothing else.
+    # Recording it again draws the same.
     assert resolve(resolved).scenario == resolved
     assert scenario_from_plain(scenario_to_plain(resolved)) == resolved
 

@@ -30,7 +30,7 @@ class Prevalence:
     """Prevalences of one organ.
 
     Attributes:
-        distensions: Probability of each distension; empty for the organ's own.
+        distensions: Probability of each distension; None stands for the organ's own.
         tilt: Range of a fly-through's maximum tilt [rad].
         bubbles: Mean fraction of the gut's length with bubbles.
         chyme: Mean fraction of the gut's length with chyme.
@@ -41,7 +41,7 @@ class Prevalence:
         film: Mean fraction of the gut's length with a film on the dome.
     """
 
-    distensions: Mapping[Distension, float]
+    distensions: Mapping[Distension | None, float]
     tilt: tuple[float, float]
     bubbles: float = 0.0
     chyme: float = 0.0
@@ -54,7 +54,7 @@ class Prevalence:
 PREVALENCES: Mapping[str, Prevalence] = MappingProxyType(
     {
         "small-bowel": Prevalence(
-            distensions={"collapsed": 0.92, "normal": 0.08},
+            distensions={None: 0.92, "normal": 0.08},
             tilt=(0.3, 0.78),
             bubbles=0.35,
             chyme=0.1,
@@ -62,14 +62,14 @@ PREVALENCES: Mapping[str, Prevalence] = MappingProxyType(
             film=0.5,
         ),
         "colon": Prevalence(
-            distensions={},
+            distensions={None: 1.0},
             tilt=(0.1, 0.35),
             preparations=(0.5, 0.35, 0.12, 0.03),
             medium=0.15,
             film=0.3,
         ),
         "stomach": Prevalence(
-            distensions={},
+            distensions={None: 1.0},
             tilt=(0.1, 0.35),
             bubbles=0.2,
             chyme=0.05,
@@ -78,7 +78,7 @@ PREVALENCES: Mapping[str, Prevalence] = MappingProxyType(
             film=0.3,
         ),
         "full-tract": Prevalence(
-            distensions={},
+            distensions={None: 1.0},
             tilt=(0.1, 0.35),
             bubbles=0.3,
             chyme=0.1,
@@ -106,7 +106,7 @@ def varied(scenario: Scenario) -> Scenario:
         empty = {kind: 0 for kind in _KINDS if getattr(contents, kind) is None}
         return replace(scenario, contents=replace(contents, **empty))
     assert isinstance(organ, OrganGenerated)
-    if organ.distension is None and found.distensions:
+    if organ.distension is None:
         rng = stream(organ.seed, "variation/distension")
         kinds, weights = list(found.distensions), list(found.distensions.values())
         organ = replace(organ, distension=kinds[int(rng.choice(len(kinds), p=weights))])

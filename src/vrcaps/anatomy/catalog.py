@@ -14,6 +14,7 @@ from vrcaps.organ.surface import OrganSurface
 
 if TYPE_CHECKING:
     from vrcaps.anatomy.full_tract.patient import PatientAnatomy
+    from vrcaps.mucosa.mucosa import Mucosa
 
     Generator = Callable[[PatientAnatomy], OrganSurface]
 
@@ -42,7 +43,11 @@ def organ_generator(name: str) -> Callable[[Generator], Generator]:
 
 
 def generate_organ(
-    name: str, *, seed: int, distension: str | None = None, mucosa: str | None = None
+    name: str,
+    *,
+    seed: int,
+    distension: str | None = None,
+    mucosa: str | Mucosa | None = None,
 ) -> OrganSurface:
     """Generate an organ with its appearance; each seed is a different patient.
 
@@ -82,7 +87,9 @@ def generate_organ(
     return cached_organ(f"{name}-{seed}-{fingerprint({'distension': distension})}", make)
 
 
-def _with_mucosa(name: str, seed: int, distension: str | None, mucosa: str) -> OrganSurface:
+def _with_mucosa(
+    name: str, seed: int, distension: str | None, mucosa: str | Mucosa
+) -> OrganSurface:
     """Generated organ with a mucosa other than its default."""
     from vrcaps.mucosa.bake import bake_appearance
     from vrcaps.mucosa.mucosa import mucosa_fingerprint

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -147,7 +147,7 @@ def is_texture_path(mucosa: str) -> bool:
     return True
 
 
-def mucosa_fingerprint(mucosa: str | None) -> dict[str, str]:
+def mucosa_fingerprint(mucosa: str | Mucosa | None) -> dict[str, Any]:
     """Contribution of a mucosa to the name of a cached organ; empty for the organ's own.
 
     Raises:
@@ -158,4 +158,6 @@ def mucosa_fingerprint(mucosa: str | None) -> dict[str, str]:
 
     if mucosa is None:
         return {}
+    if isinstance(mucosa, Mucosa):
+        return {"mucosa": asdict(mucosa)}
     return {"mucosa": texture_sha256(mucosa) if is_texture_path(mucosa) else mucosa}

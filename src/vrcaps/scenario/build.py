@@ -11,12 +11,15 @@ import numpy as np
 from vrcaps.capsule.device import Device
 from vrcaps.capsule.device_file import device_of
 from vrcaps.config.convert import to_plain
-from vrcaps.config.file_ref import FileRef, path_of, with_checksums
+from vrcaps.config.file_ref import path_of, with_checksums
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import LENGTH_UNITS
 from vrcaps.lesion import Lesion, add_lesions, lesion_rng
 from vrcaps.lesion.placement import require_possible
+from vrcaps.mucosa.mucosa import Mucosa
+from vrcaps.mucosa.settings import MucosaSettings
 from vrcaps.organ.organ_file import is_organ_file
+from vrcaps.organ.segments import ORGANS
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.channels import CHANNELS
 from vrcaps.scenario.scenario import OrganFile, OrganGenerated, Scenario, organ_named
@@ -175,8 +178,9 @@ class OrganSource:
 
         given = self.given
         if isinstance(given, OrganGenerated):
+            mucosa = _mucosa(given, ORGANS[given.name].mucosa if given.name in ORGANS else "")
             return generate_organ(
-                given.name, seed=given.seed, distension=given.distension, mucosa=_mucosa(given)
+                given.name, seed=given.seed, distension=given.distension, mucosa=mucosa
             )
         if isinstance(given, OrganSurface):
             return given if given.appearance is not None else self._with_appearance(given)
@@ -192,8 +196,9 @@ class OrganSource:
         from vrcaps.mucosa.bake import bake_appearance
         from vrcaps.mucosa.mucosa import own_mucosa
 
-        mucosa = None if isinstance(self.given, OrganSurface) else _mucosa(self.given)
-        look = bake_appearance(organ, seed=self.seed, mucosa=mucosa or own_mucosa(organ))
+        own = own_mucosa(organ)
+        mucosa = None if isinstance(self.given, OrganSurface) else _mucosa(self.given, own)
+        look = bake_appearance(organ, seed=self.seed, mucosa=mucosa or own)
         return replace(organ, appearance=look)
 
     def _with_lesions(self, *, clean: bool) -> OrganSurface:
@@ -241,9 +246,10 @@ def resolve_organ(organ: Organ) -> Organ:
     return with_checksums(organ)
 
 
-def _mucosa(organ: OrganGenerated | OrganFile) -> str | None:
-    """Name of a mucosa or path of its texture."""
-    return organ.mucosa.path if isinstance(organ.mucosa, FileRef) else organ.mucosa
+def _mucosa(organ: OrganGenerated | OrganFile, own: str) -> str | Mucosa | None:
+    """Name of a mucosa, path of its texture, or its parameters; `own` is that of the organ."""
+    given = organ.mucosa
+    return given.of(own) if isinstance(given, MucosaSettings) else given
 
 
 def _max_diameter(organ: OrganGenerated) -> float:

@@ -21,7 +21,8 @@ from vrcaps.lumen.contents import Contents
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.motion.motion import MotionSettings
 from vrcaps.mucosa.mucosa import is_texture_path
-from vrcaps.organ.segments import Distension
+from vrcaps.mucosa.settings import MucosaSettings
+from vrcaps.organ.segments import ORGANS, Distension
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.channels import CHANNELS
 from vrcaps.render.settings import RenderSettings
@@ -52,20 +53,28 @@ class OrganGenerated:
         seed: Seed of the patient: sizes, course and folds.
         distension: Distension of the organ; None is inflated for the colon, collapsed for
             the small bowel and normal for all others.
-        mucosa: Appearance of the wall: colon, stomach or small-bowel, or the folder of a texture;
-            None is the organ's own.
+        mucosa: Appearance of the wall: colon, stomach or small-bowel, the folder of a texture, or
+            a table of parameters; None is the organ's own.
     """
 
     name: str = "colon"
     seed: Annotated[int, Range(min=0)] = 0
     distension: Distension | None = None
-    mucosa: str | FileRef | None = None
+    mucosa: str | MucosaSettings | None = None
 
     kind: ClassVar[str] = "generated"
 
     def __post_init__(self) -> None:
         check_fields(self)
         _refer_to_mucosa(self)
+        organ = ORGANS.get(self.name)
+        if organ is None or not isinstance(self.mucosa, MucosaSettings) or self.mucosa.path:
+            return
+        if len({segment.mucosa for segment in organ.segments}) > 1:
+            raise InputError(
+                f"organ.mucosa has no path, but {self.name} has several mucosae. State the "
+                "mucosa of the whole wall as path, such as small-bowel."
+            )
 
 
 @dataclass(frozen=True)
@@ -83,8 +92,9 @@ class OrganFile:
         open_ends: Whether open ends of the lumen are capped or kept open.
         keep_uv: Whether the file's own texture coordinates are kept.
         reverse: Whether the narrower end of the lumen is the oral one.
-        mucosa: Appearance of the wall: colon, stomach or small-bowel, or the folder of a texture;
-            None is the organ's own textures or, if it has none, the mucosa of its labels.
+        mucosa: Appearance of the wall: colon, stomach or small-bowel, the folder of a texture, or
+            a table of parameters; None is the organ's own textures or, if it has none, the mucosa
+            of its labels.
     """
 
     path: FileRef | str
@@ -92,7 +102,7 @@ class OrganFile:
     open_ends: Literal["cap", "keep"] = "cap"
     keep_uv: bool = False
     reverse: bool = False
-    mucosa: str | FileRef | None = None
+    mucosa: str | MucosaSettings | None = None
 
     kind: ClassVar[str] = "file"
 
@@ -105,9 +115,9 @@ class OrganFile:
 
 
 def _refer_to_mucosa(organ: OrganGenerated | OrganFile) -> None:
-    """Convert a mucosa given as a path to a reference to that file."""
+    """Convert a mucosa given as the path of a texture to settings with its checksum."""
     if isinstance(organ.mucosa, str) and is_texture_path(organ.mucosa):
-        object.__setattr__(organ, "mucosa", FileRef(organ.mucosa))
+        object.__setattr__(organ, "mucosa", MucosaSettings(organ.mucosa))
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from tests.support.tubes import straight_tube
 from tests.support.write_ply import write_ply
 from vrcaps.core.errors import InputError
 from vrcaps.mesh.mesh import Mesh
@@ -128,12 +129,10 @@ def test_an_unlikely_width_asks_for_the_unit(tube_path, caplog):
 @pytest.mark.parametrize("open_ends", ["cap", "keep"])
 def test_a_third_opening_is_named_with_its_place(tmp_path, caplog, open_ends):
     """A hole of 30 mm in the side of an open tube of 40 mm."""
-    judge = trimesh.creation.cylinder(RADIUS, LENGTH, sections=24).subdivide_to_size(8e-3)
-    points, faces = np.array(judge.vertices), np.array(judge.faces)
-    middle = points[faces].mean(axis=1)
-    is_end = np.abs(middle[:, 2]) > LENGTH / 2 - 1e-6
-    is_hole = np.linalg.norm(middle - [RADIUS, 0, 0], axis=1) < 0.015
-    write_ply(tmp_path / "a.ply", Mesh(points, faces[~is_end & ~is_hole]))
+    open_tube = straight_tube(LENGTH, RADIUS, around=24, rings=26)
+    middle = open_tube.vertices[open_tube.faces].mean(axis=1)
+    is_hole = np.linalg.norm(middle - [RADIUS, 0, LENGTH / 2], axis=1) < 0.015
+    write_ply(tmp_path / "a.ply", Mesh(open_tube.vertices, open_tube.faces[~is_hole]))
     read_organ(tmp_path / "a.ply", unit="m", open_ends=open_ends)
     assert "has 3 openings as wide as a lumen, at (" in caplog.text
     assert "a gut has two" in caplog.text

@@ -194,7 +194,7 @@ def test_walls_of_a_fly_through_are_at_rest(scenario, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("last", "missing"), [(3, None), (2, None), (3, 1)])
+@pytest.mark.parametrize(("last", "missing"), [(2, None), (3, 1)])
 def test_a_broken_off_simulation_goes_on_from_its_checkpoint(
     whole, simulated, tmp_path, monkeypatch, last, missing
 ):

@@ -258,7 +258,8 @@ class _Problem:
         names = self.family.names(num_terms)
         jacobian = self._jacobian(self._packed(lens, poses, names), lens, names)[:-1]
         column = np.linalg.norm(jacobian, axis=0)
-        values, rotation = np.linalg.svd(jacobian / np.where(column > 0.0, column, 1.0))[1:]
+        scaled = jacobian / np.where(column > 0.0, column, 1.0)
+        values, rotation = np.linalg.svd(scaled, full_matrices=False)[1:]
         if not values[-1] > _SINGULAR * values[0]:
             raise InputError(
                 "The photographs fix no lens: the board is always at the same tilt. "

@@ -171,7 +171,7 @@ def plane_pose(
     flat = np.column_stack([points[:, :2] / scale, np.ones(len(points))])[valid]
     cross = np.cross(rays[valid][:, :, None], np.eye(3), axisa=1, axisb=0, axisc=-1)
     rows = np.einsum("nia,nk->niak", cross.reshape(-1, 3, 3), flat).reshape(-1, 9)
-    matrix = np.linalg.svd(rows)[2][-1].reshape(3, 3)
+    matrix = np.linalg.svd(rows, full_matrices=False)[2][-1].reshape(3, 3)
     along = np.einsum("ni,ij,nj->n", rays[valid], matrix, flat)
     matrix = matrix * np.sign(along.sum() or 1.0) / np.linalg.norm(matrix[:, :2], axis=0).mean()
     columns = np.column_stack([matrix[:, 0], matrix[:, 1], np.cross(matrix[:, 0], matrix[:, 1])])

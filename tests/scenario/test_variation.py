@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vrcaps.lumen.contents import Bubbles, Contents
+from vrcaps.lumen.contents import PREPARATIONS, Contents
 from vrcaps.lumen.medium import Film, Medium
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.scenario.build import resolve
@@ -16,7 +16,11 @@ from vrcaps.scenario.scenario import (
     scenario_from_plain,
     scenario_to_plain,
 )
-from vrcaps.scenario.variation import PREVALENCES, varied
+from vrcaps.scenario.variation import PREVALENCES, Prevalence, drawn_contents, varied
+
+_LITTERED = Prevalence(
+    {None: 1.0}, (0.1, 0.3), bubbles=0.35, chyme=0.1, liquid=(0.4, 0.3, 0.3), medium=0.3, film=0.5
+)
 
 
 def _patient(seed: int, organ: str = "small-bowel", **more) -> Scenario:
@@ -79,18 +83,32 @@ def test_frequencies_over_patients_are_the_prevalences(organ):
 
 def test_quantities_are_independent():
     drawn = [varied(_patient(seed)).contents for seed in range(300)]
+    littered = [drawn_contents(Contents(seed=seed), _LITTERED) for seed in range(300)]
     columns = [
         [each.medium.prevalence for each in drawn],
         [each.medium.scattering[0] for each in drawn],
         [each.film.prevalence for each in drawn],
-        [each.bubbles.prevalence for each in drawn],
-        [each.chyme.prevalence for each in drawn],
+        [each.bubbles.prevalence for each in littered],
+        [each.chyme.prevalence for each in littered],
+        [each.bubbles.per_area for each in littered],
     ]
     correlation = np.corrcoef(columns) - np.eye(len(columns))
     assert np.abs(correlation).max() < 0.2
 
 
-def test_colon_is_as_clean_as_a_score_of_preparation():
-    bubbles = [varied(_patient(seed, "colon")).contents.bubbles for seed in range(20)]
-    assert all(isinstance(each, Bubbles) for each in bubbles)
-    assert len({each.per_area for each in bubbles}) > 1
+def test_bubbles_and_chyme_have_their_prevalence():
+    drawn = [drawn_contents(Contents(seed=seed), _LITTERED) for seed in range(300)]
+    for kind, mean in (("bubbles", 0.35), ("chyme", 0.1)):
+        values = [getattr(each, kind).prevalence for each in drawn]
+        assert np.mean(values) == pytest.approx(mean, rel=0.1)
+    shares = np.bincount([each.liquid for each in drawn]) / len(drawn)
+    assert shares == pytest.approx(_LITTERED.liquid, abs=0.07)
+
+
+def test_preparation_sets_what_is_left_in_the_lumen():
+    found = Prevalence({None: 1.0}, (0.1, 0.3), preparations=(0.5, 0.3, 0.15, 0.05))
+    drawn = [drawn_contents(Contents(seed=seed), found) for seed in range(300)]
+    known = [each.bubbles for each in PREPARATIONS]
+    shares = np.bincount([known.index(each.bubbles) for each in drawn]) / len(drawn)
+    assert shares == pytest.approx(found.preparations[::-1], abs=0.07)  # from score 0 up
+    assert all(each.chyme in [one.chyme for one in PREPARATIONS] for each in drawn)

@@ -105,8 +105,8 @@ class Record:
     The result is an episode: images by camera and channel, a table of poses, the organ as GLB, a
     contact sheet and a preview. To resume an interrupted run, repeat the command.
 
-    Contents of the lumen, and other values that are left open, are drawn by prevalence in a
-    generated organ; --set variation=false leaves the lumen empty.
+    Turbid fluid, the film on the dome, tilt and distension, where they are left open, are drawn by
+    prevalence in a generated organ; --set variation=false leaves the lumen empty.
 
     A scenario file describes a whole recording; flags and --set change single values of it. Every
     value of the scenario has a path: vrcaps record --list-settings prints all of them with their

@@ -1,8 +1,8 @@
 """Variation by prevalence: values that a scenario leaves open, drawn for each patient or recording.
 
 No registry states how often a capsule sees fluid, bubbles or debris. The prevalences are estimates
-from sheets of some 300 real small-bowel frames and from the wording of cleansing scales; each is
-an attribute of `Prevalence`, and `PREVALENCES` holds those of all organs.
+from sheets of some 300 real small-bowel frames; each is an attribute of `Prevalence`, and
+`PREVALENCES` holds those of all organs.
 """
 
 from __future__ import annotations
@@ -53,43 +53,16 @@ class Prevalence:
 
 PREVALENCES: Mapping[str, Prevalence] = MappingProxyType(
     {
-        "small-bowel": Prevalence(
-            distensions={None: 0.92, "normal": 0.08},
-            tilt=(0.3, 0.78),
-            bubbles=0.35,
-            chyme=0.1,
-            medium=0.35,
-            film=0.5,
-        ),
-        "colon": Prevalence(
-            distensions={None: 1.0},
-            tilt=(0.1, 0.35),
-            preparations=(0.5, 0.35, 0.12, 0.03),
-            medium=0.15,
-            film=0.3,
-        ),
-        "stomach": Prevalence(
-            distensions={None: 1.0},
-            tilt=(0.1, 0.35),
-            bubbles=0.2,
-            chyme=0.05,
-            liquid=(0.4, 0.3, 0.3),
-            medium=0.15,
-            film=0.3,
-        ),
-        "full-tract": Prevalence(
-            distensions={None: 1.0},
-            tilt=(0.1, 0.35),
-            bubbles=0.3,
-            chyme=0.1,
-            medium=0.25,
-            film=0.4,
-        ),
+        "small-bowel": Prevalence({None: 0.92, "normal": 0.08}, (0.3, 0.78), medium=0.35, film=0.5),
+        "colon": Prevalence({None: 1.0}, (0.1, 0.35), medium=0.15, film=0.3),
+        "stomach": Prevalence({None: 1.0}, (0.1, 0.35), medium=0.15, film=0.3),
+        "full-tract": Prevalence({None: 1.0}, (0.1, 0.35), medium=0.25, film=0.4),
     }
 )
 """Prevalences by generated organ. All are assumed; those of the small bowel follow estimates from
-real frames: bubbles in a third, turbid fluid in a third, debris over the whole view in 5 to 10 %,
-an open round lumen in fewer than one in ten, and a third to a half of the frames soft."""
+real frames: turbid fluid in a third, an open round lumen in fewer than one in ten, and a third to
+a half of the frames soft. Bubbles, chyme and pools are none: they are not known to bring images
+nearer to real ones."""
 
 
 def varied(scenario: Scenario) -> Scenario:

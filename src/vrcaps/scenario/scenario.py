@@ -144,9 +144,9 @@ class Scenario:
         lesions: Lesions to put into the organ; their instance IDs are 1, 2, … in this order.
         clean_twin: Whether to render the same patient without the lesions, with the same motion.
         contents: Contents of the lumen.
-        variation: Whether settings that are left open (the distension of the small bowel, tilt of a
-            fly-through, contents of the lumen) are drawn by their prevalence in a generated organ;
-            otherwise the lumen is empty and the others have fixed defaults.
+        variation: Whether settings that are left open (distension of the small bowel, tilt of a
+            fly-through, turbid fluid, film on the dome) are drawn by their prevalence in a
+            generated organ; otherwise the lumen is empty and the others have fixed defaults.
         effects: Effects of lens and sensor; None for an effect is the capsule's own, and a range
             is sampled to one severity by the seed. A file can also contain a text as of
             `parse_effects`, such as none.

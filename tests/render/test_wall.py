@@ -143,6 +143,34 @@ def test_refitting_equals_building_anew(rng: np.random.Generator, amplitude: flo
     np.testing.assert_allclose(refitted.vertex_normals(), built.vertex_normals(), atol=1e-3)
 
 
+def _answers(wall: Wall, origins: np.ndarray, rays: np.ndarray) -> tuple[bytes, ...]:
+    results = (*wall.cast(origins, rays), *wall.closest_point(origins), wall.vertex_normals())
+    return tuple(np.asarray(result).tobytes() for result in results)
+
+
+def test_refitting_a_part_equals_refitting_all(rng: np.random.Generator) -> None:
+    """All answers have the same bytes, also after a refused refit and when the part changes."""
+    organ = tube(60, 160, folds=0.4, capped=True)
+    part, whole = (Wall(organ.vertices, organ.faces) for _ in range(2))
+    origins = MIDDLE + rng.uniform(-0.01, 0.01, (3000, 3))
+    rays = twin.unit(rng.normal(size=(3000, 3)))
+    at_rest = _answers(part, origins, rays)
+    for middle in (0.08, 0.09, 0.14):
+        moved = organ.vertices.copy()
+        near = np.abs(moved[:, 2] - middle) < 0.01
+        assert 0.02 < near.mean() < 0.2
+        moved[near, :2] *= rng.uniform(0.5, 1.4, (near.sum(), 1))
+        part.refit(moved)
+        whole.refit(organ.vertices + 0.001)  # no vertex stays
+        whole.refit(moved)
+        assert _answers(part, origins, rays) == _answers(whole, origins, rays) != at_rest
+        moved[0] = np.nan
+        with pytest.raises(ValueError, match="finite"):
+            part.refit(moved)
+    part.refit(organ.vertices)
+    assert _answers(part, origins, rays) == at_rest
+
+
 def test_vertex_normals_are_the_area_weighted_mean(rng: np.random.Generator) -> None:
     organ = tube(30, 30, folds=0.3, capped=True)
     normals = Wall(organ.vertices, organ.faces).vertex_normals()

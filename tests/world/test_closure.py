@@ -9,13 +9,16 @@ import pytest
 
 from tests.support.tubes import tube_about
 from vrcaps.capsule.device_file import read_device
+from vrcaps.cli.benchmarks.stage import resized_camera
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import MM
 from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.surface import CLOSED_RADIUS
+from vrcaps.render.renderer import DEFAULT_CHANNELS as CHANNELS
+from vrcaps.render.renderer import Renderer
 from vrcaps.world.clearance import WallDisplacement
 from vrcaps.world.closure import LumenClosure, closure_of
-from vrcaps.world.model import Model
+from vrcaps.world.model import Model, State
 
 RADIUS, LENGTH, CLOSED = 8 * MM, 200 * MM, 2 * MM
 
@@ -115,3 +118,26 @@ def test_invalid_metadata_are_one_line(value):
     organ = replace(model.organ, metadata={CLOSED_RADIUS: value})
     with pytest.raises(InputError, match=r"closed_radius_m .* is .*Allowed: 0 \(open\) to 0.005 m"):
         closure_of(replace(model, organ=organ))
+
+
+def test_frames_are_those_of_a_wall_that_moves_as_a_whole(model):
+    """Image, depth, labels and motion have the same bytes if all of the wall is refitted."""
+    channels = (*CHANNELS, "flow_forward", "flow_backward", "occlusion", "position", "face")
+    poses = [model.place(at).T_world_capsule for at in np.linspace(90 * MM, 120 * MM, 5)]
+    states = [
+        State(0.1 * k, pose, vertices_world=closed_wall(model, pose))
+        for k, pose in enumerate(poses)
+    ]
+    far = replace(states[0], vertices_world=model.vertices_world + 1 * MM)  # no vertex stays
+    camera = resized_camera(model.device.cameras[0], 96)
+    digests = []
+    for before in (None, far):
+        renderer, frames = Renderer(model), []
+        for previous, state, following in zip(states, states[1:], states[2:], strict=False):
+            if before is not None:
+                renderer.arrays((before, before, before), camera, channels)
+            arrays = renderer.arrays((previous, state, following), camera, channels)
+            frames.append({name: array.tobytes() for name, array in arrays.items()})
+        digests.append(frames)
+    assert digests[0] == digests[1]
+    assert all(len({frame["depth"] for frame in frames}) == 3 for frames in digests)

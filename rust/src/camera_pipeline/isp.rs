@@ -6,7 +6,7 @@
 //! image circle does not spread into the image.
 
 use super::bloom::convolve;
-use super::planes::{Line, develop_row, rows, size};
+use super::planes::{Line, develop_row, interleave, rows, size};
 use super::stages::StageParams;
 use crate::pool::on_pool;
 use crate::render::channels::encode;
@@ -210,8 +210,10 @@ pub fn isp<'py>(
         });
         isp.filter(&mut light, &mut spare, lit, (&mut codes, size));
     });
-    let pixel = |k: usize| [0, 1, 2].map(|plane| codes[plane * height * width + k]);
-    let image: Vec<u8> = (0..height * width).flat_map(pixel).collect();
+    let mut image = vec![0; codes.len()];
+    for (line, row) in rows(&mut codes, size).into_iter().zip(image.chunks_exact_mut(3 * width)) {
+        interleave(line.each_ref().map(|row| &**row), row);
+    }
     Ok(Array3::from_shape_vec((height, width, 3), image)
         .expect("every pixel was filled")
         .into_pyarray(py))

@@ -7,8 +7,8 @@
 
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
-use crate::wall::bvh::{Child, STACK, Triangle};
-use crate::wall::packet::{Plane, farthest_of, push_children};
+use crate::wall::bvh::Triangle;
+use crate::wall::packet::{Plane, farthest_of, traverse};
 use crate::wall::visibility::SHADOW_REACH;
 
 /// Shadow rays from a disc.
@@ -37,10 +37,7 @@ struct Ways<'a> {
 }
 
 /// The sides of a shaft, and the plane from which distances are counted.
-struct Shaft {
-    sides: [Plane; 4],
-    near: Plane,
-}
+type Shaft = ([Plane; 4], Plane);
 
 /// A bit for each of a tile's points whose ray is free, none in lanes not `used`; false if `most`
 /// triangles were not enough: then bits may be set that should not be.
@@ -52,37 +49,15 @@ pub fn visible_from_disc(
     most: u32,
 ) -> (u64, bool) {
     let (mut ways, shaft) = prepare(wall, rays, used);
-    let mut stack = [(0u32, 0.0f32); STACK];
-    let (mut top, mut left, mut is_done) = (1, most, true);
-    let mut farthest = ways.farthest();
-    while top > 0 && farthest > 0.0 {
-        top -= 1;
-        let (code, nearest) = stack[top];
-        if nearest > farthest {
-            continue;
+    let (mut left, farthest) = (most, ways.farthest());
+    let is_done = traverse(&wall.bvh.nodes, &shaft, farthest, |range, farthest| {
+        left = left.checked_sub(range.len() as u32)?;
+        let mut changed = false;
+        for triangle in &wall.bvh.triangles[range] {
+            changed |= ways.block(triangle);
         }
-        match Child::of(code) {
-            Child::Node(number) => {
-                let node = &wall.bvh.nodes[number];
-                top = push_children(node, &shaft.sides, &shaft.near, farthest, &mut stack, top);
-            }
-            Child::Leaf(range) => {
-                let count = range.len() as u32;
-                if left < count {
-                    is_done = false;
-                    break;
-                }
-                left -= count;
-                let mut changed = false;
-                for triangle in &wall.bvh.triangles[range] {
-                    changed |= ways.block(triangle);
-                }
-                if changed {
-                    farthest = ways.farthest();
-                }
-            }
-        }
-    }
+        Some(if changed { ways.farthest() } else { farthest })
+    });
     let mut bits = 0;
     for i in 0..LANES {
         bits |= u64::from(ways.reach[i] > 0.0) << i;
@@ -127,7 +102,7 @@ fn prepare<'a>(
         ways.reach[i] = if used[i] { SHADOW_REACH } else { -1.0 };
     }
     let margin = wall.extent * 1e-6;
-    let shaft = Shaft::around(&ways, &offsets, axis, radius, margin);
+    let shaft = shaft_around(&ways, &offsets, axis, radius, margin);
     (ways, shaft)
 }
 
@@ -143,54 +118,52 @@ fn reduce(lane: &Lane, start: f32, combine: impl Fn(f32, f32) -> f32) -> f32 {
     partial.iter().fold(start, |a, &b| combine(a, b))
 }
 
-impl Shaft {
-    /// The shaft from a disc to points about its center, whose mean direction is `axis`.
-    #[inline(always)]
-    fn around(ways: &Ways<'_>, offsets: &Lane3, axis: Vec3, radius: f32, margin: f32) -> Self {
-        /// Least cosine to the axis, and least distance along it over the disc's radius.
-        const NARROW: f32 = 0.05;
-        let least = if axis[0].abs() < 0.6 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
-        let right = normalize(cross(axis, least));
-        let down = cross(axis, right);
-        let (mut low, mut high) = ([[0.0; LANES]; 2], [[0.0; LANES]; 2]);
-        let mut is_closed = true;
-        for i in 0..LANES {
-            let offset = at(offsets, i);
-            let forward = ways.forward[i];
-            let distance = dot(offset, offset).sqrt() + radius;
-            let is_used = ways.reach[i] > 0.0;
-            is_closed &= !is_used | (forward > NARROW * distance) & (forward > radius);
-            let inverse = 1.0 / forward;
-            for (k, across) in [right, down].into_iter().enumerate() {
-                let slope = dot(offset, across);
-                low[k][i] = if is_used { (slope + radius) * inverse } else { f32::MAX };
-                high[k][i] = if is_used { (slope - radius) * inverse } else { f32::MIN };
-            }
+/// The shaft from a disc to points about its center, whose mean direction is `axis`.
+#[inline(always)]
+fn shaft_around(ways: &Ways<'_>, offsets: &Lane3, axis: Vec3, radius: f32, margin: f32) -> Shaft {
+    /// Least cosine to the axis, and least distance along it over the disc's radius.
+    const NARROW: f32 = 0.05;
+    let least = if axis[0].abs() < 0.6 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
+    let right = normalize(cross(axis, least));
+    let down = cross(axis, right);
+    let (mut low, mut high) = ([[0.0; LANES]; 2], [[0.0; LANES]; 2]);
+    let mut is_closed = true;
+    for i in 0..LANES {
+        let offset = at(offsets, i);
+        let forward = ways.forward[i];
+        let distance = dot(offset, offset).sqrt() + radius;
+        let is_used = ways.reach[i] > 0.0;
+        is_closed &= !is_used | (forward > NARROW * distance) & (forward > radius);
+        let inverse = 1.0 / forward;
+        for (k, across) in [right, down].into_iter().enumerate() {
+            let slope = dot(offset, across);
+            low[k][i] = if is_used { (slope + radius) * inverse } else { f32::MAX };
+            high[k][i] = if is_used { (slope - radius) * inverse } else { f32::MIN };
         }
-        if !is_closed {
-            let sides = [0; 4].map(|_| Plane::everywhere());
-            return Shaft { sides, near: Plane::everywhere() };
-        }
-        let least = |lane: &Lane| reduce(lane, f32::MAX, min);
-        let greatest = |lane: &Lane| reduce(lane, f32::MIN, max);
-        let side = |across: Vec3, slope: f32, sign: f32| {
-            let normal = normalize(scale(sub(across, scale(axis, slope)), sign));
-            let mut heights = [0.0; LANES];
-            for i in 0..LANES {
-                let end = dot(normal, at(offsets, i));
-                let lowest = min(end, dot(normal, at(ways.starts, i)));
-                heights[i] = if ways.reach[i] > 0.0 { lowest } else { 0.0 };
-            }
-            Plane::new(normal, ways.center, margin - reduce(&heights, 0.0, min), true)
-        };
-        let sides = [
-            side(right, least(&low[0]), 1.0),
-            side(right, greatest(&high[0]), -1.0),
-            side(down, least(&low[1]), 1.0),
-            side(down, greatest(&high[1]), -1.0),
-        ];
-        Shaft { sides, near: Plane::new(axis, ways.center, -margin, false) }
     }
+    if !is_closed {
+        let sides = [0; 4].map(|_| Plane::everywhere());
+        return (sides, Plane::everywhere());
+    }
+    let least = |lane: &Lane| reduce(lane, f32::MAX, min);
+    let greatest = |lane: &Lane| reduce(lane, f32::MIN, max);
+    let side = |across: Vec3, slope: f32, sign: f32| {
+        let normal = normalize(scale(sub(across, scale(axis, slope)), sign));
+        let mut heights = [0.0; LANES];
+        for i in 0..LANES {
+            let end = dot(normal, at(offsets, i));
+            let lowest = min(end, dot(normal, at(ways.starts, i)));
+            heights[i] = if ways.reach[i] > 0.0 { lowest } else { 0.0 };
+        }
+        Plane::new(normal, ways.center, margin - reduce(&heights, 0.0, min), true)
+    };
+    let sides = [
+        side(right, least(&low[0]), 1.0),
+        side(right, greatest(&high[0]), -1.0),
+        side(down, least(&low[1]), 1.0),
+        side(down, greatest(&high[1]), -1.0),
+    ];
+    (sides, Plane::new(axis, ways.center, -margin, false))
 }
 
 impl Ways<'_> {

@@ -6,6 +6,7 @@ pub mod bvh;
 pub mod disc_visibility;
 pub mod distances;
 pub mod packet;
+mod partial_refit;
 pub mod query;
 pub mod ray;
 pub mod visibility;
@@ -86,7 +87,7 @@ impl Wall {
     fn move_to(&mut self, place: impl Fn(usize) -> Vec3 + Sync) -> Result<(), &'static str> {
         install(|| {
             self.set_vertices(self.vertices.len(), &place, &[])?;
-            self.refit_all();
+            self.refit_changed();
             Ok(())
         })
     }
@@ -193,8 +194,7 @@ impl Wall {
             let (mut x, mut y, mut z) = ([0.0; EIGHT], [0.0; EIGHT], [0.0; EIGHT]);
             for i in 0..normals.len() {
                 let faces = &around[start[first + i] as usize..start[first + i + 1] as usize];
-                let sum = faces.iter().fold(Vec3A::ZERO, |sum, &f| sum + area_normals[f as usize]);
-                [x[i], y[i], z[i]] = sum.to_array();
+                [x[i], y[i], z[i]] = normal_sum(faces, area_normals);
             }
             for i in 0..EIGHT {
                 [x[i], y[i], z[i]] = normalize([x[i], y[i], z[i]]);
@@ -208,12 +208,28 @@ impl Wall {
 
 /// Normals of faces, as long as twice their area.
 fn find_area_normals(vertices: &[Vec3], faces: &[[u32; 3]], normals: &mut [Vec3A]) {
-    let numbers = vertices.as_flattened();
     let places = normals.par_iter_mut().zip(faces).with_min_len(4096);
-    places.for_each(|(normal, face)| {
-        let [a, b, c] = face.map(|v| Vec3A::from_vec4(vertex(numbers, v)));
-        *normal = (b - a).cross(c - a);
-    });
+    places.for_each(|(normal, face)| *normal = area_normal(vertices, face));
+}
+
+/// Normal of a face, as long as twice its area.
+#[inline(always)]
+fn area_normal(vertices: &[Vec3], face: &[u32; 3]) -> Vec3A {
+    let [a, b, c] = face.map(|v| Vec3A::from_vec4(vertex(vertices.as_flattened(), v)));
+    (b - a).cross(c - a)
+}
+
+/// Area-weighted normal of a vertex, from those of the faces around it; not unit length.
+#[inline(always)]
+fn normal_sum(around: &[u32], area_normals: &[Vec3A]) -> Vec3 {
+    around.iter().fold(Vec3A::ZERO, |sum, &f| sum + area_normals[f as usize]).to_array()
+}
+
+/// Numbers below `count` that occur, each once and in order.
+fn distinct(count: usize, numbers: impl Iterator<Item = u32>) -> Vec<u32> {
+    let mut occurs = vec![false; count];
+    numbers.for_each(|number| occurs[number as usize] = true);
+    (0..count as u32).filter(|&number| occurs[number as usize]).collect()
 }
 
 fn faces_around(faces: &[[u32; 3]], num_vertices: usize) -> (Vec<u32>, Vec<u32>) {

@@ -213,10 +213,32 @@ fn search<const ANY: bool>(
     extent: f32,
     hits: &mut Hits,
 ) -> bool {
-    let (sides, near) = planes(start.0, rays, extent);
+    let planes = planes(start.0, rays, extent);
+    let mut left = most;
+    traverse(&bvh.nodes, &planes, farthest_of(&hits.distance), |range, farthest| {
+        left = left.checked_sub(range.len() as u32)?;
+        let mut changed = false;
+        for number in range {
+            let triangle = &bvh.triangles[number];
+            changed |= intersect::<ANY>(triangle, number as u32, start, rays, hits);
+        }
+        Some(if changed { farthest_of(&hits.distance) } else { farthest })
+    })
+}
+
+/// Visits the leaves of a hierarchy between the sides of a pyramid, nearest first.
+///
+/// `leaf` is given a leaf and the farthest distance at which anything matters [m], and returns that
+/// distance from then on; at 0 nothing does. None ends the visit, and then the result is false.
+#[inline(always)]
+pub fn traverse(
+    nodes: &[Node],
+    (sides, near): &([Plane; 4], Plane),
+    mut farthest: f32,
+    mut leaf: impl FnMut(Range<usize>, f32) -> Option<f32>,
+) -> bool {
     let mut stack = [(0u32, 0.0f32); STACK];
-    let (mut top, mut left) = (1, most);
-    let mut farthest = farthest_of(&hits.distance);
+    let mut top = usize::from(!nodes.is_empty());
     while top > 0 && farthest > 0.0 {
         top -= 1;
         let (code, nearest) = stack[top];
@@ -225,24 +247,12 @@ fn search<const ANY: bool>(
         }
         match Child::of(code) {
             Child::Node(number) => {
-                let node = &bvh.nodes[number];
-                top = push_children(node, &sides, &near, farthest, &mut stack, top);
+                top = push_children(&nodes[number], sides, near, farthest, &mut stack, top);
             }
-            Child::Leaf(range) => {
-                let count = range.len() as u32;
-                if left < count {
-                    return false;
-                }
-                left -= count;
-                let mut changed = false;
-                for number in range {
-                    let triangle = &bvh.triangles[number];
-                    changed |= intersect::<ANY>(triangle, number as u32, start, rays, hits);
-                }
-                if changed {
-                    farthest = farthest_of(&hits.distance);
-                }
-            }
+            Child::Leaf(range) => match leaf(range, farthest) {
+                Some(distance) => farthest = distance,
+                None => return false,
+            },
         }
     }
     true
@@ -269,18 +279,10 @@ pub fn leaves(
     farthest: f32,
     mut visit: impl FnMut(Range<usize>),
 ) {
-    let (sides, near) = planes(origin, rays, extent);
-    let mut stack = [(0u32, 0.0f32); STACK];
-    let mut top = usize::from(!nodes.is_empty());
-    while top > 0 {
-        top -= 1;
-        match Child::of(stack[top].0) {
-            Child::Node(number) => {
-                top = push_children(&nodes[number], &sides, &near, farthest, &mut stack, top);
-            }
-            Child::Leaf(range) => visit(range),
-        }
-    }
+    traverse(nodes, &planes(origin, rays, extent), farthest, |range, farthest| {
+        visit(range);
+        Some(farthest)
+    });
 }
 
 /// The largest of a tile's distances.
@@ -298,7 +300,7 @@ pub fn farthest_of(distance: &Lane) -> f32 {
 
 /// Pushes the children that the pyramid may touch, the nearest last.
 #[inline(always)]
-pub fn push_children(
+fn push_children(
     node: &Node,
     sides: &[Plane; 4],
     near: &Plane,

@@ -16,7 +16,7 @@ from vrcaps.world.closure import LumenClosure, closure_of
 from vrcaps.world.model import Model
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, Int
 
 _PROBE = 0.2 * MM
 _PUSH = 0.3 * MM
@@ -160,27 +160,41 @@ class WallDisplacement:
                 self.model.device.radius,
             )
             vertices[moved] = closed
-            return self._yielding(vertices, T_world_capsule, (low, high), None)
+            return self._yielding((vertices, moved), T_world_capsule, (low, high), None)
         if least >= self.model.device.radius:
             return None
-        vertices = self.shown.vertices_world.copy()
-        return self._yielding(vertices, T_world_capsule, (low, high), least)
+        vertices, moved = self.shown.vertices_world.copy(), np.empty(0, int)
+        return self._yielding((vertices, moved), T_world_capsule, (low, high), least)
 
     @cached_property
     def _closure(self) -> LumenClosure | None:
         return closure_of(self.shown)
 
+    @cached_property
+    def _rows_at_rest(self) -> Float[np.ndarray, "3 n"]:
+        """Coordinates of the vertices at rest, each in a contiguous row [m]."""
+        return np.ascontiguousarray(self.shown.vertices_world.T)
+
     def _yielding(
         self,
-        vertices: Float[np.ndarray, "n 3"],
+        wall: tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " k"]],
         T_world_capsule: Float[np.ndarray, "4 4"],
         ends: tuple[float, float],
         least: float | None,
     ) -> Float[np.ndarray, "n 3"]:
-        """Move vertices off the shell; `least` is their distance to its axis if known [m]."""
-        radius, (low, high) = self.model.device.radius, ends
+        """Move vertices off the shell.
+
+        Args:
+            wall: Vertices, changed in place, and which of them are not at rest.
+            T_world_capsule: Pose of the capsule.
+            ends: Part of the body's axis in the lumen [m].
+            least: Distance of the vertices to the axis if known [m].
+        """
+        (vertices, displaced), radius, (low, high) = wall, self.model.device.radius, ends
         reach = 2.0 * radius
-        near = np.flatnonzero(_near(vertices, T_world_capsule[:3, 3], max(high, -low) + reach))
+        box = T_world_capsule[:3, 3], max(high, -low) + reach
+        near = np.union1d(_near(self._rows_at_rest, *box), displaced)
+        near = near[_near(vertices[near].T, *box)]
         local = transform_points(invert(T_world_capsule), vertices[near])
         local[:, 2] -= np.clip(local[:, 2], low, high)
         distance = np.linalg.norm(local, axis=1)
@@ -215,7 +229,10 @@ class WallDisplacement:
 
 
 def _near(
-    points: Float[np.ndarray, "n 3"], center: Float[np.ndarray, " 3"], reach: float
-) -> np.ndarray:
-    """Mask of the points in a box around a center."""
-    return np.all(np.abs(points - center) < reach, axis=1)
+    rows: Float[np.ndarray, "3 n"], center: Float[np.ndarray, " 3"], reach: float
+) -> Int[np.ndarray, " k"]:
+    """Indices of the points, given by coordinate, in a box around a center, in order."""
+    near = np.flatnonzero(np.abs(rows[0] - center[0]) < reach)
+    for row, middle in zip(rows[1:], center[1:], strict=True):
+        near = near[np.abs(row[near] - middle) < reach]
+    return near

@@ -20,7 +20,7 @@ from vrcaps.formats.shared.stored_images import image_size, read_plane, read_rgb
 from vrcaps.formats.shared.text_files import read_yaml
 from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.networks import Backbone
-from vrcaps.learn.picture_border import at_mean_exposure, tissue_view
+from vrcaps.learn.picture_border import tissue_view
 from vrcaps.learn.samples import batch_of
 from vrcaps.learn.tasks.depth import DepthTask, depth_of
 from vrcaps.metrics.depth import depth_errors
@@ -197,10 +197,10 @@ def by_network(trained: Any) -> Estimate:
     learner: DepthTask = trained.task
 
     def estimate(image: np.ndarray, camera: Camera) -> np.ndarray:
-        fit = Letterbox(image.shape[0], image.shape[1], learner.input_size)
-        sample = learner.inputs(at_mean_exposure(image), fit, camera)
-        output = trained(batch_of([sample], trained.device))[0]
-        return fit.back(depth_of(output))
+        view = tissue_view(image, camera)
+        fit = Letterbox(view.image.shape[0], view.image.shape[1], learner.input_size)
+        output = trained(batch_of([learner.view_inputs(view)], trained.device))[0]
+        return view.whole(fit.back(depth_of(output)))
 
     return estimate
 

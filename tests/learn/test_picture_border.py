@@ -61,19 +61,40 @@ def test_depth_takes_the_image_at_the_exposure_of_the_camera() -> None:
     np.testing.assert_array_equal(input_image(one, 0), image)
 
 
-def test_an_unknown_exposure_is_compensated() -> None:
-    """Depth then sees the same image at any exposure that keeps all detail, border or not."""
+def test_an_unknown_exposure_scales_distances() -> None:
+    """Four times the light is taken for four times the exposure: twice the predicted distance."""
     image = framed()
-    given = [srgb_from_linear(factor * linear_from_srgb(image)) for factor in (0.5, 1.0, 2.0)]
-    seen = [input_image(sequence(one), 0, predicts_lengths=True) for one in given]
-    part = (slice(TOP, TOP + HEIGHT - 20), slice(LEFT, LEFT + WIDTH))
-    for one in seen:
-        assert np.median(linear_from_srgb(one[part]).mean(axis=-1)) == pytest.approx(0.06, rel=0.03)
-        np.testing.assert_allclose(one[part].astype(float), seen[1][part], atol=3.0)
-    unknown = replace(sequence(image), values={"time": np.zeros(1), EXPOSURE: np.array([np.nan])})
-    np.testing.assert_array_equal(input_image(unknown, 0, predicts_lengths=True), seen[1])
+    dark, plain = (srgb_from_linear(factor * linear_from_srgb(image)) for factor in (0.25, 1.0))
+    scales = [view_of(sequence(one), one, predicts_lengths=True).log_scale for one in (dark, plain)]
+    assert scales[1] - scales[0] == pytest.approx(math.log(2.0), abs=0.02)
+    median = np.median(linear_from_srgb(np.array([180, 90, 70], np.uint8)).mean())
+    assert scales[1] == pytest.approx(0.5 * math.log(median / 0.06), abs=0.02)
+    known = replace(sequence(image), values={"time": np.zeros(1), EXPOSURE: np.array([2.0])})
+    assert view_of(known, image, predicts_lengths=True).log_scale == 0.0
+    unknown = replace(known, values={"time": np.zeros(1), EXPOSURE: np.array([np.nan])})
+    assert view_of(unknown, image, predicts_lengths=True).log_scale == scales[1]
+    np.testing.assert_array_equal(input_image(unknown, 0, predicts_lengths=True), image)
+    assert view_of(sequence(image), image).log_scale == 0.0  # tasks without lengths
     black = np.zeros_like(image)
-    np.testing.assert_array_equal(input_image(sequence(black), 0, predicts_lengths=True), black)
+    assert view_of(sequence(black), black, predicts_lengths=True).log_scale == 0.0
+
+
+def test_the_scale_of_an_unknown_exposure_reaches_prediction() -> None:
+    torch = pytest.importorskip("torch", reason="PyTorch is not installed")
+    from vrcaps.learn.samples import batch_of
+    from vrcaps.learn.tasks.depth import DepthTask
+
+    torch.manual_seed(0)
+    learner = DepthTask(backbone=Backbone(32))
+    network = learner.network(is_pretrained=False).eval()
+    camera = Camera("a", LensPinhole(fx=50.0, fy=50.0, cx=47.5, cy=31.5), 96, 64)
+    view = view_of(sequence(framed(), camera), framed(), predicts_lengths=True)
+    with torch.inference_mode():
+        plain, scaled = (
+            learner.output(network, batch_of([learner.view_inputs(one)]))
+            for one in (replace(view, log_scale=0.0), replace(view, log_scale=0.5))
+        )
+    np.testing.assert_allclose(scaled, plain + 0.5, atol=1e-6)
 
 
 def test_training_drops_the_exposure_of_a_fraction_of_images() -> None:
@@ -83,7 +104,8 @@ def test_training_drops_the_exposure_of_a_fraction_of_images() -> None:
 
     none = Augmentation(1.0, 1.0, 1.0, 1.0)
     image = np.full((32, 32, 3), (180, 90, 70), np.uint8)
-    sample = {"image": image, "ray": np.ones((32, 32, 3)), "depth": np.ones((32, 32))}
+    maps = {"ray": np.ones((32, 32, 3)), "depth": np.ones((32, 32))}
+    sample = {"image": image, **maps, "log_scale": np.zeros((), np.float32)}
     for dropout, expected in ((0.0, 0), (1.0, 40), (0.25, 10)):
         learner = DepthTask(Backbone(32), exposure_dropout=dropout, augmentation=none)
         changed = [

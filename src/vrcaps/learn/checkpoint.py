@@ -49,7 +49,8 @@ class TrainedNetwork:
     def __call__(self, inputs: Batch) -> np.ndarray:
         """Return the outputs [b …] for a batch of inputs."""
         with self._threads(), torch.inference_mode():
-            given = {name: inputs[name].to(self.device) for name in self.task.input_names}
+            names = (*self.task.input_names, *self.task.optional_inputs)
+            given = {name: inputs[name].to(self.device) for name in names if name in inputs}
             return self.task.output(self.network, given).cpu().numpy()
 
     def outputs(self, batch: Batch) -> dict[str, np.ndarray]:

@@ -71,6 +71,8 @@ class PictureView:
         region: Rows and columns of the part in the image.
         shape: Height and width of the image [px].
         is_insert: Mask of the device's inserts within the part [h w].
+        log_scale: ln of the factor of predicted distances, see `log_scale_of`; 0 at a known
+            exposure.
     """
 
     image: UInt8[np.ndarray, "h w 3"]
@@ -78,6 +80,7 @@ class PictureView:
     region: tuple[slice, slice]
     shape: tuple[int, int]
     is_insert: Bool[np.ndarray, "h w"]
+    log_scale: float = 0.0
 
     def whole(self, values: NDArray) -> NDArray:
         """Convert a map of the part to the whole image, with 0 outside it and in inserts."""
@@ -94,35 +97,39 @@ def input_image(
     Args:
         sequence: Sequence of the image.
         index: Index of the frame.
-        predicts_lengths: Whether the task infers lengths. Brightness is then a cue of distance: an
-            image of a known automatic exposure is converted to the camera's own exposure, and one
-            of an unknown exposure to the mean brightness of recordings.
+        predicts_lengths: Whether the task infers lengths. An image of a known automatic exposure is
+            then converted to the camera's own exposure, because brightness is a cue of distance.
     """
     image = sequence.image("rgb", index)
-    if not predicts_lengths or (sequence.episode is not None and EXPOSURE not in sequence.values):
+    if not predicts_lengths or not _knows_exposure(sequence) or EXPOSURE not in sequence.values:
         return image
-    exposure = float(sequence.values[EXPOSURE][index]) if EXPOSURE in sequence.values else math.nan
-    if math.isnan(exposure):
-        return at_mean_exposure(image)
+    exposure = float(np.nan_to_num(sequence.values[EXPOSURE][index], nan=1.0))
     return srgb_from_linear(linear_from_srgb(image) / exposure)
 
 
-def at_mean_exposure(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
-    """Scale an image so that its tissue has the median brightness of recordings.
+def _knows_exposure(sequence: FrameSequence) -> bool:
+    """Whether the exposure of a sequence is known: stated, or fixed as in a recording."""
+    if EXPOSURE in sequence.values:
+        return bool(np.isfinite(sequence.values[EXPOSURE]).any())
+    return sequence.episode is not None
 
-    Distances then do not depend on exposure. They are right if the wall is as far and as pale as in
-    recordings on average: a prior instead of a measurement.
+
+def log_scale_of(image: UInt8[np.ndarray, "h w 3"]) -> float:
+    """Logarithm of the factor of distances in an image of unknown exposure.
+
+    Brightness falls with the square of distance, so an image that is four times as bright as
+    recordings on average has an exposure four times as long, or shows tissue at half the distance.
+    The first is assumed. Distances then do not depend on exposure. They are right if the wall is as
+    far and as pale as in recordings on average: a prior instead of a measurement.
+
+    Args:
+        image: Tissue without the border.
     """
-    region = bright_part(image)
-    part = image[region]
-    is_tissue = part.max(axis=-1) > _black_level(part)
+    is_tissue = image.max(axis=-1) > _black_level(image)
     if not is_tissue.any():
-        return image
-    linear = linear_from_srgb(part)
-    gain = _MEDIAN_BRIGHTNESS / max(float(np.median(linear.mean(axis=-1)[is_tissue])), _DARKEST)
-    result = image.copy()
-    result[region] = srgb_from_linear(np.clip(gain * linear, 0.0, 1.0))
-    return result
+        return 0.0
+    median = float(np.median(linear_from_srgb(image).mean(axis=-1)[is_tissue]))
+    return 0.5 * math.log(max(median, _DARKEST) / _MEDIAN_BRIGHTNESS)
 
 
 def _black_level(image: UInt8[np.ndarray, "h w 3"]) -> float:
@@ -158,11 +165,14 @@ def view_of(
         )
     is_recording = sequence.episode is not None and camera in sequence.episode.cameras
     if predicts_lengths and not is_recording:
-        return tissue_view(image, camera, field_of_view)
+        view = tissue_view(image, camera, field_of_view)
+        return replace(view, log_scale=0.0) if _knows_exposure(sequence) else view
     if camera is None and field_of_view is not None:
         camera = assumed_camera(width, height, field_of_view)
     whole, nowhere = (slice(0, height), slice(0, width)), np.zeros((height, width), bool)
-    return PictureView(image, camera, whole, (height, width), nowhere)
+    is_scaled = predicts_lengths and not _knows_exposure(sequence)
+    log_scale = log_scale_of(image) if is_scaled else 0.0
+    return PictureView(image, camera, whole, (height, width), nowhere, log_scale)
 
 
 def tissue_view(
@@ -187,7 +197,8 @@ def tissue_view(
     elif field_of_view is not None:
         camera = assumed_camera(part.shape[1], part.shape[0], field_of_view)
     is_insert = foreign & (foreign.mean() < _MAX_INSERT)
-    return PictureView(part, camera, (rows, columns), image.shape[:2], is_insert)
+    shape = image.shape[:2]
+    return PictureView(part, camera, (rows, columns), shape, is_insert, log_scale_of(part))
 
 
 def bright_part(image: UInt8[np.ndarray, "h w 3"]) -> tuple[slice, slice]:

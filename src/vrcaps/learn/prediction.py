@@ -129,7 +129,7 @@ def _write_predictions(
             continue
         read.append((sequence, index))
         letterbox = Letterbox(view.image.shape[0], view.image.shape[1], task.input_size)
-        sample = task.inputs(view.image, letterbox, view.camera)
+        sample = task.view_inputs(view)
         output = trained(batch_of([sample]))[0]
         _write_files(inside(out, name), view, task.files(output, letterbox))
         rows.append({"image": name, **task.row(output)})

@@ -10,6 +10,7 @@ import numpy as np
 from torch import Tensor, nn
 
 from vrcaps.config.convert import register_family
+from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.networks import Backbone
 from vrcaps.learn.perturbation import Perturbation
 from vrcaps.learn.registry import TASKS
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vrcaps.camera.camera import Camera
-    from vrcaps.learn.letterbox import Letterbox
+    from vrcaps.learn.picture_border import PictureView
 
 MAX_CLASSES = 1000
 """Maximum number of classes of a network."""
@@ -70,6 +71,7 @@ class Task:
     Attributes:
         kind: Name of the task on the command line and in checkpoints.
         input_names: Arrays of a sample that are the network's inputs, in this order.
+        optional_inputs: Arrays of a sample that `output` uses if they are present.
         output_text: Description of the network's output, with unit and shape.
         metric: Metric by which the best checkpoint is selected.
         presets: Changes of the settings of a training by preset.
@@ -83,6 +85,7 @@ class Task:
 
     kind: ClassVar[str]
     input_names: ClassVar[tuple[str, ...]] = ("image",)
+    optional_inputs: ClassVar[tuple[str, ...]] = ()
     output_text: ClassVar[str]
     metric: ClassVar[Metric]
     presets: ClassVar[Presets] = {}
@@ -214,6 +217,11 @@ class Task:
             InputError: If the network needs the camera and there is none.
         """
         return {"image": letterbox.image(image)}
+
+    def view_inputs(self, view: PictureView) -> Sample:
+        """Return the network's input for a part of an image, see `inputs`."""
+        letterbox = Letterbox(view.image.shape[0], view.image.shape[1], self.input_size)
+        return self.inputs(view.image, letterbox, view.camera)
 
     def outputs(self, network: nn.Module, batch: Batch) -> dict[str, Tensor]:
         """Return all outputs [b c ...] of a network for a batch of inputs, by name."""

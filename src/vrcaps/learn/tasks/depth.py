@@ -27,7 +27,13 @@ from vrcaps.learn.augment import Augmentation, flip, transpose
 from vrcaps.learn.baselines import log_depth_baselines
 from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.networks import Backbone, UNet
-from vrcaps.learn.picture_border import LENS_NEEDED, at_mean_exposure, input_image, view_of
+from vrcaps.learn.picture_border import (
+    LENS_NEEDED,
+    PictureView,
+    input_image,
+    log_scale_of,
+    view_of,
+)
 from vrcaps.learn.task import MAX_WEIGHT, BackboneTask, Batch, Losses, Metric, Sample, total
 from vrcaps.metrics.depth import depth_errors, mean_depth_errors
 from vrcaps.recording.frame_sequence import FrameSequence
@@ -58,7 +64,7 @@ class DepthTask(BackboneTask):
         has_light_cue: Whether the light cue is an input of the network.
         gradient_weight: Weight of the gradient loss.
         exposure_dropout: Fraction of training images whose exposure is treated as unknown: changed
-            by up to a factor of 4, then compensated as in prediction.
+            by up to a factor of 4, and compensated as in prediction.
         augmentation: Random changes of training images. Disable the changes of color for one camera
             with known exposure and light.
     """
@@ -72,6 +78,7 @@ class DepthTask(BackboneTask):
     kind: ClassVar[str] = "depth"
     pipeline_tag: ClassVar[str] = "depth-estimation"
     input_names: ClassVar[tuple[str, ...]] = ("image", "ray")
+    optional_inputs: ClassVar[tuple[str, ...]] = ("log_scale",)
     output_text: ClassVar[str] = "ln(depth z / 30 mm) of each pixel [b 1 s s]"
     metric: ClassVar[Metric] = Metric("abs_rel", is_error=True)
     predicts_lengths: ClassVar[bool] = True
@@ -99,7 +106,11 @@ class DepthTask(BackboneTask):
         letterbox = Letterbox(view.image.shape[0], view.image.shape[1], self.input_size)
         depth = sequence.image("depth", index)[view.region]
         truth = letterbox.nearest(np.where(view.is_insert, np.nan, depth), np.nan)
-        return {**self.inputs(view.image, letterbox, view.camera), "depth": truth}
+        return {**self.view_inputs(view), "depth": truth}
+
+    def view_inputs(self, view: PictureView) -> Sample:
+        """Return image, unit rays, and the logarithm of the scale at an unknown exposure."""
+        return {**super().view_inputs(view), "log_scale": np.array(view.log_scale, np.float32)}
 
     def inputs(
         self, image: UInt8[np.ndarray, "h w 3"], letterbox: Letterbox, camera: Camera | None
@@ -126,7 +137,9 @@ class DepthTask(BackboneTask):
             sample = transpose(sample)
             sample["ray"] = sample["ray"][..., [1, 0, 2]]
         if rng.random() < self.exposure_dropout:
-            return sample | {"image": at_mean_exposure(_exposed(sample["image"], rng))}
+            image = _exposed(sample["image"], rng)
+            log_scale = np.array(log_scale_of(image), np.float32)
+            return sample | {"image": image, "log_scale": log_scale}
         if rng.random() < 0.5:
             return sample
         return sample | {"image": self.augmentation.recolor(sample["image"], rng)}
@@ -134,6 +147,11 @@ class DepthTask(BackboneTask):
     def network(self, *, is_pretrained: bool) -> nn.Module:
         """Create a network from batches to ln(depth / 30 mm) [b 1 s s]."""
         return DepthNetwork(self.backbone, self.has_light_cue, is_pretrained=is_pretrained)
+
+    def output(self, network: nn.Module, batch: Batch) -> Tensor:
+        """Return ln(depth / 30 mm) [b 1 s s]; the scale at an unknown exposure is added."""
+        output = super().output(network, batch)
+        return output + batch["log_scale"].view(-1, 1, 1, 1) if "log_scale" in batch else output
 
     def loss(self, network: nn.Module, batch: Batch) -> Losses:
         """Loss terms over the pixels that have a true depth."""
@@ -219,7 +237,7 @@ def depth_loss(output: Tensor, depth: Tensor, gradient_weight: float) -> Losses:
         depth: True depth [m] [b s s], NaN or 0 where it is not known.
         gradient_weight: Weight of the gradient loss.
         exposure_dropout: Fraction of training images whose exposure is treated as unknown: changed
-            by up to a factor of 4, then compensated as in prediction.
+            by up to a factor of 4, and compensated as in prediction.
     """
     valid = torch.isfinite(depth) & (depth > 0.0)
     target = torch.log(torch.where(valid, depth, MIDDLE) / MIDDLE)

@@ -143,14 +143,15 @@ def with_network_depth(sequence: FrameSequence, trained: TrainedNetwork) -> Fram
 
     def depth_of(index: int) -> Float[np.ndarray, "h w"]:
         view = view_of(sequence, input_image(sequence, index, **lengths), **lengths)
-        depth = view.whole(network_depth(trained, view.image, view.camera or camera))
+        given = view.image, view.camera or camera, view.log_scale
+        depth = view.whole(network_depth(trained, *given))
         return np.where(depth > 0.0, depth, np.nan)
 
     return with_depth(sequence, depth_of)
 
 
 def network_depth(
-    trained: TrainedNetwork, rgb: UInt8[np.ndarray, "h w 3"], camera: Camera
+    trained: TrainedNetwork, rgb: UInt8[np.ndarray, "h w 3"], camera: Camera, log_scale: float = 0.0
 ) -> Float[np.ndarray, "h w"]:
     """Estimate depth z of an image [m] by a network; up to scale for the task `sfm`.
 
@@ -158,6 +159,7 @@ def network_depth(
         trained: Weights of the task `depth` or `sfm`.
         rgb: The image.
         camera: Camera of the image.
+        log_scale: Logarithm of the factor of distances at an unknown exposure.
 
     Raises:
         InputError: If the weights are of another task.
@@ -171,6 +173,7 @@ def network_depth(
     sample = trained.task.inputs(rgb, letterbox, camera)
     image = trained.task.files(trained(batch_of([sample]))[0], letterbox)[".png"]
     depth = CHANNELS["depth"].encoding.decode(image)
+    depth = np.exp(log_scale) * depth
     if trained.task.kind == "sfm":  # distances along rays
         depth = depth * camera.lens.unproject(pixel_grid(width, height))[..., 2]
     return depth

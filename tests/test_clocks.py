@@ -20,7 +20,6 @@ CLOCKS = {
 MODULES = {"time", "timeit", "resource", "os", "psutil"}
 OWN_CLOCK = {
     "actuation/test_point_to_point.py",  # simulated time
-    "cockpit/test_page.py",  # a click that is repeated
     "support/waiting.py",  # the watchdog
     "test_clocks.py",
 }

@@ -11,13 +11,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
-import msgspec
 import numpy as np
-import viser
-import zstandard
 from websockets.sync.client import ClientConnection, connect
 
-HEAD_BYTES = 16
+from vrcaps.cockpit.messages import IMAGE_KINDS
+
 REPEAT = 0.25
 """Interval [s] at which a held axis is sent again, as on the page."""
 
@@ -28,27 +26,17 @@ class Client:
 
     Attributes:
         socket: The connection.
-        image: Name of the element of the live image.
-        keys: Name of the element that takes held axes.
         times: When each image was there [s].
         marked: Whether it was marked.
     """
 
     socket: ClientConnection
-    image: str
-    keys: str
     times: list[float] = field(default_factory=list)
     marked: list[bool] = field(default_factory=list)
 
-    def send(self, **message: Any) -> None:
-        """Send a message in the format of a browser."""
-        self.socket.send(msgspec.msgpack.encode(message))
-
     def hold(self, axis: float) -> None:
         """Hold the first axis."""
-        said = {"axes": [axis, 0, 0, 0, 0, 0], "pad": "", "standard": True, "actions": []}
-        text = "vrcaps:" + json.dumps({**said, "at": time.perf_counter()})
-        self.send(type="GuiUpdateMessage", uuid=self.keys, updates={"value": text})
+        self.socket.send(json.dumps({"command": "steer", "axes": [axis, 0, 0, 0, 0, 0]}))
 
     def take(self, seconds: float) -> None:
         """Receive messages for a time [s], at least until the next message."""
@@ -57,17 +45,12 @@ class Client:
         except TimeoutError:
             return
         now = time.perf_counter()
-        assert isinstance(data, bytes)
-        size = int.from_bytes(data[8:HEAD_BYTES], "little")
-        inner = zstandard.decompress(data[HEAD_BYTES : HEAD_BYTES + size])
-        for message in msgspec.msgpack.decode(inner)["messages"]:
-            coded = message.get("updates", {}).get("_data")
-            if message.get("uuid") == self.image and coded:
-                picture = cv2.imdecode(np.frombuffer(coded, np.uint8), cv2.IMREAD_COLOR)
-                assert picture is not None
-                blue, green, red = picture[4, 4]
-                self.times.append(now)
-                self.marked.append(bool(red > 200 and green > 200 and blue < 60))
+        if isinstance(data, bytes) and data[0] == IMAGE_KINDS["camera"]:
+            picture = cv2.imdecode(np.frombuffer(data[1:], np.uint8), cv2.IMREAD_COLOR)
+            assert picture is not None
+            blue, green, red = picture[4, 4]
+            self.times.append(now)
+            self.marked.append(bool(red > 200 and green > 200 and blue < 60))
 
     def watch(self, seconds: float, *, is_driving: bool) -> list[float]:
         """Times of the images within a window [s]; while driving, keys are held in alternation."""
@@ -100,29 +83,22 @@ class Client:
         return there - began
 
 
-def open_client(address: str, image: str, keys: str) -> Client:
-    """Client that the server treats as a browser."""
-    version: Any = f"viser-v{viser.__version__}"
-    socket = connect(address.replace("http:", "ws:"), subprotocols=[version], max_size=None)
-    client, corner = Client(socket, image, keys), (0.0, 0.0, 1.0)
-    camera = {"wxyz": (1.0, 0.0, 0.0, 0.0), "position": corner, "fov": 1.0, "near": 0.1}
-    camera |= {"far": 9.0, "look_at": corner, "up_direction": corner}
-    client.send(type="ViewerCameraMessage", image_height=10, image_width=10, **camera)
-    return client
+def open_client(address: str) -> Client:
+    """Open a client of the page."""
+    start, _, token = address.partition("/?")
+    return Client(connect(f"{start.replace('http:', 'ws:')}/cockpit?{token}", max_size=None))
 
 
-def measure(address: str, image: str, keys: str, seconds: float, presses: int, out: Any) -> None:
+def measure(address: str, seconds: float, presses: int, out: Any) -> None:
     """Measure, and put the results into a queue.
 
     Args:
         address: Of the page, with its token.
-        image: Name of the element of the live image.
-        keys: Name of the element that takes held axes.
         seconds: Length of a window.
         presses: Number of key presses.
         out: Takes "begin" and times of images [s], at rest and driving, then latencies [s].
     """
-    client = open_client(address, image, keys)
+    client = open_client(address)
     end = time.perf_counter() + 2.0
     while time.perf_counter() < end or len(client.times) < 5:
         client.take(0.1)

@@ -1,13 +1,16 @@
-"""Claim: a gamepad drives the capsule from the stomach's inlet to the pylorus, through the page.
+"""Claim: a gamepad or the keyboard drives the capsule from the stomach's inlet to the pylorus.
 
-A script moves the sticks and triggers of a mocked gamepad in a headless Chromium; everything
-else is the unmodified cockpit: its page, a free magnet or that of the Panda, and physics in real
-time or as close to it as two cores allow. The script reads the page, the poses of capsule and
-magnet and the time, and steers like the policy `navigator`. When the capsule is in the pylorus,
-the drive is recorded from its commands, the recorded poses are compared with those that were
-driven, and the episode is checked as by `vrcaps check`.
+A script drives through the page in a headless Chromium; everything else is the unmodified
+cockpit: its page, a free magnet or that of the Panda, and physics in real time or as close to it as
+two cores allow. `gamepad`: it moves the sticks and triggers of a mocked gamepad, reads the poses of
+capsule and magnet and the time, and steers like the policy `navigator`. `keyboard`: it knows only
+what the screen shows, the dot and the segment of the map and the time; it holds one of the keys A,
+S, W, D as long as the dot moves on, and otherwise tries the next. When the capsule is in the
+pylorus, the drive is recorded from its commands, the recorded poses are compared with those that
+were driven, and the episode is checked as by `vrcaps check`.
 
     python -m benchmarks.validation.drive_cockpit [--patients 0] [--arms panda] [--seconds 240]
+        [--by gamepad keyboard]
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from benchmarks.common.scripts import parser, table, write_section
 
 # isort: split
+from tests.support.key_pilot import KeyPilot
 from tests.support.pad_pilot import PAD, PadPilot, push
 from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.cockpit.cockpit import Cockpit, open_cockpit
@@ -44,7 +48,7 @@ LOOK_MS = 40
 """Time between looks at the page [ms]."""
 FPS = 4.0
 HEAD = (
-    *("patient", "arm", "way [cm]", "arrived", "to the outlet's end [mm]"),
+    *("patient", "arm", "by", "way [cm]", "arrived", "to the outlet's end [mm]"),
     *("simulated [s]", "real [s]"),
     *("commands", "frames recorded", "poses as driven", "problems found by check"),
 )
@@ -81,6 +85,7 @@ def main() -> None:
     made.add_argument("--patients", type=int, nargs="+", default=[0], help="seeds of stomachs")
     made.add_argument("--arms", nargs="+", default=["none"], help="none, or names of arms")
     made.add_argument("--seconds", type=float, default=240.0, help="most simulated time of a drive")
+    made.add_argument("--by", nargs="+", default=["gamepad"], help="gamepad or keyboard")
     args = made.parse_args()
     root, rows = Path(tempfile.mkdtemp()), []
     program = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -88,10 +93,10 @@ def main() -> None:
         browser = playwright.chromium.launch(executable_path=program, args=FLAGS)
         for seed in args.patients:
             for arm in args.arms:
-                drive = driven(
-                    browser, scenario_of(seed, arm), root / f"{seed}-{arm}", args.seconds
-                )
-                rows.append((str(seed), arm, *result(drive)))
+                for by in args.by:
+                    folder = root / f"{seed}-{arm}-{by}"
+                    drive = driven(browser, scenario_of(seed, arm), folder, args.seconds, by)
+                    rows.append((str(seed), arm, by, *result(drive)))
         browser.close()
     shutil.rmtree(root)
     text = (
@@ -115,11 +120,12 @@ def scenario_of(seed: int, arm: str) -> Scenario:
     )
 
 
-def driven(browser: Browser, scenario: Scenario, folder: Path, seconds: float) -> Drive:
+def driven(browser: Browser, scenario: Scenario, folder: Path, seconds: float, by: str) -> Drive:
     """One drive through the page."""
     with open_cockpit(scenario, folder, port=PORT, on_message=print) as cockpit:
-        tab = browser.new_page(viewport={"width": 900, "height": 300}, device_scale_factor=0.2)
+        tab = browser.new_page(viewport={"width": 900, "height": 600}, device_scale_factor=0.2)
         tab.add_init_script(PAD)
+        tab.add_init_script("localStorage.setItem('vrcaps-tour', 'seen')")
         tab.goto(cockpit.gate.address)
         tab.get_by_role("button", name="Pause").wait_for()
         session = cockpit.session
@@ -128,7 +134,12 @@ def driven(browser: Browser, scenario: Scenario, folder: Path, seconds: float) -
         goal = pylorus(session.model.organ)
         pilot = PadPilot(session, session.model.organ.centerline.length)
         first, began = pilot.arc_length, time.perf_counter()
-        lead(tab, cockpit, pilot, goal, seconds)
+        if by == "keyboard":
+            tab.get_by_text("You drive").wait_for()
+            KeyPilot(tab).drive_to("pylorus", seconds)
+            pilot.axes()
+        else:
+            lead(tab, cockpit, pilot, goal, seconds)
         real = time.perf_counter() - began
         push(tab, [0.0] * 6)
         tab.wait_for_timeout(300)

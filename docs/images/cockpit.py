@@ -12,23 +12,20 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 from playwright.sync_api import Page, sync_playwright
 
 from vrcaps.cli.cockpit import Cockpit as CockpitCommand
 from vrcaps.cockpit.cockpit import Cockpit, open_cockpit
 from vrcaps.cockpit.episodes.episode_page import open_episodes
-from vrcaps.cockpit.panels.scene_panels import ScenePanel
 from vrcaps.recording.recorder import record
 
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-SIZE = {"width": 1400, "height": 800}
+SIZES = {"cockpit_small": (900, 600), "cockpit_tablet": (1024, 768), "cockpit_large": (1920, 1080)}
+SIZE = (1400, 800)
 PORT = 8941
-NEAR = np.array([0.03, -0.08, 0.05])
-"""From where the capsule is looked at closely [m]."""
-KEYS = (("a", 1.0), ("s", 1.5), ("e", 1.5))
+KEYS = (("a", 1.0), ("s", 1.5), ("e", 1.0))
 """Keys, and for how much simulated time each is held [s]."""
-MAX_FRAMES = 40
+MAX_FRAMES = 16
 
 
 def main(path: Path) -> None:
@@ -38,17 +35,18 @@ def main(path: Path) -> None:
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=program, args=FLAGS)
         with open_cockpit(CockpitCommand().resolved(), folder / "drive", port=PORT) as cockpit:
-            tab = opened(browser.new_page(viewport=SIZE), cockpit.gate.address)
-            drive(tab, cockpit, path)
+            tab = browser.new_page()
+            tab.add_init_script("localStorage.setItem('vrcaps-tour', 'seen')")
+            opened(tab, cockpit.gate.address)
+            drive(tab, cockpit)
+            take_drive(tab, path)
             scenario = cockpit.session.drive.save()
         scenario = replace(scenario, frames=min(scenario.frames, MAX_FRAMES))
         episode = record(scenario, folder / "episode")
         with open_episodes([episode], port=PORT) as (page, gate):
-            tab = opened(browser.new_page(viewport=SIZE), gate.address)
-            tab.get_by_label("Channel").first.click()
-            tab.get_by_role("option", name="depth", exact=True).click()
-            page._frame.value = scenario.frames - 1
-            tab.wait_for_timeout(4000)
+            tab = opened(browser.new_page(), gate.address)
+            tab.get_by_label("Channel").select_option("depth")
+            page.select(scenario.frames - 1)
             take(tab, path.with_stem("cockpit_view"))
         browser.close()
     shutil.rmtree(folder)
@@ -56,14 +54,15 @@ def main(path: Path) -> None:
 
 def opened(tab: Page, address: str) -> Page:
     """A page with its scene."""
+    tab.set_viewport_size({"width": SIZE[0], "height": SIZE[1]})
     tab.goto(address)
     tab.locator("img[src^='blob:']").first.wait_for()
-    tab.wait_for_timeout(3000)
+    tab.wait_for_timeout(5000)
     return tab
 
 
-def drive(tab: Page, cockpit: Cockpit, path: Path) -> None:
-    """Holds keys, and takes pictures of three tabs and of the touched wall."""
+def drive(tab: Page, cockpit: Cockpit) -> None:
+    """Hold keys, and frame the capsule."""
     for key, duration in KEYS:
         view = cockpit.session.view
         assert view is not None
@@ -72,40 +71,28 @@ def drive(tab: Page, cockpit: Cockpit, path: Path) -> None:
         while cockpit.session.view.state.time < end:  # type: ignore[union-attr]
             tab.wait_for_timeout(20)
         tab.keyboard.up(key)
-    tab.get_by_text("Keys and gamepad").click()
-    tab.wait_for_timeout(2000)
+    tab.keyboard.press("c")
+
+
+def take_drive(tab: Page, path: Path) -> None:
+    """Take pictures of all sizes, of coverage, of charts and of the touched wall."""
     take(tab, path)
-    for folder in ("Keys and gamepad", "Run", "Scene"):
-        tab.get_by_text(folder, exact=True).click()
-    scene = next(panel for panel in cockpit.page.panels if isinstance(panel, ScenePanel))
-    scene._color.value = "coverage"
-    tab.get_by_text("Map", exact=True).click()
-    tab.wait_for_timeout(4000)
+    for name, (width, height) in SIZES.items():
+        tab.set_viewport_size({"width": width, "height": height})
+        take(tab, path.with_stem(name))
+    tab.set_viewport_size({"width": SIZE[0], "height": SIZE[1]})
+    tab.locator("#tab-scene").click()
+    tab.get_by_label("Color by", exact=True).select_option("coverage")
+    tab.keyboard.press("v")
     take(tab, path.with_stem("cockpit_coverage"))
-    tab.get_by_text("Charts", exact=True).click()
-    tab.wait_for_timeout(2000)
-    take(tab, path.with_stem("cockpit_charts"))
-    scene._color.value, scene._cut_axis.value = "contact pressure", "y"
-    look_at_capsule(cockpit)
-    tab.wait_for_timeout(4000)
+    tab.get_by_label("Color by", exact=True).select_option("contact pressure")
+    tab.keyboard.press("c")
     take(tab, path.with_stem("cockpit_pressure"))
 
 
-def look_at_capsule(cockpit: Cockpit) -> None:
-    """Brings the view of the scene near the capsule."""
-    view = cockpit.session.view
-    assert view is not None
-    place = view.state.T_world_capsule[:3, 3]
-    for client in cockpit.page.server.get_clients().values():
-        client.camera.look_at = place
-        client.camera.position = place + NEAR
-
-
 def take(tab: Page, path: Path) -> None:
-    """Writes a picture without messages."""
-    closing = "document.querySelectorAll('.mantine-Notification-closeButton')"
-    tab.evaluate(f"{closing}.forEach((button) => button.click())")
-    tab.wait_for_timeout(600)
+    """Write a picture when the page has been drawn anew."""
+    tab.wait_for_timeout(5000)
     tab.screenshot(path=path, type="jpeg", quality=85)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,12 +14,13 @@ import pytest
 from tests.support.cockpit_browser import draw_frames, wait_until
 from tests.support.pad_pilot import PAD, PadPilot, push
 from tests.support.waiting import WATCHDOG
-from vrcaps.cockpit.panels.scene_panels import ScenePanel
+from vrcaps.cockpit.scene.viewpoint import scene_clients
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import matrix_from_quaternion, transform_points
+from vrcaps.recording.episode import read_episode
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Locator, Page
+    from playwright.sync_api import Browser, Page
 
     from vrcaps.cockpit.cockpit import Cockpit
 
@@ -27,33 +29,38 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def tab(browser: Browser, cockpit: Cockpit) -> Iterator[Page]:
-    """The page, with the first live image; the message about software rendering is closed."""
-    opened = browser.new_page(viewport={"width": 1200, "height": 600}, device_scale_factor=0.5)
+    """The page, with the first live image and the scene."""
+    opened = browser.new_page(viewport={"width": 1300, "height": 700}, device_scale_factor=0.5)
     opened.set_default_timeout(1e3 * WATCHDOG)
     opened.add_init_script(PAD)
+    opened.add_init_script("localStorage.setItem('vrcaps-tour', 'seen')")
     opened.goto(cockpit.gate.address)
     opened.get_by_role("button", name="Pause").wait_for()
     wait_until(opened, lambda: cockpit.page.latest_image is not None)
-    closing = "document.querySelectorAll('.mantine-Notification-closeButton')"
-    opened.evaluate(f"{closing}.forEach((button) => button.click())")
+    wait_until(opened, lambda: scene_clients(cockpit.page.server))
     draw_frames(opened)
     yield opened
     opened.close()
 
 
-def field(tab: Page, label: str) -> Locator:
-    """The text field after a label."""
-    return tab.locator("label", has_text=label).locator("xpath=following::input[1]")
-
-
 def live_image(tab: Page) -> str:
-    return tab.locator("img[src^='blob:']").first.get_attribute("src") or ""
+    return tab.locator("#camera-image").get_attribute("src") or ""
+
+
+def choose_scene(tab: Page, label: str, option: str) -> None:
+    """Choose an option of the display of the scene."""
+    tab.locator("#tab-scene").click()
+    tab.get_by_label(label, exact=True).select_option(option)
+
+
+def confirm(tab: Page, answer: str) -> None:
+    tab.get_by_role("dialog").get_by_role("button", name=answer).click()
 
 
 def on_screen(tab: Page, cockpit: Cockpit, point: np.ndarray) -> tuple[float, float]:
     """Position of a point of the world on the screen [px]."""
-    (client,) = cockpit.page.server.get_clients().values()
-    camera, box = client.camera, tab.locator("canvas").first.bounding_box()
+    (client,) = scene_clients(cockpit.page.server).values()
+    camera, box = client.camera, tab.locator("#scene").bounding_box()
     assert box is not None
     seen = matrix_from_quaternion(camera.wxyz).T @ (point - camera.position)
     focal = 0.5 * box["height"] / np.tan(0.5 * camera.fov)
@@ -102,7 +109,8 @@ def test_reset_goes_back_to_the_first_frame(tab, cockpit):
     first = session.poses[0]
     wait_until(tab, lambda: len(session.poses) > 3)
     tab.get_by_role("button", name="Pause").click()
-    tab.get_by_role("button", name="Reset").click()
+    tab.get_by_role("button", name="Reset to the first frame").click()
+    confirm(tab, "Reset")
     wait_until(tab, lambda: len(session.poses) <= 1)
     tab.get_by_role("button", name="Next frame").click()
     wait_until(tab, lambda: len(session.poses) >= 1)
@@ -112,40 +120,48 @@ def test_reset_goes_back_to_the_first_frame(tab, cockpit):
 
 def test_the_scene_shows_the_touched_wall_the_field_and_where_the_patient_lies(tab, cockpit):
     session, scene = cockpit.session, cockpit.page.server.scene
-    panel = next(each for each in cockpit.page.panels if isinstance(each, ScenePanel))
-    panel._color.value = "contact pressure"
+    choose_scene(tab, "Color by", "contact pressure")
     wait_until(tab, lambda: scene.get_handle_by_name("/patch/0") is not None)
     touched = scene.get_handle_by_name("/patch/0").vertices
     place = session.view.state.T_world_capsule[:3, 3]
     assert np.linalg.norm(touched - place, axis=1).max() < 0.02
     assert scene.get_handle_by_name("/capsule/body").opacity < 1.0
-    panel._color.value = "segment"
+    tab.get_by_text("below 0.5 kPa").wait_for()
+    choose_scene(tab, "Color by", "segment")
     wait_until(tab, lambda: scene.get_handle_by_name("/patch/0") is None)
     assert scene.get_handle_by_name("/capsule/body").opacity is None
     lines = scene.get_handle_by_name("/magnet/field")
     assert lines.visible
-    panel._has_lines.value = False
+    tab.get_by_label("Field lines of the magnet").uncheck()
     wait_until(tab, lambda: not lines.visible)
-    parts = len(scene.get_handle_by_name("/organ/1").faces)
-    panel._cut_axis.value = "z"
-    wait_until(tab, lambda: len(scene.get_handle_by_name("/organ/1").faces) < 0.8 * parts)
-    panel._cut_axis.value = "none"
+    cut = len(scene.get_handle_by_name("/organ/1").faces)
+    choose_scene(tab, "Cut", "none")
+    wait_until(tab, lambda: len(scene.get_handle_by_name("/organ/1").faces) > 1.2 * cut)
     table, outline = (scene.get_handle_by_name(name) for name in ("/table", "/patient/outline"))
     lying = transform_points(session.view.T_world_patient, outline.points.reshape(-1, 3))
     top = table.position[2] + 0.5 * table.dimensions[2]
     assert top == pytest.approx(lying[:, 2].min(), abs=1e-6)
-    panel._has_patient.value = False
+    tab.get_by_label("Patient and table").uncheck()
     wait_until(tab, lambda: not table.visible)
 
 
-def test_browsers_say_how_many_frames_they_draw(tab, cockpit):
-    """Without a graphics card the scene may give way; the field that says it is hidden."""
-    pace = cockpit.page.pace
-    wait_until(tab, lambda: len(pace._rates) > 0)
-    (rate, _), *_ = pace._rates.values()
-    assert 0.0 <= rate < 250.0
-    fields = tab.locator("input[value^='vrcaps-frames:']")
-    wait_until(tab, lambda: fields.count() == 0 or not fields.first.is_visible())
+def test_the_viewpoint_frames_the_capsule_and_its_scale_is_true(tab, cockpit):
+    """The panels of the scene's library are hidden; the frame rate is reported."""
+    (client,) = scene_clients(cockpit.page.server).values()
+    tab.get_by_role("button", name="Frame the capsule").click()
+    place = cockpit.session.view.state.T_world_capsule[:3, 3]
+    wait_until(tab, lambda: np.linalg.norm(client.camera.look_at - place) < 0.01)
+    size = np.ptp(cockpit.page.box("capsule"), axis=0).max()
+    height = 2.0 * np.tan(0.5 * client.camera.fov)
+    height *= np.linalg.norm(client.camera.position - client.camera.look_at)
+    assert 1.0 < height / size < 3.0
+    bar, frame = tab.locator("#scale-bar"), tab.locator("#scene").bounding_box()
+    wait_until(tab, lambda: tab.locator("#scale-text").text_content() in ("1 cm", "2 cm", "5 cm"))
+    size = 0.01 * float(tab.locator("#scale-text").text_content().split()[0])
+    assert bar.bounding_box()["width"] == pytest.approx(size / height * frame["height"], rel=0.1)
+    panels = tab.frame_locator("#scene").locator("button:visible")
+    assert panels.count() == 0
+    wait_until(tab, lambda: len(cockpit.page.scene.pace._rates) > 0)
 
 
 def test_a_gamepad_and_keys_steer_beyond_the_dead_zone(tab, cockpit):
@@ -181,56 +197,55 @@ def test_a_gamepad_and_keys_steer_beyond_the_dead_zone(tab, cockpit):
 
 def test_a_pads_controls_are_assigned_by_pushing_them(tab, cockpit):
     """A pad of unknown layout drives nothing; a stick goes both ways, a trigger rests at −1."""
-    operator, page = cockpit.session.operator, cockpit.page
+    operator = cockpit.session.operator
 
     def last() -> tuple[float, ...]:
         command = operator.commands()[1][-1]
         return command.linear + command.angular
 
-    def assign(control: str, axes: list[float]) -> None:
-        page.bridge.ask(control)
-        wait_until(tab, lambda: page.pad.listening == control)
+    def assign(control: str, axes: list[float], shown: str) -> None:
+        tab.get_by_label("Function").select_option(control)
+        tab.get_by_role("button", name="Assign").click()
+        tab.get_by_text("Move the stick or press the button").wait_for()
         tab.evaluate(f"window.pad.axes = {json.dumps(axes)}")
-        wait_until(tab, lambda: page.pad.listening == "" and control in page.pad.layout)
+        tab.locator("#pad-table").get_by_text(shown).wait_for()
         tab.evaluate("window.pad.axes = [0, 0, 0, 0, 0, -1]")
 
+    tab.locator("#tab-drive").click()
+    tab.locator("#pad-details summary").click()
     tab.evaluate(
         "Object.assign(window.pad, {id: 'Odd Pad', mapping: '', axes: [1, 0, 0, 0, 0, -1]})"
     )
-    wait_until(tab, lambda: page.pad is not None and page.pad.pad == "Odd Pad")
-    assert page.pad.layout == {}
+    tab.get_by_text("Its layout is unknown").wait_for()
     assert last() == (0, 0, 0, 0, 0, 0)
-    tab.get_by_text("Its layout is unknown").first.wait_for()
     tab.evaluate("window.pad.axes = [0, 0, 0, 0, 0, -1]")
     draw_frames(tab)
-    assign("y+", [0, 0, 0, 0.9, 0, -1])
-    assign("tilt-x+", [0, 0, 0, 0, 0, 1])
-    assert page.pad.layout == {"y+": "axis 3 +", "y-": "axis 3 −", "tilt-x+": "axis 5 +"}
+    assign("y+", [0, 0, 0, 0.9, 0, -1], "axis 3 −")
+    assign("tilt-x+", [0, 0, 0, 0, 0, 1], "axis 5 +")
+    draw_frames(tab)
     tab.evaluate("window.pad.axes = [0, 0, 0, -1, 0, -1]")
     wait_until(tab, lambda: last() == (0, -1, 0, 0, 0, 0))
     tab.evaluate("window.pad.axes = [0, 0, 0, 0, 0, 1]")
     wait_until(tab, lambda: last() == (0, 0, 0, 1, 0, 0))
     assert "Odd Pad" in tab.evaluate("localStorage.getItem('vrcaps-pads')")
-    page.bridge.ask("standard")
-    wait_until(tab, lambda: page.pad.layout.get("x+") == "axis 0 +")
+    tab.get_by_role("button", name="Standard layout").click()
+    tab.locator("#pad-table").get_by_text("axis 0 +").wait_for()
     tab.evaluate("Object.assign(window.pad, {id: 'Test Pad', mapping: 'standard'})")
     tab.evaluate("window.pad.axes = [0, 0, 0, 0]")
     wait_until(tab, lambda: last() == (0, 0, 0, 0, 0, 0))
+    tab.locator("#pad-details summary").click()
 
 
 def test_a_policy_takes_over_by_a_key_and_a_stick_takes_back(tab, cockpit):
     operator = cockpit.session.operator
-    tab.get_by_text("Policy", exact=True).click()
-    button = tab.get_by_role("button", name="Start the policy")
-    tab.get_by_role("button", name="Stop the magnet").focus()
+    tab.locator("#side").focus()
     tab.keyboard.press("t")
-    tab.get_by_role("button", name="Stop the policy").wait_for()
+    tab.get_by_text("Policy navigator drives").wait_for()
     assert operator.policy == "navigator"
     number = len(operator.commands()[1])
     wait_until(tab, lambda: len(operator.commands()[1]) > number)
-    assert cockpit.page.driver is not None
     tab.evaluate("window.pad.axes = [1, 0, 0, 0]")
-    button.wait_for()
+    tab.get_by_role("button", name="Start the policy").wait_for()
     assert operator.policy == ""
     tab.evaluate("window.pad.axes = [0, 0, 0, 0]")
     tab.get_by_text("Policy navigator has released control").first.wait_for()
@@ -239,17 +254,16 @@ def test_a_policy_takes_over_by_a_key_and_a_stick_takes_back(tab, cockpit):
 def test_a_second_browser_looks_on_and_takes_over_when_the_driver_is_gone(browser, tab, cockpit):
     operator, page = cockpit.session.operator, cockpit.page
     driver = page.driver
-    other = browser.new_page(viewport={"width": 900, "height": 300}, device_scale_factor=0.3)
+    other = browser.new_page(viewport={"width": 900, "height": 600}, device_scale_factor=0.3)
     other.set_default_timeout(1e3 * WATCHDOG)
+    other.add_init_script("localStorage.setItem('vrcaps-tour', 'seen')")
     other.goto(cockpit.gate.address)
-    other.get_by_role("button", name="Pause").wait_for()
-    wait_until(tab, lambda: len(page.server.get_clients()) == 2)
-    other.get_by_role("button", name="Pause").click()
-    other.get_by_text("Another browser has control").first.wait_for()
-    assert not cockpit.session.clock.is_paused
+    other.get_by_text(f"Browser {driver} drives").wait_for()
+    assert other.get_by_role("button", name="Pause").is_disabled()
     assert page.driver == driver
     other.get_by_role("button", name="Take control").click()
     wait_until(tab, lambda: page.driver != driver)
+    other.get_by_text("You drive").wait_for()
     other.bring_to_front()
     other.keyboard.down("d")
     wait_until(other, lambda: operator.commands()[1][-1].linear == (1.0, 0.0, 0.0))
@@ -260,25 +274,25 @@ def test_a_second_browser_looks_on_and_takes_over_when_the_driver_is_gone(browse
     wait_until(tab, lambda: len(cockpit.session.poses) > frame)
 
 
-def choose(tab, label: str, option: str) -> None:
-    """Opens a list and takes an option; a list that closed, as the page was drawn anew, again."""
-    from playwright.sync_api import TimeoutError as PlaywrightTimeout
-
-    found = tab.get_by_role("option", name=option)
-    while True:
-        tab.get_by_label(label).first.click()
-        try:
-            found.click(timeout=10_000)
-            return
-        except PlaywrightTimeout:
-            tab.keyboard.press("Escape")
-
-
 def test_the_look_changes_and_goes_into_the_recording(tab, cockpit):
-    tab.get_by_text("Rendering", exact=True).click()
-    choose(tab, "Imaging", "narrow-band")
+    tab.locator("#tab-image").click()
+    tab.get_by_label("Imaging").select_option("narrow-band")
     wait_until(tab, lambda: cockpit.page.latest_image.settings.render.imaging == "narrow-band")
     assert cockpit.session.scenario_so_far().render.imaging == "narrow-band"
+    tab.get_by_label("Channel", exact=True).select_option("depth")
+    wait_until(tab, lambda: cockpit.page.latest_image.settings.channel == "depth")
+    tab.get_by_label("Channel", exact=True).select_option("rgb")
+
+
+def test_an_episode_is_recorded_while_the_drive_goes_on(tab, cockpit):
+    session = cockpit.session
+    session.reset()
+    wait_until(tab, lambda: 1 < len(session.poses) < 5)
+    tab.get_by_role("button", name="Record episode").click()
+    tab.get_by_text("Episode recorded:").wait_for()
+    folder = Path(tab.locator("#recording-path").text_content() or "")
+    assert read_episode(folder).scenario.organ == session.scenario.organ
+    tab.locator("#recording-close").click()
 
 
 def test_a_scripted_gamepad_leads_the_capsule(tab, cockpit):
@@ -307,20 +321,23 @@ def test_another_drive_begins_in_the_same_page(tab, cockpit):
     """Not while a recording is made, nor with what cannot be; the driver stays the driver."""
     before, page = cockpit.session, cockpit.page
     driver = page.driver
-    tab.get_by_text("New drive", exact=True).click()
+    tab.locator("#tab-new").click()
     begin = tab.get_by_role("button", name="Start a new drive")
-    with page.is_busy:
-        begin.click()
-        tab.get_by_text("A recording or the start of another drive").first.wait_for()
-    field(tab, "Lesions").fill("wart")
+    with page._is_busy:
+        wait_until(tab, begin.is_disabled)
+        with pytest.raises(InputError, match="in progress"):
+            cockpit.start_drive(before.scenario)
+    tab.get_by_label("Lesions").fill("wart")
     begin.click()
+    confirm(tab, "Start a new drive")
     tab.get_by_text("No lesion named 'wart'").first.wait_for()
     with pytest.raises(InputError, match="magnet"):
         cockpit.start_drive(replace(before.scenario, capsule="mirocam"))
     assert cockpit.session is before
     assert not (before.drive.folder / "drive-2").exists()
-    field(tab, "Lesions").fill("polyp-Is:size=6mm")
+    tab.get_by_label("Lesions").fill("polyp-Is:size=6mm")
     begin.click()
+    confirm(tab, "Start a new drive")
     wait_until(tab, lambda: cockpit.session is not before and cockpit.page.latest_image is not None)
     after = cockpit.session
     assert after.drive.folder == before.drive.folder / "drive-2"

@@ -87,13 +87,11 @@ class PadPilot:
             patient=lambda index: SimpleNamespace(model=model),
             memory={"magnet/box": box[None], "navigate/goal": np.array([goal])},
             course=SimpleNamespace(length=np.array([self._line.length])),
-            settings=SimpleNamespace(
-                control_period=_LEAST,
-                actuation=MagnetActuation(
-                    steering.magnet,
-                    speed=steering.joystick_speed,
-                    angular_speed=steering.joystick_angular_speed,
-                ),
+            control_period=_LEAST,
+            actuation=MagnetActuation(
+                steering.magnet,
+                speed=steering.joystick_speed,
+                angular_speed=steering.joystick_angular_speed,
             ),
         )
         self.arc_length = 0.0
@@ -107,7 +105,7 @@ class PadPilot:
         passed = view.state.time - float(self._seen.time[0])
         if passed < _LEAST:
             return None
-        self._seen.settings.control_period = passed
+        self._seen.control_period = passed
         self._look(view)
         return self._guide.twist(self._seen)  # type: ignore[arg-type]
 

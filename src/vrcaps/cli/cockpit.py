@@ -80,10 +80,11 @@ class Cockpit:
         """
         use_threads(self.threads)
         from vrcaps.cockpit.cockpit import open_cockpit, require_viser
+        from vrcaps.cockpit.server import require_free
 
         require_viser()
+        require_free(self.host, self.port)
         out = self.out or Path("runs") / time.strftime("drive-%Y%m%d-%H%M%S")
-        console.print("Generating organ and world …")
         with open_cockpit(
             self.resolved(),
             out,

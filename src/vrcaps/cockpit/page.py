@@ -1,139 +1,104 @@
-"""Browser page: shared scene, driver arbitration, notifications."""
+"""Page in all browsers: dispatch of commands, messages, and values several times a second."""
 
 from __future__ import annotations
 
-import functools
+import contextlib
+import io
 import threading
 import time as wall_clock
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.cockpit.browser import (
-    DriverInput,
-    InputBridge,
-    Pace,
-    listen_to_frame_rates,
-    parse_input,
+from vrcaps.cockpit.messages import (
+    Acknowledgement,
+    Command,
+    FrameView,
+    Notice,
+    Setup,
+    Status,
+    encode,
+    parse_command,
 )
-from vrcaps.cockpit.server import is_loopback
-from vrcaps.cockpit.session.camera_images import CameraImages, LiveImage
-from vrcaps.cockpit.session.seen_wall import SeenWall
+from vrcaps.cockpit.scene.viewpoint import frame_box, scene_clients, viewpoint_of
 from vrcaps.core.errors import InputError, VrcapsError
 
 if TYPE_CHECKING:
     import viser
+    from jaxtyping import UInt8
 
-    from vrcaps.cockpit.session.clock import View
-    from vrcaps.cockpit.session.session import Session
-    from vrcaps.scenario.scenario import Scenario
+    from vrcaps.cockpit.connections import Hub
 
-_SECONDS_PER_UPDATE = 1.0 / 20.0
-_DEAD_MAN = 1.0
-"""Time [s] without messages of a browser after which its held axes are released."""
-_SIDE_WIDTH = 400.0
+SECONDS_PER_STATUS = 1.0 / 15.0
 _SAID_ONCE = 10.0
 """Time [s] within which the same message is not repeated."""
+_QUALITY = 88
+"""JPEG quality of images."""
 
 
-class Panel(Protocol):
-    """Part of the page.
+class FieldError(InputError):
+    """Value of a field of a command that cannot be used.
 
-    It is created with the page, adds its elements there, and receives views and images.
+    Attributes:
+        field: Name of the field.
     """
 
-    def update(self, view: View) -> None:
-        """Show the current simulation; called about 20 times a second from one thread."""
-        ...
+    def __init__(self, field: str, text: str) -> None:
+        super().__init__(text)
+        self.field = field
+
+
+Handler = Callable[[int, Any], Callable[[], None] | None]
+"""Processes a command of a browser; may return a function that continues in its own thread."""
 
 
 class Page:
-    """Page of the cockpit in all browsers that have it open.
+    """Page in all browsers that have it open.
 
-    The first browser drives; another may take over. When the driver's browser is closed, the magnet
-    stops and any browser may take over. Only the driver may use buttons that change the simulation.
+    Commands are executed one after the other in a thread of the page, and acknowledged. An error in
+    a command becomes a message; the simulation continues.
 
     Attributes:
-        server: Server of the page.
-        session: Current session.
-        images: Live images of the capsule's camera.
-        seen: Wall seen by the cameras.
-        pace: Update rate of the scene in panels.
-        side_panel: Window at the right with tabs for panels.
-        bridge: Access to the browsers' keys and gamepads.
-        is_busy: Held during a recording.
-        policies: Files and import paths of policies that browsers may choose.
-        actions: Functions of gamepad buttons, by name.
-        latest_image: Last live image.
-        pad: Last gamepad layout reported by the driver's browser; None before the first report.
+        server: Server of the scene.
+        hub: Connections.
     """
 
     def __init__(
-        self,
-        server: viser.ViserServer,
-        session: Session,
-        panels: tuple[Callable[[Page], Panel], ...],
-        on_message: Callable[[str], None],
-        *,
-        start_drive: Callable[[Scenario], None] | None = None,
-        is_busy: threading.Lock | None = None,
-        policies: Sequence[str] = (),
+        self, server: viser.ViserServer, hub: Hub, on_message: Callable[[str], None]
     ) -> None:
-        """Build the page.
+        """Prepare the page; `start` connects it.
 
         Args:
-            server: Server of the page.
-            session: Session to drive.
-            panels: Parts of the page, in their order.
+            server: Server of the scene.
+            hub: Connections.
             on_message: Called with each message, for the terminal.
-            start_drive: Starts another drive in the same page.
-            is_busy: Held during a recording; shared by all drives.
-            policies: Files and import paths of policies that browsers may choose.
         """
-        self.server, self.session, self._on_message = server, session, on_message
-        self.latest_image: LiveImage | None = None
-        self._driver: int | None = None
-        self._axes_time = np.inf
+        self.server, self.hub, self._on_message = server, hub, on_message
         self._notified: dict[str, float] = {}
-        self._pads: set[str] = set()
-        self.pad: DriverInput | None = None
         self._is_closed = False
-        self.is_busy = is_busy or threading.Lock()
-        self.policies = tuple(policies)
-        self._start_drive = start_drive
-        self.actions: dict[str, Callable[[], None]] = {}
-        session.on_message = self.notify
-        self.images, self.seen = CameraImages(session, self._keep_image), SeenWall(session)
-        self.pace = Pace()
-        self.side_panel = server.gui.add_panel()
-        self.panels = [make(self) for make in panels]
-        self.side_panel.dock_right()
-        self.side_panel.set_width(_SIDE_WIDTH)
-        self.bridge = InputBridge(server, self.handler(self._on_input))
-        listen_to_frame_rates(server, self.pace)
-        server.on_client_connect(lambda client: self._join(client.client_id))
-        server.on_client_disconnect(lambda client: self._leave(client.client_id))
+        self._known: dict[str, type[Command]] = {}
+        self._handlers: dict[type[Command], Handler] = {}
+        self._images: dict[str, bytes] = {}
+        self._commands = ThreadPoolExecutor(1, "vrcaps-commands")
         self._thread = threading.Thread(target=self._run, name="vrcaps-page", daemon=True)
 
     def start(self) -> None:
-        """Start showing the session."""
-        self.images.start()
+        """Serve the browsers; those that are connected receive the new setup."""
+        self.hub.receiver = self
+        for client in self.hub.clients:
+            self.join(client)
         self._thread.start()
 
     def close(self) -> None:
-        """Close the page; its server is closed by the owner."""
+        """Stop serving; the connections stay open."""
         self._is_closed = True
-        self.images.close()
         if self._thread.is_alive():
             self._thread.join()
+        self._commands.shutdown(wait=False, cancel_futures=True)
 
-    @property
-    def driver(self) -> int | None:
-        """ID of the browser that drives; None if none does."""
-        return self._driver
-
-    def notify(self, text: str) -> None:
+    def notify(self, text: str, *, is_error: bool = False) -> None:
         """Show a message in all browsers and in the terminal."""
         now = wall_clock.monotonic()
         if now - self._notified.get(text, -np.inf) < _SAID_ONCE:
@@ -143,129 +108,126 @@ class Page:
         }
         self._notified[text] = now
         self._on_message(text)
-        for client in self.server.get_clients().values():
-            client.add_notification("vrcaps", text, auto_close_seconds=8.0)
+        self.hub.broadcast(encode(Notice(text, is_error)))
 
-    def handler(self, function: Callable[..., None]) -> Callable[..., None]:
-        """Wrap a function as event handler whose errors become messages."""
-
-        @functools.wraps(function)
-        def run(*args: Any) -> None:
-            try:
-                function(*args)
-            except VrcapsError as error:
-                self.notify(str(error))
-            except Exception as error:  # the simulation survives any error of a page
-                self.notify(f"Error in the page: {type(error).__name__}: {error}.")
-
-        return run
-
-    def for_driver(self, function: Callable[[], None]) -> Callable[[Any], None]:
-        """Wrap a function as handler of a button that only the driver may press."""
-
-        def run(event: Any) -> None:
-            self.require_driver(event.client_id)
+    def guarded(self, function: Callable[[], None]) -> None:
+        """Run a function; its errors become messages."""
+        try:
             function()
+        except VrcapsError as error:
+            self.notify(str(error), is_error=True)
+        except Exception as error:  # the simulation survives any error of a page
+            self.notify(f"Error in the page: {type(error).__name__}: {error}.", is_error=True)
 
-        return self.handler(run)
-
-    def require_driver(self, client: int | None) -> None:
-        """Check that a browser drives.
-
-        Raises:
-            InputError: If another does.
-        """
-        if client != self._driver:
-            raise InputError("Another browser has control. Press 'Take control' to take over.")
-
-    def require_here(self, what: str) -> None:
-        """Check that only browsers of this machine can reach the page.
+    def show_image(self, kind: str, picture: UInt8[np.ndarray, "h w 3"]) -> None:
+        """Show an image in all browsers.
 
         Args:
-            what: Function that reads files of this machine or runs programs on it.
-
-        Raises:
-            InputError: If other machines can.
+            kind: One of `IMAGE_KINDS`.
+            picture: The image, sRGB.
         """
-        if not is_loopback(self.server.get_host()):
-            raise InputError(
-                f"{what} is allowed only if no other machine can reach the page. Start the "
-                "cockpit without --host, and forward the port."
-            )
+        from PIL import Image
 
-    def start_drive(self, scenario: Scenario) -> None:
-        """End this drive and start another one in the same browsers.
+        buffer = io.BytesIO()
+        Image.fromarray(np.ascontiguousarray(picture)).save(buffer, "JPEG", quality=_QUALITY)
+        self._images[kind] = buffer.getvalue()
+        self.hub.broadcast_image(kind, self._images[kind])
 
-        Raises:
-            InputError: If the scenario is invalid, or a recording is in progress.
-        """
-        if self._start_drive is None:
-            raise InputError("This page supports one drive only. Open the page by open_cockpit.")
-        self._start_drive(scenario)
+    def join(self, client: int) -> None:
+        """Send the setup and the last images to a browser."""
+        self.hub.send(client, encode(Setup(client, self.setup())))
+        for kind, jpeg in list(self._images.items()):
+            self.hub.send_image(client, kind, jpeg)
 
-    def take_over(self, client: int) -> None:
-        """Make a browser the driver; input held by the previous one is released."""
-        self.session.operator.stop()
-        self._driver = client
-        self.notify(f"Browser {client} has control.")
+    def leave(self, client: int) -> None:
+        """Do nothing: a page without a driver does not depend on its browsers."""
 
-    def _join(self, client: int) -> None:
-        if self._driver is None and not self._is_closed:
-            self.take_over(client)
-
-    def _leave(self, client: int) -> None:
-        if client == self._driver and not self._is_closed:
-            self._driver = None
-            self.session.operator.stop()
-            self.notify("The driver's browser is closed: the magnet stops.")
-            others = sorted(self.server.get_clients())
-            if others:
-                self.take_over(others[0])
-
-    def _on_input(self, client: int, text: str) -> None:
-        """Process keys and gamepad of a browser."""
-        driver_input = parse_input(text)
-        if client != self._driver:
-            if any(driver_input.axes):
-                self.require_driver(client)
+    def receive(self, client: int, text: str | bytes) -> None:
+        """Check a message of a browser and execute it in the thread of the commands."""
+        try:
+            number, command = parse_command(text, self._known)
+        except VrcapsError as error:
+            self._refuse(client, 0, error)
             return
-        if driver_input.pad and driver_input.pad not in self._pads:
-            self._pads.add(driver_input.pad)
-            self.notify(f"Gamepad: {driver_input.pad}.{_unknown(driver_input)}")
-        if driver_input.layout is not None:
-            self.pad = driver_input
-        self.session.operator.push(np.array(driver_input.axes))
-        self._axes_time = wall_clock.monotonic() if any(driver_input.axes) else np.inf
-        for action in driver_input.actions:
-            if action in self.actions:
-                self.actions[action]()
+        if not self.at_once(client, command):
+            with contextlib.suppress(RuntimeError):  # the page was closed
+                self._commands.submit(self._execute, client, number, command)
 
-    def _keep_image(self, image: LiveImage) -> None:
-        self.latest_image = image
-        for panel in self.panels:
-            show = getattr(panel, "show_image", None)
-            if show is not None:
-                self.handler(show)(image)
+    def at_once(self, client: int, command: Command) -> bool:
+        """Execute a command without acknowledgement; return whether it was such a command."""
+        del client, command
+        return False
+
+    def check(self, client: int, command: Command) -> None:
+        """Check that a browser may send a command.
+
+        Raises:
+            InputError: If it may not.
+        """
+
+    def setup(self) -> dict[str, Any]:
+        """Constants of the page."""
+        raise NotImplementedError
+
+    def status(self) -> dict[str, Any]:
+        """Current values of the page."""
+        raise NotImplementedError
+
+    def update(self) -> None:
+        """Update scene and images; called about 15 times a second from one thread."""
+        raise NotImplementedError
+
+    def box(self, target: str) -> tuple[np.ndarray, np.ndarray]:
+        """Corners of the box around a target in the world [m], see `FrameView`."""
+        raise NotImplementedError
+
+    def T_world_patient(self) -> np.ndarray:
+        """Posture of the patient."""
+        raise NotImplementedError
+
+    def _handle(self, handlers: Mapping[type[Command], Handler]) -> None:
+        """Register the handlers of the page's commands."""
+        self._handlers = {FrameView: self._frame, **handlers}
+        self._known = {command.name: command for command in self._handlers}
+
+    def _execute(self, client: int, number: int, command: Command) -> None:
+        try:
+            self.check(client, command)
+            rest = self._handlers[type(command)](client, command)
+        except VrcapsError as error:
+            self._refuse(client, number, error)
+            return
+        except Exception as error:  # the simulation survives any error of a page
+            text = f"Error in the page: {type(error).__name__}: {error}."
+            self._refuse(client, number, InputError(text))
+            return
+        self.hub.send(client, encode(Acknowledgement(number)))
+        if rest is not None:
+            threading.Thread(target=self.guarded, args=(rest,), daemon=True).start()
+
+    def _refuse(self, client: int, number: int, error: VrcapsError) -> None:
+        field = error.field if isinstance(error, FieldError) else ""
+        self.hub.send(client, encode(Acknowledgement(number, str(error), field)))
+
+    def _frame(self, client: int, command: FrameView) -> None:
+        scene = scene_clients(self.server).get(client)
+        if scene is None:
+            raise InputError("The scene of this browser is not open. Wait until it is drawn.")
+        frame_box(scene.camera, *self.box(command.target))
 
     def _run(self) -> None:
-        """Show views; the thread's function."""
-        last_index = -1
+        """Update the page; the thread's function."""
         while not self._is_closed:
-            wall_clock.sleep(_SECONDS_PER_UPDATE)
-            if wall_clock.monotonic() - self._axes_time > _DEAD_MAN:
-                self._axes_time = np.inf
-                self.session.operator.stop()
-                self.notify("The driver's browser does not respond: the magnet stops.")
-            view = self.session.view
-            if view is None or view.index == last_index:
-                continue
-            last_index = view.index
-            for panel in self.panels:
-                self.handler(panel.update)(view)
+            wall_clock.sleep(SECONDS_PER_STATUS)
+            self.guarded(self.update)
+            self.guarded(self._send_status)
 
-
-def _unknown(driver_input: DriverInput) -> str:
-    """Hint for a gamepad without an assigned layout."""
-    if driver_input.is_standard or driver_input.layout:
-        return ""
-    return " Its layout is unknown: assign its sticks under 'Gamepad' to use it."
+    def _send_status(self) -> None:
+        clients = self.hub.clients
+        if not clients:
+            return
+        values, posture, scenes = self.status(), self.T_world_patient(), scene_clients(self.server)
+        for client in clients:
+            scene = scenes.get(client)
+            viewpoint = None if scene is None else viewpoint_of(scene.camera, posture)
+            self.hub.send_latest(client, "status", encode(Status(values, viewpoint)))

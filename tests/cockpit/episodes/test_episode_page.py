@@ -44,28 +44,33 @@ def test_two_episodes_play_side_by_side(browser, recorded, tmp_path):
     damaged = read_episode(other).image_path(episode.cameras[0].name, "rgb", 1)
     damaged.write_bytes(damaged.read_bytes()[:50])
     with open_episodes([recorded, other], estimate=path, port=free_port()) as (page, gate):
-        tab = browser.new_page(viewport={"width": 1100, "height": 500}, device_scale_factor=0.3)
+        tab = browser.new_page(viewport={"width": 1300, "height": 700}, device_scale_factor=0.3)
         tab.set_default_timeout(1e3 * WATCHDOG)
         tab.goto(gate.address)
         tab.get_by_role("button", name="Play").wait_for()
         images = tab.locator("img[src^='blob:']")
         wait_until(tab, lambda: images.count() == 2)
-        page._frame.value = 3
+        slider = tab.get_by_label("Frame", exact=True)
+        slider.fill("3")
         tab.get_by_text(f"{episode.times[3]:.2f} s · frame 3").nth(1).wait_for()
         expected = picture("rgb", episode.image(episode.cameras[0].name, "rgb", 3))
-        for shown in page._shown:
-            np.testing.assert_array_equal(shown.image.image, expected)
-        page._frame.value = 1
+        for shown in page.pictures:
+            np.testing.assert_array_equal(shown, expected)
+        tab.get_by_role("button", name="Previous frame").click()
+        wait_until(tab, lambda: page.frame == 2)
+        slider.fill("1")
         tab.get_by_text("lists all faults").first.wait_for()
-        page._frame.value = 3
-        tab.get_by_text("estimate: RMSE").wait_for()
-        assert page._estimate.errors.min() > 0.01
-        page._align.value = "rigid and scale"
+        slider.fill("3")
+        tab.get_by_text("RMSE").wait_for()
+        assert page.estimate.errors.min() > 0.01
+        tab.get_by_label("Alignment").select_option("rigid and scale")
         tab.get_by_text("RMSE 0.00 mm").wait_for()
         before = images.first.get_attribute("src")
-        tab.get_by_label("Channel").first.click()
-        tab.get_by_role("option", name="depth", exact=True).click()
+        tab.get_by_label("Channel").select_option("depth")
         wait_until(tab, lambda: images.first.get_attribute("src") != before)
+        axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+        found = axe.run(tab, options={"iframes": False}).response["violations"]
+        assert [(each["id"], each["nodes"][0]["html"]) for each in found] == []
         tab.get_by_role("button", name="Play").click()
         last = f"frame {len(episode) - 1}"
         tab.get_by_text(last).nth(1).wait_for()

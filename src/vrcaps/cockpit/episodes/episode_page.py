@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
-import threading
 import time as wall_clock
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vrcaps.cockpit import messages
+from vrcaps.cockpit.driving.drive_commands import require_known
 from vrcaps.cockpit.episodes.episode_views import (
     ALIGNMENTS,
     EPISODE_COLORS,
     ESTIMATE_COLOR,
-    EpisodeCharts,
     EpisodeScene,
     PathEstimate,
+    episode_charts,
     read_path_estimate,
 )
+from vrcaps.cockpit.page import Page
+from vrcaps.cockpit.scene.nodes import CUTS
 from vrcaps.cockpit.server import Gate, make_gate, require_viser, serving
 from vrcaps.core.errors import InputError, VrcapsError
 from vrcaps.core.units import MM
@@ -30,178 +32,230 @@ from vrcaps.recording.pictures import legend, limits_of, picture
 if TYPE_CHECKING:
     import viser
 
+    from vrcaps.cockpit.connections import Hub
+
 MAX_EPISODES = 2
-_SIDE_WIDTH = 400.0
-_SECONDS_PER_UPDATE = 1.0 / 30.0
-_SECONDS_PER_MARK = 0.25
-"""Real time between marks of the frame in the charts."""
+SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+"""Recorded time per real time."""
+_IMAGES = ("camera", "other camera")
 
 
-@dataclass(frozen=True)
-class _Shown:
-    """Elements of an episode in the page.
+class EpisodePage(Page):
+    """One or two episodes: their images at a time, and their paths in the organ.
 
     Attributes:
-        episode: The episode.
-        image: Element of the image.
-        caption: Element of the caption.
+        frame: Shown frame of the first episode.
+        pictures: Last image of each episode.
+        estimate: Estimated path, aligned; None without one.
+        scene: 3D scene.
     """
-
-    episode: Episode
-    image: Any
-    caption: Any
-
-
-class EpisodePage:
-    """One or two episodes: their images at a time, and their paths in the organ."""
 
     def __init__(
         self,
         server: viser.ViserServer,
+        hub: Hub,
         episodes: Sequence[Episode],
         estimate: PathEstimate | None = None,
+        on_message: Callable[[str], None] = lambda text: None,
     ) -> None:
         """Build the page.
 
         Args:
-            server: Server of the page.
+            server: Server of the scene.
+            hub: Connections.
             episodes: One or two; the organ is that of the first.
             estimate: Estimated path of the first episode's capsule.
+            on_message: Called with each message, for the terminal.
         """
-        self._server, self._is_closed = server, False
-        self._given, self._estimate = estimate, estimate
-        self._times, gui = episodes[0].times, server.gui
-        self._frame = gui.add_slider("Frame", 0, max(len(self._times) - 1, 1), 1, 0)
-        self._play = gui.add_button("Play")
-        self._speed = gui.add_slider("Speed (× real time)", 0.1, 8.0, 0.1, 1.0)
-        self._channel = gui.add_dropdown("Channel", _all(e.channels for e in episodes))
-        names = _all([camera.name for camera in e.cameras] for e in episodes)
-        self._camera = gui.add_dropdown("Camera", names)
-        self._align: Any = None
-        if estimate is not None:
-            self._align = gui.add_dropdown("Alignment of the estimate", tuple(ALIGNMENTS))
-            self._error = gui.add_markdown("")
-        panel = gui.add_panel()
-        with panel.add_tab("Images"):
-            self._shown = [self._add(k, episode) for k, episode in enumerate(episodes)]
-        with panel.add_tab("Charts"):
-            self._charts = EpisodeCharts(gui, episodes, [_hex(c) for c in EPISODE_COLORS])
-        panel.dock_right()
-        panel.set_width(_SIDE_WIDTH)
-        self._scene = EpisodeScene(server, episodes)
+        super().__init__(server, hub, on_message)
+        self._episodes, self._times = episodes, episodes[0].times
+        self._channels = _all(episode.channels for episode in episodes)
+        self._cameras = _all([camera.name for camera in e.cameras] for e in episodes)
+        self._channel, self._camera = self._channels[0], self._cameras[0]
+        self.frame, self._speed = 0, 1.0
         self._started: tuple[float, float] | None = None
+        self.scene = EpisodeScene(server, episodes)
+        self.pictures: list[np.ndarray | None] = [None] * len(episodes)
+        self._captions = [""] * len(episodes)
         self._drawn: tuple[object, ...] = ()
-        self._marked = (-1, 0.0)
-        self._play.on_click(lambda event: self._toggle())
-        self._thread = threading.Thread(target=self._run, name="vrcaps-view", daemon=True)
+        self._given, self.estimate = estimate, estimate
+        self._alignment, self._estimate_text = "none", ""
+        self._estimate_errors: list[float] = []
+        if estimate is not None:
+            self._align("none")
+        self._constants = self._make_setup()
+        self._handle(self._commands_of_page())
 
-    def start(self) -> None:
-        """Start the display."""
-        self._thread.start()
+    def _commands_of_page(self) -> dict[type[messages.Command], Any]:
+        """Handlers of the commands."""
+        return {
+            messages.SelectFrame: lambda client, command: self.select(command.frame),
+            messages.Resume: lambda client, command: self.play(),
+            messages.Pause: lambda client, command: self.stop(),
+            messages.SetSpeed: self._set_speed,
+            messages.SetCamera: self._set_camera,
+            messages.SetScene: self._set_scene,
+            messages.Align: lambda client, command: self._align(command.alignment),
+            messages.ReportFrameRate: lambda client, command: None,
+        }
 
-    def close(self) -> None:
-        """Stop the display."""
-        self._is_closed = True
-        if self._thread.is_alive():
-            self._thread.join()
+    def select(self, frame: int) -> None:
+        """Show a frame of the first episode.
 
-    def _add(self, index: int, episode: Episode) -> _Shown:
-        """Add image and caption of an episode."""
-        gui, color = self._server.gui, EPISODE_COLORS[index]
-        gui.add_markdown(f'<span style="color:rgb{color}">&#9632;</span> **{episode.name}**')
-        camera = episode.cameras[0]
-        blank = np.zeros((camera.height, camera.width, 3), np.uint8)
-        return _Shown(episode, gui.add_image(blank, format="jpeg"), gui.add_markdown(""))
+        Raises:
+            InputError: If there is no such frame.
+        """
+        last = len(self._times) - 1
+        if not 0 <= frame <= last:
+            raise InputError(f"frame is {frame}. Allowed: 0 to {last}.")
+        self.stop()
+        self.frame = frame
 
-    def _toggle(self) -> None:
-        """Play from the current frame, or stop."""
+    def play(self) -> None:
+        """Play from the current frame, or from the first after the last."""
+        if self.frame >= len(self._times) - 1:
+            self.frame = 0
+        self._started = (wall_clock.perf_counter(), float(self._times[self.frame]))
+
+    def stop(self) -> None:
+        """Stop playing."""
+        self._started = None
+
+    def setup(self) -> dict[str, Any]:
+        """Constants of the page."""
+        return self._constants
+
+    def status(self) -> dict[str, Any]:
+        """Current values of the page."""
+        scene = self.scene.settings
+        return {
+            "frame": self.frame,
+            "isPlaying": self._started is not None,
+            "speed": self._speed,
+            "camera": self._camera,
+            "channel": self._channel,
+            "captions": list(self._captions),
+            "alignment": self._alignment,
+            "estimate": self._estimate_text,
+            "estimateErrors": self._estimate_errors,
+            "scene": {
+                "coloring": scene.coloring,
+                "opacity": scene.opacity,
+                "cut": scene.cut,
+                "cut_fraction": scene.cut_fraction,
+                "has_lines": scene.has_lines,
+                "has_patient": scene.has_patient,
+            },
+            "legend": self.scene.legend,
+        }
+
+    def update(self) -> None:
+        """Advance the frame while playing; show the changes."""
         if self._started is not None:
-            self._started = None
-            self._play.label = "Play"
+            self._advance(*self._started)
+        wanted = (self.frame, self._channel, self._camera, self._alignment, self.scene.settings)
+        if wanted == self._drawn:
             return
-        frame = int(self._frame.value)
-        frame = 0 if frame >= len(self._times) - 1 else frame
-        self._started = (wall_clock.perf_counter(), float(self._times[frame]))
-        self._play.label = "Stop"
+        self._drawn = wanted
+        time = float(self._times[self.frame])
+        indices = [int(np.argmin(np.abs(episode.times - time))) for episode in self._episodes]
+        try:
+            self.scene.show(indices)
+        except VrcapsError as error:  # a damaged wall: other frames may be intact
+            self.notify(str(error), is_error=True)
+        for number, index in enumerate(indices):
+            self._show_image(number, index)
 
-    def _run(self) -> None:
-        """Show the frame of the slider, and advance it while playing; the thread's function."""
-        align: str | None = None
-        while not self._is_closed:
-            wall_clock.sleep(_SECONDS_PER_UPDATE)
-            if self._started is not None:
-                self._advance(*self._started)
-            if self._align is not None and self._align.value != align:
-                align = str(self._align.value)
-                self._show_estimate(ALIGNMENTS[align])
-                self._drawn = ()
-            wanted = (self._frame.value, self._channel.value, self._camera.value)
-            if self._scene.draw_organ() or wanted != self._drawn:
-                self._drawn = wanted
-                try:
-                    self._show(int(self._frame.value))
-                except VrcapsError as error:  # a damaged file: other frames may be intact
-                    for view in self._shown:
-                        view.caption.content = f"**{error}**"
-            self._mark(int(self._frame.value))
+    def box(self, target: str) -> tuple[np.ndarray, np.ndarray]:
+        """Corners of the box around a target in the world [m]."""
+        return self.scene.box(target, self.frame)
+
+    def T_world_patient(self) -> np.ndarray:
+        """Posture of the patient."""
+        return self.scene.T_world_patient(self.frame)
+
+    def _make_setup(self) -> dict[str, Any]:
+        colors = [_hex(color) for color in EPISODE_COLORS]
+        return {
+            "times": np.asarray(self._times, float).round(6).tolist(),
+            "episodes": [
+                {"name": episode.name, "color": color, "folder": episode.url}
+                for episode, color in zip(self._episodes, colors, strict=False)
+            ],
+            "cameras": list(self._cameras),
+            "channels": list(self._channels),
+            "speeds": [{"label": f"{speed:g} ×", "value": speed} for speed in SPEEDS],
+            "charts": episode_charts(self._episodes, has_estimate=self._given is not None),
+            "hasEstimate": self._given is not None,
+            "alignments": list(ALIGNMENTS),
+            "estimateColor": _hex(ESTIMATE_COLOR),
+            "colorings": list(self.scene.colorings),
+            "cuts": [{"value": name, "label": label} for name, label in CUTS.items()],
+            "hasMagnet": self.scene.has_magnet,
+        }
 
     def _advance(self, started: float, first: float) -> None:
-        """Advance the slider to the frame that is due; stop at the end."""
-        time = first + (wall_clock.perf_counter() - started) * self._speed.value
-        frame = int(np.searchsorted(self._times, time, side="right")) - 1
-        self._frame.value = frame
-        if frame >= len(self._times) - 1:
-            self._toggle()
+        """Advance to the frame that is due; stop at the end."""
+        time = first + (wall_clock.perf_counter() - started) * self._speed
+        self.frame = max(0, int(np.searchsorted(self._times, time, side="right")) - 1)
+        if self.frame >= len(self._times) - 1:
+            self.stop()
 
-    def _mark(self, frame: int) -> None:
-        """Mark the frame in the charts, a few times a second."""
-        marked, at = self._marked
-        now = wall_clock.perf_counter()
-        frame = min(frame, len(self._times) - 1)
-        if frame != marked and now - at > _SECONDS_PER_MARK:
-            self._marked = (frame, now)
-            self._charts.mark(frame)
+    def _set_speed(self, client: int, command: messages.SetSpeed) -> None:
+        self._speed = command.speed
+        if self._started is not None:
+            self._started = (wall_clock.perf_counter(), float(self._times[self.frame]))
 
-    def _show_estimate(self, align: Any) -> None:
+    def _set_camera(self, client: int, command: messages.SetCamera) -> None:
+        require_known("camera", command.camera, self._cameras)
+        require_known("channel", command.channel, self._channels)
+        self._camera, self._channel = command.camera, command.channel
+
+    def _set_scene(self, client: int, command: messages.SetScene) -> None:
+        require_known("coloring", command.coloring, self.scene.colorings)
+        self.scene.settings = command
+
+    def _align(self, alignment: str) -> None:
         """Draw the estimate after an alignment; without it if the alignment fails."""
-        assert self._given is not None
+        require_known("alignment", alignment, ALIGNMENTS)
+        if self._given is None:
+            raise InputError("There is no estimated path. Start vrcaps view with --estimate.")
         try:
-            self._estimate, note = self._given.aligned(align), ""
+            self.estimate, note = self._given.aligned(ALIGNMENTS[alignment]), ""
         except InputError as error:
-            self._estimate, note = self._given, f"{error} It is shown without alignment. "
-        errors = self._estimate.errors / MM
+            self.estimate, note = self._given, f"{error} It is shown without alignment. "
+        errors = self.estimate.errors / MM
         rmse, most = float(np.sqrt(np.mean(errors**2))), float(errors.max())
-        spot = f'<span style="color:rgb{ESTIMATE_COLOR}">&#9632;</span>'
-        self._error.content = (
-            f"{spot} {note}estimate: RMSE **{rmse:.2f} mm**, at most {most:.2f} mm, over "
-            f"{len(errors)} of {len(self._times)} frames"
+        self._estimate_text = (
+            f"{note}RMSE {rmse:.2f} mm, at most {most:.2f} mm, over {len(errors)} of "
+            f"{len(self._times)} frames"
         )
-        self._scene.show_estimate(self._estimate)
-        self._charts.show_error(self._estimate, _hex(ESTIMATE_COLOR))
-        self._marked = (-1, 0.0)
+        values = np.full(len(self._times), np.nan)
+        values[self.estimate.frames] = errors
+        self._estimate_errors = values.round(4).tolist()
+        self._alignment = alignment
+        self.scene.show_estimate(self.estimate)
 
-    def _show(self, frame: int) -> None:
-        """Show a frame of the first episode, and the frame of the other at the same time."""
-        time = float(self._times[min(frame, len(self._times) - 1)])
-        indices = [int(np.argmin(np.abs(s.episode.times - time))) for s in self._shown]
-        self._scene.show(indices)
-        for view, index in zip(self._shown, indices, strict=True):
-            caption = f"{view.episode.times[index]:.2f} s · frame {index}"
-            view.caption.content = caption + self._show_image(view, index)
-
-    def _show_image(self, view: _Shown, index: int) -> str:
-        """Show an episode's image; return the rest of the caption, after its time."""
-        episode, channel = view.episode, self._channel.value
-        camera = self._camera.value
+    def _show_image(self, number: int, index: int) -> None:
+        """Show an episode's image with its caption, or the reason why there is none."""
+        episode, channel, camera = self._episodes[number], self._channel, self._camera
+        time = f"{episode.times[index]:.2f} s · frame {index}"
         if camera not in [known.name for known in episode.cameras]:
             camera = episode.cameras[0].name
         if channel not in episode.channels:
-            return f" · {channel} is not recorded"
-        values = episode.image(camera, channel, index)
+            self._captions[number] = f"{time} · {channel} is not recorded"
+            return
+        try:
+            values = episode.image(camera, channel, index)
+        except VrcapsError as error:  # a damaged file: other frames may be intact
+            self._captions[number] = str(error)
+            return
         limits = limits_of(channel, [values])
-        view.image.image = picture(channel, values, limits)
+        shown = picture(channel, values, limits)
+        self.pictures[number] = shown
         description = legend(channel, [values], limits, episode.label_names)
-        return f" · {channel}{description}" if description else ""
+        self._captions[number] = f"{time} · {channel}{description}" if description else time
+        self.show_image(_IMAGES[number], shown)
 
 
 def _all(names: Any) -> tuple[str, ...]:
@@ -210,7 +264,7 @@ def _all(names: Any) -> tuple[str, ...]:
 
 
 def _hex(color: tuple[int, int, int]) -> str:
-    """Format a color for a chart."""
+    """Format a color for the page."""
     return "#{:02x}{:02x}{:02x}".format(*color)
 
 
@@ -243,8 +297,8 @@ def open_episodes(
     episodes = [read_episode(folder) for folder in folders]
     path = None if estimate is None else read_path_estimate(estimate, episodes[0])
     gate = make_gate(host, port)
-    with serving(gate, on_message) as server:
-        page = EpisodePage(server, episodes, path)
+    with serving(gate, on_message, "episodes.html") as (server, hub):
+        page = EpisodePage(server, hub, episodes, path, on_message)
         page.start()
         try:
             yield page, gate

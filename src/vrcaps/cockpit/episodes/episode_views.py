@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vrcaps.cockpit.messages import SetScene
 from vrcaps.cockpit.scene.colorings import coarse_mesh, coloring_names, make_coloring
 from vrcaps.cockpit.scene.external_nodes import MagnetNode, PatientNode
-from vrcaps.cockpit.scene.nodes import CUT_AXES, Cut, OrganNode, add_capsule, add_path, aim, move
+from vrcaps.cockpit.scene.live_scene import OPACITY
+from vrcaps.cockpit.scene.nodes import OrganNode, add_capsule, add_path, cut_of, move
+from vrcaps.cockpit.scene.viewpoint import aim
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import transform_points
 from vrcaps.core.units import MM
@@ -35,6 +38,9 @@ ALIGNMENTS: dict[str, TrajectoryAlignment] = {
     "rigid and scale": "sim3",
 }
 """Alignments to the true path, by their names in the page."""
+
+_CAPSULE_ROOM = 1.5
+"""Half the size of the box that frames the capsule, in lengths of the capsule."""
 
 
 @dataclass(frozen=True)
@@ -88,21 +94,21 @@ def read_path_estimate(path: Path, episode: Episode) -> PathEstimate:
     return PathEstimate(frames, poses, episode.Ts_world_capsule[frames])
 
 
-_HEIGHT = 130
-_NOW = "#f8f9fa"
-
-
 @dataclass(frozen=True)
 class Column:
     """Quantity of an episode in a chart.
 
     Attributes:
-        title: Title with unit.
+        name: Name in the page.
+        unit: Unit; empty for a ratio.
+        min_span: Minimum span of its chart, so that noise does not fill it.
         needs: Table columns that it is computed from.
         of: Computes its values from these columns.
     """
 
-    title: str
+    name: str
+    unit: str
+    min_span: float
     needs: tuple[str, ...]
     of: Callable[..., np.ndarray]
 
@@ -113,78 +119,47 @@ def _size(*parts: np.ndarray) -> np.ndarray:
 
 COLUMNS = (
     Column(
-        "speed [mm/s]",
+        "Speed",
+        "mm/s",
+        5.0,
         tuple(f"capsule_v{axis}_m_per_s" for axis in "xyz"),
         lambda *parts: _size(*parts) / MM,
     ),
-    Column("clearance to the wall [mm]", ("capsule_clearance_m",), lambda gap: gap / MM),
-    Column("contact force [mN]", ("normal_force_total_n",), lambda force: 1e3 * force),
+    Column("Clearance to the wall", "mm", 2.0, ("capsule_clearance_m",), lambda gap: gap / MM),
+    Column("Contact force", "mN", 20.0, ("normal_force_total_n",), lambda force: 1e3 * force),
     Column(
-        "magnetic force [mN]",
+        "Magnetic force",
+        "mN",
+        50.0,
         tuple(f"magnetic_force_{axis}_n" for axis in "xyz"),
         lambda *parts: 1e3 * _size(*parts),
     ),
-    Column("angle to the field [°]", ("coupling_angle_rad",), np.rad2deg),
-    Column("insufflation [1]", ("insufflation",), lambda factor: factor),
+    Column("Angle to the field", "°", 10.0, ("coupling_angle_rad",), np.rad2deg),
+    Column("Insufflation", "×", 0.2, ("insufflation",), lambda factor: factor),
 )
-"""Charts from top to bottom; an episode has those whose columns it contains."""
+"""Quantities of charts; an episode has those whose columns it contains."""
+
+_ESTIMATE_ERROR = {"name": "Error of the estimate", "unit": "mm", "minSpan": 1.0, "digits": 2}
 
 
-class EpisodeCharts:
-    """Charts over the time of the first episode, with a line for each episode."""
+def episode_charts(episodes: Sequence[Episode], *, has_estimate: bool) -> list[dict[str, Any]]:
+    """Charts over the time of the first episode, with a line for each episode.
 
-    def __init__(
-        self, gui: viser.GuiApi, episodes: Sequence[Episode], colors: Sequence[str]
-    ) -> None:
-        """Add the charts whose columns an episode contains.
-
-        Args:
-            gui: Parent of the charts.
-            episodes: One or two episodes.
-            colors: Colors of their lines.
-        """
-        self._gui, self._times = gui, episodes[0].times
-        self._charts: list[tuple[Any, list[np.ndarray]]] = []
-        for column in COLUMNS:
-            lines = [(values_of(column, episode), episode.times) for episode in episodes]
-            if not all(np.isnan(values).all() for values, _ in lines):
-                resampled = [np.interp(self._times, at, v, np.nan, np.nan) for v, at in lines]
-                self._charts.append((self._add(column.title, resampled, colors), resampled))
-        self._error: Any = None
-
-    def show_error(self, estimate: PathEstimate, color: str) -> None:
-        """Add or update the chart of an estimate's error."""
-        errors = np.full(len(self._times), np.nan)
-        errors[estimate.frames] = estimate.errors / MM
-        if self._error is None:
-            self._error = self._add("error of the estimate [mm]", [errors], (color,))
-            self._charts.append((self._error, [errors]))
-        else:
-            self._charts[-1] = (self._error, [errors])
-
-    def mark(self, frame: int) -> None:
-        """Mark a frame of the first episode in all charts."""
-        for chart, lines in self._charts:
-            chart.data = (self._times, *lines, _marked(lines[0], frame))
-
-    def _add(self, title: str, lines: list[np.ndarray], colors: Sequence[str]) -> Any:
-        from viser import uplot
-
-        drawn = [
-            uplot.Series(label=title, stroke=color, width=1.5)
-            for _, color in zip(lines, colors, strict=False)
-        ]
-        now = uplot.Series(
-            label="now", stroke=_NOW, points=uplot.Series_Points(show=True, size=9.0)
-        )
-        return self._gui.add_uplot(
-            (self._times, *lines, _marked(lines[0], 0)),
-            (uplot.Series(label="s"), *drawn, now),
-            title=title,
-            height=_HEIGHT,
-            scales={"x": uplot.Scale(time=False)},
-            legend=uplot.Legend(show=False),
-        )
+    Args:
+        episodes: One or two episodes.
+        has_estimate: Whether there is a chart of the error of an estimated path.
+    """
+    times, charts = episodes[0].times, []
+    if has_estimate:
+        charts.append({**_ESTIMATE_ERROR, "lines": [], "isEstimate": True})
+    for column in COLUMNS:
+        lines = [(values_of(column, episode), episode.times) for episode in episodes]
+        if all(np.isnan(values).all() for values, _ in lines):
+            continue
+        resampled = [np.interp(times, at, v, np.nan, np.nan).round(5).tolist() for v, at in lines]
+        chart = {"name": column.name, "unit": column.unit, "minSpan": column.min_span}
+        charts.append({**chart, "digits": 2, "lines": resampled, "isEstimate": False})
+    return charts
 
 
 def values_of(column: Column, episode: Episode) -> np.ndarray:
@@ -195,19 +170,18 @@ def values_of(column: Column, episode: Episode) -> np.ndarray:
     return np.asarray(column.of(*(table[name] for name in column.needs)), float)
 
 
-def _marked(values: np.ndarray, frame: int) -> np.ndarray:
-    """All NaN except for the value of a frame."""
-    marked = np.full(len(values), np.nan)
-    marked[frame] = values[frame]
-    return marked
-
-
-EPISODE_COLORS: tuple[Color, ...] = ((255, 190, 40), (80, 200, 255))
-ESTIMATE_COLOR: Color = (255, 90, 160)
+EPISODE_COLORS: tuple[Color, ...] = ((255, 190, 40), (86, 180, 233))
+ESTIMATE_COLOR: Color = (230, 130, 190)
 
 
 class EpisodeScene:
-    """Scene of one or two episodes; organ, patient and magnet are those of the first."""
+    """Scene of one or two episodes; organ, patient and magnet are those of the first.
+
+    Attributes:
+        settings: Display settings; may be set at any time.
+        legend: Colors and labels of the current coloring.
+        colorings: Names of the organ's colorings.
+    """
 
     def __init__(self, server: viser.ViserServer, episodes: Sequence[Episode]) -> None:
         self._scene, self._episodes, first = server.scene, episodes, episodes[0]
@@ -216,7 +190,7 @@ class EpisodeScene:
         self._vertices = transform_points(self._T_world_patient, self._surface.vertices)
         self._mesh = coarse_mesh(self._vertices, self._surface.faces)
         self._walls = RecordedWalls(first, self._vertices) if "wall" in first.head else None
-        self._wall_frame = 0
+        self._points = self._vertices
         self._organ = OrganNode(self._scene, self._mesh)
         self._patient = PatientNode(self._scene, self._surface.vertices)
         self._patients = _poses(first, "patient")
@@ -225,28 +199,49 @@ class EpisodeScene:
         self._estimate: PathEstimate | None = None
         self._estimate_node: Any = None
         self._drawn: tuple[object, ...] = ()
-        above = self._vertices if self._magnets is None else self._magnets[:1, :3, 3]
-        high = np.maximum(self._vertices.max(axis=0), above.max(axis=0))
-        aim(server, self._vertices.min(axis=0), high)
-        self._add_controls(server.gui)
+        self.colorings = coloring_names(self._surface, is_live=False)
+        has_magnet = self._magnet is not None
+        self.settings = SetScene(self.colorings[0], OPACITY, "capsule", 0.5, has_magnet, True)
+        self.legend: list[tuple[list[int], str]] = []
+        aim(server, *self.box("all", 0))
+
+    @property
+    def has_magnet(self) -> bool:
+        """True if a magnet steered the capsule."""
+        return self._magnet is not None
+
+    def T_world_patient(self, frame: int) -> Float[np.ndarray, "4 4"]:
+        """Posture of the patient at a frame."""
+        return self._T_world_patient if self._patients is None else self._patients[frame]
+
+    def box(self, target: str, frame: int) -> tuple[np.ndarray, np.ndarray]:
+        """Corners of the box around a target at a frame in the world [m], see `FrameView`."""
+        if target == "capsule":
+            place = self._episodes[0].Ts_world_capsule[frame][:3, 3]
+            half = np.full(3, _CAPSULE_ROOM * self._episodes[0].head["capsule"]["length_m"])
+            return place - half, place + half
+        low, high = self._vertices.min(axis=0), self._vertices.max(axis=0)
+        if target == "all" and self._magnets is not None:
+            place = self._magnets[frame][:3, 3]
+            low, high = np.minimum(low, place), np.maximum(high, place)
+        return low, high
 
     def show(self, indices: Sequence[int]) -> None:
         """Move all nodes to a frame of each episode."""
         for capsule, episode, index in zip(self._capsules, self._episodes, indices, strict=True):
             move(capsule, episode.Ts_world_capsule[index])
-        frame = indices[0]
+        frame, settings = indices[0], self.settings
         if self._estimate is not None:
             pose_index = self._estimate.index_of(frame)
             self._estimate_node.visible = pose_index is not None
             if pose_index is not None:
                 move(self._estimate_node, self._estimate.estimated[pose_index])
-        lies = self._T_world_patient if self._patients is None else self._patients[frame]
-        self._patient.show(lies, is_visible=self._has_patient.value)
-        if self._walls is not None and frame != self._wall_frame:
-            self._wall_frame = frame
-            self._organ.move(self._walls.at(frame))
+        self._patient.show(self.T_world_patient(frame), is_visible=settings.has_patient)
         if self._magnet is not None and self._magnets is not None:
-            self._magnet.show(self._magnets[frame], has_lines=self._has_lines.value)
+            self._magnet.show(self._magnets[frame], has_lines=settings.has_lines)
+        if self._walls is not None:
+            self._points = self._walls.at(frame)
+        self._draw_organ(frame)
 
     def show_estimate(self, estimate: PathEstimate) -> None:
         """Draw an estimated path and its capsule."""
@@ -259,34 +254,19 @@ class EpisodeScene:
         add_path(self._scene, "/estimate/path", estimate.estimated[:, :3, 3], ESTIMATE_COLOR)
         self._estimate = estimate
 
-    def draw_organ(self) -> bool:
-        """Draw the organ according to the controls; return whether any control had changed."""
-        cut = Cut(self._cut_axis.value, self._cut_fraction.value)
-        drawn = (self._color.value, cut, self._opacity.value)
-        wanted = (*drawn, self._has_patient.value, self._has_lines.value)
-        if wanted == self._drawn:
-            return False
-        if drawn != self._drawn[:3]:
-            coloring = make_coloring(self._color.value, self._surface, self._mesh)
-            self._organ.set_opacity(self._opacity.value)
-            self._organ.draw(self._vertices, coloring, cut)
-            self._wall_frame = -1
-            self._legend.content = coloring.legend()
-        self._drawn = wanted
-        return True
-
-    def _add_controls(self, gui: viser.GuiApi) -> None:
-        with gui.add_folder("Scene"):
-            names = coloring_names(self._surface, is_live=False)
-            self._color = gui.add_dropdown("Coloring", names)
-            self._opacity = gui.add_slider("Opacity", 0.1, 1.0, 0.05, 0.35)
-            self._cut_axis = gui.add_dropdown("Cutting axis", CUT_AXES)
-            self._cut_fraction = gui.add_slider("Cutting position", 0.0, 1.0, 0.05, 0.5)
-            self._has_lines = gui.add_checkbox(
-                "Field lines", True, visible=self._magnet is not None
-            )
-            self._has_patient = gui.add_checkbox("Patient and table", True)
-            self._legend = gui.add_markdown("")
+    def _draw_organ(self, frame: int) -> None:
+        """Draw the organ if its color or cut have changed; otherwise move it."""
+        settings, first = self.settings, self._episodes[0]
+        pose, radius = first.Ts_world_capsule[frame], first.head["capsule"]["radius_m"]
+        cut = cut_of(settings.cut, settings.cut_fraction, pose, radius)
+        self._organ.set_opacity(settings.opacity)
+        if (settings.coloring, cut) == self._drawn:
+            self._organ.move(self._points)
+            return
+        self._drawn = (settings.coloring, cut)
+        coloring = make_coloring(settings.coloring, self._surface, self._mesh)
+        self._organ.draw(self._points, coloring, cut)
+        self.legend = [(list(color), text) for color, text in coloring.legend()]
 
     def _add_episode(self, episode_index: int, episode: Episode) -> Any:
         """Add capsule and path of an episode."""

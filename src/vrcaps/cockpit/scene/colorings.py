@@ -80,6 +80,8 @@ def _clustered(points: np.ndarray, faces: np.ndarray, cell: float) -> PageMesh:
 
 
 Color = tuple[int, int, int]
+Legend = list[tuple[Color, str]]
+"""Colors and their labels."""
 
 PLAIN = (225, 150, 140)
 """Color of a wall without classes."""
@@ -157,8 +159,8 @@ class Coloring:
         del points, T_world_capsule
         return ()
 
-    def legend(self) -> str:
-        """Legend of the colors, as Markdown."""
+    def legend(self) -> Legend:
+        """Legend of the colors."""
         raise NotImplementedError
 
     def _faces(self, of_vertices: np.ndarray) -> np.ndarray:
@@ -173,16 +175,16 @@ class SegmentColoring(Coloring):
 
     def __init__(self, organ: OrganSurface, mesh: PageMesh) -> None:
         super().__init__(organ, mesh)
-        self.colors = [_hue(k) for k in range(len(organ.label_names))]
+        self.colors = [_distinct(k) for k in range(len(organ.label_names))]
 
     def classes(self) -> np.ndarray:
         """Label index of each triangle."""
         return self._faces(self.organ.label)
 
-    def legend(self) -> str:
+    def legend(self) -> Legend:
         """Names of the labels."""
         present = np.unique(self.classes())
-        return legend_of([(self.colors[k], self.organ.label_names[k]) for k in present])
+        return [(self.colors[k], self.organ.label_names[k].replace("_", " ")) for k in present]
 
 
 class LesionColoring(Coloring):
@@ -193,7 +195,7 @@ class LesionColoring(Coloring):
     def __init__(self, organ: OrganSurface, mesh: PageMesh) -> None:
         super().__init__(organ, mesh)
         count = int(organ.instance.max(initial=0))
-        self.colors = [PLAIN, *(_hue(k) for k in range(1, count + 1))]
+        self.colors = [PLAIN, *(_distinct(k) for k in range(1, count + 1))]
 
     @classmethod
     def fits(cls, organ: OrganSurface) -> bool:
@@ -204,9 +206,9 @@ class LesionColoring(Coloring):
         """Instance of the lesion at any corner of each triangle."""
         return self.organ.instance[self.mesh.vertices][self.mesh.faces].max(axis=1).astype(int)
 
-    def legend(self) -> str:
+    def legend(self) -> Legend:
         """Instances of the lesions."""
-        return legend_of([(color, f"lesion {k}") for k, color in enumerate(self.colors) if k])
+        return [(color, f"lesion {k}") for k, color in enumerate(self.colors) if k]
 
 
 class CoverageColoring(Coloring):
@@ -217,7 +219,7 @@ class CoverageColoring(Coloring):
     def __init__(self, organ: OrganSurface, mesh: PageMesh, live: LiveWall) -> None:
         super().__init__(organ, mesh)
         self._seen = live.seen
-        self.colors = [(120, 120, 128), (90, 200, 110)]
+        self.colors = [(110, 112, 122), (86, 180, 233)]
 
     @property
     def version(self) -> int:
@@ -228,21 +230,24 @@ class CoverageColoring(Coloring):
         """1 where most corners of a triangle were seen."""
         return self._faces(self._seen.vertices.astype(np.uint8))
 
-    def legend(self) -> str:
+    def legend(self) -> Legend:
         """Legend of seen and unseen."""
-        return legend_of([(self.colors[1], "seen"), (self.colors[0], "not seen")])
+        return [(self.colors[1], "seen"), (self.colors[0], "not seen")]
 
 
-def _hue(label: int) -> Color:
-    """Distinct color: hues a golden angle apart."""
+_LIGHT: tuple[Color, ...] = (
+    *((119, 170, 221), (238, 136, 102), (238, 221, 136), (255, 170, 187), (153, 221, 255)),
+    *((68, 187, 153), (187, 204, 51), (170, 170, 0), (221, 221, 221)),
+)
+"""Colors that color-blind viewers distinguish: scheme light of P. Tol, Colour Schemes (2021)."""
+
+
+def _distinct(label: int) -> Color:
+    """Distinct color of a label; beyond the scheme, hues a golden angle apart."""
+    if label < len(_LIGHT):
+        return _LIGHT[label]
     color = colorsys.hsv_to_rgb(label * _GOLDEN % 1.0, 0.45, 0.92)
     return tuple(round(255 * part) for part in color)  # type: ignore[return-value]
-
-
-def legend_of(entries: list[tuple[Color, str]]) -> str:
-    """Legend of colors, as Markdown."""
-    spots = (f'<span style="color:rgb{color}">&#9632;</span> {text}' for color, text in entries)
-    return " · ".join(spots)
 
 
 _COLORS: tuple[Color, ...] = (
@@ -292,13 +297,13 @@ class PressureColoring(ContactColoring):
         """Pressure [kPa]."""
         return 1e-3 * self._live.foundation.static_pressure(depth)
 
-    def legend(self) -> str:
+    def legend(self) -> Legend:
         """Lower pressure limits of the bands."""
         entries = [
             (color, f"{low:g} kPa") for color, low in zip(_COLORS[1:], self.limits[1:], strict=True)
         ]
-        least = (_COLORS[0], f"below {self.limits[1]:g} kPa")
-        return f"{legend_of([least, *entries])} or more"
+        entries[-1] = (entries[-1][0], f"{entries[-1][1]} or more")
+        return [(_COLORS[0], f"below {self.limits[1]:g} kPa"), *entries]
 
 
 class StiffnessColoring(ContactColoring):
@@ -312,14 +317,14 @@ class StiffnessColoring(ContactColoring):
         foundation = self._live.foundation
         return foundation.stiffness_at(depth) / foundation.stiffness
 
-    def legend(self) -> str:
+    def legend(self) -> Legend:
         """Lower stiffness limits of the bands."""
         at_rest = self._live.foundation.stiffness / _KILO_MM
         entries = [
-            (color, f"{factor * at_rest:.3g}")
+            (color, f"{factor * at_rest:.3g} kPa/mm")
             for color, factor in zip(_COLORS, self.limits, strict=True)
         ]
-        return f"{legend_of([(PLAIN, f'{at_rest:.3g}'), *entries])} kPa/mm or more"
+        return [(PLAIN, f"{at_rest:.3g} kPa/mm"), *entries]
 
 
 _STATIC: dict[str, type[Coloring]] = {each.name: each for each in (SegmentColoring, LesionColoring)}

@@ -203,7 +203,7 @@ def _lines(sections: Float[np.ndarray, "s 5"]) -> Float[np.ndarray, "k 2 3"]:
     return np.concatenate([around.reshape(-1, 2, 3), along.reshape(-1, 2, 3)])
 
 
-_OUTLINE_COLOR, _TABLE_COLOR = (150, 125, 112), (36, 40, 46)
+_OUTLINE_COLOR, _TABLE_COLOR = (104, 92, 86), (20, 23, 27)
 _TABLE_SIZE = (0.6, 1.95, 0.05)
 """Width, length and thickness [m]."""
 _LYING = 0.5

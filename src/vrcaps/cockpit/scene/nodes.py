@@ -18,16 +18,23 @@ if TYPE_CHECKING:
     from vrcaps.cockpit.scene.colorings import Color, Coloring, Patch
 
 _FRONT_COLOR, _BODY_COLOR = (70, 150, 255), (240, 240, 245)
-_FROM = (0.2, -1.05, 0.4)
-"""Initial viewpoint, in sizes of the visible box."""
 _PATH_STEP = 1e-3
 """Distance between points of a growing path [m]."""
 _VISIBLE = 2e-4
 """Motion of the wall [m] below which it is not updated."""
 _SAME_PLACE, _SAME_TURN = 1e-5, 1e-4
 """Differences in position [m] and quaternion below which a node is not moved."""
-CUT_AXES = ("none", "x", "y", "z")
-"""World axes across which the organ may be cut."""
+_AXES = ("x", "y", "z")
+_CUT_STEP = 4e-3
+"""Distance [m] in whose multiples a cut follows the capsule."""
+CUTS = {
+    "capsule": "at the capsule",
+    "none": "none",
+    "x": "across x",
+    "y": "across y",
+    "z": "across z",
+}
+"""Cuts of the organ, and their labels."""
 
 
 @dataclass(frozen=True)
@@ -35,20 +42,41 @@ class Cut:
     """Clipping plane across a world axis; its lower side is removed.
 
     Attributes:
-        axis: One of `CUT_AXES`.
+        kind: One of `CUTS`.
         fraction: Position from 0, the organ's lowest point along the axis, to 1.
+        level: Position along y of the plane in front of the capsule [m].
     """
 
-    axis: str = "none"
+    kind: str = "none"
     fraction: float = 0.5
+    level: float = 0.0
 
     def keeps(self, points: Float[np.ndarray, "n 3"], faces: np.ndarray) -> np.ndarray:
         """Mask of the triangles that are kept, by their centers."""
-        if self.axis == "none":
+        if self.kind == "none":
             return np.ones(len(faces), bool)
-        along = points[:, CUT_AXES.index(self.axis) - 1]
+        if self.kind == "capsule":
+            return points[faces, 1].mean(axis=1) >= self.level
+        along = points[:, _AXES.index(self.kind)]
         level = along.min() + self.fraction * np.ptp(along)
         return along[faces].mean(axis=1) >= level
+
+
+def cut_of(
+    kind: str, fraction: float, T_world_capsule: Float[np.ndarray, "4 4"], radius: float
+) -> Cut:
+    """Cut of the organ while the capsule is at a pose.
+
+    Args:
+        kind: One of `CUTS`.
+        fraction: See `Cut`.
+        T_world_capsule: Pose of the capsule.
+        radius: Radius of the capsule [m].
+    """
+    if kind != "capsule":
+        return Cut(kind, fraction)
+    front = float(T_world_capsule[1, 3]) - radius
+    return Cut(kind, level=_CUT_STEP * np.floor(front / _CUT_STEP))
 
 
 @dataclass(frozen=True)
@@ -229,21 +257,6 @@ class PathNode:
         if len(self._path) >= 2 and len(self._path) != self._num_drawn:
             self._num_drawn = len(self._path)
             add_path(self._scene, self._name, self.positions, self._color)
-
-
-def aim(server: viser.ViserServer, low: np.ndarray, high: np.ndarray) -> None:
-    """Aim the initial view at a box.
-
-    Args:
-        server: Server of the page.
-        low: Lower corner of the box in the world [m].
-        high: Upper corner [m].
-    """
-    middle, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
-    camera = server.initial_camera
-    camera.position = tuple(middle + size * np.array(_FROM))
-    camera.look_at = tuple(middle)
-    server.scene.configure_default_lights(enabled=True, cast_shadow=False)
 
 
 def move(handle: Any, T: Float[np.ndarray, "4 4"]) -> None:

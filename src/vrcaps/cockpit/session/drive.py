@@ -10,16 +10,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vrcaps.actuation.steering_program import JOYSTICK_COLUMNS, JoystickCommand
+from vrcaps.anatomy.catalog import ORGANS
 from vrcaps.camera_pipeline.effect.base import ImageEffect
 from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES
 from vrcaps.capsule.device_file import device_names, device_of, read_device
-from vrcaps.config.file_ref import FileRef
+from vrcaps.config.file_ref import FileRef, path_of
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import is_new_folder, remove_stale, write_bytes, write_json
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.scenario.scenario import (
     PREVALENCE,
     SOURCE_ORGAN,
+    OrganFile,
     OrganGenerated,
     Scenario,
     organ_named,
@@ -28,6 +30,7 @@ from vrcaps.scenario.scenario import (
 )
 
 if TYPE_CHECKING:
+    from vrcaps.capsule.device import Device
     from vrcaps.cockpit.session.operator import Operator
     from vrcaps.scenario.scenario import Scenario
 
@@ -164,6 +167,34 @@ class Choice:
 def magnetic_capsules() -> tuple[str, ...]:
     """Names of the catalog's capsules that can be steered by magnet."""
     return tuple(name for name in device_names() if read_device(name).magnets)
+
+
+def require_magnet(device: Device) -> None:
+    """Check that a capsule can be steered by magnet.
+
+    Raises:
+        InputError: If it contains no magnet.
+    """
+    if not device.magnets:
+        raise InputError(
+            f"The capsule {device.name} contains no magnet, so none can steer it. Choose one of "
+            f"{', '.join(magnetic_capsules())}, or a device file with [[magnets]]."
+        )
+
+
+def require_drivable(scenario: Scenario) -> None:
+    """Check organ and capsule of a drive, before its world is built.
+
+    Raises:
+        InputError: If the file of the organ does not exist, or the capsule contains no magnet.
+    """
+    organ = scenario.organ
+    if isinstance(organ, OrganFile) and not path_of(organ.path).is_file():
+        raise InputError(
+            f"No file at {path_of(organ.path)}. Give the path of an organ, or one of "
+            f"{', '.join(ORGANS)}."
+        )
+    require_magnet(device_of(scenario.capsule))
 
 
 def chosen_scenario(scenario: Scenario, choice: Choice) -> Scenario:

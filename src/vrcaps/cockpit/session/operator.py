@@ -59,6 +59,11 @@ class Operator:
         return self._target is not None
 
     @property
+    def is_steering(self) -> bool:
+        """True while keys, a pad or a dragged pose move the magnet."""
+        return self._target is not None or bool(self._axes.any())
+
+    @property
     def policy(self) -> str:
         """Name of the driving policy; empty if none drives."""
         driver = self._driver

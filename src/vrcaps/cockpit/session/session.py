@@ -170,6 +170,12 @@ class Session:
         """Names of the available snapshots."""
         return tuple(self._snapshots)
 
+    @property
+    def has_contents(self) -> bool:
+        """True if the lumen contains bubbles or chyme, which a flush removes."""
+        contents = self.rollout.model.lumen_contents
+        return contents is not None and len(contents.spheres) > 0
+
     def scenario_so_far(self) -> Scenario:
         """Scenario of the drive so far: completed frames, turns and insufflations."""
         with self._lock:
@@ -246,8 +252,7 @@ class Session:
             InputError: If there are none, or a flush is in progress.
         """
         start_time, settings = self._command_time(), self.rollout.settings
-        contents = self.rollout.model.lumen_contents
-        if contents is None or not len(contents.spheres):
+        if not self.has_contents:
             raise InputError(
                 "The lumen contains neither bubbles nor chyme. Start a new drive that has them."
             )

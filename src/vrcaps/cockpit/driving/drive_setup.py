@@ -1,0 +1,148 @@
+"""Constants of the page of a drive: choices of all lists, initial values, labels."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, get_args
+
+from vrcaps.actuation.arm.arm import arm_names
+from vrcaps.anatomy.catalog import ORGANS
+from vrcaps.camera_pipeline.effect.base import MAX_SEVERITY, ImageEffect
+from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES
+from vrcaps.cockpit.driving.readings import QUANTITIES, SPAN
+from vrcaps.cockpit.scene.colorings import coloring_names
+from vrcaps.cockpit.scene.nodes import CUTS
+from vrcaps.cockpit.session.camera_images import LIVE_CHANNELS
+from vrcaps.cockpit.session.drive import CONTENTS, LASTING_EFFECTS, magnetic_capsules
+from vrcaps.magnet.presets import magnet_names
+from vrcaps.render.settings import Light
+from vrcaps.scenario.scenario import OrganGenerated
+from vrcaps.world.model import POSTURES
+
+if TYPE_CHECKING:
+    from vrcaps.cockpit.session.session import Session
+
+SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
+"""Simulated time per real time, by label."""
+
+IMAGING = ("white-light", "narrow-band")
+"""Kinds of imaging of the live image."""
+
+LIVE_EFFECTS = tuple(name for name in SEVERITIES if issubclass(EFFECTS[name], ImageEffect))
+"""Image effects, which can change while the simulation runs. Effects of the capsule's cameras and
+of the organ are chosen with a new drive."""
+
+NO_ARM = "none"
+"""Choice of a magnet without an arm."""
+
+CONTROLS = {
+    "x+": "magnet to +x",
+    "x-": "magnet to −x",
+    "y+": "magnet to +y",
+    "y-": "magnet to −y",
+    "z+": "magnet up",
+    "z-": "magnet down",
+    "tilt-x+": "tilt about +x",
+    "tilt-x-": "tilt about −x",
+    "tilt-y+": "tilt about +y",
+    "tilt-y-": "tilt about −y",
+    "turn-z+": "turn about +z",
+    "turn-z-": "turn about −z",
+    "pause": "pause or resume",
+    "step": "next frame",
+    "snapshot": "save a snapshot",
+    "policy": "start or stop the policy",
+}
+"""Functions that can be assigned to a gamepad's sticks and buttons, by name."""
+
+_LIMITS = {
+    "": "",
+    "speed": "its maximum speed",
+    "workspace": "the edge of its workspace",
+    "unreachable": "the reach of the arm",
+    "collision": "a collision of the arm",
+}
+_LOST = {
+    "misaligned": "the capsule is turned away from the field",
+    "wrong_wall": "the capsule lies on another wall",
+    "insufficient_force": "the force is too small",
+    "stalled": "the capsule does not follow",
+}
+
+
+def limit_text(limit: str) -> str:
+    """Text after "magnet limited by" of a limit of the actuator; empty without one."""
+    return _LIMITS.get(limit, limit.replace("_", " "))
+
+
+def lost_text(lost: str) -> str:
+    """Reason for a lost coupling, as text; empty while coupled."""
+    return _LOST.get(lost, lost.replace("_", " "))
+
+
+def drive_setup(session: Session, policies: tuple[str, ...]) -> dict[str, Any]:
+    """Constants of the page.
+
+    Args:
+        session: Session of the drive.
+        policies: Names of the offered policies; the first is preselected.
+    """
+    scenario, device = session.scenario, session.model.device
+    cameras = [{"name": c.name, "width": c.width, "height": c.height} for c in device.cameras]
+    return {
+        "folder": str(session.drive.folder),
+        "fps": session.rollout.fps,
+        "cameras": cameras,
+        "channels": list(LIVE_CHANNELS),
+        "speeds": [{"label": f"{label} ×", "value": value} for label, value in SPEEDS.items()],
+        "policies": list(policies),
+        "controls": CONTROLS,
+        "postures": list(POSTURES),
+        "posture": scenario.posture,
+        "lights": list(get_args(Light)),
+        "imagings": list(IMAGING),
+        "maxSeverity": MAX_SEVERITY,
+        "liveEffects": [_effect(name) for name in LIVE_EFFECTS],
+        "colorings": list(coloring_names(session.model.organ, is_live=True)),
+        "cuts": [{"value": name, "label": label} for name, label in CUTS.items()],
+        "quantities": [quantity.plain() for quantity in QUANTITIES],
+        "chartSpan": SPAN,
+        "newDrive": _new_drive(session),
+    }
+
+
+def _new_drive(session: Session) -> dict[str, Any]:
+    """Choices of the next drive, and the current values."""
+    scenario, organ = session.scenario, session.scenario.organ
+    steering = session.rollout.settings.magnet
+    is_generated = isinstance(organ, OrganGenerated)
+    lasting = [
+        {"name": name, "label": name, "hint": f"Severity of {name}", "severity": severity}
+        for name in CONTENTS
+        for severity in [_severity(getattr(scenario.contents, name))]
+    ]
+    return {
+        "organs": list(ORGANS),
+        "organ": organ.name if is_generated else session.model.organ.name,
+        "seed": organ.seed if is_generated else 0,
+        "capsules": list(magnetic_capsules()),
+        "capsule": session.model.device.name,
+        "magnets": list(magnet_names()),
+        "magnet": "" if steering is None else str(steering.magnet),
+        "arms": [NO_ARM, *arm_names()],
+        "arm": NO_ARM if steering is None or steering.arm is None else str(steering.arm),
+        "severities": [
+            *lasting,
+            *(
+                {**_effect(name), "severity": _severity(getattr(scenario.effects, name))}
+                for name in LASTING_EFFECTS
+            ),
+        ],
+    }
+
+
+def _effect(name: str) -> dict[str, Any]:
+    return {"name": name, "label": name.replace("_", " "), "hint": EFFECTS[name].summary()}
+
+
+def _severity(given: Any) -> int:
+    return given if isinstance(given, int) else 0

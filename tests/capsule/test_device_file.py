@@ -118,7 +118,7 @@ def test_magnets_are_read_by_moment_or_by_name(tmp_path):
         (
             "moment_a_m2",
             "moment",
-            "unknown key magnets[0].moment. Allowed: position_mm",
+            "magnets[0]: Unknown key moment. Allowed: position_mm with",
         ),
         (
             "direction",

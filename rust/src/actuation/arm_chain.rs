@@ -82,20 +82,27 @@ impl ArmChain {
 #[pymethods]
 impl ArmChain {
     /// Joints as rows of a, d, α, θ, least and largest angle; the flange's pose in the last; links
-    /// as rows of frame, both ends and radius; pairs of them to compare.
+    /// as rows of frame, both ends and radius; pairs of them to compare; fixed poses [n 4 4] in the
+    /// frame before each joint from which its parameters start.
     #[new]
+    #[pyo3(signature = (joints, flange, links, pairs, placements=None))]
     fn new(
         joints: PyReadonlyArray2<'_, f64>,
         flange: PyReadonlyArray2<'_, f64>,
         links: PyReadonlyArray2<'_, f64>,
         pairs: Vec<(usize, usize)>,
+        placements: Option<PyReadonlyArray3<'_, f64>>,
     ) -> PyResult<Self> {
         let joints = rows(&joints, 6)?;
         let joint = |j: &[f64]| Joint::new(j[0], j[1], j[2], j[3], (j[4], j[5]));
-        let chain = Chain {
+        let mut chain = Chain {
             joints: joints.chunks_exact(6).map(joint).collect(),
             flange: pose(&square(&flange, 4)?),
         };
+        let placements = placements.map_or(Ok(vec![]), |array| poses(&array))?;
+        for (joint, placement) in chain.joints.iter_mut().zip(placements) {
+            joint.placement = Some(placement);
+        }
         let links = rows(&links, 8)?;
         let vector = |l: &[f64]| DVec3::new(l[0], l[1], l[2]);
         let link = |l: &[f64]| LinkCapsule {

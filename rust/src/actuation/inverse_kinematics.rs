@@ -125,7 +125,7 @@ impl Inverse {
     /// The solver of a chain, or None if it is not built like this.
     pub fn new(chain: &Chain) -> Option<Self> {
         let j = &chain.joints;
-        if j.len() != JOINTS {
+        if j.len() != JOINTS || j.iter().any(|joint| joint.placement.is_some()) {
             return None;
         }
         let twists = [0.0, -1.0, 1.0, 1.0, -1.0, 1.0, 1.0].map(|t| t * FRAC_PI_2);

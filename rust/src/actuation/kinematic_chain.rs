@@ -34,7 +34,8 @@ impl Pose {
     }
 }
 
-/// One joint: `T = Rot_x(α) Trans_x(a) Rot_z(θ) Trans_z(d)` from the frame before it.
+/// One joint: `T = Rot_x(α) Trans_x(a) Rot_z(θ) Trans_z(d)` from the frame before it, or from a fixed
+/// pose in that frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Joint {
     /// Length of the link before it [m].
@@ -47,6 +48,8 @@ pub struct Joint {
     pub theta: f64,
     /// Least and largest angle [rad].
     pub limits: (f64, f64),
+    /// Fixed pose in the frame before it that these parameters start from, if any.
+    pub placement: Option<Pose>,
     sin_alpha: f64,
     cos_alpha: f64,
 }
@@ -65,7 +68,7 @@ impl Joint {
     /// A joint with its parameters.
     pub fn new(a: f64, d: f64, alpha: f64, theta: f64, limits: (f64, f64)) -> Self {
         let (sin_alpha, cos_alpha) = sin_cos(alpha);
-        Joint { a, d, alpha, theta, limits, sin_alpha, cos_alpha }
+        Joint { a, d, alpha, theta, limits, placement: None, sin_alpha, cos_alpha }
     }
 
     /// Pose of the joint's frame in the frame before it.
@@ -73,14 +76,15 @@ impl Joint {
     pub fn pose(&self, angle: f64) -> Pose {
         let (s, c) = (angle + self.theta).sin_cos();
         let (sa, ca) = (self.sin_alpha, self.cos_alpha);
-        Pose {
+        let pose = Pose {
             rotation: DMat3::from_cols(
                 DVec3::new(c, s * ca, s * sa),
                 DVec3::new(-s, c * ca, c * sa),
                 DVec3::new(0.0, -sa, ca),
             ),
             position: DVec3::new(self.a, -sa * self.d, ca * self.d),
-        }
+        };
+        self.placement.map_or(pose, |placement| placement.then(&pose))
     }
 }
 

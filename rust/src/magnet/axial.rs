@@ -11,6 +11,9 @@ use std::f64::consts::PI;
 const TOUCH: f64 = 1e-9;
 /// Below this squared complementary modulus the form for places near the wire is used.
 const NEAR_WIRE: f64 = 0.1;
+/// Below this part of the length on which a field varies a place counts as near the axis: what is
+/// left out there is of the fourth order.
+const NEAR_AXIS: f64 = 1e-3;
 
 /// Squared distances to the near and the far side of a ring, and the modulus.
 struct Modulus<N> {
@@ -74,6 +77,18 @@ pub struct Shell {
     /// μ₀ × current per length [T].
     sheet: f64,
     far: Multipole,
+}
+
+/// What the field of a cylinder magnetized across its axis is made of, see `solids::across`.
+pub struct Potential {
+    /// Field of the same cylinder magnetized along its axis.
+    pub axial: AxialField,
+    /// `N_ρ/ρ` [T]; not near the axis.
+    pub radial: f64,
+    /// Whether the place is near the axis.
+    pub is_near_axis: bool,
+    /// Remanence [T] inside the cylinder, half of it on its surface, else 0.
+    pub inside: f64,
 }
 
 impl Ring {
@@ -140,6 +155,46 @@ impl Shell {
             radial: -difference(potential),
             radial_slope: difference(radial_slope),
         }
+    }
+
+    /// Potential of a cylinder of this shape, with `sheet` for its remanence.
+    ///
+    /// `ρN_ρ` of one end is −Q(a, ρ, ζ): symmetric in a and ρ, homogeneous of the second degree, with
+    /// `∂Q/∂ρ = ρB_z(a, ρ)` and `∂Q/∂ζ = ρ² C`, so that `2Q = ρ²B_z(a, ρ) + a²B_z(ρ, a) + ρ²ζC` (Euler).
+    pub fn potential(&self, rho: f64, z: f64) -> Potential {
+        let (a, beyond) = (self.radius, z.abs() - self.half_length);
+        let share = |depth: f64| {
+            if depth > 0.0 {
+                1.0
+            } else if depth == 0.0 {
+                0.5
+            } else {
+                0.0
+            }
+        };
+        let inside = self.sheet * f64::min(share(a - rho), share(-beyond));
+        let limit = FAR * self.far.size;
+        let distance = rho.hypot(z);
+        if distance > limit {
+            let (axial, radial) = self.far.field_and_radial(rho, z);
+            return Potential { axial, radial, is_near_axis: rho < NEAR_AXIS * distance, inside };
+        }
+        let axial = self.field(rho, z);
+        if rho < NEAR_AXIS * a {
+            return Potential { axial, radial: 0.0, is_near_axis: true, inside };
+        }
+        let ends = Pair([z + self.half_length, z - self.half_length]);
+        let u = modulus(a, rho, ends);
+        let gamma = (a - rho) / (a + rho);
+        let (e, third) = complete_with_third(u.kc2.sqrt(), u.m, gamma);
+        let (_, swapped) = complete_with_third(u.kc2.sqrt(), u.m, -gamma);
+        let root = u.far.sqrt();
+        let own = third * (a / (PI * (a + rho)));
+        let other = swapped * (a * a / (PI * (a + rho) * rho));
+        let slope = e.k * e.t / u.far * (4.0 * a * a / PI);
+        let sum = ends / root * (own + other + slope) * 0.5;
+        let radial = -self.sheet * (sum.0[0] - sum.0[1]);
+        Potential { axial, radial, is_near_axis: false, inside }
     }
 
     /// Whether a place is on a rim, where the field has no limit.

@@ -44,6 +44,20 @@ impl FieldSources {
         self.sources.push(Source { kind, rotation, position, strength: 1.0, solid: None });
         Ok(())
     }
+
+    /// A magnet within a cylinder about its moment, of a radius and half a length [m].
+    fn add_solid(
+        &mut self,
+        pose: &PyReadonlyArray2<'_, f64>,
+        kind: Kind,
+        around: (f64, f64),
+    ) -> PyResult<()> {
+        self.add(pose, kind)?;
+        if let Some(source) = self.sources.last_mut() {
+            source.solid = Some(around);
+        }
+        Ok(())
+    }
 }
 
 /// Flux density, gradient and what is to be said about each place.
@@ -79,11 +93,56 @@ impl FieldSources {
         sheet: f64,
         is_solid: bool,
     ) -> PyResult<()> {
-        self.add(&pose, Kind::Shell(Shell::new(radius, 0.5 * length, sheet)))?;
-        if let Some(source) = self.sources.last_mut().filter(|_| is_solid) {
-            source.solid = Some((radius, 0.5 * length));
+        let kind = Kind::Shell(Shell::new(radius, 0.5 * length, sheet));
+        if is_solid {
+            self.add_solid(&pose, kind, (radius, 0.5 * length))
+        } else {
+            self.add(&pose, kind)
         }
-        Ok(())
+    }
+
+    /// A ring of outer and inner radius and length [m]; across: magnetized across its axis, which is
+    /// then x. An inner radius of 0 is a cylinder.
+    fn add_magnet_ring(
+        &mut self,
+        pose: PyReadonlyArray2<'_, f64>,
+        radii: (f64, f64),
+        length: f64,
+        remanence: f64,
+        across: bool,
+    ) -> PyResult<()> {
+        let (radius, hole) = radii;
+        let outer = Shell::new(radius, 0.5 * length, remanence);
+        let inner = (hole > 0.0).then(|| Shell::new(hole, 0.5 * length, remanence));
+        let kind = match (across, inner) {
+            (true, inner) => Kind::Across(outer, inner),
+            (false, Some(inner)) => Kind::Tube(outer, inner),
+            (false, None) => Kind::Shell(outer),
+        };
+        let half = 0.5 * length;
+        let around = if across { (half.hypot(radius), radius) } else { (radius, half) };
+        self.add_solid(&pose, kind, around)
+    }
+
+    /// A block of edges [m] and a remanence [T], magnetized along its z.
+    fn add_block(
+        &mut self,
+        pose: PyReadonlyArray2<'_, f64>,
+        size: [f64; 3],
+        remanence: f64,
+    ) -> PyResult<()> {
+        let half = 0.5 * DVec3::from(size);
+        self.add_solid(&pose, Kind::Block(half, remanence), (half.x.hypot(half.y), half.z))
+    }
+
+    /// A ball of a radius [m] and a remanence [T].
+    fn add_ball(
+        &mut self,
+        pose: PyReadonlyArray2<'_, f64>,
+        radius: f64,
+        remanence: f64,
+    ) -> PyResult<()> {
+        self.add_solid(&pose, Kind::Ball(radius, remanence), (radius, radius))
     }
 
     /// A loop of a radius [m] with current × turns [A].

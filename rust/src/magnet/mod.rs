@@ -10,4 +10,5 @@ mod elliptic;
 mod field_map;
 pub mod field_sources;
 mod multipole;
+mod solids;
 pub mod sources;

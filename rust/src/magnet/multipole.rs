@@ -83,6 +83,12 @@ impl Multipole {
     /// `∂_ρ I_l = −ρ Q_{l+1}` and `∂_z Q_l = −l Q_{l+1}`.
     #[inline]
     pub fn field(&self, rho: f64, z: f64) -> AxialField {
+        self.field_and_radial(rho, z).0
+    }
+
+    /// Field, and `N_ρ/ρ` [T] of the potential with `N_z = −Φ` (see `solids`): `−Σ q_l Q_l/l`.
+    #[inline(always)]
+    pub fn field_and_radial(&self, rho: f64, z: f64) -> (AxialField, f64) {
         let inverse = 1.0 / self.size;
         let (rho, z) = (rho * inverse, z * inverse);
         let over = 1.0 / (rho * rho + z * z);
@@ -91,7 +97,7 @@ impl Multipole {
         let (mut i1, mut q1) = (z * over * i0, over * i0);
         let mut i2 = (1.5 * z * i1 - 0.5 * i0) * over;
         let mut q2 = 3.0 * z * q1 * over;
-        let mut sum = AxialField::default();
+        let (mut sum, mut radial) = (AxialField::default(), 0.0);
         let mut decay = over;
         for (k, (&moment, step)) in self.moments.iter().zip(&STEPS).enumerate() {
             let n = (2 * k + 1) as f64;
@@ -101,6 +107,7 @@ impl Multipole {
             sum.along_slope -= moment * (n + 1.0) * (n + 2.0) * i3;
             sum.radial += moment * q2;
             sum.radial_slope -= moment * (n + 1.0) * q3;
+            radial -= moment / n * q1;
             decay *= over;
             if decay < SMALL * over {
                 break;
@@ -113,6 +120,6 @@ impl Multipole {
         sum.along_slope *= inverse;
         sum.radial *= inverse;
         sum.radial_slope *= inverse * inverse;
-        sum
+        (sum, radial)
     }
 }

@@ -2,6 +2,7 @@
 
 use super::axial::{Ring, Shell};
 use super::field_map::FieldMap;
+use super::solids::{across, ball, block, is_on_edge};
 use glam::{DMat3, DQuat, DVec3};
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -18,6 +19,14 @@ pub enum Kind {
     Dipole(f64),
     /// A cylinder magnetized along its axis, or a thin solenoid.
     Shell(Shell),
+    /// A ring magnetized along its axis: what its outer cylinder has more than its hole.
+    Tube(Shell, Shell),
+    /// A cylinder, or a ring around a hole, magnetized across its axis, which is x.
+    Across(Shell, Option<Shell>),
+    /// A block of half edges [m] and a remanence [T], magnetized along its z.
+    Block(DVec3, f64),
+    /// A ball of a radius [m] and a remanence [T].
+    Ball(f64, f64),
     /// A current loop.
     Ring(Ring),
     /// The same flux density [T] everywhere.
@@ -89,7 +98,7 @@ pub struct Wrench {
 
 /// A dipole's field: `B = μ₀/4π (3 (m·r̂) r̂ − m)/r³` and its gradient
 /// `3μ₀/4πr⁴ (m r̂ᵀ + r̂ mᵀ + (m·r̂)(1 − 5 r̂ r̂ᵀ))` (Jackson 1999, eq. 5.56).
-fn dipole(moment: f64, p: DVec3) -> (DVec3, DMat3, Place) {
+pub fn dipole(moment: f64, p: DVec3) -> (DVec3, DMat3, Place) {
     let r2 = p.length_squared();
     if r2 < DIPOLE_SIZE * DIPOLE_SIZE {
         return (DVec3::ZERO, DMat3::ZERO, Place::Singular);
@@ -118,6 +127,31 @@ impl Source {
             Kind::Shell(shell) => {
                 let (flux, gradient) = shell.field(rho, p.z).at(p, rho2);
                 (flux, gradient, singular(shell.is_singular(rho, p.z)))
+            }
+            Kind::Tube(outer, hole) => {
+                let ((flux, gradient), (less, slope)) =
+                    (outer.field(rho, p.z).at(p, rho2), hole.field(rho, p.z).at(p, rho2));
+                let is_on_rim = outer.is_singular(rho, p.z) || hole.is_singular(rho, p.z);
+                (flux - less, gradient - slope, singular(is_on_rim))
+            }
+            Kind::Across(outer, hole) => {
+                let (mut flux, mut gradient) = across(outer, p);
+                let (around, along) = (p.y.hypot(p.z), p.x);
+                let mut is_on_rim = outer.is_singular(around, along);
+                if let Some(hole) = hole {
+                    let (less, slope) = across(hole, p);
+                    (flux, gradient) = (flux - less, gradient - slope);
+                    is_on_rim |= hole.is_singular(around, along);
+                }
+                (flux, gradient, singular(is_on_rim))
+            }
+            Kind::Block(half, remanence) => {
+                let (flux, gradient) = block(*half, *remanence, p);
+                (flux, gradient, singular(is_on_edge(*half, p)))
+            }
+            Kind::Ball(radius, remanence) => {
+                let (flux, gradient) = ball(*radius, *remanence, p);
+                (flux, gradient, Place::Regular)
             }
             Kind::Ring(ring) => {
                 let (flux, gradient) = ring.field(rho, p.z).at(p, rho2);

@@ -19,7 +19,7 @@ from vrcaps.core.geometry import clamp_norm, detour, length
 from vrcaps.core.transforms import rotate_by_vector
 from vrcaps.core.units import CM, DEG, MM
 from vrcaps.magnet.field import SourceSet
-from vrcaps.magnet.sources import Cylinder, Dipole, Source
+from vrcaps.magnet.sources import Dipole, Magnet, Source
 from vrcaps.world.control import GRAVITY, Control
 from vrcaps.world.model import Model
 
@@ -149,7 +149,7 @@ class MagnetController:
     def __init__(
         self,
         model: Model,
-        magnet: Cylinder | Dipole,
+        magnet: Magnet | Dipole,
         actuator: MagnetActuator,
         T_world_capsule: Float[np.ndarray, "4 4"],
         target: CapsuleTarget,

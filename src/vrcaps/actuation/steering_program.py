@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 
-from vrcaps.actuation.arm.arm import read_arm
+from vrcaps.actuation.arm.arm import Arm, arm_of, read_arm
 from vrcaps.actuation.arm.arm_with_payload import ArmWithPayload, transverse_mount
 from vrcaps.actuation.capsule_target import CapsuleTarget, centerline_target, project_to_wall
 from vrcaps.actuation.magnet_actuator import FreeActuator, MagnetActuator, RobotActuator
@@ -22,8 +22,8 @@ from vrcaps.config.file_ref import FileRef, file_ref, path_of
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError, require
 from vrcaps.core.units import CM, DEG, MM
-from vrcaps.magnet.presets import read_magnet
-from vrcaps.magnet.sources import Cylinder
+from vrcaps.magnet.presets import magnet_of, read_magnet
+from vrcaps.magnet.sources import Block, Cylinder, Magnet, Ring, Sphere
 from vrcaps.sensors.tracking import CapsuleTracker, TrackingSensors
 from vrcaps.world.control import Control
 from vrcaps.world.model import Model
@@ -102,10 +102,11 @@ class MagnetSteering:
         >>> vrcaps.Scenario(capsule="magnetic", motion=vrcaps.Dynamics(magnet=steering))
 
     Attributes:
-        magnet: Name of the magnet, see `vrcaps.magnet.presets.magnet_names`; a magnet heavier than
-            the arm's payload causes a note, and moves as if the arm could carry it.
-        arm: Name or file of the arm that carries the magnet, with its moment across the flange;
-            None moves it without a robot.
+        magnet: Name of the magnet, see `vrcaps.magnet.presets.magnet_names`, path of its TOML file,
+            or a magnet in memory; one heavier than the arm's payload causes a note, and moves as if
+            the arm could carry it.
+        arm: Arm that carries the magnet, with its moment across the flange: a name, the path of a
+            TOML or URDF file, or an arm in memory; None moves the magnet without a robot.
         arm_base: Position of the arm's base in the world [m]; None is 55 cm from the organ's
             center, towards −x, and 15 cm below its highest point.
         standoff: Minimum gap between the organ's highest point and the magnet, for the abdominal
@@ -126,8 +127,8 @@ class MagnetSteering:
         period: Time between updates of the controller [s].
     """
 
-    magnet: str = "cylinder-76.2"
-    arm: str | None = None
+    magnet: str | Cylinder | Ring | Block | Sphere = "cylinder-76.2"
+    arm: str | Arm | None = None
     arm_base: tuple[float, float, float] | None = None
     standoff: Annotated[float, Range(above=0.0, max=1.0, unit="m")] = 4.0 * CM
     wall: Literal["upper", "lower"] = "lower"
@@ -146,6 +147,9 @@ class MagnetSteering:
     def __post_init__(self) -> None:
         if self.command_file is not None:
             object.__setattr__(self, "command_file", file_ref(self.command_file))
+        object.__setattr__(self, "magnet", magnet_of(self.magnet))
+        if self.arm is not None:
+            object.__setattr__(self, "arm", arm_of(self.arm))
         check_fields(self)
         if sum(map(bool, (self.waypoints, self.joystick, self.command_file))) > 1:
             raise InputError(
@@ -358,12 +362,11 @@ class SteeringProgram:
         return project_to_wall(self._model, T_world_patient, target)
 
 
-def workspace_above(model: Model, magnet: Cylinder, standoff: float) -> Workspace:
+def workspace_above(model: Model, magnet: Magnet, standoff: float) -> Workspace:
     """Workspace of a magnet at least a gap [m] above the organ's highest point."""
-    lowest = float(model.vertices_world[:, 2].max()) + standoff + 0.5 * magnet.diameter
-    return Workspace(
-        low=(-math.inf, -math.inf, lowest), min_distance=0.5 * magnet.diameter + 3.0 * CM
-    )
+    radius = 0.5 * magnet.bounds[0]
+    lowest = float(model.vertices_world[:, 2].max()) + standoff + radius
+    return Workspace(low=(-math.inf, -math.inf, lowest), min_distance=radius + 3.0 * CM)
 
 
 def base_beside(model: Model) -> Float[np.ndarray, " 3"]:

@@ -1,8 +1,9 @@
 """Devices by name or file: a capsule as one small TOML file that round-trips exactly.
 
 Each key carries its unit: `_mm`, `_g`, `_hz`, `_deg`, `_px`. See `devices/mirocam.toml`. Besides
-the fields of `Device` a file may contain rings of LEDs (`led_rings`), magnets by `preset` and
-`direction`, and the spectrum of the LEDs as a table of `wavelength_nm` and `power`.
+the fields of `Device` a file may contain rings of LEDs (`led_rings`), magnets by `direction` and
+`preset` or the keys of a magnet file, and the spectrum of the LEDs as a table of `wavelength_nm`
+and `power`.
 
 The catalog in `devices/` holds one file per named device.
 """
@@ -10,6 +11,7 @@ The catalog in `devices/` holds one file per named device.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +22,9 @@ from vrcaps.capsule.device import Device
 from vrcaps.config.convert import from_plain, register_shorthand, to_plain
 from vrcaps.config.plain_files import CatalogFolder, read_plain, write_toml
 from vrcaps.core.errors import InputError, require
+from vrcaps.magnet.magnets import SHAPES
 from vrcaps.magnet.presets import read_magnet
-from vrcaps.magnet.sources import InternalMagnet
+from vrcaps.magnet.sources import Block, Cylinder, InternalMagnet, Magnet, Ring, Sphere
 
 Vector = tuple[float, float, float]
 
@@ -63,21 +66,23 @@ class LedRing:
 
 
 @dataclass(frozen=True)
-class PresetMagnet:
-    """Commercial magnet fixed in a capsule, as in a device file.
+class ShapedMagnet:
+    """Magnet fixed in a capsule by its preset or shape, as in a device file.
 
     Attributes:
         position: Center of the magnet in the capsule frame [m].
-        preset: Name of the magnet, see `vrcaps.magnet.presets`.
         direction: Direction of its moment in the capsule frame, of any length.
+        preset: Name of the magnet, see `vrcaps.magnet.presets`.
+        magnet: The magnet itself, as in a magnet file; None if a preset is given.
     """
 
     position: Vector = field(metadata={"unit": "mm"})
-    preset: str
     direction: Vector
+    preset: str = ""
+    magnet: Cylinder | Ring | Block | Sphere | None = None
 
     @property
-    def magnet(self) -> InternalMagnet:
+    def internal(self) -> InternalMagnet:
         """Return the magnet with its moment.
 
         Raises:
@@ -88,7 +93,8 @@ class PresetMagnet:
         length = np.linalg.norm(direction)
         if length == 0.0:
             raise InputError("direction is zero. Allowed: any direction but zero.")
-        x, y, z = (read_magnet(self.preset).moment * direction / length).tolist()
+        moment = read_magnet(self.preset if self.magnet is None else self.magnet).moment
+        x, y, z = (moment * direction / length).tolist()
         return InternalMagnet(self.position, (x, y, z))
 
 
@@ -140,13 +146,47 @@ def _expand_camera(plain: dict[str, Any]) -> dict[str, Any]:
 
 
 def _expand_magnet(plain: dict[str, Any]) -> dict[str, Any]:
-    if "preset" not in plain:
+    if "preset" not in plain and "kind" not in plain:
+        for key in sorted(set(plain) - {"position_mm", "moment_a_m2"}):
+            raise InputError(
+                f"Unknown key {key}. Allowed: position_mm with moment_a_m2; or with direction and "
+                "preset; or with direction and the keys of a magnet file: kind "
+                f"({', '.join(shape.kind for shape in SHAPES)}), size, and grade, remanence_t or "
+                "moment_a_m2."
+            )
         return plain
-    magnet = from_plain(PresetMagnet, plain, at="magnet", units=True).magnet
-    return {"position_mm": plain["position_mm"], "moment_a_m2": list(magnet.moment_capsule)}
+    own = {key: plain[key] for key in ("position_mm", "direction", "preset") if key in plain}
+    if "kind" in plain:
+        own["magnet"] = {key: value for key, value in plain.items() if key not in own}
+        plain = own
+    shaped = from_plain(ShapedMagnet, own | plain, at="magnet", units=True)
+    moment = list(shaped.internal.moment_capsule)
+    return {"position_mm": plain["position_mm"], "moment_a_m2": moment}
+
+
+def _require_fit(plain: dict[str, Any]) -> None:
+    """Check that the magnets given by shape are not larger or heavier than the capsule."""
+    magnets = [m for m in plain.get("magnets", []) if isinstance(m, dict) and "kind" in m]
+    if not (magnets and all(_is_number(plain.get(k)) for k in ("mass_g", "radius_mm"))):
+        return  # another check reports it
+    for index, magnet in enumerate(magnets):
+        shape = {k: v for k, v in magnet.items() if k not in ("position_mm", "direction")}
+        made = from_plain(Magnet, shape, at=f"magnets[{index}]", units=True)
+        mass, width = 1e3 * made.mass, 1e3 * min(made.bounds)
+        if mass > plain["mass_g"] or width > 2 * plain["radius_mm"]:
+            raise InputError(
+                f"magnets[{index}] weighs {mass:.3g} g and is {width:.3g} mm wide. Allowed: up to "
+                f"the capsule's {float(plain['mass_g']):g} g and {2 * float(plain['radius_mm']):g} "
+                "mm."
+            )
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float | Decimal) and not isinstance(value, bool)
 
 
 def _expand_device(plain: dict[str, Any]) -> dict[str, Any]:
+    _require_fit(plain)
     if not isinstance(plain.get("led_spectrum"), dict):
         return plain
     spectrum = from_plain(_Spectrum, plain["led_spectrum"], at="led_spectrum", units=True)

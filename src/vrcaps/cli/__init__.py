@@ -47,6 +47,8 @@ _VERBS = {
     "organ from-ct": ("vrcaps.cli.from_ct", "FromCt", "Create organs from a CT scan or labels."),
     "organ make": ("vrcaps.cli.organ", "Make", "Generate an organ and write it as GLB."),
     "organ texture": ("vrcaps.cli.texture", "Texture", "Create a mucosa from photographs."),
+    "magnet list": ("vrcaps.cli.magnet", "List", "List magnets."),
+    "magnet show": ("vrcaps.cli.magnet", "Show", "Show field, moment, mass and pull of a magnet."),
     "calibrate geometric": (
         "vrcaps.cli.calibrate",
         "CalibrateGeometric",
@@ -89,6 +91,7 @@ _GROUPS = {
     "export": "Export episodes and data sets to the layouts of other tools.",
     "evaluate": "Evaluate predictions from images by task, or policies.",
     "organ": "Generate organs, create them from CT, texture them from photographs, measure them.",
+    "magnet": "List magnets and show the field and the pull of one.",
     "calibrate": "Calibrate the camera of a real capsule from photographs and frames.",
     "bench": "Measure speed on this machine.",
 }

@@ -26,13 +26,12 @@ from cattrs import BaseValidationError, ClassValidationError, Converter, Iterabl
 from cattrs.errors import ForbiddenExtraKeysError, IterableValidationNote
 from cattrs.gen import make_dict_structure_fn, override
 
-from vrcaps.config.plain_files import UNITS, as_floats, from_si, to_si
+from vrcaps.config.plain_files import UNITS, as_floats, from_si, stored_fields, to_si
 from vrcaps.core.errors import InputError, VrcapsError, nearest
 
 _INFINITE = "inf"
 _MAX_NUMBER = Decimal("1e300")
 _WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
-
 
 _SHORTHANDS: dict[type, Callable[[dict[str, Any]], dict[str, Any]]] = {}
 _FAMILIES: dict[type, Mapping[str, type]] = {}
@@ -83,7 +82,7 @@ def to_plain(value: Any, declared: Any, *, units: bool = False) -> Any:
             _key(f, units): _in_unit(
                 to_plain(getattr(value, f.name), hints[f.name], units=units), f, units
             )
-            for f in fields(value)
+            for f in stored_fields(value)
         }
         if units:
             plain = {key: item for key, item in plain.items() if item is not None}
@@ -209,13 +208,14 @@ class _UnknownKindError(_NotAllowedError):
 
 def _table_hook(converter: Converter, cls: Any, units: bool) -> Callable[[Any, Any], Any]:
     """Create the hook from a table to a dataclass; partial tables are completed from defaults."""
-    hints, known = type_hints(cls), {_key(f, units): f for f in fields(cls)}
+    hints, known = type_hints(cls), {_key(f, units): f for f in stored_fields(cls)}
     renamed = {
         f.name: override(
             rename=_key(f, units), struct_hook=_unit_hook(converter, f, hints[f.name], units)
         )
-        for f in fields(cls)
+        for f in known.values()
     }
+    renamed |= {f.name: override(omit=True) for f in fields(cls) if f.name not in renamed}
     structure_whole = make_dict_structure_fn(cls, converter, **renamed)  # type: ignore[arg-type]
 
     def structure(plain: Any, _: Any) -> Any:
@@ -283,7 +283,7 @@ def _explained(error: BaseException, at: str, units: bool) -> InputError:
 
 
 def _explained_table(error: ClassValidationError, at: str, units: bool) -> InputError:
-    known = {f.name: f for f in fields(error.cl)}
+    known = {f.name: f for f in stored_fields(error.cl)}
     hints = type_hints(error.cl)
     fields_, others = error.group_exceptions()
     for other in others:

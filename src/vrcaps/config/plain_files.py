@@ -11,7 +11,7 @@ import json
 import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import Field, dataclass, fields
 from decimal import Context, Decimal
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,14 @@ from vrcaps.core.names import listed
 
 _LONGEST = 2**28
 """Maximum number of characters of a file: a device such as /dev/zero has no end."""
+
+
+def stored_fields(cls: Any) -> list[Field]:
+    """Fields of a dataclass, or of its instance, that files contain.
+
+    A field with ``metadata={"stored": False}``, such as a pose in the world, is left out.
+    """
+    return [f for f in fields(cls) if f.metadata.get("stored", True)]
 
 
 def read_plain(path: Path, noun: str) -> Any:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.actuation.arm.arm import read_arm
+from vrcaps.actuation.arm.arm import Arm, arm_of, read_arm
 from vrcaps.actuation.arm.arm_with_payload import (
     ArmWithPayload,
     clearances,
@@ -26,13 +26,14 @@ from vrcaps.core.transforms import rotation_from_vector
 from vrcaps.core.units import CM
 from vrcaps.env.parts import Actuation, EnvView
 from vrcaps.magnet.field import SourceSet
-from vrcaps.magnet.presets import read_magnet
+from vrcaps.magnet.presets import magnet_of, read_magnet
+from vrcaps.magnet.sources import Block, Cylinder, Magnet, Ring, Sphere
 from vrcaps.world.control import GRAVITY, Control
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-    from vrcaps.magnet.sources import Cylinder, Source
+    from vrcaps.magnet.sources import Source
     from vrcaps.world.model import Model, State
 
 _DIRECTIONS = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
@@ -106,14 +107,15 @@ class MagnetActuation(Actuation):
     point.
 
     Attributes:
-        magnet: Name of the magnet, see `vrcaps.magnet.presets.magnet_names`.
+        magnet: Name of the magnet, see `vrcaps.magnet.presets.magnet_names`, path of its TOML file,
+            or a magnet in memory, whose pose is ignored.
         speed: Maximum speed along each axis [m/s].
         angular_speed: Maximum angular speed about each axis [rad/s].
         standoff: Minimum gap between the organ's highest point and the magnet [m].
         reach: Margin of the box around the organ on all sides, and its height [m].
     """
 
-    magnet: str = "cylinder-76.2"
+    magnet: str | Cylinder | Ring | Block | Sphere = "cylinder-76.2"
     speed: Annotated[float, Range(above=0.0, max=1.0, unit="m/s")] = 5.0 * CM
     angular_speed: Annotated[float, Range(above=0.0, max=10.0, unit="rad/s")] = 1.0
     standoff: Annotated[float, Range(above=0.0, max=1.0, unit="m")] = 4.0 * CM
@@ -123,7 +125,7 @@ class MagnetActuation(Actuation):
 
     def __post_init__(self) -> None:
         check_fields(self)
-        read_magnet(self.magnet)
+        object.__setattr__(self, "magnet", magnet_of(self.magnet))
 
     def space(self) -> Any:
         """Action space: six values from −1 to 1."""
@@ -182,14 +184,15 @@ class ArmActuation(Actuation):
     patient and the table. `info["arm_limit"]` is then `joint` or `collision`.
 
     Attributes:
-        arm: Name or file of the arm.
-        magnet: Name of the magnet, see `vrcaps.magnet.presets.magnet_names`.
+        arm: Name of the arm, path of its TOML or URDF file, or an arm in memory.
+        magnet: Name of the magnet, see `vrcaps.magnet.presets.magnet_names`, path of its TOML file,
+            or a magnet in memory, whose pose is ignored.
         fraction: Maximum velocity of each joint, as a fraction of its limit.
         standoff: Minimum gap between the organ's highest point and the magnet [m].
     """
 
-    arm: str = "panda"
-    magnet: str = "cylinder-76.2"
+    arm: str | Arm = "panda"
+    magnet: str | Cylinder | Ring | Block | Sphere = "cylinder-76.2"
     fraction: Annotated[float, Range(above=0.0, max=1.0)] = 0.1
     standoff: Annotated[float, Range(above=0.0, max=1.0, unit="m")] = 4.0 * CM
 
@@ -197,6 +200,8 @@ class ArmActuation(Actuation):
 
     def __post_init__(self) -> None:
         check_fields(self)
+        object.__setattr__(self, "magnet", magnet_of(self.magnet))
+        object.__setattr__(self, "arm", arm_of(self.arm))
         home = np.array([self._robot.arm.home])
         gap = float(clearances(self._robot, home).min())
         allowed = "one with which the arm at rest is above the patient and off itself"
@@ -246,7 +251,7 @@ class ArmActuation(Actuation):
         model, memory = view.patient(index).model, view.memory
         magnet, base = self._robot.magnet, base_beside(model)
         # The magnet's edge stays above the plane for any orientation.
-        edge = 0.5 * (math.hypot(magnet.diameter, magnet.length) - magnet.diameter)
+        edge = 0.5 * (math.hypot(*magnet.bounds) - magnet.bounds[0])
         workspace = workspace_above(model, magnet, self.standoff + edge)
         T_base_magnet = supporting_pose(model, magnet, workspace, start.T_world_capsule)
         T_base_magnet[:3, 3] -= base
@@ -286,7 +291,7 @@ class ArmActuation(Actuation):
 
 def supporting_pose(
     model: Model,
-    magnet: Cylinder,
+    magnet: Magnet,
     workspace: Workspace,
     T_world_capsule: Float[np.ndarray, "4 4"],
 ) -> Float[np.ndarray, "4 4"]:

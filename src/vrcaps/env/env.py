@@ -40,6 +40,11 @@ class CapsuleEnv(gymnasium.Env):
         self.observation_space = self.episode.observation_space
 
     @property
+    def observation_names(self) -> dict[str, tuple[str, ...]]:
+        """Names and units of the values of each observation, see `Episode.observation_names`."""
+        return self.episode.observation_names
+
+    @property
     def view(self) -> EnvView:
         """Read-only view of the world, which is not available to a real capsule."""
         return self.episode.view

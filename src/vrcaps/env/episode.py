@@ -15,6 +15,7 @@ from vrcaps.env.rewards import total_reward
 from vrcaps.env.settings import EnvSettings
 from vrcaps.env.simulation import Simulation
 from vrcaps.env.snapshot import WorldSnapshot
+from vrcaps.env.transmission import Link
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -77,6 +78,13 @@ class Episode:
         self.observation_space = spaces.Dict(
             {o.name: o.space(self.view) for o in settings.observations}
         )
+        self._link = Link(
+            settings.transmission,
+            self.simulation.memory,
+            self.action_space,
+            settings.observations,
+            self.observation_space,
+        )
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Support pickling; a copy creates its organs again and continues with the same bytes."""
@@ -98,6 +106,7 @@ class Episode:
     def begin(self, index: int, rng: np.random.Generator, patient: int | None = None) -> None:
         """Start an episode in one world, see `Simulation.reset`."""
         self.simulation.reset(index, rng, patient)
+        self._link.begin(index, rng)
         self._mark[index] = self.settings.task.progress(self.view)[index]
         self._since[index] = 0.0
         for reward in self._trackers:
@@ -129,7 +138,7 @@ class Episode:
     def step(self, actions: np.ndarray, active: Bool[np.ndarray, " n"]) -> EpisodeStep:
         """Advance the active worlds by one control period."""
         simulation, view, task = self.simulation, self.view, self.settings.task
-        simulation.step(actions, active)
+        simulation.step(self._link.send(actions, active), active)
         self._update_progress(active)
         for tracker in self._trackers:
             tracker.update(view, active)
@@ -158,7 +167,15 @@ class Episode:
     def observe(self) -> dict[str, np.ndarray]:
         """Return the observations of all worlds, in new arrays."""
         observations = self.settings.observations
-        return {o.name: o.observe(self.view) for o in observations}
+        return self._link.receive({o.name: o.observe(self.view) for o in observations})
+
+    @property
+    def observation_names(self) -> dict[str, tuple[str, ...]]:
+        """Name of each value of each observation, or of each channel of an image or a map.
+
+        Units are in brackets.
+        """
+        return {o.name: o.names(self.view) for o in self.settings.observations}
 
     def measures(self) -> dict[str, np.ndarray]:
         """Return the metrics of the episodes of all worlds."""

@@ -211,6 +211,14 @@ class Observation:
         """Observation space of one world, a `gymnasium.spaces.Box`."""
         raise NotImplementedError
 
+    def names(self, view: EnvView) -> tuple[str, ...]:
+        """Name of each value, with its unit in brackets; by default numbered.
+
+        Maps and images name their channels.
+        """
+        shape = self.space(view).shape
+        return tuple(f"{self.name}_{k}" for k in range(shape[0]))
+
     def allocate(self, view: EnvView) -> None:
         """Allocate state in the view's memory; by default none."""
 
@@ -306,6 +314,7 @@ ACTUATIONS: Registry[Actuation] = Registry(
         "wrench": ("vrcaps.env.actuation:Wrench", "force and torque on the capsule"),
         "magnet": ("vrcaps.env.actuation:MagnetActuation", "velocity of an external magnet"),
         "arm": ("vrcaps.env.actuation:ArmActuation", "joint velocities of a robot with a magnet"),
+        "coils": ("vrcaps.env.coil_actuation:CoilActuation", "currents of electromagnets"),
     },
 )
 """Actuations by name."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Annotated, Any, Literal
 
 from vrcaps.capsule.device import Device
 from vrcaps.capsule.device_file import device_of
+from vrcaps.config.convert import from_plain
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.core.registry import Registry
@@ -25,6 +27,7 @@ from vrcaps.env.parts import (
 from vrcaps.env.patients import Organ, Patients, organs_of
 from vrcaps.env.randomization import Randomization, Start
 from vrcaps.env.tasks import CoverageTask
+from vrcaps.env.transmission import Transmission
 from vrcaps.lesion import Lesion
 from vrcaps.lesion.library import parse_lesion
 from vrcaps.metrics.coverage import CoverageCriteria
@@ -61,6 +64,7 @@ class EnvSettings:
         tissue: Properties of the wall. If its drag has no relaxation time, that of quasi-static
             motion is used, so that the capsule's momentum decays equally in both dynamics.
         randomization: Domain randomization of tissue, capsule and camera.
+        transmission: Delay, dropout and quantization of actions and images.
         start: Distribution of the initial pose.
         control_period: Time between actions [s].
         episode_time: Time after which an episode is truncated [s].
@@ -84,6 +88,7 @@ class EnvSettings:
     substep: Annotated[float, Range(above=0.0, max=1e-3, unit="s")] = 2e-4
     tissue: Tissue = field(default_factory=Tissue)
     randomization: Randomization = field(default_factory=Randomization)
+    transmission: Transmission = field(default_factory=Transmission)
     start: Start = field(default_factory=Start)
     control_period: Annotated[float, Range(above=0.0, max=1.0, unit="s")] = 5.0 / 30.0
     episode_time: Annotated[float, Range(above=0.0, max=_MAX_TIME, unit="s")] = 60.0
@@ -137,7 +142,7 @@ class EnvSettings:
 
 
 def env_settings(**keywords: Any) -> EnvSettings:
-    """Create settings from keyword arguments, in which parts may be given by name.
+    """Create settings from keyword arguments; parts may be given by name or as a table.
 
     Defaults depend on the task.
 
@@ -160,7 +165,7 @@ def env_settings(**keywords: Any) -> EnvSettings:
     for name, registry in (("observations", OBSERVATIONS), ("rewards", REWARDS)):
         if name in keywords:
             given = keywords[name]
-            parts = (given,) if isinstance(given, str) else given
+            parts = (given,) if isinstance(given, str | Mapping) else given
             keywords[name] = tuple(_part(registry, part) for part in parts)
     if "lesions" in keywords:
         given = keywords["lesions"]
@@ -175,5 +180,8 @@ def env_settings(**keywords: Any) -> EnvSettings:
 
 
 def _part(registry: Registry[Any], given: Any) -> Any:
-    """Create a part from its name, or return it unchanged."""
+    """Create a part from its name or a table with its kind, or return it unchanged."""
+    if isinstance(given, Mapping):
+        base = {"task": Task, "actuation": Actuation, "observation": Observation}
+        return from_plain(base.get(registry.noun, Reward), given, at=registry.noun)
     return registry[given]() if isinstance(given, str) else given

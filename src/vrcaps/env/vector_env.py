@@ -67,6 +67,11 @@ class CapsuleVectorEnv(gymnasium.vector.VectorEnv):
         self._was_reset = False
 
     @property
+    def observation_names(self) -> dict[str, tuple[str, ...]]:
+        """Names and units of the values of each observation, see `Episode.observation_names`."""
+        return self.episode.observation_names
+
+    @property
     def view(self) -> EnvView:
         """Read-only view of the worlds, which is not available to a real capsule."""
         return self.episode.view

@@ -9,6 +9,7 @@ threads.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +18,14 @@ from vrcaps import _core
 from vrcaps.core.errors import InputError, require
 from vrcaps.core.geometry import unit
 from vrcaps.core.transforms import quaternion_from_matrix
-from vrcaps.magnet.sources import Cylinder, InternalMagnet, Source, check_pose, magnet_rows
+from vrcaps.magnet.sources import (
+    Block,
+    InternalMagnet,
+    Magnet,
+    Source,
+    check_pose,
+    magnet_rows,
+)
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -192,12 +200,12 @@ def _stepped(source_set: SourceSet, points: Points, step: float) -> Points:
 
 
 def magnet_lines(
-    magnet: Cylinder, *, reach: float, step: float, rings: int = 5, meridians: int = 8
+    magnet: Magnet, *, reach: float, step: float, rings: int = 5, meridians: int = 8
 ) -> list[Float[np.ndarray, "k 3"]]:
-    """Field lines outside a cylinder, in its own frame, starting from its north face.
+    """Field lines outside a magnet's bounding cylinder, in its own frame, from the north face.
 
-    They start where they divide the face into rings of equal area, and so of nearly equal flux.
-    The field is axially symmetric, so one meridian is traced and rotated.
+    They start where they divide the face into rings of equal area, and so of nearly equal flux. If
+    the field is axially symmetric, one meridian is traced and rotated.
 
     Args:
         magnet: The magnet; its pose is ignored.
@@ -211,20 +219,25 @@ def magnet_lines(
     """
     require(1 <= rings <= 100, "rings", rings, "1 to 100")
     require(1 <= meridians <= 100, "meridians", meridians, "1 to 100")
-    radius, half = 0.5 * magnet.diameter, 0.5 * magnet.length
-    starts = np.zeros((rings, 3))
-    starts[:, 0] = radius * np.sqrt((np.arange(rings) + 0.5) / rings)
-    starts[:, 2] = half * (1.0 + _ABOVE)
+    radius, half = (0.5 * extent for extent in magnet.bounds)
+    meridian = np.zeros((rings, 3))
+    meridian[:, 0] = radius * np.sqrt((np.arange(rings) + 0.5) / rings)
+    meridian[:, 2] = half * (1.0 + _ABOVE)
 
     def is_outside(points: Points) -> Bool[np.ndarray, " n"]:
         is_in = (np.hypot(points[:, 0], points[:, 1]) < radius) & (np.abs(points[:, 2]) < half)
         return ~is_in & (np.linalg.norm(points, axis=1) < reach)
 
-    source = Cylinder(magnet.diameter, magnet.length, magnet.remanence)
-    lines = field_lines([source], starts, step=step, goes_on=is_outside)
-    angles = 2.0 * np.pi * np.arange(meridians) / meridians
-    turned = []
-    for cosine, sine in zip(np.cos(angles), np.sin(angles), strict=True):
-        rotation = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-        turned += [line @ rotation.T for line in lines]
-    return turned
+    def turned(lines: Sequence[np.ndarray]) -> list[np.ndarray]:
+        angles = 2.0 * np.pi * np.arange(meridians) / meridians
+        turns = []
+        for cosine, sine in zip(np.cos(angles), np.sin(angles), strict=True):
+            turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+            turns += [line @ turn.T for line in lines]
+        return turns
+
+    source = replace(magnet, T_world_magnet=np.eye(4))
+    if isinstance(magnet, Block) or getattr(magnet, "magnetization", "axial") != "axial":
+        starts = np.array(turned([meridian])).reshape(-1, 3)
+        return field_lines([source], starts, step=step, goes_on=is_outside)
+    return turned(field_lines([source], meridian, step=step, goes_on=is_outside))

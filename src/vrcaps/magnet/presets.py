@@ -1,33 +1,34 @@
-"""Magnet presets: permanent magnets by name, and the remanence of NdFeB grades."""
+"""Magnets by name, from a file or in memory."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.core.errors import UnknownNameError, require
+from vrcaps.config.convert import from_plain
+from vrcaps.config.plain_files import read_plain
+from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.core.units import MM
 from vrcaps.magnet.field import field
-from vrcaps.magnet.sources import Cylinder, Dipole
+from vrcaps.magnet.magnets import GRADES, Cylinder, Magnet, remanence_of
+from vrcaps.magnet.sources import Dipole
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-GRADES = {
-    "N35": (1.17, 1.22),
-    "N38": (1.22, 1.25),
-    "N40": (1.25, 1.28),
-    "N42": (1.28, 1.32),
-    "N45": (1.32, 1.38),
-    "N48": (1.38, 1.42),
-    "N50": (1.40, 1.45),
-    "N52": (1.43, 1.48),
-    "N55": (1.47, 1.52),
-}
-"""Minimum and maximum remanence [T] of sintered NdFeB at 20 °C: data sheets of Magnet Expert (N35
-to N52) and Vormag (N55). It falls by 0.12 % per kelvin."""
+__all__ = [
+    "GRADES",
+    "MAGNETS",
+    "MagnetPreset",
+    "dipole_distance",
+    "magnet_names",
+    "magnet_of",
+    "read_magnet",
+    "remanence_of",
+]
 
 
 @dataclass(frozen=True)
@@ -81,49 +82,72 @@ def magnet_names() -> tuple[str, ...]:
     return tuple(sorted(MAGNETS))
 
 
-def remanence_of(grade: str, *, part: float = 0.5) -> float:
-    """Remanence [T] of a grade: minimum (`part` 0), center (0.5) or maximum (1).
+def read_magnet(
+    given: str | Path | Magnet, T_world_magnet: Float[np.ndarray, "4 4"] | None = None
+) -> Magnet:
+    """Return a magnet by name or from a file, or a magnet in memory, at a pose.
 
-    Raises:
-        UnknownNameError: If the grade is not in the table.
-        InputError: If `part` is not from 0 to 1.
-    """
-    if grade not in GRADES:
-        raise UnknownNameError("grade", grade, GRADES)
-    require(0.0 <= part <= 1.0, "part", part, "0 to 1")
-    low, high = GRADES[grade]
-    return low + part * (high - low)
-
-
-def read_magnet(name: str, T_world_magnet: Float[np.ndarray, "4 4"] | None = None) -> Cylinder:
-    """Return a magnet by name, at a pose (by default the world frame).
+    Args:
+        given: Name of a preset, path of a TOML file (`docs/how-to/bring-your-own-hardware.md`), or
+            a magnet.
+        T_world_magnet: Pose; None is the world frame, or a given magnet's own pose.
 
     Raises:
         UnknownNameError: If there is no magnet with that name.
+        InputError: If the file cannot be read, describes no possible magnet, or the value is of
+            another type.
     """
-    if name not in MAGNETS:
-        raise UnknownNameError("magnet", name, MAGNETS)
-    preset = MAGNETS[name]
-    pose = np.eye(4) if T_world_magnet is None else T_world_magnet
-    return Cylinder(preset.diameter, preset.length, preset.remanence, pose)
+    magnet = magnet_of(given)
+    if isinstance(magnet, str):
+        preset = MAGNETS[magnet]
+        magnet = Cylinder(preset.diameter, preset.length, preset.remanence)
+    return magnet if T_world_magnet is None else replace(magnet, T_world_magnet=T_world_magnet)
 
 
-def dipole_distance(magnet: Cylinder, *, error: float = 0.05) -> float:
+def magnet_of(given: str | Path | Magnet) -> str | Magnet:
+    """Magnet of a file as an object; names and magnets are checked and unchanged.
+
+    Settings convert their magnet by it once, so that an episode contains it and not its path.
+
+    Raises:
+        UnknownNameError: If there is no magnet with that name.
+        InputError: If the file cannot be read, describes no possible magnet, or the value is of
+            another type.
+    """
+    if isinstance(given, Magnet):
+        return given
+    if not isinstance(given, str | Path):
+        raise InputError(
+            f"magnet is of type {type(given).__name__}. Allowed: a name ({', '.join(MAGNETS)}), "
+            "the path of a TOML file, or a Cylinder, Ring, Block or Sphere."
+        )
+    path = Path(given)
+    if path.suffix == ".toml" or len(path.parts) > 1:
+        plain = read_plain(path, "magnet")
+        return from_plain(Magnet, plain, at=f"{path.name}:", units=True)
+    if given not in MAGNETS:
+        raise UnknownNameError("magnet", str(given), MAGNETS)
+    return str(given)
+
+
+def dipole_distance(magnet: Magnet, *, error: float = 0.05) -> float:
     """Distance from the center [m] beyond which the error of a dipole is at most `error`.
 
-    The error is |B_cylinder − B_dipole|/|B_cylinder|, the maximum over all directions. It
+    The error is |B − B_dipole|/|B|, the maximum over the directions in the planes xz and yz. It
     eventually falls with the square of the distance, but not necessarily monotonically.
 
     Raises:
         InputError: If the error is not from 1e-6 to below 1.
     """
     require(1e-6 <= error < 1.0, "error", error, "1e-6 to below 1")
-    size = np.hypot(0.5 * magnet.diameter, 0.5 * magnet.length)
+    size = 0.5 * np.hypot(*magnet.bounds)
     angles = np.linspace(0.0, 0.5 * np.pi, 91)
-    directions = np.stack([np.sin(angles), np.zeros_like(angles), np.cos(angles)], axis=-1)
+    sine, cosine, zero = np.sin(angles), np.cos(angles), np.zeros_like(angles)
+    directions = np.stack([[sine, zero, cosine], [zero, sine, cosine]]).transpose(0, 2, 1)
+    directions = directions.reshape(-1, 3)
     distances = 1.001 * size * np.geomspace(1.0, 2.0 / np.sqrt(error), 2001)
     points = (distances[:, None, None] * directions).reshape(-1, 3)
-    exact = field([Cylinder(magnet.diameter, magnet.length, magnet.remanence)], points)[0]
+    exact = field([replace(magnet, T_world_magnet=np.eye(4))], points)[0]
     approximate = field([Dipole(magnet.moment)], points)[0]
     wrong = np.linalg.norm(exact - approximate, axis=1) / np.linalg.norm(exact, axis=1)
     too_near = np.nonzero(wrong.reshape(len(distances), -1).max(axis=1) > error)[0]

@@ -13,88 +13,48 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.core.errors import InputError, require
+from vrcaps.magnet.magnets import (
+    MAGNETIC_CONSTANT,
+    NEODYMIUM_DENSITY,
+    Block,
+    Cylinder,
+    Magnet,
+    Ring,
+    Sphere,
+)
+from vrcaps.magnet.pose import check_pose, magnet_pose
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
     from vrcaps._core import FieldSources
 
-NEODYMIUM_DENSITY = 7500.0
-"""Density of sintered NdFeB [kg/m³] (manufacturers' data sheets)."""
-MAGNETIC_CONSTANT = 1.25663706127e-6
-"""μ₀ [N/A²] (CODATA 2022), as in the compiled core."""
-_ORTHONORMAL = 1e-6
+__all__ = [
+    "MAGNETIC_CONSTANT",
+    "NEODYMIUM_DENSITY",
+    "Block",
+    "Coil",
+    "Cylinder",
+    "Dipole",
+    "FieldMap",
+    "InternalMagnet",
+    "Magnet",
+    "Ring",
+    "Solenoid",
+    "Source",
+    "Sphere",
+    "UniformField",
+    "check_pose",
+    "magnet_pose",
+    "magnet_rows",
+]
+
 _MAX_LAYERS = 100
 _MIN_POINTS = 4
 
 
 def _identity() -> np.ndarray:
     return np.eye(4)
-
-
-def magnet_pose(
-    position: Float[np.ndarray, " 3"], direction: Float[np.ndarray, " 3"]
-) -> Float[np.ndarray, "4 4"]:
-    """``T_world_magnet`` of a source at `position` [m] whose moment is along `direction`.
-
-    The rotation about that axis, which does not affect axial fields, is the shortest from world z.
-
-    Raises:
-        InputError: If the direction is zero or a number is not finite.
-    """
-    position, z = np.asarray(position, float), np.asarray(direction, float)
-    length = np.linalg.norm(z)
-    if not (np.isfinite(length) and length > 0.0 and np.isfinite(position).all()):
-        raise InputError(
-            f"A magnet at {position} along {z} has no pose. Give finite numbers, no zero direction."
-        )
-    z = z / length
-    pose = np.eye(4)
-    pose[:3, 3] = position
-    if z[2] < 0.0:  # half a turn about x first, to avoid a division by zero
-        flip = np.diag([1.0, -1.0, -1.0])
-        pose[:3, :3] = _shortest(flip @ z)
-        pose[:3, :3] = flip @ pose[:3, :3]
-    else:
-        pose[:3, :3] = _shortest(z)
-    return pose
-
-
-def _shortest(z: np.ndarray) -> np.ndarray:
-    """Shortest rotation that takes the z axis to `z`, z·e_z ≥ 0."""
-    x, y, c = z
-    k = 1.0 / (1.0 + c)
-    return np.array(
-        [[1.0 - k * x * x, -k * x * y, x], [-k * x * y, 1.0 - k * y * y, y], [-x, -y, c]]
-    )
-
-
-def check_pose(name: str, pose: np.ndarray) -> None:
-    """Check that a pose is rigid.
-
-    Raises:
-        InputError: If it is not a finite 4×4 matrix of a rotation and a position.
-    """
-    if not _is_rigid(np.asarray(pose)):
-        raise InputError(f"{name} is not a rigid pose. Allowed: 4 x 4, rotation and position [m].")
-
-
-def _is_rigid(pose: np.ndarray) -> bool:
-    """Scalar implementation, as it is called at every step of a control loop."""
-    if pose.shape != (4, 4):
-        return False
-    (a, b, c, x), (d, e, f, y), (g, h, i, z), last = pose.tolist()
-    products = (
-        *(a * a + b * b + c * c - 1.0, d * d + e * e + f * f - 1.0, g * g + h * h + i * i - 1.0),
-        *(a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i),
-    )
-    determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-    return (
-        all(abs(product) < _ORTHONORMAL for product in products)
-        and all(map(math.isfinite, (x, y, z)))
-        and determinant > 0.0
-        and last == [0.0, 0.0, 0.0, 1.0]
-    )
 
 
 def _pose(source: Source) -> np.ndarray:
@@ -133,50 +93,6 @@ class Dipole:
     def add_to(self, core: FieldSources) -> int:
         """Add this source to the core's; return the number of core sources used."""
         core.add_dipole(_pose(self), self.moment)
-        return 1
-
-
-@dataclass(frozen=True)
-class Cylinder:
-    """Permanent magnet: a cylinder, uniformly magnetized along its axis +z.
-
-    Its permeability is taken as μ₀; that of rare-earth magnets is close (1.05). Inside, where H is
-    B/μ₀ minus the magnetization, B is also defined.
-
-    Attributes:
-        diameter: Diameter [m].
-        length: Length along the axis [m].
-        remanence: Remanence B_r [T]; magnetization times μ₀.
-        T_world_magnet: Pose of its center.
-    """
-
-    diameter: float
-    length: float
-    remanence: float
-    T_world_magnet: Float[np.ndarray, "4 4"] = field(default_factory=_identity)
-
-    def __post_init__(self) -> None:
-        _above_zero(self, "diameter", "length", "remanence")
-        check_pose("T_world_magnet", self.T_world_magnet)
-
-    @property
-    def moment(self) -> float:
-        """Magnetic moment B_r V/μ₀ [A·m²]."""
-        return self.remanence * self.volume / MAGNETIC_CONSTANT
-
-    @property
-    def volume(self) -> float:
-        """Volume [m³]."""
-        return 0.25 * math.pi * self.diameter**2 * self.length
-
-    @property
-    def mass(self) -> float:
-        """Mass [kg], assuming NdFeB."""
-        return NEODYMIUM_DENSITY * self.volume
-
-    def add_to(self, core: FieldSources) -> int:
-        """Add this source to the core's; return the number of core sources used."""
-        core.add_shell(_pose(self), 0.5 * self.diameter, self.length, self.remanence, True)
         return 1
 
 
@@ -223,6 +139,7 @@ class Solenoid:
         thickness: Outer minus inner radius of the winding [m], below 2 `radius`.
         layers: Number of shells that represent the thickness, 1 to 100.
         T_world_magnet: Pose of its center.
+        strength: Initial factor on the field, which the controls of a world change.
     """
 
     radius: float
@@ -232,10 +149,11 @@ class Solenoid:
     thickness: float = 0.0
     layers: int = 1
     T_world_magnet: Float[np.ndarray, "4 4"] = field(default_factory=_identity)
+    strength: float = 1.0
 
     def __post_init__(self) -> None:
         _above_zero(self, "radius", "length")
-        _finite(self, "current")
+        _finite(self, "current", "strength")
         require(self.turns >= 1, "Solenoid turns", self.turns, "1 or more")
         is_thin = 0.0 <= self.thickness < 2.0 * self.radius
         require(is_thin, "Solenoid thickness", self.thickness, "0 to below twice the radius")
@@ -249,6 +167,7 @@ class Solenoid:
         for k in range(self.layers):
             radius = self.radius + self.thickness * ((k + 0.5) / self.layers - 0.5)
             core.add_shell(_pose(self), radius, self.length, sheet)
+            core.set_strength(len(core) - 1, self.strength)
         return self.layers
 
 
@@ -288,6 +207,7 @@ class FieldMap:
         flux_density: Values [T] in frame `magnet`, four or more points along each axis.
         factor: Factor on the values, such as the current of a map per ampere.
         T_world_magnet: Pose of the map.
+        strength: Initial factor on the field, which the controls of a world change.
     """
 
     origin: tuple[float, float, float]
@@ -295,6 +215,7 @@ class FieldMap:
     flux_density: Float[np.ndarray, "nx ny nz 3"]
     factor: float = 1.0
     T_world_magnet: Float[np.ndarray, "4 4"] = field(default_factory=_identity)
+    strength: float = 1.0
 
     def __post_init__(self) -> None:
         shape = np.shape(self.flux_density)
@@ -310,17 +231,18 @@ class FieldMap:
                 f"A field map with origin {self.origin} and spacing {self.spacing}. "
                 "Allowed: finite numbers, spacing above 0."
             )
-        _finite(self, "factor")
+        _finite(self, "factor", "strength")
         check_pose("T_world_magnet", self.T_world_magnet)
 
     def add_to(self, core: FieldSources) -> int:
         """Add this source to the core's; return the number of core sources used."""
         values = np.ascontiguousarray(self.flux_density, float)
         core.add_map(_pose(self), self.origin, self.spacing, values, self.factor)
+        core.set_strength(len(core) - 1, self.strength)
         return 1
 
 
-Source = Dipole | Cylinder | Coil | Solenoid | UniformField | FieldMap
+Source = Dipole | Cylinder | Ring | Block | Sphere | Coil | Solenoid | UniformField | FieldMap
 """Any source; an array of electromagnets is a list of sources."""
 
 

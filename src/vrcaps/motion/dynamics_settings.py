@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
+from vrcaps.actuation.coils.coil_program import CoilSteering, coil_column_names, coil_row
 from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.config.file_ref import FileRef, file_ref
 from vrcaps.core.errors import InputError, UnknownNameError, require
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from vrcaps.actuation.magnet_controller import ControllerStatus
     from vrcaps.motion.motion import Command
     from vrcaps.sensors.pose_filter import PoseBelief
-    from vrcaps.world.model import Contact, Coupling
+    from vrcaps.world.model import Contact, Coupling, State
 
 _POSE = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
 
@@ -58,11 +59,15 @@ DYNAMICS_COLUMNS = (
 )
 """Columns of every dynamic motion."""
 
-MAGNET_COLUMNS = (
-    *(f"magnet_{name}" for name in _POSE),
+_COUPLING = (
     *(f"flux_density_{axis}_t" for axis in "xyz"),
     *(f"magnetic_force_{axis}_n" for axis in "xyz"),
     *(f"magnetic_torque_{axis}_nm" for axis in "xyz"),
+)
+
+MAGNET_COLUMNS = (
+    *(f"magnet_{name}" for name in _POSE),
+    *_COUPLING,
     *(f"required_force_{axis}_n" for axis in "xyz"),
     "coupling_angle_rad",
     "coupling_distance_m",
@@ -72,6 +77,9 @@ MAGNET_COLUMNS = (
     "coupling_lost",
 )
 """Further columns with a steering magnet; those of an arm's joints follow."""
+
+COUPLING_COLUMNS = (*_COUPLING, "coupling_angle_rad")
+"""Further columns with coils; currents and temperatures of the coils follow."""
 
 ESTIMATE_COLUMNS = (
     *(f"estimated_{name}" for name in _POSE),
@@ -119,6 +127,7 @@ class DynamicsSettings(MotionSettings):
         phase_three: Fronts of phase III, each at a given position and time, replacing the next one
             due; if `motility` is none, the muscle rests until the first.
         magnet: External magnet that steers the capsule; None for no magnet.
+        coils: Electromagnets that act on the capsule instead; None for none.
         settle: Time before the first frame, without commands [s]. The gut reaches its first
             insufflation, and muscle activity starts within 1 s.
         step: Maximum time between updates of muscle and commands [s].
@@ -145,6 +154,7 @@ class DynamicsSettings(MotionSettings):
     flushes: tuple[Flush, ...] = ()
     phase_three: tuple[Front, ...] = ()
     magnet: MagnetSteering | None = None
+    coils: CoilSteering | None = None
     settle: float = 1.0
     step: float = 0.05
     substep: float = SUBSTEP
@@ -158,6 +168,8 @@ class DynamicsSettings(MotionSettings):
         magnet = () if self.magnet is None else MAGNET_COLUMNS
         if self.magnet is not None and self.magnet.pose == "located":
             magnet += ESTIMATE_COLUMNS
+        if self.coils is not None:
+            magnet = (*COUPLING_COLUMNS, *coil_column_names(len(self.coils.array.coils)))
         return (SPEED_ALONG_GUT, *DYNAMICS_COLUMNS, *magnet)
 
     def make_tissue(self, front: float) -> Tissue:
@@ -209,6 +221,8 @@ class DynamicsSettings(MotionSettings):
                 "Propulsion requires motility, but motility is none. Allowed: "
                 f"{', '.join(MOTILITIES[1:])}."
             )
+        if self.magnet is not None and self.coils is not None:
+            raise InputError("magnet and coils are both given. Give one of them.")
         if self.wrenches and self.wrench_file:
             raise InputError("wrenches and wrench_file are both given. Give one of them.")
         check_wrenches(self.wrenches, "wrenches")
@@ -221,6 +235,19 @@ class DynamicsSettings(MotionSettings):
                 "fasting or phase-three."
             )
         require_rising([front.time for front in self.phase_three], "phase_three")
+
+
+def motion_row(state: State, command: Command) -> dict[str, float | str]:
+    """Row of contact, commands and, with a steering magnet or coils, their coupling."""
+    assert state.contact is not None
+    row: dict[str, float | str] = {**dynamics_row(state.contact, command)}
+    if command.controller is not None and state.coupling is not None:
+        row |= magnet_row(state.coupling, command.controller)
+    if command.estimate is not None:
+        row |= estimate_row(command.estimate)
+    if command.coils is not None and state.coupling is not None:
+        row |= coupling_row(state.coupling) | coil_row(command.coils)
+    return row
 
 
 def dynamics_row(contact: Contact, command: Command) -> dict[str, float]:
@@ -262,6 +289,12 @@ def magnet_row(coupling: Coupling, status: ControllerStatus) -> dict[str, float 
     )
     row = dict(zip(MAGNET_COLUMNS, values, strict=True))
     return row | {f"joint_{k}_rad": angle for k, angle in enumerate(actuator.joint_angles, start=1)}
+
+
+def coupling_row(coupling: Coupling) -> dict[str, float | str]:
+    """Row of `COUPLING_COLUMNS`."""
+    values = (*coupling.flux_density_world, *coupling.force_world, *coupling.torque_world)
+    return dict(zip(COUPLING_COLUMNS, (*values, coupling.angle), strict=True))
 
 
 def estimate_row(belief: PoseBelief) -> dict[str, float]:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
     from jaxtyping import Float
 
+    from vrcaps.actuation.coils.coil_program import CoilStatus
     from vrcaps.actuation.magnet_controller import ControllerStatus
     from vrcaps.magnet.sources import Source
     from vrcaps.sensors.pose_filter import PoseBelief
@@ -39,6 +40,7 @@ class Command:
         controller: Status of the magnet controller; None without a magnet.
         estimate: Estimate of the capsule's pose used by the controller; None if it uses the true
             pose.
+        coils: State of the coils; None without coils.
     """
 
     force_world: Float[np.ndarray, " 3"]
@@ -48,6 +50,7 @@ class Command:
     phase: int = 0
     controller: ControllerStatus | None = None
     estimate: PoseBelief | None = None
+    coils: CoilStatus | None = None
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.actuation.coils.coil_program import CoilProgram
 from vrcaps.actuation.steering_program import SteeringProgram
 from vrcaps.config.file_ref import path_of
 from vrcaps.core.errors import InputError
@@ -20,7 +21,7 @@ from vrcaps.core.transforms import (
 )
 from vrcaps.core.units import CM
 from vrcaps.magnet.presets import read_magnet
-from vrcaps.motion.dynamics_settings import DynamicsSettings, dynamics_row, estimate_row, magnet_row
+from vrcaps.motion.dynamics_settings import DynamicsSettings, motion_row
 from vrcaps.motion.motion import Command, MotionState, Step, with_neighbors
 from vrcaps.motion.trajectory import start_pose
 from vrcaps.organ.surface import OrganSurface
@@ -105,10 +106,15 @@ class Rollout:
         self._offset = None if shown is None else _offset(model.organ, shown)
         pose, arc_length, self.notes = start_pose(model, settings.start, settings.angle)
         self._arc_length = arc_length
-        self.program = None
+        self.program = self.coils = None
+        sources: tuple[Source, ...] = ()
         if settings.magnet is not None:
             self.program = SteeringProgram(model, settings.magnet, pose, arc_length, seed=seed)
             self.notes += self.program.notes
+            sources = tuple(self.program.controller.sources)
+        elif settings.coils is not None:
+            self.coils = CoilProgram(model, settings.coils)
+            sources = self.coils.sources
         self.world = World(
             model,
             settings.make_tissue(front=self.front_arc_length),
@@ -116,7 +122,7 @@ class Rollout:
             substep=settings.substep,
             dynamics=settings.dynamics,
             seed=seed,
-            sources=() if self.program is None else self.program.controller.sources,
+            sources=sources,
         )
         self._require_phase(arc_length)
         self._require_time()
@@ -199,22 +205,17 @@ class Rollout:
 
     def columns(self, step: Step) -> dict[str, float | str]:
         """Contact, commands and, with a steering magnet, its coupling."""
-        state, command = step.state, step.command
-        assert state.contact is not None
-        assert command is not None
-        row: dict[str, float | str] = {**dynamics_row(state.contact, command)}
-        if command.controller is not None and state.coupling is not None:
-            row |= magnet_row(state.coupling, command.controller)
-        if command.estimate is not None:
-            row |= estimate_row(command.estimate)
-        return row
+        assert step.command is not None
+        return motion_row(step.state, step.command)
 
     def sources(self, step: Step) -> tuple[Source, ...]:
-        """Return the steering magnet."""
-        status = None if step.command is None else step.command.controller
-        if status is None or self.settings.magnet is None:
+        """Return the steering magnet, or the coils with their currents as strengths."""
+        command, magnet = step.command, self.settings.magnet
+        if command is not None and command.coils is not None and self.coils is not None:
+            return self.coils.powered(command.coils)
+        if command is None or command.controller is None or magnet is None:
             return ()
-        return (read_magnet(self.settings.magnet.magnet, status.actuator.T_world_magnet),)
+        return (read_magnet(magnet.magnet, command.controller.actuator.T_world_magnet),)
 
     def moments(
         self,
@@ -244,7 +245,8 @@ class Rollout:
             yield Moment(index, state, command, self._save(index) if is_due() else None)
 
     def _save(self, frame: int) -> MotionState:
-        controller = np.zeros(0) if self.program is None else self.program.to_array()
+        program = self.program or self.coils
+        controller = np.zeros(0) if program is None else program.to_array()
         snapshot = replace(self.world.snapshot(), controller=controller)
         arrays = snapshot_arrays(snapshot) | {"arc_length": np.array(self._arc_length)}
         return MotionState(frame, arrays)
@@ -256,15 +258,15 @@ class Rollout:
         except (ValueError, LookupError, TypeError) as error:
             raise InputError(f"The checkpoint of the motion is damaged: {error}.") from error
         self.world.restore(snapshot)
-        if self.program is not None:
-            self.program.restore(snapshot.controller)
+        if (program := self.program or self.coils) is not None:
+            program.restore(snapshot.controller)
 
     def _advance(
         self, start: float, end: float, progress: Callable[[float, float], None]
     ) -> tuple[State, Command]:
         """Step the world from one time to another [s]."""
-        magnet = self.settings.magnet
-        step = self.settings.step if magnet is None else min(self.settings.step, magnet.period)
+        steering = self.settings.magnet or self.settings.coils
+        step = self.settings.step if steering is None else min(self.settings.step, steering.period)
         count = math.ceil((end - start) / step * (1.0 - 1e-9))
         contacts, couplings = [], []
         wrenches = np.zeros((max(count, 1), 2, 3))
@@ -272,7 +274,7 @@ class Rollout:
             times = [start + (end - start) * (index + k) / count for k in (0, 1)]
             wrenches[index] = self._wrench(times[0]) if start >= 0.0 else 0.0
             control = replace(
-                self._magnet_control(times),
+                self._source_control(times),
                 force_world=wrenches[index, 0],
                 torque_world=wrenches[index, 1],
                 T_world_patient=self._patient(times[1]),
@@ -294,11 +296,13 @@ class Rollout:
         command = self._command(end, wrenches.mean(axis=0))
         return self._shown(state, end, command), command
 
-    def _magnet_control(self, times: list[float]) -> Control:
-        """Command of the magnet between two times."""
+    def _source_control(self, times: list[float]) -> Control:
+        """Command of the magnet or the coils between two times."""
+        start, end = times
+        if self.coils is not None:
+            return self.coils.control(self.world, start, end - start)
         if self.program is None:
             return Control()
-        start, end = times
         return self.program.control(self.world, start, end - start, self._patient(end))
 
     def _shown(self, state: State, time: float, command: Command) -> State:
@@ -353,7 +357,8 @@ class Rollout:
             self.program.observe(self.world)
             tracker = self.program.tracker
             estimate = None if tracker is None else tracker.belief
-        return Command(wrench[0], wrench[1], inflated, self._patient(time), phase, status, estimate)
+        coils, patient = self.coils and self.coils.status, self._patient(time)
+        return Command(wrench[0], wrench[1], inflated, patient, phase, status, estimate, coils)
 
     def _require_phase(self, arc_length: float) -> None:
         muscle = self.world.muscle

@@ -122,7 +122,7 @@ class Guide:
         self._actuation = _magnet_of(view)
         magnet = read_magnet(self._actuation.magnet)
         low, high = memory["magnet/box"][index].tolist()
-        workspace = Workspace(tuple(low), tuple(high), 0.5 * magnet.diameter + 3.0 * CM)
+        workspace = Workspace(tuple(low), tuple(high), 0.5 * magnet.bounds[0] + 3.0 * CM)
         self._solver = MagnetPoseSolver(SourceSet([magnet]), model.device.magnets, workspace)
         self._index, self._weight = index, model.device.mass * GRAVITY
         self.path, self.arc_length = _path(view, index), 0.0

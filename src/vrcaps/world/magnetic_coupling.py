@@ -40,6 +40,7 @@ class MagneticCoupling:
         self._core, self._set = core, SourceSet(sources)
         poses = [np.asarray(source.T_world_magnet, float) for source in self._set.sources]
         self.rows: Float[np.ndarray, "k 8"] = rows_from_poses(np.array(poses).reshape(-1, 4, 4))
+        self.rows[:, 7] = [getattr(source, "strength", 1.0) for source in self._set.sources]
         self._has_position = np.array(
             [not isinstance(s, UniformField) for s in self._set.sources], bool
         )

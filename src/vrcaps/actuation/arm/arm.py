@@ -14,9 +14,16 @@ from vrcaps.config.convert import from_plain
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.config.plain_files import CatalogFolder, read_plain
 from vrcaps.core.errors import InputError, require
+from vrcaps.magnet.pose import check_pose
 
 if TYPE_CHECKING:
     from jaxtyping import Float
+
+
+Vector = tuple[float, float, float]
+Row = tuple[float, float, float, float]
+Rows = tuple[Row, Row, Row]
+"""First three rows of a pose."""
 
 
 def _in(unit: str, **options: Any) -> Any:
@@ -28,7 +35,8 @@ def _in(unit: str, **options: Any) -> Any:
 class Joint:
     """Revolute joint: ``T = Rot_x(alpha) Trans_x(a) Rot_z(theta + angle) Trans_z(d)``.
 
-    Uses Craig's convention (Introduction to Robotics, 1989, eq. 3.6), from the previous frame.
+    Uses Craig's convention (Introduction to Robotics, 1989, eq. 3.6), from the previous frame, or
+    from a fixed placement in it. A joint of a URDF has a placement, and parameters of 0.
 
     Attributes:
         a: Length of the previous link [m].
@@ -40,7 +48,9 @@ class Joint:
         velocity: Limit of the speed [rad/s].
         acceleration: Limit of the acceleration [rad/s²].
         jerk: Limit of the jerk [rad/s³].
-        torque: Limit of the torque [N·m].
+        torque: Limit of the torque [N·m]; inf if unknown.
+        placement: First three rows of the pose in the previous frame from which the parameters
+            start [m]; None is that frame.
     """
 
     a: float = _in("mm")
@@ -52,12 +62,16 @@ class Joint:
     velocity: Annotated[float, Range(above=0.0)] = _in("rad_per_s")
     acceleration: Annotated[float, Range(above=0.0)] = _in("rad_per_s2")
     jerk: Annotated[float, Range(above=0.0)] = _in("rad_per_s3")
-    torque: Annotated[float, Range(above=0.0)] = _in("nm")
+    torque: float = _in("nm")
+    placement: Rows | None = None
 
     def __post_init__(self) -> None:
         check_fields(self)
+        require(self.torque > 0.0, "torque", self.torque, "above 0")
         allowed = f"above lower, {self.lower:g} rad"
         require(self.lower < self.upper, "upper", f"{self.upper:g}", allowed)
+        if self.placement is not None:
+            check_pose("placement", np.array([*self.placement, (0.0, 0.0, 0.0, 1.0)], float))
 
 
 @dataclass(frozen=True)
@@ -88,12 +102,14 @@ class Arm:
         name: Catalog name.
         title: Display name.
         joints: Joints in order from the base.
-        flange_offset: Origin of the flange in the last joint's frame [m]; the axes are the same.
+        flange_offset: Origin of the flange in the last joint's frame [m].
         home: Home angles [rad].
-        payload: Maximum payload mass [kg].
+        payload: Maximum payload mass [kg]; inf if unknown.
         links: Collision capsules around its links.
         collision_pairs: Pairs of frames whose links must not collide.
         source: Source of the parameters.
+        flange_rotation: Rows of the rotation from the flange to the last joint's frame; None if the
+            axes are the same.
     """
 
     name: str
@@ -101,13 +117,14 @@ class Arm:
     joints: tuple[Joint, ...]
     flange_offset: tuple[float, float, float] = _in("mm")
     home: tuple[float, ...] = _in("deg")
-    payload: Annotated[float, Range(above=0.0)] = _in("kg")
+    payload: float = _in("kg")
     links: tuple[Link, ...] = ()
     collision_pairs: tuple[tuple[int, int], ...] = ()
     source: str = field(default="", compare=False)
+    flange_rotation: tuple[Vector, Vector, Vector] | None = None
 
     def __post_init__(self) -> None:
-        check_fields(self)
+        require(self.payload > 0.0, "payload", self.payload, "above 0 kg")
         n = len(self.joints)
         if n == 0 or len(self.home) != n:
             raise InputError(f"Arm {self.name}: {n} joints, {len(self.home)} home angles.")
@@ -117,6 +134,7 @@ class Arm:
                 f"Arm {self.name}: home angle of joint {inside.index(False) + 1} is outside its "
                 "limits. Allowed: from lower to upper."
             )
+        check_pose(f"flange of arm {self.name}", self.T_joint_flange)
         frames = [link.frame for link in self.links]
         frames += [f for pair in self.collision_pairs for f in pair]
         if frames and not 0 <= min(frames) <= max(frames) <= n + 1:
@@ -129,6 +147,15 @@ class Arm:
     def num_joints(self) -> int:
         """Number of joints."""
         return len(self.joints)
+
+    @cached_property
+    def T_joint_flange(self) -> np.ndarray:
+        """Pose of the flange in the last joint's frame."""
+        pose = np.eye(4)
+        pose[:3, 3] = self.flange_offset
+        if self.flange_rotation is not None:
+            pose[:3, :3] = self.flange_rotation
+        return pose
 
     @cached_property
     def lower(self) -> np.ndarray:
@@ -144,8 +171,6 @@ class Arm:
     def core(self) -> _core.ArmChain:
         """Arm in the form of the compiled core."""
         joints = [[j.a, j.d, j.alpha, j.theta, j.lower, j.upper] for j in self.joints]
-        flange = np.eye(4)
-        flange[:3, 3] = self.flange_offset
         links = [[link.frame, *link.start, *link.end, link.radius] for link in self.links]
         pairs = [
             (i, j)
@@ -154,7 +179,13 @@ class Arm:
             if (one.frame, other.frame) in self.collision_pairs
         ]
         table = np.array(links, float).reshape(-1, 8)
-        return _core.ArmChain(np.array(joints, float), flange, table, pairs)
+        own, flange = np.array(joints, float), self.T_joint_flange
+        if all(joint.placement is None for joint in self.joints):
+            return _core.ArmChain(own, flange, table, pairs)
+        placements = np.tile(np.eye(4), (self.num_joints, 1, 1))
+        for pose, joint in zip(placements, self.joints, strict=True):
+            pose[:3] = pose[:3] if joint.placement is None else joint.placement
+        return _core.ArmChain(own, flange, table, pairs, placements)
 
 
 _ARMS = CatalogFolder(Path(__file__).parent / "arms", "arm")
@@ -165,22 +196,53 @@ def arm_names() -> tuple[str, ...]:
     return _ARMS.names()
 
 
-def read_arm(name_or_path: str | Path) -> Arm:
-    """Read an arm of the catalog by name, or a custom arm from the path of its TOML file.
+def read_arm(given: str | Path | Arm) -> Arm:
+    """Read an arm of the catalog by name, or a custom arm from its file; an arm is unchanged.
 
-    The file has the fields of `Arm` in the units of their keys (see `arms/panda.toml`); the name of
-    the arm is that of the file.
+    A TOML file has the fields of `Arm` in the units of their keys (see `arms/panda.toml`), or the
+    key `urdf` and the fields of `UrdfArm`; a URDF file is read with the defaults of `UrdfArm`. The
+    name of the arm is that of the file.
 
     Raises:
         UnknownNameError: If the catalog has no arm with that name.
-        InputError: If the file does not exist or is not TOML, a key is missing or unknown, a value
-            is invalid, or the arm is impossible.
+        InputError: If the file does not exist or is not TOML or URDF, a key is missing or unknown,
+            a value is invalid, or the arm is impossible.
     """
-    path = _ARMS.find(name_or_path)
+    if isinstance(given, Arm):
+        return given
+    if not isinstance(given, str | Path):
+        raise InputError(
+            f"arm is of type {type(given).__name__}. Allowed: a name ({', '.join(arm_names())}), "
+            "the path of a TOML or URDF file, or an Arm."
+        )
+    if Path(given).suffix == ".urdf":
+        return _from_urdf({"urdf": str(given)}, Path(given))
+    path = _ARMS.find(given)
     plain = read_plain(path, "arm")
+    if isinstance(plain, dict) and "urdf" in plain:
+        return _from_urdf({**plain, "urdf": str(path.parent / str(plain["urdf"]))}, path)
     if "name" in plain:
         raise InputError(f"Unknown key {path.name}: name. The arm is named as its file.")
     return from_plain(Arm, {"name": path.stem, **plain}, at=f"{path.name}:", units=True)
+
+
+def _from_urdf(plain: dict[str, Any], path: Path) -> Arm:
+    from vrcaps.actuation.arm.urdf import UrdfArm, arm_from_urdf
+
+    settings = from_plain(UrdfArm, plain, at=f"{path.name}:", units=True)
+    return arm_from_urdf(settings, name=path.stem)
+
+
+def arm_of(given: str | Path | Arm) -> str | Arm:
+    """Arm of a file as an object; names and arms are checked and unchanged.
+
+    Settings convert their arm by it once, so that an episode contains it and not its path.
+
+    Raises:
+        UnknownNameError: If the catalog has no arm with that name.
+        InputError: As in `read_arm`.
+    """
+    return str(given) if given in arm_names() else read_arm(given)
 
 
 def forward(arm: Arm, angles: Float[np.ndarray, "*n j"]) -> Float[np.ndarray, "*n 4 4"]:

@@ -12,7 +12,7 @@ from vrcaps import _core
 from vrcaps.actuation.arm.arm import Arm, Link, forward, nearest
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import invert
-from vrcaps.magnet.sources import Cylinder, check_pose
+from vrcaps.magnet.sources import Magnet, check_pose
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -36,7 +36,7 @@ class ArmWithPayload:
     """
 
     arm: Arm
-    magnet: Cylinder
+    magnet: Magnet
     T_world_base: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
     T_flange_magnet: Float[np.ndarray, "4 4"] | None = None
     table_height: float | None = None
@@ -52,7 +52,7 @@ class ArmWithPayload:
         if self.T_flange_magnet is not None:
             return np.asarray(self.T_flange_magnet, float)
         mount = np.eye(4)
-        mount[2, 3] = MOUNT_GAP + 0.5 * self.magnet.length
+        mount[2, 3] = MOUNT_GAP + 0.5 * self.magnet.bounds[1]
         return mount
 
     @cached_property
@@ -84,9 +84,10 @@ class ArmWithPayload:
     @cached_property
     def loaded_arm(self) -> Arm:
         """Arm with a collision capsule around the magnet at its flange."""
-        half = 0.5 * self.magnet.length * self.mount[:3, 2]
+        diameter, length = self.magnet.bounds
+        half = 0.5 * length * self.mount[:3, 2]
         start, end = (tuple((self.mount[:3, 3] + offset).tolist()) for offset in (-half, half))
-        link = Link(self.arm.num_joints + 1, start, end, 0.5 * self.magnet.diameter)
+        link = Link(self.arm.num_joints + 1, start, end, 0.5 * diameter)
         return replace(self.arm, links=(*self.arm.links, link))
 
     @cached_property
@@ -97,18 +98,18 @@ class ArmWithPayload:
             self.loaded_arm.core,
             np.asarray(self.T_world_base, float),
             self.mount,
-            (self.magnet.diameter, self.magnet.length),
+            self.magnet.bounds,
             self.table_height,
         )
 
 
-def transverse_mount(magnet: Cylinder) -> Float[np.ndarray, "4 4"]:
+def transverse_mount(magnet: Magnet) -> Float[np.ndarray, "4 4"]:
     """``T_flange_magnet`` of a magnet with its moment along the flange's x, across its axis.
 
     With the flange pointing down, the moment is horizontal, as needed above a lying capsule.
     """
     mount = np.array([[0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1]], float)
-    mount[2, 3] = MOUNT_GAP + 0.5 * magnet.diameter
+    mount[2, 3] = MOUNT_GAP + 0.5 * magnet.bounds[0]
     return mount
 
 
@@ -134,7 +135,8 @@ def clearances(robot: ArmWithPayload, angles: Float[np.ndarray, "n j"]) -> Float
     """Minimum distances [m] between the arm's links and its magnet, and from them to the table.
 
     Negative values are penetration depths. Links are capsules, and so is the magnet relative to
-    links; relative to the table it is its exact cylinder. Without a table the second is infinite.
+    links; relative to the table it is its bounding cylinder. Without a table the second is
+    infinite.
     """
     return robot.core.clearance(angles)
 

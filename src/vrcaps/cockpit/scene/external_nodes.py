@@ -8,6 +8,7 @@ the organ may come from another patient.
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +19,8 @@ from vrcaps.core.errors import import_extra
 from vrcaps.core.transforms import transform_from, transform_points
 from vrcaps.core.units import CM, MM
 from vrcaps.magnet.field import field, magnet_lines
-from vrcaps.magnet.sources import Cylinder
+from vrcaps.magnet.magnets import magnet_mesh
+from vrcaps.magnet.sources import Magnet
 
 if TYPE_CHECKING:
     import trimesh
@@ -42,15 +44,13 @@ _EVERY = 3
 class MagnetNode:
     """Magnet with field lines that move with it and are therefore computed only once."""
 
-    def __init__(self, scene: viser.SceneApi, magnet: Cylinder) -> None:
+    def __init__(self, scene: viser.SceneApi, magnet: Magnet) -> None:
         trimesh = import_extra("trimesh", "cockpit")
 
         self._frame = scene.add_frame("/magnet", show_axes=False)
+        mesh = magnet_mesh(magnet)
         for name, color, side in (("south", _SOUTH_COLOR, -1.0), ("north", _NORTH_COLOR, 1.0)):
-            half = trimesh.creation.cylinder(
-                0.5 * magnet.diameter, 0.5 * magnet.length, sections=32
-            )
-            half.apply_translation([0.0, 0.0, 0.25 * side * magnet.length])
+            half = trimesh.intersections.slice_mesh_plane(mesh, (0.0, 0.0, side), (0.0, 0.0, 0.0))
             add_shape(scene, f"/magnet/{name}", half, color)
         segments, colors = colored_lines(magnet)
         self._lines = scene.add_line_segments(
@@ -69,10 +69,10 @@ class MagnetNode:
 
 
 def colored_lines(
-    magnet: Cylinder,
+    magnet: Magnet,
 ) -> tuple[Float[np.ndarray, "k 2 3"], Float[np.ndarray, "k 2 3"]]:
     """Segments of field lines in the magnet's frame [m], and the sRGB color of each end."""
-    own = Cylinder(magnet.diameter, magnet.length, magnet.remanence)
+    own = replace(magnet, T_world_magnet=np.eye(4))
     lines = magnet_lines(magnet, reach=_REACH, step=_STEP, rings=4, meridians=6)
     thinned = [np.concatenate([line[:-1:_EVERY], line[-1:]]) for line in lines]
     segments = np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in thinned])

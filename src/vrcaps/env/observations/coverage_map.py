@@ -53,6 +53,13 @@ class MapObservation(Observation):
             shape = (2 * self.scales, self.size, self.size)
         return spaces.Box(0.0, 1.0, shape, np.float32)
 
+    def names(self, view: EnvView) -> tuple[str, ...]:
+        """Name of each channel of the map."""
+        if not self.egocentric:
+            return ("seen [1]", "capsule [1]")
+        scales = range(self.scales)
+        return tuple(f"{stem}_scale_{k} [1]" for k in scales for stem in ("seen", "inside"))
+
     def observe(self, view: EnvView) -> Float[np.ndarray, "n c h w"]:
         """Return the maps of all worlds."""
         made = self._crops(view) if self.egocentric else _whole(view)

@@ -81,6 +81,13 @@ class ImageObservation(Observation):
         shape = (*CHANNELS[self.channel].shape(*self.size), 1)[:3]
         return spaces.Box(*LIMITS[self.channel], shape, np.dtype(CHANNELS[self.channel].dtype))
 
+    def names(self, view: EnvView) -> tuple[str, ...]:
+        """Name of each channel of the image, with its unit in brackets."""
+        count, unit = self.space(view).shape[-1], CHANNELS[self.channel].unit
+        parts = "rgb" if self.channel in ("rgb", "albedo") else "xyz"
+        stems = [f"{self.name}_{part}" for part in parts] if count == 3 else [self.name]
+        return tuple(f"{stem} [{unit}]" for stem in stems)
+
     def allocate(self, view: EnvView) -> None:
         """Allocate the images."""
         view.cameras.request(self.view, self.channel)

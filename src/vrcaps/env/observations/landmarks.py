@@ -81,6 +81,26 @@ class LandmarksObservation(Observation):
         count = 41 + 7 * self.regions + 6 * ("magnet/T" in memory) + ("navigate/goal" in memory)
         return spaces.Box(-1.0, 1.0, (count,), np.float32)
 
+    def names(self, view: EnvView) -> tuple[str, ...]:
+        """Name of each value; a magnitude d is encoded as d/(d + the unit in brackets)."""
+
+        def vector(stem: str, unit: str) -> list[str]:
+            return [f"{stem}_{axis} [{unit}]" for axis in "xyz"]
+
+        names = ["course [1]", "time [1/episode_time]"]
+        names += [f"seen_{level} [1]" for level in ("frustum", "visible", "resolved")]
+        names += vector("to_centerline", "20 mm") + vector("tangent", "1") + vector("ahead", "1")
+        attitude = "capsule_axis" if self.frame == "world" else "gravity"
+        names += ["to_wall [20 mm]", *vector(attitude, "1"), *vector("velocity", "20 mm/s")]
+        names += vector("angular_velocity", "1 rad/s") + vector("contact_force", "0.1 N")
+        names += [f"ray_{k} [20 mm]" for k in range(len(RAYS))]
+        for k in range(self.regions):
+            facts = ("distance [20 mm]", "along [10 cm]", "area [0.01]", "is_free [1]")
+            names += vector(f"region_{k}", "1") + [f"region_{k}_{fact}" for fact in facts]
+        if "magnet/T" in view.memory:
+            names += vector("to_magnet", "10 cm") + vector("magnet_moment", "1")
+        return (*names, *(["to_goal [10 cm]"] if "navigate/goal" in view.memory else []))
+
     def observe(self, view: EnvView) -> Float[np.ndarray, "n k"]:
         """Return the features of all worlds."""
         s = view

@@ -58,6 +58,14 @@ class StateObservation(Observation):
         count = 19 + (6 if "magnet/T" in view.memory else 0)
         return spaces.Box(-_LIMIT, _LIMIT, (count,), np.float32)
 
+    def names(self, view: EnvView) -> tuple[str, ...]:
+        """Name of each value, with its unit in brackets."""
+        stems = {"position": "0.1 m", "axis_x": "1", "axis_z": "1", "velocity": "20 mm/s"}
+        stems |= {"angular_velocity": "rad/s", "contact_force": "0.1 N"}
+        magnet = {"magnet_offset": "0.1 m", "magnet_moment": "1"}
+        names = (*_with_axes(stems), "time [1/episode_time]")
+        return names + (_with_axes(magnet) if "magnet/T" in view.memory else ())
+
     def allocate(self, view: EnvView) -> None:
         """Allocate the center of each organ, and the localization.
 
@@ -98,6 +106,11 @@ class StateObservation(Observation):
             T_magnet = memory["magnet/T"]
             parts += [(T_magnet[:, :3, 3] - T[:, :3, 3]) / _POSITION, T_magnet[:, :3, 2]]
         return np.concatenate(parts, axis=1).clip(-_LIMIT, _LIMIT).astype(np.float32)
+
+
+def _with_axes(stems: dict[str, str]) -> tuple[str, ...]:
+    """Names of the components of vectors with their units."""
+    return tuple(f"{stem}_{axis} [{unit}]" for stem, unit in stems.items() for axis in "xyz")
 
 
 class LocatedCapsules:

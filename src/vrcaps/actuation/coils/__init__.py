@@ -1,0 +1,1 @@
+"""Coil actuation: arrays of electromagnets, their currents, and the programs that set them."""

@@ -369,9 +369,13 @@ def workspace_above(model: Model, magnet: Magnet, standoff: float) -> Workspace:
     return Workspace(low=(-math.inf, -math.inf, lowest), min_distance=radius + 3.0 * CM)
 
 
-def base_beside(model: Model) -> Float[np.ndarray, " 3"]:
-    """Base position of an arm in the world from which it reaches above the patient [m]."""
-    low, high = model.vertices_world.min(axis=0), model.vertices_world.max(axis=0)
+def base_beside(vertices_world: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " 3"]:
+    """Base position of an arm in the world from which it reaches above the patient [m].
+
+    Args:
+        vertices_world: Vertices of the wall at rest [m].
+    """
+    low, high = vertices_world.min(axis=0), vertices_world.max(axis=0)
     center = 0.5 * (low + high)
     return np.array([center[0] - _BASE_BESIDE, center[1], high[2] - BASE_BELOW])
 
@@ -383,7 +387,7 @@ def _make_actuator(model: Model, settings: MagnetSteering) -> MagnetActuator:
         return FreeActuator(workspace)
     T_world_base = np.eye(4)
     given = settings.arm_base
-    T_world_base[:3, 3] = base_beside(model) if given is None else given
+    T_world_base[:3, 3] = base_beside(model.vertices_world) if given is None else given
     arm = read_arm(settings.arm)
     robot = ArmWithPayload(arm, magnet, T_world_base, transverse_mount(magnet))
     return RobotActuator(robot, workspace)

@@ -249,7 +249,7 @@ class ArmActuation(Actuation):
             InputError: If the capsule contains no magnet.
         """
         model, memory = view.patient(index).model, view.memory
-        magnet, base = self._robot.magnet, base_beside(model)
+        magnet, base = self._robot.magnet, base_beside(model.vertices_world)
         # The magnet's edge stays above the plane for any orientation.
         edge = 0.5 * (math.hypot(*magnet.bounds) - magnet.bounds[0])
         workspace = workspace_above(model, magnet, self.standoff + edge)

@@ -49,6 +49,7 @@ except SystemExit as error:
     assert not error.code
 '''
 SETUP = {
+    "how-to/bring-your-own-hardware.md": 'import os; os.environ["MINARI_DATASETS_PATH"] = "minari"',
     "concepts/coverage.md": episode(
         "stomach", frames=2, channels=("rgb", "ray_distance", "normal", "face")
     ),

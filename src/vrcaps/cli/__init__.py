@@ -30,6 +30,7 @@ _VERBS = {
     "cockpit": ("vrcaps.cli.cockpit", "Cockpit", "Steer a capsule by magnet from a browser."),
     "view": ("vrcaps.cli.episodes", "View", "View episodes in a browser."),
     "check": ("vrcaps.cli.episodes", "Check", "Verify an episode."),
+    "scene": ("vrcaps.cli.episodes", "Scene", "Write the scene of an episode as MJCF or USD."),
     "coverage": ("vrcaps.cli.episodes", "Coverage", "Measure the coverage of the organ."),
     "reconstruct": ("vrcaps.cli.reconstruct", "Reconstruct", "Reconstruct the wall from images."),
     "compare-looks": (

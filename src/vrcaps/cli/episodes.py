@@ -1,4 +1,4 @@
-"""Verbs on recorded episodes: `vrcaps check`, `vrcaps coverage` and `vrcaps view`."""
+"""Verbs on recorded episodes: `vrcaps check`, `coverage`, `view` and `scene`."""
 
 from __future__ import annotations
 
@@ -182,3 +182,36 @@ class View:
                 threading.Event().wait()
             except KeyboardInterrupt:
                 console.print("Stopping …")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Write the scene of an episode at a frame for other simulators: MJCF for MuJoCo, or USD.
+
+    It holds the wall, the capsule with its mass and, if the capsule was steered, the magnet and the
+    arm. The wall is that of the frame if it was recorded with --wall, else at rest.
+
+    For example:
+      vrcaps scene runs/steer --out steer.xml
+      vrcaps scene runs/steer --frame 20 --out steer.usda
+    """
+
+    episode: Positional[Path]
+    """Folder of the episode."""
+
+    out: Path
+    """File to write: .xml (MJCF, with OBJ files beside it), .usda, .usd or .usdc."""
+
+    frame: int = 0
+    """Index of the frame."""
+
+    def run(self) -> None:
+        """Write the file."""
+        require_folder(self.episode, "an episode")
+        from vrcaps.formats.robotics.scene import scene_of, write_scene
+        from vrcaps.recording.episode import read_episode
+
+        scene = scene_of(read_episode(self.episode), self.frame)
+        written = write_scene(scene, self.out)
+        parts = ["wall", "capsule", *(["magnet"] if scene.magnet is not None else [])]
+        console.print(f"Wrote {', '.join(parts + ['arm'] * (scene.arm is not None))} to {written}.")

@@ -108,6 +108,7 @@ _BUILT_IN = {
     ),
     "lerobot": ("robotics.lerobot:LeRobot", "LeRobot v3.0, for imitation learning."),
     "mcap": ("robotics.mcap:Mcap", "MCAP, for Foxglove."),
+    "ros2-bag": ("robotics.ros2_bag:Ros2Bag", "ROS 2 bag, for ROS and its tools."),
 }
 
 FORMATS: Registry[Format] = Registry(

@@ -17,7 +17,7 @@ import numpy as np
 from vrcaps.config.convert import from_plain, register_shorthand
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.config.plain_files import stored_fields
-from vrcaps.core.errors import InputError, UnknownNameError, require
+from vrcaps.core.errors import InputError, UnknownNameError, import_extra, require
 from vrcaps.magnet.pose import check_pose
 
 if TYPE_CHECKING:
@@ -315,9 +315,12 @@ for _shape in SHAPES:
 
 
 def magnet_mesh(magnet: Magnet) -> trimesh.Trimesh:
-    """Closed surface of a magnet in its frame [m], for pictures and scene files."""
-    from trimesh import creation
+    """Closed surface of a magnet in its frame [m], for pictures and scene files.
 
+    Raises:
+        MissingExtraError: If trimesh is not installed.
+    """
+    creation = import_extra("trimesh", "robots").creation
     if isinstance(magnet, Block):
         return creation.box(magnet.size)
     if isinstance(magnet, Sphere):

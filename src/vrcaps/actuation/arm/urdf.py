@@ -242,8 +242,7 @@ def _capsules(path: Path, robot: Any, offsets: _Offsets, settings: UrdfArm) -> I
 
 
 def _vertices(path: Path, link: str, shape: Any, settings: UrdfArm) -> Float[np.ndarray, "n 3"]:
-    from trimesh import creation
-
+    creation = import_extra("trimesh", "robots").creation
     if shape.box is not None:
         return np.asarray(creation.box(shape.box.size).vertices)
     if shape.sphere is not None:
@@ -274,8 +273,7 @@ def _mesh_path(path: Path, link: str, name: str, settings: UrdfArm) -> Path:
 
 
 def _mesh_vertices(path: Path) -> Float[np.ndarray, "n 3"]:
-    import trimesh
-
+    trimesh = import_extra("trimesh", "robots")
     size = path.stat().st_size
     require(size <= _MAX_MESH_BYTES, f"size of {path}", f"{size} byte", f"up to {_MAX_MESH_BYTES}")
     with reading(f"the mesh {path}"):

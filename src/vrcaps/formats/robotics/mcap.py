@@ -79,7 +79,9 @@ class Mcap:
             path.parent.mkdir(exist_ok=True)
             with path.open("wb") as file, _writing(file) as writer:
                 topics = _Topics(writer)
-                writer.add_metadata(_METADATA, {"sequences": json.dumps([*map(_plain, cameras)])})
+                writer.add_metadata(
+                    _METADATA, {"sequences": json.dumps([*map(plain_sequence, cameras)])}
+                )
                 self._write_start(topics, cameras)
                 for write in self._events(topics, cameras, advance):
                     write()
@@ -101,7 +103,7 @@ class Mcap:
         for sequence in cameras:
             camera = sequence.camera
             assert camera is not None
-            frame, name = _frame_of(sequence), sequence.name
+            frame, name = frame_of(sequence), sequence.name
             calibration = foxglove.camera_calibration(ns, frame, camera, name)
             topics.send(f"/{camera.name}/calibration", "CameraCalibration", ns, calibration)
         episode = cameras[0].episode
@@ -127,12 +129,12 @@ class Mcap:
     def _write_frame(
         self, topics: _Topics, sequence: FrameSequence, advance: Advance, index: int
     ) -> None:
-        frame, camera = _frame_of(sequence), sequence.camera
+        frame, camera = frame_of(sequence), sequence.camera
         assert camera is not None
         ns, pose = foxglove.time_ns(sequence.times[index]), sequence.Ts_world_camera[index]
         message = {"transforms": [foxglove.transform(ns, "world", frame, pose)]}
         topics.send("/tf", "FrameTransforms", ns, message)
-        for channel in _stored(sequence):
+        for channel in stored_channels(sequence):
             values = sequence.image(channel, index)
             topic = f"/{camera.name}/{channel}"
             if channel == "rgb":
@@ -247,12 +249,13 @@ def _capsule(ns: int, episode: Episode) -> foxglove.Message:
     return foxglove.entity(ns, "capsule", "capsule", cylinders=[body], spheres=ends)
 
 
-def _frame_of(sequence: FrameSequence) -> str:
+def frame_of(sequence: FrameSequence) -> str:
+    """Name of the frame of a sequence's camera."""
     assert sequence.camera is not None
     return f"camera_{sequence.camera.name}"
 
 
-def _stored(sequence: FrameSequence) -> tuple[str, ...]:
+def stored_channels(sequence: FrameSequence) -> tuple[str, ...]:
     """Channels stored in messages: color, and single-valued ones of at most 16 bits."""
     return tuple(
         name
@@ -262,14 +265,14 @@ def _stored(sequence: FrameSequence) -> tuple[str, ...]:
     )
 
 
-def _plain(sequence: FrameSequence) -> dict[str, Any]:
+def plain_sequence(sequence: FrameSequence) -> dict[str, Any]:
     """Metadata of a sequence that messages do not hold."""
     assert sequence.camera is not None
     return {
         "name": sequence.name,
         "patient": sequence.patient,
         "label_names": list(sequence.label_names),
-        "channels": list(_stored(sequence)),
+        "channels": list(stored_channels(sequence)),
         "camera": camera_to_plain(sequence.camera),
     }
 
@@ -297,12 +300,17 @@ def _read_file(path: Path, split: str | None) -> tuple[FrameSequence, ...]:
             for one in json.loads(message.data)["transforms"]:
                 rows = poses.setdefault(one["child_frame_id"], {})
                 rows[message.log_time] = foxglove.pose_of(one)
-        return tuple(_sequence(path, split, one, poses) for one in plain)
+        return tuple(sequence_of(path, split, one, poses, _load) for one in plain)
 
 
-def _sequence(
-    path: Path, split: str | None, plain: Mapping[str, Any], poses: Mapping[str, dict[int, NDArray]]
+def sequence_of(
+    path: Path,
+    split: str | None,
+    plain: Mapping[str, Any],
+    poses: Mapping[str, dict[int, NDArray]],
+    load: Callable[..., NDArray],
 ) -> FrameSequence:
+    """Sequence of a camera from its metadata and the poses of all frames, by time [ns]."""
     camera = camera_from_plain(plain["camera"], at="camera")
     times = sorted(poses[f"camera_{camera.name}"])
     values = {TIME: np.array(times) * 1e-9}
@@ -315,7 +323,7 @@ def _sequence(
         plain["name"],
         tuple(plain["channels"]),
         values,
-        partial(_load, path, camera.name, times),
+        partial(load, path, camera.name, times),
         camera,
         tuple(plain["label_names"]),
         plain["patient"],

@@ -1,0 +1,52 @@
+"""Episodes of a policy as a Minari data set, read and checked by Minari."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.support.small_envs import short_settings
+from vrcaps.core.errors import InputError
+from vrcaps.env.env import CapsuleEnv
+from vrcaps.policy.catalog import read_policy
+from vrcaps.policy.minari_data import record_minari
+
+minari = pytest.importorskip("minari")
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    return tmp_path
+
+
+def test_minari_reads_the_episodes_that_the_environment_gave():
+    settings = short_settings()
+    record_minari(read_policy("random"), settings, "vrcaps/tube-v0", episodes=2, seed=5)
+    data = minari.load_dataset("vrcaps/tube-v0")
+    assert data.total_episodes == 2
+    assert data.total_steps == 8
+    assert "position_x [0.1 m]" in data.storage.metadata["description"]
+    episode = data[1]
+    env = CapsuleEnv(settings)
+    observation, _ = env.reset(seed=6)
+    for k, action in enumerate(episode.actions):
+        assert data.action_space.contains(action)
+        stored = {name: values[k] for name, values in episode.observations.items()}
+        assert data.observation_space.contains(stored)
+        np.testing.assert_allclose(stored["state"], observation["state"], atol=1e-6)
+        observation, reward, *_ = env.step(action)
+        assert episode.rewards[k] == pytest.approx(reward, abs=1e-6)
+    assert episode.truncations.tolist() == [False, False, False, True]
+    assert not episode.terminations.any()
+
+
+def test_what_cannot_be_stored_is_one_line():
+    policy, settings = read_policy("random"), short_settings()
+    with pytest.raises(InputError, match=r"dataset_id is '\.\./a'\. Allowed: letters"):
+        record_minari(policy, settings, "../a")
+    with pytest.raises(InputError, match=r"episodes is 0\. Allowed: 1 to"):
+        record_minari(policy, settings, "a-v0", episodes=0)
+    record_minari(policy, settings, "a-v0", episodes=1)
+    with pytest.raises(InputError, match="data set a-v0 exists already"):
+        record_minari(policy, settings, "a-v0", episodes=1)

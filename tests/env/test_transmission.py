@@ -110,6 +110,17 @@ def test_a_snapshot_holds_what_is_on_its_way():
         assert all(np.array_equal(one[name], other[name]) for name in one)
 
 
+def test_settings_may_be_tables_and_nothing_else():
+    settings = small_settings(transmission={"image_delay": 3})
+    assert settings.transmission == Transmission(image_delay=3)
+    with pytest.raises(
+        InputError, match=r"Unknown key transmission\.delay\. Allowed: action_delay"
+    ):
+        small_settings(transmission={"delay": 3})
+    with pytest.raises(InputError, match=r"transmission is of type int\. Allowed: a Transmission"):
+        small_settings(transmission=3)
+
+
 def test_choices_have_no_levels():
     with pytest.raises(InputError, match="action_levels is given, but the actions are choices"):
         env_of(Transmission(action_levels=4), actuation=Wrench(mode="discrete"))

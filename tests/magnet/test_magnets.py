@@ -50,8 +50,11 @@ def test_a_file_is_the_magnet_that_it_describes(tmp_path, text):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("diameter_mm = 5", r"\.kind is missing\. Allowed: block, cylinder, ring, sphere"),
-        ('kind = "cone"', r"\.kind is 'cone'\. Allowed: block, cylinder, ring, sphere"),
+        (
+            "diameter_mm = 5",
+            r"mine\.toml: kind is missing\. Allowed: block, cylinder, ring, sphere",
+        ),
+        ('kind = "cone"', r"mine\.toml: kind is 'cone'\. Allowed: block, cylinder, ring, sphere"),
         (
             'kind = "cylinder"\ndiameter = 5\ngrade = "N52"',
             r"Unknown key diameter\. Allowed: kind, diameter_mm, length_mm, magnetization, and one "
@@ -87,6 +90,8 @@ def test_what_is_no_magnet_at_all():
         MagnetSteering(magnet="big")
     with pytest.raises(InputError, match=r"Cannot read the magnet file no/mine\.toml"):
         MagnetActuation(magnet="no/mine.toml")
+    with pytest.raises(InputError, match=r"diameter is a\. Allowed: above 0 to 1 m"):
+        Cylinder("a", 0.05, 1.0)  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"remanence is 3\.0\. Allowed: above 0 to 2 T"):
         Cylinder(0.05, 0.05, 3.0)
 

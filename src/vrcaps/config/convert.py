@@ -276,8 +276,9 @@ def _explained(error: BaseException, at: str, units: bool) -> InputError:
         index = next(n.index for n in first.__notes__ if isinstance(n, IterableValidationNote))
         return _explained(first, f"{at}[{index}]", units)
     if isinstance(error, _NotAllowedError):
-        space = "" if str(error).startswith(".") else " "
-        return InputError(f"{at}{space}{error}")
+        text = str(error)
+        is_key = text.startswith(".") and not at.endswith(":")
+        return InputError(f"{at}{text}" if is_key else f"{at} {text.removeprefix('.')}")
     location = at.removesuffix(":")
     return InputError(f"{location}: {error}" if location else str(error))
 

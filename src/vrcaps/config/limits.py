@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from functools import cache
+from numbers import Real
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from vrcaps.core.errors import InputError, UnknownNameError
@@ -65,10 +66,14 @@ def check_fields(instance: Any, of: str = "") -> None:
         if value is None:
             continue
         if range_ is not None:
-            if value not in range_:
+            if not _is_number(value) or value not in range_:
                 raise InputError(f"{owner}{name} is {value}. Allowed: {range_}.")
         elif isinstance(value, str) and value not in known:
             raise UnknownNameError(name.replace("_", " "), value, known)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, Real) or getattr(value, "ndim", 1) == 0
 
 
 @cache

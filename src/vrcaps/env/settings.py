@@ -39,6 +39,14 @@ from vrcaps.world.model import posture_transform
 _MAX_TIME = 7 * 86400.0
 """Maximum duration of an episode [s], a week, since files of policies may state any."""
 _MAX_CELLS = 1024
+_SETTINGS: dict[str, type] = {
+    "tissue": Tissue,
+    "randomization": Randomization,
+    "transmission": Transmission,
+    "start": Start,
+    "criteria": CoverageCriteria,
+}
+"""Types of the settings that are dataclasses of one kind."""
 
 
 @dataclass(frozen=True)
@@ -100,6 +108,10 @@ class EnvSettings:
 
     def __post_init__(self) -> None:
         check_fields(self)
+        for name, kind in _SETTINGS.items():
+            value = getattr(self, name)
+            allowed = f"a {kind.__name__}"
+            require(isinstance(value, kind), name, f"of type {type(value).__name__}", allowed)
         posture_transform(self.posture)
         if not self.organs:
             raise InputError("organs is empty. Allowed: at least one.")
@@ -171,6 +183,8 @@ def env_settings(**keywords: Any) -> EnvSettings:
         given = keywords["lesions"]
         given = (given,) if isinstance(given, str) else given
         keywords["lesions"] = tuple(parse_lesion(x) if isinstance(x, str) else x for x in given)
+    tables = [name for name in _SETTINGS if isinstance(keywords.get(name), Mapping)]
+    keywords |= {name: from_plain(_SETTINGS[name], keywords[name], at=name) for name in tables}
     if isinstance(keywords.get("organs"), str):
         keywords["organs"] = (keywords["organs"],)
     values: dict[str, Any] = {

@@ -12,12 +12,14 @@ import numpy as np
 import pytest
 
 from tests.support.waiting import wait_until
+from vrcaps.actuation.coils.coil_program import CoilSteering
 from vrcaps.actuation.steering_program import JoystickCommand, read_commands
 from vrcaps.cockpit.session.operator import PolicyDriver
-from vrcaps.cockpit.session.session import Session
+from vrcaps.cockpit.session.session import Session, cockpit_scenario
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.transforms import quaternion_from_matrix
 from vrcaps.lumen.contents import Contents
+from vrcaps.motion.dynamics import Dynamics
 from vrcaps.recording.episode import read_episode
 from vrcaps.recording.recorder import record
 from vrcaps.recording.table import POSE_COLUMNS
@@ -196,3 +198,11 @@ def test_a_full_disk_is_told_and_the_next_save_writes_all(drive_scenario, tmp_pa
     _, commands = read_commands(tmp_path / "drive" / "commands.csv")
     assert [command.time for command in commands] == [0.0, 0.1]
     assert commands[1].linear == (1.0, 0.0, 0.0)
+
+
+def test_coils_are_refused_in_one_line():
+    scenario = Scenario("stomach", "magnetic", motion=Dynamics(coils=CoilSteering()))
+    with pytest.raises(
+        InputError, match=r"steers by a magnet\. Give motion\.magnet instead of coils"
+    ):
+        cockpit_scenario(scenario)

@@ -69,10 +69,15 @@ def cockpit_scenario(scenario: Scenario) -> ResolvedScenario:
 
     A scenario without dynamics, or without a magnet, gets the default ones; waypoints and recorded
     commands are replaced by the driver.
+
+    Raises:
+        InputError: If the scenario has coils, which cannot be driven here.
     """
     motion = scenario.motion
     if not isinstance(motion, Dynamics):
         motion = Dynamics(start=getattr(motion, "start", Dynamics.start), substep=2e-4)
+    if motion.coils is not None:
+        raise InputError("The cockpit steers by a magnet. Give motion.magnet instead of coils.")
     magnet = motion.magnet or MagnetSteering(arm="panda")
     still = (JoystickCommand(0.0),)
     magnet = replace(magnet, waypoints=(), command_file=None, joystick=still)

@@ -9,9 +9,15 @@ import pytest
 
 import vrcaps
 from tests.support.small_envs import GUT
-from vrcaps.actuation.arm.arm_with_payload import magnet_pose_at
+from vrcaps.actuation.arm.arm import frames
+from vrcaps.actuation.arm.arm_with_payload import (
+    ArmWithPayload,
+    magnet_pose_at,
+    transverse_mount,
+)
 from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.capsule.device import homogeneous_body
+from vrcaps.cli import episodes as commands
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import matrix_from_quaternion
 from vrcaps.formats.robotics.scene import Scene, scene_of, write_scene
@@ -52,12 +58,8 @@ def scene(episode) -> Scene:
 def test_the_scene_is_that_of_the_frame(episode, scene):
     np.testing.assert_allclose(scene.T_world_capsule, episode.Ts_world_capsule[1])
     assert scene.capsule.mass == homogeneous_body(vrcaps.read_device("magnetic")).mass
-    robot = vrcaps.actuation.arm.arm_with_payload.ArmWithPayload(
-        scene.arm.arm,
-        scene.magnet,
-        scene.arm.T_world_base,
-        vrcaps.actuation.arm.arm_with_payload.transverse_mount(scene.magnet),
-    )
+    mount = transverse_mount(scene.magnet)
+    robot = ArmWithPayload(scene.arm.arm, scene.magnet, scene.arm.T_world_base, mount)
     ours = magnet_pose_at(robot, scene.arm.angles)
     np.testing.assert_allclose(ours, scene.magnet.T_world_magnet, atol=1e-9)
 
@@ -124,7 +126,7 @@ def test_usd_has_the_same_poses_and_masses(scene, tmp_path, suffix):
     assert UsdGeom.GetStageMetersPerUnit(stage) == 1.0
     assert UsdGeom.GetStageUpAxis(stage) == "Z"
     cache = UsdGeom.XformCache()
-    placed = vrcaps.actuation.arm.arm.frames(scene.arm.arm, scene.arm.angles)
+    placed = frames(scene.arm.arm, scene.arm.angles)
     for name, pose, mass in (
         ("capsule", scene.T_world_capsule, scene.capsule.mass),
         ("magnet", scene.magnet.T_world_magnet, scene.magnet.mass),
@@ -151,3 +153,9 @@ def test_what_cannot_be_written_is_one_line(episode, scene, tmp_path):
         scene_of(episode, 2)
     with pytest.raises(InputError, match=r"Cannot write .*scene\.xml: No such file"):
         write_scene(scene, tmp_path / "no" / "scene.xml")
+
+
+def test_the_verb_says_what_it_wrote(episode, tmp_path, capsys):
+    commands.Scene(episode.path, tmp_path / "a.xml", frame=1).run()
+    assert capsys.readouterr().out == f"Wrote wall, capsule, magnet, arm to {tmp_path / 'a.xml'}.\n"
+    assert (tmp_path / "a-wall.obj").is_file()

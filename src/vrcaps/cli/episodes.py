@@ -200,7 +200,7 @@ class Scene:
     """Folder of the episode."""
 
     out: Path
-    """File to write: .xml (MJCF, with OBJ files beside it), .usda, .usd or .usdc."""
+    """File to write: .xml (MJCF, with OBJ files next to it), .usda, .usd or .usdc."""
 
     frame: int = 0
     """Index of the frame."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support.scenes import random_poses
-from vrcaps.actuation.arm.arm import Arm, Link, forward, frames
+from vrcaps.actuation.arm.arm import Arm, forward, frames
 from vrcaps.actuation.arm.arm_with_payload import (
     ArmWithPayload,
     check_speed,
@@ -20,6 +20,7 @@ from vrcaps.actuation.arm.arm_with_payload import (
     reachability,
     solve_joint_angles,
 )
+from vrcaps.actuation.arm.chain import Link
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import transform_points
 from vrcaps.magnet.presets import read_magnet

@@ -1,191 +1,19 @@
-"""Robot arm: Denavit-Hartenberg joints, limits, collisions, forward and inverse kinematics."""
+"""Robot arm: read by name or file; forward and inverse kinematics."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps import _core
+from vrcaps.actuation.arm.chain import Arm
 from vrcaps.config.convert import from_plain
-from vrcaps.config.limits import Range, check_fields
 from vrcaps.config.plain_files import CatalogFolder, read_plain
-from vrcaps.core.errors import InputError, require
-from vrcaps.magnet.pose import check_pose
+from vrcaps.core.errors import InputError
 
 if TYPE_CHECKING:
     from jaxtyping import Float
-
-
-Vector = tuple[float, float, float]
-Row = tuple[float, float, float, float]
-Rows = tuple[Row, Row, Row]
-"""First three rows of a pose."""
-
-
-def _in(unit: str, **options: Any) -> Any:
-    """Field that files store in a unit."""
-    return field(metadata={"unit": unit}, **options)
-
-
-@dataclass(frozen=True)
-class Joint:
-    """Revolute joint: ``T = Rot_x(alpha) Trans_x(a) Rot_z(theta + angle) Trans_z(d)``.
-
-    Uses Craig's convention (Introduction to Robotics, 1989, eq. 3.6), from the previous frame, or
-    from a fixed placement in it. A joint of a URDF has a placement, and parameters of 0.
-
-    Attributes:
-        a: Length of the previous link [m].
-        d: Offset along the joint axis [m].
-        alpha: Twist of the previous link [rad].
-        theta: Rotation at angle 0 [rad].
-        lower: Lower limit of the angle [rad].
-        upper: Upper limit of the angle [rad].
-        velocity: Limit of the speed [rad/s].
-        acceleration: Limit of the acceleration [rad/s²].
-        jerk: Limit of the jerk [rad/s³].
-        torque: Limit of the torque [N·m]; inf if unknown.
-        placement: First three rows of the pose in the previous frame from which the parameters
-            start [m]; None is that frame.
-    """
-
-    a: float = _in("mm")
-    d: float = _in("mm")
-    alpha: float = _in("deg")
-    theta: float = _in("deg")
-    lower: float = _in("rad")
-    upper: float = _in("rad")
-    velocity: Annotated[float, Range(above=0.0)] = _in("rad_per_s")
-    acceleration: Annotated[float, Range(above=0.0)] = _in("rad_per_s2")
-    jerk: Annotated[float, Range(above=0.0)] = _in("rad_per_s3")
-    torque: float = _in("nm")
-    placement: Rows | None = None
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        require(self.torque > 0.0, "torque", self.torque, "above 0")
-        allowed = f"above lower, {self.lower:g} rad"
-        require(self.lower < self.upper, "upper", f"{self.upper:g}", allowed)
-        if self.placement is not None:
-            check_pose("placement", np.array([*self.placement, (0.0, 0.0, 0.0, 1.0)], float))
-
-
-@dataclass(frozen=True)
-class Link:
-    """Collision capsule around part of a link.
-
-    Attributes:
-        frame: Index of its frame: 0 for the base, then the joints, last the flange.
-        start: One end of its axis, in that frame [m].
-        end: The other end [m].
-        radius: Radius [m].
-    """
-
-    frame: Annotated[int, Range(min=0)]
-    start: tuple[float, float, float] = _in("mm")
-    end: tuple[float, float, float] = _in("mm")
-    radius: Annotated[float, Range(above=0.0)] = _in("mm")
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-
-@dataclass(frozen=True)
-class Arm:
-    """Robot arm with revolute joints from frame `base` to its end, `flange`.
-
-    Attributes:
-        name: Catalog name.
-        title: Display name.
-        joints: Joints in order from the base.
-        flange_offset: Origin of the flange in the last joint's frame [m].
-        home: Home angles [rad].
-        payload: Maximum payload mass [kg]; inf if unknown.
-        links: Collision capsules around its links.
-        collision_pairs: Pairs of frames whose links must not collide.
-        source: Source of the parameters.
-        flange_rotation: Rows of the rotation from the flange to the last joint's frame; None if the
-            axes are the same.
-    """
-
-    name: str
-    title: str
-    joints: tuple[Joint, ...]
-    flange_offset: tuple[float, float, float] = _in("mm")
-    home: tuple[float, ...] = _in("deg")
-    payload: float = _in("kg")
-    links: tuple[Link, ...] = ()
-    collision_pairs: tuple[tuple[int, int], ...] = ()
-    source: str = field(default="", compare=False)
-    flange_rotation: tuple[Vector, Vector, Vector] | None = None
-
-    def __post_init__(self) -> None:
-        require(self.payload > 0.0, "payload", self.payload, "above 0 kg")
-        n = len(self.joints)
-        if n == 0 or len(self.home) != n:
-            raise InputError(f"Arm {self.name}: {n} joints, {len(self.home)} home angles.")
-        inside = [j.lower <= q <= j.upper for j, q in zip(self.joints, self.home, strict=True)]
-        if not all(inside):
-            raise InputError(
-                f"Arm {self.name}: home angle of joint {inside.index(False) + 1} is outside its "
-                "limits. Allowed: from lower to upper."
-            )
-        check_pose(f"flange of arm {self.name}", self.T_joint_flange)
-        frames = [link.frame for link in self.links]
-        frames += [f for pair in self.collision_pairs for f in pair]
-        if frames and not 0 <= min(frames) <= max(frames) <= n + 1:
-            raise InputError(
-                f"Arm {self.name}: a link or pair names frame {max(frames)} or {min(frames)}. "
-                f"Allowed: 0 (base) to {n + 1} (flange)."
-            )
-
-    @property
-    def num_joints(self) -> int:
-        """Number of joints."""
-        return len(self.joints)
-
-    @cached_property
-    def T_joint_flange(self) -> np.ndarray:
-        """Pose of the flange in the last joint's frame."""
-        pose = np.eye(4)
-        pose[:3, 3] = self.flange_offset
-        if self.flange_rotation is not None:
-            pose[:3, :3] = self.flange_rotation
-        return pose
-
-    @cached_property
-    def lower(self) -> np.ndarray:
-        """Minimum angles [rad]."""
-        return np.array([joint.lower for joint in self.joints])
-
-    @cached_property
-    def upper(self) -> np.ndarray:
-        """Maximum angles [rad]."""
-        return np.array([joint.upper for joint in self.joints])
-
-    @cached_property
-    def core(self) -> _core.ArmChain:
-        """Arm in the form of the compiled core."""
-        joints = [[j.a, j.d, j.alpha, j.theta, j.lower, j.upper] for j in self.joints]
-        links = [[link.frame, *link.start, *link.end, link.radius] for link in self.links]
-        pairs = [
-            (i, j)
-            for i, one in enumerate(self.links)
-            for j, other in enumerate(self.links)
-            if (one.frame, other.frame) in self.collision_pairs
-        ]
-        table = np.array(links, float).reshape(-1, 8)
-        own, flange = np.array(joints, float), self.T_joint_flange
-        if all(joint.placement is None for joint in self.joints):
-            return _core.ArmChain(own, flange, table, pairs)
-        placements = np.tile(np.eye(4), (self.num_joints, 1, 1))
-        for pose, joint in zip(placements, self.joints, strict=True):
-            pose[:3] = pose[:3] if joint.placement is None else joint.placement
-        return _core.ArmChain(own, flange, table, pairs, placements)
 
 
 _ARMS = CatalogFolder(Path(__file__).parent / "arms", "arm")

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.actuation.arm.arm import Arm, Link, forward, nearest
+from vrcaps.actuation.arm.arm import forward, nearest
+from vrcaps.actuation.arm.chain import Arm, Link
 from vrcaps.core.errors import InputError
 from vrcaps.core.transforms import invert
 from vrcaps.magnet.sources import Magnet, check_pose

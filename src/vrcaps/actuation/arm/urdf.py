@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from vrcaps.actuation.arm.arm import Arm, Joint, Link
+from vrcaps.actuation.arm.chain import Arm, Joint, Link
 from vrcaps.config.limits import Range, check_fields
 from vrcaps.core.errors import InputError, import_extra, reading, require
 from vrcaps.core.names import inside

@@ -116,7 +116,7 @@ def scene_of(episode: Episode, frame: int = 0) -> Scene:
 
 
 def write_scene(scene: Scene, path: str | Path) -> Path:
-    """Write a scene as MJCF (.xml, with wall and magnet as OBJ beside it) or USD (.usda, .usdc).
+    """Write a scene as MJCF (.xml, with wall and magnet as OBJ next to it) or USD (.usda, .usdc).
 
     In MJCF the capsule has a free joint, the joints of the arm are hinges at the recorded angles in
     the keyframe `recorded`, and the magnet is fixed to the flange or, without an arm, a mocap body.

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from websockets.sync.client import ClientConnection, connect
 
+from vrcaps.cockpit.connections import READY
 from vrcaps.cockpit.messages import IMAGE_KINDS
 
 REPEAT = 0.25
@@ -45,6 +46,8 @@ class Client:
         except TimeoutError:
             return
         now = time.perf_counter()
+        if isinstance(data, bytes) or data.startswith('{"type": "status"'):
+            self.socket.send(READY)
         if isinstance(data, bytes) and data[0] == IMAGE_KINDS["camera"]:
             picture = cv2.imdecode(np.frombuffer(data[1:], np.uint8), cv2.IMREAD_COLOR)
             assert picture is not None

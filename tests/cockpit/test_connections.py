@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from vrcaps.cockpit import connections
-from vrcaps.cockpit.connections import Hub, LimitedSocket, Outbox, RateLimit
+from vrcaps.cockpit.connections import READY, Hub, LimitedSocket, Outbox, RateLimit
 
 
 class Receiver:
@@ -92,9 +92,20 @@ def test_answers_keep_their_order_and_newer_images_replace_older_ones():
     assert len(outbox._answers) == connections._MAX_QUEUED
 
 
+def test_few_images_are_on_the_way_to_a_browser_that_confirms_none():
+    outbox = Outbox()
+    for number in range(10):
+        outbox.replace("camera", b"%d" % number)
+        outbox.take()
+    outbox.add("answer")
+    assert [outbox.take(), outbox.take()] == ["answer", None]
+    outbox.confirm()
+    assert [outbox.take(), outbox.take()] == [b"9", None]
+
+
 def test_messages_arrive_and_images_leave_with_their_kind():
     async def run() -> None:
-        receiver, socket = Receiver(), Socket(["a", "b"])
+        receiver, socket = Receiver(), Socket(["a", READY, "b"])
         hub, told = hub_with(receiver)
         serving = asyncio.create_task(hub.serve(socket))
         await asyncio.sleep(0.01)

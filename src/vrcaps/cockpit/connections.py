@@ -2,7 +2,8 @@
 
 They run in the event loop of the page's server. All methods of `Hub` may be called from any thread
 and never wait for a browser: a newer status or image replaces one that was not sent yet, and a
-browser that floods or stalls loses its connection.
+browser that floods or stalls loses its connection. Few statuses and images are on the way to a
+browser at a time, since it confirms each by `READY`; otherwise a slow one would lag by seconds.
 """
 
 from __future__ import annotations
@@ -16,6 +17,10 @@ from typing import Any, Protocol
 
 from vrcaps.cockpit.messages import IMAGE_KINDS, MAX_COMMAND
 
+READY = "ready"
+"""Message of a browser that has processed a status or an image."""
+_MAX_UNCONFIRMED = 4
+"""Maximum number of statuses and images on the way to a browser."""
 _MAX_RATE, _MAX_BURST = 150.0, 300.0
 """Messages per second that a browser may send, and at once."""
 _MAX_QUEUED = 128
@@ -61,6 +66,7 @@ class Outbox:
     def __init__(self) -> None:
         self._answers: deque[str] = deque()
         self._latest: dict[str, str | bytes] = {}
+        self._unconfirmed = 0
         self.is_full = False
 
     def add(self, text: str) -> None:
@@ -74,12 +80,17 @@ class Outbox:
         """Add data that replaces older data of its kind."""
         self._latest[kind] = data
 
+    def confirm(self) -> None:
+        """Count a status or an image as processed by the browser."""
+        self._unconfirmed = max(0, self._unconfirmed - 1)
+
     def take(self) -> str | bytes | None:
-        """Remove and return the next data to send; None if nothing waits."""
+        """Remove and return the next data to send; None if nothing may be sent now."""
         if self._answers:
             return self._answers.popleft()
-        if not self._latest:
+        if not self._latest or self._unconfirmed >= _MAX_UNCONFIRMED:
             return None
+        self._unconfirmed += 1
         return self._latest.pop(next(iter(self._latest)))
 
 
@@ -166,17 +177,17 @@ class Hub:
         sending = asyncio.create_task(self._send(client, browser))
         try:
             receiver.join(client)
-            await self._receive(client, socket)
+            await self._receive(client, browser)
         finally:
             sending.cancel()
             self._browsers.pop(client, None)
             if self.receiver is not None:
                 self.receiver.leave(client)
 
-    async def _receive(self, client: int, socket: Any) -> None:
+    async def _receive(self, client: int, browser: _Browser) -> None:
         from websockets.exceptions import ConnectionClosed
 
-        limit = RateLimit()
+        limit, socket = RateLimit(), browser.socket
         with contextlib.suppress(ConnectionClosed):
             while True:
                 text = await socket.recv()
@@ -184,7 +195,10 @@ class Hub:
                     self._on_message(f"Browser {client} was disconnected: it sent too much.")
                     await socket.close(_POLICY_VIOLATION, "Too many or too long messages.")
                     return
-                if self.receiver is not None:
+                if text == READY:
+                    browser.outbox.confirm()
+                    browser.wake.set()
+                elif self.receiver is not None:
                     self.receiver.receive(client, text)
 
     async def _send(self, client: int, browser: _Browser) -> None:

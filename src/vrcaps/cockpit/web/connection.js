@@ -1,6 +1,7 @@
 // WebSocket of the page: commands with acknowledgements out, values and images in.
 
 const RETRY_MS = 1000;
+const READY = "ready"; // confirms a status or an image, so that few are on the way to a slow browser
 const IMAGES = { 1: "camera", 2: "map", 3: "other camera" };
 
 export class Connection {
@@ -29,11 +30,14 @@ export class Connection {
     if (typeof data !== "string") {
       const kind = IMAGES[new Uint8Array(data, 0, 1)[0]];
       if (kind) this.handlers.image(kind, new Blob([new Uint8Array(data, 1)], { type: "image/jpeg" }));
+      this.socket.send(READY);
       return;
     }
     const message = JSON.parse(data);
-    if (message.type === "status") this.handlers.status(message.values, message.viewpoint);
-    else if (message.type === "setup") {
+    if (message.type === "status") {
+      this.handlers.status(message.values, message.viewpoint);
+      this.socket.send(READY);
+    } else if (message.type === "setup") {
       this.handlers.online(true);
       this.handlers.setup(message.values, message.client);
     } else if (message.type === "notice") this.handlers.notice(message.text, message.is_error);

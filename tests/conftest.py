@@ -1,10 +1,12 @@
 """Fixtures shared by all tests."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from tests.support.coarse_organs import TEXELS_PER_MM, fill_cache
 from vrcaps import _core
 
 _ROOT = str(Path(__file__).parents[1])
@@ -27,6 +29,26 @@ def shared_data() -> Path:
     if not path.is_dir():
         pytest.skip(f"optional test data not found at {path}")
     return path
+
+
+@pytest.fixture(scope="session")
+def coarse_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Cache folder with coarse organs, the same for all workers."""
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
+    folder /= "coarse-organs"
+    fill_cache(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def coarse_organs(coarse_cache: Path) -> Iterator[None]:
+    """Organs of the catalog are coarse, in programs that a test starts too; so are textures."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("VRCAPS_CACHE", str(coarse_cache))
+        patch.setattr("vrcaps.mucosa.bake.DEFAULT_TEXELS_PER_MM", TEXELS_PER_MM)
+        yield
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

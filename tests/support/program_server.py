@@ -64,6 +64,7 @@ def run(job: dict[str, Any]) -> int:
     sys.path[:] = list(dict.fromkeys([*given, *sys.path]))
     sys.argv = job["arguments"]
     try:
+        exec(job["setup"], {})
         if job["code"] is None:
             sys.path.insert(0, os.path.dirname(sys.argv[0]))
             if job["warnings"]:

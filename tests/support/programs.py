@@ -28,6 +28,7 @@ def run_program(
     folder: Path | None = None,
     environment: Mapping[str, str] | None = None,
     warnings: str = "",
+    setup: str = "",
 ) -> subprocess.CompletedProcess[str]:
     """Run a Python program to its end.
 
@@ -37,6 +38,7 @@ def run_program(
         folder: Working directory; the current one if None.
         environment: Environment variables that are added to those of this process.
         warnings: Regular expression of modules whose warnings are errors, for a file.
+        setup: Statements that run before the program.
 
     Returns:
         Exit status (negative for a signal, SIGALRM for a hang), and both streams as text.
@@ -50,6 +52,7 @@ def run_program(
             "folder": str(folder or Path.cwd()),
             "environment": {**os.environ, **(environment or {})},
             "warnings": warnings,
+            "setup": setup,
             "timeout": WATCHDOG,
             "stdout": str(stdout),
             "stderr": str(stderr),

@@ -117,6 +117,8 @@ def test_toml_with_few_keys(tmp_path):
         ("list.json", "[]", "A scenario is a table of keys, not list"),
         ("head.json", '{"format": "vrcaps-episode/1"}', "A scenario is a table of keys, not None"),
         ("key.json", '{"frame": 3}', r"Unknown key frame\. Allowed: organ, capsule"),
+        ("kind.json", '{"organ": {"path": "a.ply"}}', "organ.kind is missing. Allowed: file, gen"),
+        ("typo.json", '{"organ": {"pth": "a.ply"}}', r"Unknown key organ\.pth\. Allowed: name"),
         (
             "full.json",
             '{"organ": {"kind": "generated", "distension": "full"}}',

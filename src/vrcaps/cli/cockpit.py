@@ -13,7 +13,7 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
 from vrcaps.cli.console import console
 from vrcaps.cli.record import Record, use_threads
 from vrcaps.cli.scenario_flags import ImageFlags, MotionFlags, OrganFlags
-from vrcaps.core.errors import InputError
+from vrcaps.core.errors import InputError, require_extra
 
 if TYPE_CHECKING:
     from vrcaps.scenario.scenario import Scenario
@@ -79,10 +79,10 @@ class Cockpit:
             InputError: If the scenario is invalid, the folder not empty or the port in use.
         """
         use_threads(self.threads)
-        from vrcaps.cockpit.cockpit import open_cockpit, require_viser
+        require_extra("cockpit", "viser", "gymnasium", "trimesh")
+        from vrcaps.cockpit.cockpit import open_cockpit
         from vrcaps.cockpit.server import require_free
 
-        require_viser()
         require_free(self.host, self.port)
         out = self.out or Path("runs") / time.strftime("drive-%Y%m%d-%H%M%S")
         with open_cockpit(

@@ -262,6 +262,10 @@ def _completed(f: Field, declared: Any, plain: Any, units: bool) -> Any:
     default = f.default if f.default_factory is MISSING else f.default_factory()
     if not (isinstance(plain, Mapping) and is_dataclass(default)):
         return plain
+    kinds = (type(default), *classes_by_kind(declared).values())
+    fits = [plain.keys() <= {_key(f, units) for f in fields(cls)} for cls in kinds]
+    if "kind" not in plain and not fits[0] and any(fits):  # the kind is reported as missing
+        return plain
     whole = to_plain(default, declared, units=units)
     kind = whole.get("kind")
     return {**whole, **plain} if plain.get("kind", kind) == kind else plain
@@ -310,16 +314,13 @@ def _titled(what: str, location: str) -> str:
 
 
 def _located(at: str, key: str) -> str:
-    if not at:
-        return key
-    return f"{at} {key}" if at.endswith(":") else f"{at}.{key}"
+    separator = " " if at.endswith(":") else "."
+    return f"{at}{separator}{key}" if at else key
 
 
 def _key(f: Field, units: bool) -> str:
-    if not units:
-        return f.name
-    name = f.metadata.get("key", f.name)
-    return f"{name}_{f.metadata['unit']}" if "unit" in f.metadata else name
+    name = f.metadata.get("key", f.name) if units else f.name
+    return f"{name}_{f.metadata['unit']}" if units and "unit" in f.metadata else name
 
 
 def _in_unit(plain: Any, f: Field, units: bool) -> Any:

@@ -12,7 +12,7 @@ from vrcaps.capsule.device import Device
 from vrcaps.capsule.device_file import device_of
 from vrcaps.config.convert import to_plain
 from vrcaps.config.file_ref import path_of, with_checksums
-from vrcaps.core.errors import InputError
+from vrcaps.core.errors import InputError, require_extra
 from vrcaps.core.units import LENGTH_UNITS
 from vrcaps.lesion import Lesion, add_lesions, lesion_rng
 from vrcaps.lesion.placement import require_possible
@@ -203,6 +203,7 @@ class OrganSource:
 
     def _with_lesions(self, *, clean: bool) -> OrganSurface:
         """Organ with the lesions, or the same organ before they are added."""
+        require_extra("lesions", "potpourri3d")
         rng, organ = lesion_rng(self._lesion_seed), self.load_healthy()
         if organ.metadata.get("lesions"):
             raise InputError(f"{organ.name} has lesions already. Give none, or its clean twin.")

@@ -314,8 +314,7 @@ def _titled(what: str, location: str) -> str:
 
 
 def _located(at: str, key: str) -> str:
-    separator = " " if at.endswith(":") else "."
-    return f"{at}{separator}{key}" if at else key
+    return f"{at}{' ' if at.endswith(':') else '.'}{key}" if at else key
 
 
 def _key(f: Field, units: bool) -> str:

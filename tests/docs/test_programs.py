@@ -49,7 +49,10 @@ except SystemExit as error:
     assert not error.code
 '''
 SETUP = {
-    "how-to/bring-your-own-hardware.md": 'import os; os.environ["MINARI_DATASETS_PATH"] = "minari"',
+    "how-to/bring-your-own-hardware.md": """
+import os
+os.environ["MINARI_DATASETS_PATH"] = os.path.abspath("minari")
+""",
     "concepts/coverage.md": episode(
         "stomach", frames=2, channels=("rgb", "ray_distance", "normal", "face")
     ),

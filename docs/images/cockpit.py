@@ -1,23 +1,29 @@
 """Take the pictures of the cockpit: a stomach that is driven through, and an episode of it.
 
-A magnet on a Panda leads the capsule by held keys; the pictures are of a headless Chromium.
+A magnet on a Panda leads the capsule by held keys, and in the episode along the wall; the pictures
+are of a headless Chromium.
 
-python -m docs.images.cockpit
+python -m docs.images.cockpit [drive] [view]
 """
 
 from __future__ import annotations
 
 import shutil
+import sys
 import tempfile
-from dataclasses import replace
+from collections.abc import Collection
 from pathlib import Path
 
 from playwright.sync_api import Page, sync_playwright
 
+from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.cli.cockpit import Cockpit as CockpitCommand
 from vrcaps.cockpit.cockpit import Cockpit, open_cockpit
 from vrcaps.cockpit.episodes.episode_page import open_episodes
+from vrcaps.motion.dynamics import Dynamics
 from vrcaps.recording.recorder import record
+from vrcaps.render.settings import RenderSettings
+from vrcaps.scenario.scenario import Scenario
 
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 SIZES = {"cockpit_small": (900, 600), "cockpit_tablet": (1024, 768), "cockpit_large": (1920, 1080)}
@@ -25,29 +31,35 @@ SIZE = (1400, 800)
 PORT = 8941
 KEYS = (("a", 1.0), ("s", 1.5), ("e", 1.0))
 """Keys, and for how much simulated time each is held [s]."""
-MAX_FRAMES = 16
+EPISODE = Scenario(
+    "stomach",
+    "magnetic",
+    motion=Dynamics(magnet=MagnetSteering(arm="panda", speed=0.02)),
+    frames=24,
+    channels=("rgb", "depth"),
+    render=RenderSettings(light="direct"),
+)
 
 
-def main(path: Path) -> None:
-    """Drive, record, and take the pictures."""
+def main(path: Path, parts: Collection[str]) -> None:
+    """Take the pictures of a drive, of an episode, or of both."""
     folder = Path(tempfile.mkdtemp())
     program = shutil.which("chromium") or shutil.which("chromium-browser")
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=program, args=FLAGS)
-        with open_cockpit(CockpitCommand().resolved(), folder / "drive", port=PORT) as cockpit:
-            tab = browser.new_page()
-            tab.add_init_script("localStorage.setItem('vrcaps-tour', 'seen')")
-            opened(tab, cockpit.gate.address)
-            drive(tab, cockpit)
-            take_drive(tab, path)
-            scenario = cockpit.session.drive.save()
-        scenario = replace(scenario, frames=min(scenario.frames, MAX_FRAMES))
-        episode = record(scenario, folder / "episode")
-        with open_episodes([episode], port=PORT) as (page, gate):
-            tab = opened(browser.new_page(), gate.address)
-            tab.get_by_label("Channel").select_option("depth")
-            page.select(scenario.frames - 1)
-            take(tab, path.with_stem("cockpit_view"))
+        if "drive" in parts:
+            with open_cockpit(CockpitCommand().resolved(), folder / "drive", port=PORT) as cockpit:
+                tab = browser.new_page()
+                tab.add_init_script("localStorage.setItem('vrcaps-tour', 'seen')")
+                opened(tab, cockpit.gate.address)
+                drive(tab, cockpit)
+                take_drive(tab, path)
+        if "view" in parts:
+            with open_episodes([record(EPISODE, folder / "stomach")], port=PORT) as (page, gate):
+                tab = opened(browser.new_page(), gate.address)
+                tab.get_by_label("Channel").select_option("depth")
+                page.select(EPISODE.frames - 1)
+                take(tab, path.with_stem("cockpit_view"))
         browser.close()
     shutil.rmtree(folder)
 
@@ -97,4 +109,4 @@ def take(tab: Page, path: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(__file__).with_suffix(".jpg"))
+    main(Path(__file__).with_suffix(".jpg"), sys.argv[1:] or ("drive", "view"))

@@ -7,28 +7,28 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-KEYS = ("a", "s", "w", "d")
-"""Keys that move the magnet horizontally."""
+OPPOSITE = {"a": "d", "s": "w", "d": "a", "w": "s"}
+"""Keys that move the magnet horizontally, and the keys that move it back."""
 
 _LOOK_MS = 40
 """Real time between looks at the screen [ms]."""
-_TRIAL = 0.4
+_TRIAL = 0.5
 """Simulated time [s] for which a key is held before its effect is judged."""
-_PROGRESS = 0.2
+_PROGRESS = 0.3
 """Way of the dot on the map [% of its width] in a trial that counts as progress."""
+_LONGER, _LONGEST = 1.5, 2.0
+"""Factor on the time of a trial after none of the keys helped, and its maximum [s]."""
 
 
 class KeyPilot:
     """Driver that holds a key as long as the dot on the map moves towards the aboral end.
 
-    Otherwise it tries the next key.
-
-    Attributes:
-        presses: Number of keys held so far.
+    If it does not move, the magnet is moved back and the next key is tried; if none helps, each is
+    held for longer.
     """
 
     def __init__(self, tab: Page) -> None:
-        self._tab, self.presses = tab, 0
+        self._tab, self._trial = tab, _TRIAL
 
     def place(self) -> float:
         """Place of the dot on the map [% of its width]."""
@@ -45,26 +45,33 @@ class KeyPilot:
 
     def drive_to(self, segment: str, seconds: float) -> bool:
         """Drive until the page shows a segment; return whether it was reached within a time [s]."""
-        number = 0
+        failed = 0
+        keys = list(OPPOSITE)
         while self.segment() != segment and self.time() < seconds:
-            if not self._hold(KEYS[number % len(KEYS)], segment, seconds):
-                number += 1
+            if self._helps(keys[0], segment):
+                failed, self._trial = 0, _TRIAL
+            else:
+                keys.append(keys.pop(0))
+                failed += 1
+                if failed % len(keys) == 0:
+                    self._trial = min(_LONGEST, _LONGER * self._trial)
         return self.segment() == segment
 
-    def _hold(self, key: str, segment: str, seconds: float) -> bool:
-        """Hold a key while it helps; return whether it did at all."""
-        self.presses += 1
-        helped = False
+    def _helps(self, key: str, segment: str) -> bool:
+        """Hold a key while the dot moves on; return whether it did."""
+        before, began = self.place(), self.time()
+        self._hold(key, self._trial, segment)
+        if self.segment() == segment:
+            return True
+        if self.place() >= before + _PROGRESS:
+            return True
+        self._hold(OPPOSITE[key], self.time() - began, segment)
+        return False
+
+    def _hold(self, key: str, seconds: float, segment: str) -> None:
+        """Hold a key for a simulated time [s], or until the page shows a segment."""
+        end = self.time() + seconds
         self._tab.keyboard.down(key)
-        while True:
-            began, before = self.time(), self.place()
-            while self.time() < began + _TRIAL:
-                if self.segment() == segment or self.time() > seconds:
-                    self._tab.keyboard.up(key)
-                    return True
-                self._tab.wait_for_timeout(_LOOK_MS)
-            if self.place() < before + _PROGRESS:
-                break
-            helped = True
+        while self.time() < end and self.segment() != segment:
+            self._tab.wait_for_timeout(_LOOK_MS)
         self._tab.keyboard.up(key)
-        return helped

@@ -11,6 +11,7 @@ from unittest.mock import MagicMock
 import numpy as np
 import pytest
 
+from vrcaps.actuation.arm.arm import read_arm
 from vrcaps.cockpit import messages
 from vrcaps.cockpit.driving.drive_commands import drive_handlers
 from vrcaps.cockpit.driving.drive_page import DrivePage
@@ -24,6 +25,7 @@ from vrcaps.cockpit.messages import NewDrive, Severity
 from vrcaps.cockpit.page import FieldError
 from vrcaps.cockpit.session.session import cockpit_scenario
 from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.magnet.sources import Sphere
 from vrcaps.scenario.scenario import OrganGenerated, Scenario
 
 
@@ -64,6 +66,9 @@ def test_what_is_not_chosen_stays_the_same(scenario):
     assert after.organ == OrganGenerated("colon", seed=3)
     assert [lesion.kind for lesion in after.lesions] == ["polyp"]
     assert after.motion.magnet.arm is None
+    own = replace(scenario.motion.magnet, magnet=Sphere(0.03, 1.4), arm=read_arm("panda"))
+    own = replace(scenario, motion=replace(scenario.motion, magnet=own))
+    assert next_scenario(own, NewDrive(magnet="own sphere", arm="panda"), "127.0.0.1") == own
     assert after.contents.bubbles == 2
     assert replace(after, organ=scenario.organ, motion=scenario.motion, lesions=()) == replace(
         scenario, contents=after.contents

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from unittest.mock import MagicMock
+
 import numpy as np
 import pytest
 
 from vrcaps.actuation.arm.arm import read_arm
 from vrcaps.cockpit.scene import external_nodes
-from vrcaps.cockpit.scene.external_nodes import link_meshes, patient_outline
+from vrcaps.cockpit.scene.external_nodes import MagnetNode, link_meshes, patient_outline
+from vrcaps.magnet.presets import read_magnet
+from vrcaps.magnet.sources import Sphere
 
 STOMACH = np.array([[-0.04, -0.09, 0.05], [0.11, 0.06, 0.22], [0.03, 0.0, 0.12]])
 
@@ -28,6 +32,17 @@ def test_each_link_is_drawn_in_its_frame(is_installed, monkeypatch):
             assert faces.max() < len(vertices)
             middle = np.mean([link.start, link.end], axis=0)
             assert np.linalg.norm(vertices - middle, axis=1).min() < 2.5 * link.radius
+
+
+@pytest.mark.parametrize("magnet", [read_magnet("cylinder-50.8"), Sphere(0.03, 1.4)])
+def test_a_magnet_is_drawn_in_two_halves_that_meet_in_the_middle(magnet):
+    scene = MagicMock()
+    node = MagnetNode(scene, magnet)
+    drawn = {call.args[0]: call.args[1] for call in scene.add_mesh_simple.call_args_list}
+    assert drawn["/magnet/south"][:, 2].max() == pytest.approx(0.0)
+    assert drawn["/magnet/north"][:, 2].min() == pytest.approx(0.0)
+    farthest = max(np.linalg.norm(points, axis=1).max() for points in drawn.values())
+    assert node.radius == pytest.approx(farthest)
 
 
 @pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (0.15, -0.3, -1.2)])

@@ -19,6 +19,7 @@ from vrcaps.scenario.scenario import OrganGenerated
 from vrcaps.world.model import POSTURES
 
 if TYPE_CHECKING:
+    from vrcaps.actuation.steering_program import MagnetSteering
     from vrcaps.cockpit.session.session import Session
 
 SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
@@ -79,6 +80,18 @@ def lost_text(lost: str) -> str:
     return _LOST.get(lost, lost.replace("_", " "))
 
 
+def magnet_name(steering: MagnetSteering) -> str:
+    """Name of the magnet; one of a file is named after its shape."""
+    magnet = steering.magnet
+    return magnet if isinstance(magnet, str) else f"own {type(magnet).__name__.lower()}"
+
+
+def arm_name(steering: MagnetSteering) -> str:
+    """Name of the arm, or `NO_ARM`."""
+    arm = steering.arm
+    return NO_ARM if arm is None else arm if isinstance(arm, str) else arm.name
+
+
 def drive_setup(session: Session, policies: tuple[str, ...]) -> dict[str, Any]:
     """Constants of the page.
 
@@ -127,9 +140,9 @@ def _new_drive(session: Session) -> dict[str, Any]:
         "capsules": list(magnetic_capsules()),
         "capsule": session.model.device.name,
         "magnets": list(magnet_names()),
-        "magnet": "" if steering is None else str(steering.magnet),
+        "magnet": "" if steering is None else magnet_name(steering),
         "arms": [NO_ARM, *arm_names()],
-        "arm": NO_ARM if steering is None or steering.arm is None else str(steering.arm),
+        "arm": NO_ARM if steering is None else arm_name(steering),
         "severities": [
             *lasting,
             *(

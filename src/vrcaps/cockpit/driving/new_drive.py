@@ -10,7 +10,7 @@ from vrcaps.actuation.arm.arm import arm_names
 from vrcaps.anatomy.catalog import ORGANS
 from vrcaps.capsule.device_file import device_of, read_device
 from vrcaps.cockpit.driving.drive_commands import require_known
-from vrcaps.cockpit.driving.drive_setup import NO_ARM
+from vrcaps.cockpit.driving.drive_setup import NO_ARM, arm_name, magnet_name
 from vrcaps.cockpit.page import FieldError
 from vrcaps.cockpit.server import is_loopback
 from vrcaps.cockpit.session.drive import (
@@ -90,10 +90,10 @@ def _steered(scenario: Scenario, command: NewDrive) -> Scenario:
     if not isinstance(motion, Dynamics) or motion.magnet is None:
         return scenario
     steering = motion.magnet
-    if command.magnet and command.magnet != str(steering.magnet):
+    if command.magnet and command.magnet != magnet_name(steering):
         _at("magnet", lambda: require_known("magnet", command.magnet, magnet_names()))
         steering = replace(steering, magnet=command.magnet)
-    if command.arm and command.arm != (steering.arm or NO_ARM):
+    if command.arm and command.arm != arm_name(steering):
         _at("arm", lambda: require_known("arm", command.arm, (NO_ARM, *arm_names())))
         steering = replace(steering, arm=None if command.arm == NO_ARM else command.arm)
     return replace(scenario, motion=replace(motion, magnet=steering))

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.cockpit.scene.nodes import add_shape, move
+from vrcaps.cockpit.scene.nodes import move
 from vrcaps.core.errors import import_extra
 from vrcaps.core.transforms import transform_from, transform_points
 from vrcaps.core.units import CM, MM
@@ -42,16 +42,23 @@ _EVERY = 3
 
 
 class MagnetNode:
-    """Magnet with field lines that move with it and are therefore computed only once."""
+    """Magnet with field lines that move with it and are therefore computed only once.
+
+    Attributes:
+        radius: Largest distance of its surface from its center [m].
+    """
 
     def __init__(self, scene: viser.SceneApi, magnet: Magnet) -> None:
         trimesh = import_extra("trimesh", "cockpit")
 
         self._frame = scene.add_frame("/magnet", show_axes=False)
         mesh = magnet_mesh(magnet)
+        self.radius = float(np.linalg.norm(mesh.vertices, axis=1).max())
         for name, color, side in (("south", _SOUTH_COLOR, -1.0), ("north", _NORTH_COLOR, 1.0)):
-            half = trimesh.intersections.slice_mesh_plane(mesh, (0.0, 0.0, side), (0.0, 0.0, 0.0))
-            add_shape(scene, f"/magnet/{name}", half, color)
+            vertices, faces, _ = trimesh.intersections.slice_faces_plane(
+                mesh.vertices, mesh.faces, (0.0, 0.0, side), (0.0, 0.0, 0.0)
+            )
+            scene.add_mesh_simple(f"/magnet/{name}", vertices, faces, color=color)
         segments, colors = colored_lines(magnet)
         self._lines = scene.add_line_segments(
             "/magnet/field",

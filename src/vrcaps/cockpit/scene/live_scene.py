@@ -131,9 +131,7 @@ class LiveScene:
         self._moved, self._wall_time, self._patch_time = 0.0, 0.0, 0.0
         device = self._model.device
         self._capsule = add_capsule(self._scene, "/capsule", device.length, device.radius)
-        magnet = read_magnet(program.settings.magnet)
-        self._magnet = MagnetNode(self._scene, magnet)
-        self._magnet_radius = 0.5 * float(np.hypot(magnet.diameter, magnet.length))
+        self._magnet = MagnetNode(self._scene, read_magnet(program.settings.magnet))
         self._patient = PatientNode(self._scene, self._model.organ.vertices)
         self._path = PathNode(self._scene, "/path", _PATH_COLOR)
         self._arm_frames = self._add_arm()
@@ -153,8 +151,8 @@ class LiveScene:
         low, high = points.min(axis=0), points.max(axis=0)
         if target == "all":
             pose = self._program.controller.requested if view is None else view.T_world_magnet
-            low = np.minimum(low, pose[:3, 3] - self._magnet_radius)
-            high = np.maximum(high, pose[:3, 3] + self._magnet_radius)
+            low = np.minimum(low, pose[:3, 3] - self._magnet.radius)
+            high = np.maximum(high, pose[:3, 3] + self._magnet.radius)
         return low, high
 
     def update(self, view: View) -> None:

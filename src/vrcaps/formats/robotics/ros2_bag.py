@@ -25,12 +25,12 @@ from vrcaps.camera.lens.exchange import OPENCV_LENSES, OpenCvLens
 from vrcaps.config.plain_files import decode_json
 from vrcaps.core.errors import InputError, import_extra, reading
 from vrcaps.core.files import MAX_BYTES
-from vrcaps.core.names import inside, listed
+from vrcaps.core.names import listed
 from vrcaps.core.transforms import quaternion_from_matrix
 from vrcaps.formats.format import Needs
 from vrcaps.formats.robotics.foxglove_schemas import time_ns
 from vrcaps.formats.robotics.mcap import frame_of, plain_sequence, sequence_of, stored_channels
-from vrcaps.formats.shared.folders import recordings, split_of
+from vrcaps.formats.shared.folders import new_folder, recordings, split_of
 from vrcaps.render.channels import CHANNELS
 
 if TYPE_CHECKING:
@@ -60,8 +60,8 @@ class Ros2Bag:
             MissingExtraError: If rosbags is not installed.
         """
         for split, name, cameras in recordings(sequences):
-            path = inside(folder, f"{split or '.'}/{name}")
-            path.parent.mkdir(parents=True, exist_ok=True)
+            path = new_folder(folder, split, name)
+            path.rmdir()  # rosbags creates it
             with _Bag.writing(path) as bag:
                 text = json.dumps([*map(plain_sequence, cameras)])
                 bag.send(_SEQUENCES, "std_msgs/msg/String", 0, data=text)

@@ -20,6 +20,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow  # of the import of Minari's readers
 def test_minari_reads_the_episodes_that_the_environment_gave():
     settings = short_settings()
     record_minari(read_policy("random"), settings, "vrcaps/tube-v0", episodes=2, seed=5)

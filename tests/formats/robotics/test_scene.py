@@ -26,6 +26,8 @@ from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.recorder import record
 from vrcaps.scenario.scenario import Scenario
 
+pytestmark = pytest.mark.slow  # of the recording with an arm
+
 
 @pytest.fixture(scope="module")
 def episode(tmp_path_factory) -> Episode:

@@ -1,4 +1,4 @@
-"""A script that drives by keys and knows only what the screen shows: the map, its segment, time."""
+"""A script that drives by keys and knows only what the screen shows: map, magnetic force, time."""
 
 from __future__ import annotations
 
@@ -18,13 +18,17 @@ _PROGRESS = 0.3
 """Way of the dot on the map [% of its width] in a trial that counts as progress."""
 _LONGER, _LONGEST = 1.5, 2.0
 """Factor on the time of a trial after none of the keys helped, and its maximum [s]."""
+_FORCE = (150.0, 350.0)
+"""Range of the magnetic force [mN]: below it the magnet is lowered, above it raised."""
+_ADJUSTMENT = 0.2
+"""Simulated time [s] for which the magnet is lowered or raised."""
 
 
 class KeyPilot:
     """Driver that holds a key as long as the dot on the map moves towards the aboral end.
 
     If it does not move, the magnet is moved back and the next key is tried; if none helps, each is
-    held for longer.
+    held for longer. Before each try the magnet is lowered or raised until its force is in a range.
     """
 
     def __init__(self, tab: Page) -> None:
@@ -43,11 +47,18 @@ class KeyPilot:
         """Segment above the map."""
         return (self._tab.locator("#segment").text_content() or "").removeprefix("in: ")
 
+    def force(self) -> float:
+        """Magnetic force above the second chart [mN]."""
+        return float(self._tab.locator("#chart-1 .digits").text_content() or 0.0)
+
     def drive_to(self, segment: str, seconds: float) -> bool:
         """Drive until the page shows a segment; return whether it was reached within a time [s]."""
         failed = 0
         keys = list(OPPOSITE)
+        self._tab.locator("#chart-1-quantity").select_option("Magnetic force")
+        self._tab.locator("#side").focus()
         while self.segment() != segment and self.time() < seconds:
+            self._adjust_force(segment, seconds)
             if self._helps(keys[0], segment):
                 failed, self._trial = 0, _TRIAL
             else:
@@ -56,6 +67,14 @@ class KeyPilot:
                 if failed % len(keys) == 0:
                     self._trial = min(_LONGEST, _LONGER * self._trial)
         return self.segment() == segment
+
+    def _adjust_force(self, segment: str, seconds: float) -> None:
+        """Lower or raise the magnet until its force is in the range."""
+        low, high = _FORCE
+        while not low <= self.force() <= high and self.time() < seconds:
+            if self.segment() == segment:
+                return
+            self._hold("f" if self.force() < low else "r", _ADJUSTMENT, segment)
 
     def _helps(self, key: str, segment: str) -> bool:
         """Hold a key while the dot moves on; return whether it did."""

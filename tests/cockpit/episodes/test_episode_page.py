@@ -50,6 +50,10 @@ def test_two_episodes_play_side_by_side(browser, recorded, tmp_path):
         tab.get_by_role("button", name="Play").wait_for()
         images = tab.locator("img[src^='blob:']")
         wait_until(tab, lambda: images.count() == 2)
+        area = tab.locator("#cameras").bounding_box()
+        sizes = [images.nth(k).bounding_box() for k in range(2)]
+        assert sum(each["width"] for each in sizes) > 0.95 * area["width"]
+        assert all(each["height"] > 0.95 * area["height"] for each in sizes)
         slider = tab.get_by_label("Frame", exact=True)
         slider.fill("3")
         tab.get_by_text(f"{episode.times[3]:.2f} s · frame 3").nth(1).wait_for()

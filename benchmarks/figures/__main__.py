@@ -88,7 +88,10 @@ FIGURES = (
     *_speed("compare_peers effects magnets path fem ct worlds views env dataset reading cockpit"),
     Figure(
         "benchmarks.validation.drive_cockpit",
-        ("--patients", "0", "1", "2", "--arms", "none", "panda"),
+        (
+            *("--patients", "0", "1", "2", "--arms", "none", "panda"),
+            *("--by", "gamepad", "keyboard"),
+        ),
         is_timed=True,
     ),
     *_speed("organ_files frame_codecs dataset_memory"),

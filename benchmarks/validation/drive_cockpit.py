@@ -4,10 +4,11 @@ A script drives through the page in a headless Chromium; everything else is the 
 cockpit: its page, a free magnet or that of the Panda, and physics in real time or as close to it as
 two cores allow. `gamepad`: it moves the sticks and triggers of a mocked gamepad, reads the poses of
 capsule and magnet and the time, and steers like the policy `navigator`. `keyboard`: it knows only
-what the screen shows, the dot and the segment of the map and the time; it holds one of the keys A,
-S, W, D as long as the dot moves on, and otherwise tries the next. When the capsule is in the
-pylorus, the drive is recorded from its commands, the recorded poses are compared with those that
-were driven, and the episode is checked as by `vrcaps check`.
+values on the screen: the dot and the segment of the map, the magnetic force and the time. It holds
+one of the keys A, S, W, D as long as the dot moves towards the outlet, otherwise it tries the next
+one, and it lowers or raises the magnet by F and R to keep its force in a range. When the capsule is
+in the pylorus, the drive is recorded from its commands, the recorded poses are compared with those
+that were driven, and the episode is checked as by `vrcaps check`.
 
     python -m benchmarks.validation.drive_cockpit [--patients 0] [--arms panda] [--seconds 240]
         [--by gamepad keyboard]

@@ -137,7 +137,7 @@ def without_browser(cockpit: Cockpit, seconds: float, presses: int) -> tuple[str
         windows.append((found, times))
     latency = 1e3 * np.array(told.get(timeout=300.0))
     process.join()
-    return row(windows, latency, np.full(1, np.nan), seconds)
+    return row(windows, latency, np.array([]), seconds)
 
 
 def row(
@@ -151,7 +151,7 @@ def row(
     Args:
         windows: At rest and driving: result of `watched`, and times of images [ms].
         latency: Of presses [ms].
-        clicks: Time from a click to its acknowledgement [ms].
+        clicks: Time from a click to its acknowledgement [ms]; empty without a browser.
         seconds: Length of a window.
     """
     speeds = [
@@ -165,7 +165,7 @@ def row(
         *speeds,
         *(f"{np.percentile(intervals, q):.0f}" for q in (10, 90)),
         *(f"{np.percentile(latency, q):.0f}" for q in (50, 90)),
-        *(f"{np.percentile(clicks, q):.0f}" for q in (50, 90)),
+        *(f"{np.percentile(clicks, q):.0f}" if len(clicks) else "–" for q in (50, 90)),
         f"{found['busy']:.2f}",
         "yes" if found["shadows"] else "left out",
     )
@@ -180,7 +180,9 @@ def in_browsers(
         for name, (size, scale) in WINDOWS.items():
             browser = playwright.chromium.launch(executable_path=browser_path, args=FLAGS)
             tab = browser.new_page(
-                viewport={"width": size[0], "height": size[1]}, device_scale_factor=scale
+                viewport={"width": size[0], "height": size[1]},
+                device_scale_factor=scale,
+                bypass_csp=True,  # the page evaluates no texts, but the conditions of waits are
             )
             tab.add_init_script(PRESSES)
             loads.append(load(tab, cockpit))

@@ -116,8 +116,14 @@ _METHOD_BEGIN = r"(\bdef |[\w)\]]\.)begin\b|`(\w+\.)?begin`"
 """Public methods: `MotionSettings.begin`, `Reward.begin` and others."""
 _METHOD_TELL = r"\.tell\("
 """Method of Python's files."""
-_ELEMENT = r"</?figure>|\bfigure (\{|img\b)|\bmake figures\b"
-"""HTML element for images with a caption, and the target of the Makefile for measured tables."""
+_GUT_PLACE = r"\bself\._place\b|\bplace = arc_length / "
+"""Places in the gut: that of the capsule on the map of the wall, and multiples of a length."""
+_ELEMENT = (
+    r"</?figure>|\bfigure (\{|img\b)|\bmake figures\b|\bfigure = (make_figure|import_extra)\("
+)
+"""HTML element for images with a caption, target of the Makefile, and figures of Matplotlib."""
+_PARAMETER = r"^ +shown: \w+ \| None = None,$"
+"""Parameter `shown` of motions: the model or organ that the views show."""
 _EXTRA = (
     r"(import_extra|MissingExtraError)\([^)\n]*\"learn\"|\"torch\": \"learn\""
     r"|\[[\w,]*\blearn\b[\w,]*\]"
@@ -142,10 +148,10 @@ PATTERNS = (
     Pattern("P8 of its own", r"\bof (its|their|one's) own\b", (60, 28)),
     Pattern("P9 most, least as limits", _LIMIT, (283, 0)),
     Pattern("P10 share of", r"\bshares? of\b", (90, 12)),
-    Pattern("P11 place for index, slot", r"\bplaces?\b", (1126, 75), _PLACE, 408),
+    Pattern("P11 place for index, slot", r"\bplaces?\b", (1126, 75), _PLACE, 408, _GUT_PLACE),
     Pattern("P12 number for index, ID", r"\bnumbers?\b(?! of)", (1370, 66), _NUMBER, 265),
     Pattern("P13 figure for value", r"\bfigures?\b", (173, 27), _FIGURE, 111, _ELEMENT),
-    Pattern("P14 found as a result", r"\bfound\b", (756, 32), _RESULT, 260),
+    Pattern("P14 found as a result", r"\bfound\b", (756, 32), _RESULT, 260, _PARAMETER),
     Pattern("P15 beside", r"\bbeside\b", (148, 56)),
     Pattern("P16 learn for train", r"\blearn(s|ed|t|ing)?\b", (244, 87), _LEARN, 149, _EXTRA),
     Pattern("P17 masks, classes as tasks", r"\b(masks?|classes)\b", (407, 218), _TASK, 61, _LAYOUT),

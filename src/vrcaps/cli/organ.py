@@ -202,9 +202,9 @@ class Make:
 
 
 def report_organ(organ: OrganSurface, picture: Path) -> None:
-    """Print the measures as a table, and the repairs of a mesh file, and write the figure.
+    """Print the measures as a table, and the repairs of a mesh file, and write the picture.
 
-    Without Matplotlib, the figure is left out.
+    Without Matplotlib, the picture is left out.
     """
     from importlib.util import find_spec
 

@@ -212,7 +212,7 @@ class Observation:
         raise NotImplementedError
 
     def names(self, view: EnvView) -> tuple[str, ...]:
-        """Name of each value, with its unit in brackets; by default numbered.
+        """Name of each value, with its unit in brackets; by default with its index.
 
         Maps and images name their channels.
         """

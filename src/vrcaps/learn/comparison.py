@@ -27,7 +27,7 @@ def compared(task: Task, result: EvaluationResult) -> tuple[Table, str]:
     """Metrics of a network and of the task's baselines, with intervals.
 
     Returns:
-        Value and 95 % interval of each metric by method, the network first; and the number and
+        Value and 95 % interval of each metric by method, the network first; and the count and
             kind of the resampled groups, as in `frame_groups`.
     """
     groups, kind = frame_groups(result.frames)
@@ -66,7 +66,7 @@ def bootstrapped_errors(
         sequences: The sequences.
 
     Returns:
-        Mean and 95 % interval, and the number and kind of the resampled groups.
+        Mean and 95 % interval, and the count and kind of the resampled groups.
     """
     groups, kind = frame_groups([(one, 0) for one in sequences])
     table = {

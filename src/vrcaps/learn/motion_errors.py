@@ -47,7 +47,7 @@ def motion_errors(estimate: Poses, truth: Poses) -> dict[str, float]:
 
 
 def aligned_rmse(estimate: Float[np.ndarray, "n 3"], truth: Float[np.ndarray, "n 3"]) -> float:
-    """Root mean square distance of positions after the best similarity; also for one place or line.
+    """Root mean square distance of positions after the best similarity; also for a point or line.
 
     It is the minimum of Umeyama (TPAMI 13(4), 1991, eq. 33), which needs no alignment itself.
     """

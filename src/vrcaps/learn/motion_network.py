@@ -33,7 +33,7 @@ from vrcaps.learn.losses import pose_matrix
 STRIDE = 4
 """Pixels per position of the flow, along rows and columns."""
 _REACH = 3
-"""Largest displacement that is correlated, in positions."""
+"""Maximum displacement that is correlated, in positions."""
 _FEATURES = (32, 48)
 _WIDTHS = (64, 64, 48)
 _GROUPS = 8

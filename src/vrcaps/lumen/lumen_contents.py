@@ -61,7 +61,7 @@ class LumenContents:
         """Place the bubbles on the capsule as they are after traveling to an arc length.
 
         Each stays on the dome for a distance of travel and then reforms elsewhere on it, so that
-        distant views have other places.
+        they are elsewhere in distant views.
 
         Args:
             arc_length: Position of the capsule along the centerline [m].

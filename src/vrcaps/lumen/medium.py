@@ -29,8 +29,8 @@ class Medium:
     """Turbid, bile-stained fluid in which the capsule is immersed.
 
     It fills the lumen between the capsule and the wall. Amounts differ along the gut: a fraction of
-    its length has fluid, whose density is log-normal and the same in all views of one place. Within
-    a view it forms clouds and flocs that stay where they are.
+    its length has fluid, whose density is log-normal and the same in all views at one
+    position. Within a view it forms clouds and flocs that stay where they are.
 
     Coefficients are those of small-bowel fluid by assumption: no measurements of turbidity in
     vivo are known. Bilirubin absorbs blue; particles that are larger than the wavelength scatter
@@ -72,7 +72,7 @@ class Medium:
         require(is_valid, "Medium's floc_color", self.floc_color, "0 to 1 for each color")
 
     def density(self, arc_length: float, seed: int) -> float:
-        """Density at a place, relative to the median; 0 where there is no fluid.
+        """Density at a position, relative to the median; 0 where there is no fluid.
 
         Args:
             arc_length: Position along the centerline [m].
@@ -117,7 +117,7 @@ class Film:
         check_fields(self, of="Film")
 
     def depth(self, arc_length: float, seed: int) -> float:
-        """Mean number of scatterings of a ray at a place, 0 without a film.
+        """Mean number of scatterings of a ray at a position, 0 without a film.
 
         Args:
             arc_length: Position along the centerline [m].
@@ -151,7 +151,7 @@ FILM_SEVERITIES: tuple[Film | None, ...] = (
 
 
 def normal_along(place: float, seed: int, purpose: str) -> float:
-    """Smooth noise along the gut with a standard normal distribution at every place.
+    """Smooth noise along the gut with a standard normal distribution at every position.
 
     Independent numbers at integers, mixed in between with weights whose squares add up to 1.
 

@@ -58,7 +58,7 @@ class CameraView(NamedTuple):
 
 
 class Amounts(NamedTuple):
-    """Amounts at a place of the gut.
+    """Amounts at a position along the gut.
 
     Attributes:
         arc_length: Position of the capsule along the centerline [m].
@@ -87,7 +87,7 @@ class Immersion:
         self._noise = int(stream(self._seed, "lumen/medium/clouds").integers(2**32))
 
     def amounts(self, state: State) -> Amounts | None:
-        """Amounts at the capsule's place in a state; None where the view is clear."""
+        """Amounts at the capsule's position in a state; None where the view is clear."""
         if self._medium is None and self._film is None:
             return None
         s = self._model.arc_length_at(state.T_world_capsule)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 MAX_CLOSED_RADIUS = 5 * MM
 _LEAST = 0.35 * MM
-"""Least radius of a closed lumen [m]: the film of fluid between folds in contact."""
+"""Minimum radius of a closed lumen [m]: the film of fluid between folds in contact."""
 _SOFT = 0.9 * MM
 """Radius below which folds that meet are compressed [m]."""
 _REACH = 45 * MM
@@ -56,9 +56,9 @@ class LumenClosure:
 
     Every cross-section contracts towards a point: the axis of the capsule where it lies, and a
     course close to the centerline elsewhere. A point at a distance r from the centerline moves to
-    the smooth maximum of r − d and a least radius, which increases with r; d is the difference
+    the smooth maximum of r − d and a minimum radius, which increases with r; d is the difference
     between the section's mean radius and the wanted one: that of the capsule around it, about
-    `radius` beyond a funnel before and behind it, both by the tone of the place. So folds keep
+    `radius` beyond a funnel before and behind it, both by the local tone. So folds keep
     their height until they meet and stay in their order, and sections do not cross.
 
     Attributes:

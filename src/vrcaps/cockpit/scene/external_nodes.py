@@ -45,7 +45,7 @@ class MagnetNode:
     """Magnet with field lines that move with it and are therefore computed only once.
 
     Attributes:
-        radius: Largest distance of its surface from its center [m].
+        radius: Maximum distance of its surface from its center [m].
     """
 
     def __init__(self, scene: viser.SceneApi, magnet: Magnet) -> None:

@@ -24,7 +24,7 @@ _FOV = np.deg2rad(45.0)
 
 
 def scene_clients(server: viser.ViserServer) -> dict[int, Any]:
-    """Scenes of the browsers, by the number in their address."""
+    """Scenes of the browsers, by the ID in their address."""
     handles, found = server.get_clients(), {}
     for identifier, socket in dict(server._websock_server._live_connections).items():
         match = SCENE_PATH.fullmatch(urlsplit(socket.request.path).path)  # type: ignore[union-attr]
@@ -34,7 +34,7 @@ def scene_clients(server: viser.ViserServer) -> dict[int, Any]:
 
 
 def browser_of(server: viser.ViserServer, identifier: int | None) -> int | None:
-    """Number of the browser that contains a scene; None if it is unknown."""
+    """ID of the browser that contains a scene; None if it is unknown."""
     for number, handle in scene_clients(server).items():
         if handle.client_id == identifier:
             return number

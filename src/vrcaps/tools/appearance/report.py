@@ -101,11 +101,11 @@ def write_report(
 def blind_sheet(
     real: DescribedSet, ours: DescribedSet, *, seed: int = 0
 ) -> tuple[UInt8[np.ndarray, "h w 3"], dict[str, list[int]]]:
-    """Sheet of equally many images of both sets in random order, and the numbers of each.
+    """Sheet of equally many images of both sets in random order, and the positions of each.
 
     Returns:
-        The sheet, 8 images in a row and numbered from 1 at the upper left along rows, and the
-        numbers of the real and of our images.
+        The sheet, 8 images in a row with positions from 1 at the upper left along rows, and the
+        positions of the real and of our images.
     """
     rng = stream(seed, "looks/blind")
     count = min(_BLIND, len(real.images), len(ours.images))

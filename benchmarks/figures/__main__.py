@@ -105,7 +105,11 @@ FIGURES = (
     *_validation("lesions light moving_labels path placing sensor located_steering reconstruction"),
     *([Figure("benchmarks.validation.lerobot", ("--python", LEROBOT))] * bool(LEROBOT)),
 )
-KEPT = ("benchmarks.speed.cycles", "benchmarks.validation.lerobot")
+KEPT = (
+    "benchmarks.speed.cycles",
+    "benchmarks.validation.lerobot",
+    "benchmarks.validation.motion",
+)
 """Sections that are kept if their requirements are missing; they state their sources."""
 
 

@@ -45,7 +45,7 @@ def test_figures_of_the_front_page_are_cells_of_the_tables() -> None:
 
 _OTHER_PAGES = {
     *("sim_to_real.page", "speed.bake"),
-    *("appearance.compare", "validation.calibration", "validation.cohort"),
+    *("appearance.distance", "validation.calibration", "validation.cohort"),
 }
 
 

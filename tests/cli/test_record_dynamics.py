@@ -126,7 +126,7 @@ def test_mistakes_end_in_one_line(
 def test_values_of_another_kind_of_motion(capsys: pytest.CaptureFixture[str]) -> None:
     status, error = stop(["record", "--out", "o", "--set", "motion.motility=fasting"], capsys)
     assert status == 2
-    assert "Unknown key motion.motility. Allowed: start, end, speed" in error
+    assert "motion.kind is missing. Allowed: dynamics, fly-through, random-views" in error
 
 
 @pytest.fixture(scope="module")

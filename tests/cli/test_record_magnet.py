@@ -55,7 +55,7 @@ def test_values_reach_the_scenario_and_the_file():
 @pytest.mark.parametrize(
     ("flags", "message"),
     [
-        ("--set motion.magnet.arm=panda", "Unknown key motion.magnet. Allowed: start"),
+        ("--set motion.magnet.arm=panda", "motion.kind is missing. Allowed: dynamics, "),
         (
             "--motion dynamics --set motion.magnet.standoff=0",
             "motion.magnet: standoff is 0.0",

@@ -20,6 +20,7 @@ PAGES = (
     *sorted((ROOT / "src/vrcaps/cli").glob("*.py")),
 )
 FILE = "frames = 5\n"
+MAGNET = 'kind = "sphere"\ndiameter_mm = 40\ngrade = "N45"\n'
 SCENARIO = '{"motion": {"kind": "dynamics", "magnet": {}}}'
 
 
@@ -58,6 +59,8 @@ def test_a_shown_command_gives_a_scenario(
             path = tmp_path / word
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(SCENARIO if path.suffix == ".json" else FILE)
+        if word.startswith("motion.magnet.magnet="):
+            (tmp_path / word.partition("=")[2]).write_text(MAGNET)
     if "--steer" in command:
         (tmp_path / command[command.index("--steer") + 1]).write_text("t_s,vx_m_per_s\n0,0.01\n")
     record = cli._parse(command)

@@ -36,6 +36,7 @@ def small_sequence(seed: int = 0, name: str = "small", **more) -> FrameSequence:
     """Twenty frames with depth, masks and classes."""
     values = {
         "time": np.arange(COUNT, dtype=float),
+        "exposure": np.ones(COUNT),
         "class": np.array([NAMES[k % 2] for k in range(COUNT)]),
     }
     return FrameSequence(

@@ -141,20 +141,29 @@ def positions(size: int, device: torch.device | str = "cpu") -> Tensor:
 
 def motion_from_flow(flow: Flow, ray: Tensor, log_distance: Tensor) -> Tensor:
     """Least-squares motion [b 6] of a flow, see `MotionNetwork.forward`."""
-    size = ray.shape[-1]
-    own, log = at_positions(ray), functional.avg_pool2d(log_distance, STRIDE)
-    grid = (2.0 * (positions(size, ray.device) + flow.pixels) + 1.0) / size - 1.0
-    there = functional.grid_sample(ray, grid.permute(0, 2, 3, 1), align_corners=False)
-    length = there.norm(dim=1, keepdim=True)
-    is_known = (length > _WHOLE) & (own.abs().sum(dim=1, keepdim=True) > 0.0)
+    at = positions(ray.shape[-1], ray.device)
+    own, there = _rays_at(ray, at.expand_as(flow.pixels)), _rays_at(ray, at + flow.pixels)
+    log = functional.avg_pool2d(log_distance, STRIDE)
+    is_known = own.any(dim=1, keepdim=True) & there.any(dim=1, keepdim=True)
     weight = (flow.weight * is_known).flatten(1)
     known = is_known.flatten(1)
     count = known.sum(dim=1).clamp(min=1)
     middle = (log.flatten(1) * known).sum(dim=1) / count
     points = (torch.exp(log - middle[:, None, None, None]) * own).flatten(2).transpose(1, 2)
-    rays = (there / length.clamp(min=1e-6)).flatten(2).transpose(1, 2)
+    rays = there.flatten(2).transpose(1, 2)
     motion = _least_squares(points, rays, weight / weight.sum(dim=1, keepdim=True).clamp(min=1e-6))
     return torch.cat([motion[:, :3], torch.exp(middle)[:, None] * motion[:, 3:]], dim=1)
+
+
+def _rays_at(ray: Tensor, pixels: Tensor) -> Tensor:
+    """Unit rays at columns and rows [b 2 h w] by linear interpolation; zero outside the lens.
+
+    A pixel without flow has the same ray in both frames, so that no flow gives no motion.
+    """
+    grid = (2.0 * pixels + 1.0) / ray.shape[-1] - 1.0
+    mean = functional.grid_sample(ray, grid.permute(0, 2, 3, 1), align_corners=False)
+    length = mean.norm(dim=1, keepdim=True)
+    return torch.where(length > _WHOLE, mean / length.clamp(min=1e-6), torch.zeros_like(mean))
 
 
 def _least_squares(points: Tensor, rays: Tensor, weight: Tensor) -> Tensor:

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 MIN_RESPONSE = 0.01
 """Minimum change of each output, relative to its root mean square. Outputs of the published
 networks change by 0.05 or more between the probes."""
+_ROUNDING = 1e-5
+"""Root mean square below which an output is 0 up to rounding, and its changes do not count."""
 _BY_IMAGE = " by image"
 _SIDE = 256
 _COLORS = ((180.0, 90.0, 70.0), (90.0, 60.0, 50.0), (200.0, 150.0, 130.0), (120.0, 60.0, 40.0))
@@ -99,4 +101,4 @@ def _changes(values: Float[np.ndarray, "b c ..."]) -> Float[np.ndarray, " c"]:
     """Standard deviation over a batch, relative to the root mean square of the values."""
     flat = values.reshape(*values.shape[:2], -1).astype(float)
     change = np.sqrt(((flat - flat.mean(axis=0)) ** 2).mean(axis=(0, 2)))
-    return change / np.maximum(np.sqrt((flat**2).mean(axis=(0, 2))), 1e-12)
+    return change / np.maximum(np.sqrt((flat**2).mean(axis=(0, 2))), _ROUNDING)

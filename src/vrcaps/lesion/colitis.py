@@ -98,9 +98,9 @@ ACTIVITIES = {
     ),
 }
 """By Mayo subscore: 1 erythema, decreased vascular pattern; 2 marked erythema, no vascular
-pattern, friability, erosions; 3 spontaneous bleeding, ulceration. Tints are chosen so that frames
-have the mean color of real ones (`benchmarks/appearance/fit.py`); the few real frames of subscore 2
-are paler and less yellow than those of 1, due to other cameras as much as to disease."""
+pattern, friability, erosions; 3 spontaneous bleeding, ulceration. Tints were fitted to the mean
+color of real frames of each subscore under an ideal camera; the few real frames of subscore 2 are
+paler and less yellow than those of 1, due to other cameras as much as to disease."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -28,7 +28,10 @@ _BROKEN = (OSError, ValueError, LookupError, TypeError, AttributeError)
 _MAKERS = ("core", "mesh", "organ", "mucosa", "anatomy", "lesion")
 """Packages whose code determines an organ."""
 
-_MAKER_MODULES = ("config/convert", "config/plain_files", "config/limits", "scenario/build")
+_MAKER_MODULES = (
+    *("config/convert", "config/file_ref", "config/plain_files", "config/limits"),
+    "scenario/build",
+)
 """Other modules used by them, and their caller."""
 
 _MAX_BYTES = 10 * 10**9

@@ -20,9 +20,9 @@ def warn_if_constant(trained: TrainedNetwork) -> None:
     """Print a line if an output of a network does not depend on its image."""
     from vrcaps.learn.responses import MIN_RESPONSE, constant_outputs
 
-    found = constant_outputs(trained)
-    if found:
-        name, change = next(iter(found.items()))
+    constant = constant_outputs(trained)
+    if constant:
+        name, change = next(iter(constant.items()))
         console.print(
             f"Warning: output does not depend on the input: {name} changes by {change:.2g} of its "
             f"size between test images. Expected: above {MIN_RESPONSE:g}. Train the network again."

@@ -133,10 +133,10 @@ def class_baselines(
         "mean redness": [float(redness(one)[one.max(axis=-1) > 0].mean()) for one in images],
         "mean brightness": [float(one[one.max(axis=-1) > 0].mean()) for one in images],
     }
-    found: dict[str, Outputs] = {"most frequent": [prior for _ in images]}
+    outputs: dict[str, Outputs] = {"most frequent": [prior for _ in images]}
     for name, values in features.items():
-        found[name] = list(_discriminant(np.nan_to_num(values), truth, prior))
-    return found
+        outputs[name] = list(_discriminant(np.nan_to_num(values), truth, prior))
+    return outputs
 
 
 def _discriminant(

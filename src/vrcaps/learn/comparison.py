@@ -144,10 +144,10 @@ def _bootstrapped(
         summary([terms[k] for k in items])
         for items in resampled_items(len(terms), np.array(groups), _RESAMPLES, 0)
     ]
-    found = {}
+    intervals = {}
     for name, value in summary(terms).items():
         values = np.array([one[name] for one in drawn], float)
         known = values[np.isfinite(values)]
         low, high = np.quantile(known, _TAILS) if known.size else (np.nan, np.nan)
-        found[name] = (float(value), float(low), float(high))
-    return found
+        intervals[name] = (float(value), float(low), float(high))
+    return intervals

@@ -22,7 +22,7 @@ def dead_features(trained: TrainedNetwork, samples: Sequence[Sample]) -> dict[st
         trained: Task and network.
         samples: Two or more samples whose images differ.
     """
-    found: dict[str, float] = {}
+    fractions: dict[str, float] = {}
 
     def observe(name: str) -> object:
         def hook(module: nn.Module, inputs: tuple[Tensor, ...]) -> None:
@@ -30,7 +30,7 @@ def dead_features(trained: TrainedNetwork, samples: Sequence[Sample]) -> dict[st
             values = values.transpose(0, 1) if values.ndim == 4 else values.movedim(-1, 0)
             flat = values.flatten(1)
             is_dead = flat.amax(dim=1) == flat.amin(dim=1)
-            found[name] = max(found.get(name, 0.0), float(is_dead.float().mean()))
+            fractions[name] = max(fractions.get(name, 0.0), float(is_dead.float().mean()))
 
         return hook
 
@@ -44,7 +44,7 @@ def dead_features(trained: TrainedNetwork, samples: Sequence[Sample]) -> dict[st
     finally:
         for hook in hooks:
             hook.remove()
-    return found
+    return fractions
 
 
 def require_alive(trained: TrainedNetwork, samples: Sequence[Sample], step: int) -> None:

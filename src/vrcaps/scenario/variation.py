@@ -74,38 +74,44 @@ def varied(scenario: Scenario) -> Scenario:
     recording.
     """
     organ, contents, motion = scenario.organ, scenario.contents, scenario.motion
-    found = PREVALENCES.get(organ.name) if isinstance(organ, OrganGenerated) else None
-    if found is None or not scenario.variation:
+    prevalence = PREVALENCES.get(organ.name) if isinstance(organ, OrganGenerated) else None
+    if prevalence is None or not scenario.variation:
         empty = {kind: 0 for kind in _KINDS if getattr(contents, kind) is None}
         return replace(scenario, contents=replace(contents, **empty))
     assert isinstance(organ, OrganGenerated)
     if organ.distension is None:
         rng = stream(organ.seed, "variation/distension")
-        kinds, weights = list(found.distensions), list(found.distensions.values())
+        kinds, weights = list(prevalence.distensions), list(prevalence.distensions.values())
         organ = replace(organ, distension=kinds[int(rng.choice(len(kinds), p=weights))])
     if isinstance(motion, FlyThrough) and motion.tilt is None:
-        tilt = stream(scenario.seed, "variation/tilt").uniform(*found.tilt)
+        tilt = stream(scenario.seed, "variation/tilt").uniform(*prevalence.tilt)
         motion = replace(motion, tilt=round(float(tilt), 3))
-    return replace(scenario, organ=organ, motion=motion, contents=drawn_contents(contents, found))
+    return replace(
+        scenario, organ=organ, motion=motion, contents=drawn_contents(contents, prevalence)
+    )
 
 
-def drawn_contents(contents: Contents, found: Prevalence) -> Contents:
+def drawn_contents(contents: Contents, prevalence: Prevalence) -> Contents:
     """Return the contents with each kind that is open drawn by its prevalence.
 
     Args:
         contents: Contents whose open kinds are None.
-        found: Prevalences of the organ.
+        prevalence: Prevalences of the organ.
     """
     seed = contents.seed
     drawn: dict[str, Any] = {
-        "bubbles": _bubbles(found.bubbles, stream(seed, "variation/bubbles")),
-        "chyme": _chyme(found.chyme, stream(seed, "variation/chyme")),
-        "liquid": _severity(found.liquid, seed, "liquid"),
-        "medium": _medium(found.medium, stream(seed, "variation/medium")),
-        "film": _film(found.film, stream(seed, "variation/film")),
+        "bubbles": _bubbles(prevalence.bubbles, stream(seed, "variation/bubbles")),
+        "chyme": _chyme(prevalence.chyme, stream(seed, "variation/chyme")),
+        "liquid": _severity(prevalence.liquid, seed, "liquid"),
+        "medium": _medium(prevalence.medium, stream(seed, "variation/medium")),
+        "film": _film(prevalence.film, stream(seed, "variation/film")),
     }
-    if found.preparations:
-        score = len(found.preparations) - 1 - _severity(found.preparations, seed, "preparation")
+    if prevalence.preparations:
+        score = (
+            len(prevalence.preparations)
+            - 1
+            - _severity(prevalence.preparations, seed, "preparation")
+        )
         prepared = PREPARATIONS[score]
         drawn |= {kind: getattr(prepared, kind) for kind in ("bubbles", "chyme", "liquid")}
     return replace(

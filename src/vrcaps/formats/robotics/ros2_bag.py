@@ -260,12 +260,12 @@ def _write_joints(bag: _Bag, columns: Mapping[str, NDArray], ns: int, index: int
         ("/joint_states", "joint_", "_rad", "position"),
         ("/coils/joint_states", "coil_", "_current_a", "effort"),
     ):
-        found = [name for name in columns if name.startswith(start) and name.endswith(end)]
-        if not found:
+        matching = [name for name in columns if name.startswith(start) and name.endswith(end)]
+        if not matching:
             continue
         values = {"position": np.zeros(0), "velocity": np.zeros(0), "effort": np.zeros(0)}
-        values[field] = np.array([columns[name][index] for name in found], float)
-        names = [name.removesuffix(end) for name in found]
+        values[field] = np.array([columns[name][index] for name in matching], float)
+        names = [name.removesuffix(end) for name in matching]
         header = bag.header(ns, "world")
         bag.send(topic, "sensor_msgs/msg/JointState", ns, header=header, name=names, **values)
 
@@ -308,10 +308,10 @@ def _read_bag(path: Path, split: str | None) -> tuple[FrameSequence, ...]:
 
 def _load(path: Path, camera: str, times: Sequence[int], channel: str, index: int) -> NDArray:
     topic, ns = f"/{camera}/{channel}", times[index]
-    found = next(_messages(path, topic, ns), None)
-    if found is None:
+    first = next(_messages(path, topic, ns), None)
+    if first is None:
         raise InputError(f"{path} has no {topic} at {ns} ns.")
-    message = found[1]
+    message = first[1]
     with reading(path):
         if message.encoding == "rgb8":
             return np.array(message.data).reshape(message.height, message.width, 3)

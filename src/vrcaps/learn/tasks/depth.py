@@ -172,9 +172,9 @@ class DepthTask(BackboneTask):
         self, samples: Sequence[Sample], groups: Sequence[str]
     ) -> Mapping[str, Sequence[NDArray]]:
         """A constant, the mean image of other groups, and brightness."""
-        found = log_depth_baselines(samples, groups)
+        baselines = log_depth_baselines(samples, groups)
         middle = np.log(MIDDLE)
-        return {name: [(one - middle)[None] for one in logs] for name, logs in found.items()}
+        return {name: [(one - middle)[None] for one in logs] for name, logs in baselines.items()}
 
     def picture(self, output: NDArray, sample: Sample) -> UInt8[np.ndarray, "s k 3"]:
         """Image, true depth and predicted depth on one color scale."""

@@ -138,10 +138,10 @@ class SegmentationTask(BackboneTask):
 
         `specificity` is the fraction of lesion-free masks with an empty prediction.
         """
-        found: dict[str, list[float]] = {name: [] for name in _METRICS}
+        scores: dict[str, list[float]] = {name: [] for name in _METRICS}
         for name, value in (pair for one in terms for scores in one for pair in scores.items()):
-            found[name].append(value)
-        return {k: float(np.mean(v)) if v else float("nan") for k, v in found.items()}
+            scores[name].append(value)
+        return {k: float(np.mean(v)) if v else float("nan") for k, v in scores.items()}
 
     def baselines(
         self, samples: Sequence[Sample], groups: Sequence[str]

@@ -241,11 +241,11 @@ class SfmTask(BackboneTask):
         """A constant depth, the mean image of other groups, and brightness."""
         if any("depth" not in sample for sample in samples):
             return {}
-        found = log_depth_baselines(samples, groups)
+        baselines = log_depth_baselines(samples, groups)
         shift = [np.log(MIDDLE * np.maximum(one["ray"][..., 2], MIN_COSINE)) for one in samples]
         return {
             name: [(log - own)[None] for log, own in zip(logs, shift, strict=True)]
-            for name, logs in found.items()
+            for name, logs in baselines.items()
         }
 
     def picture(self, output: NDArray, sample: Sample) -> UInt8[np.ndarray, "s k 3"]:
@@ -267,8 +267,8 @@ class SfmTask(BackboneTask):
             return {}
         truth = sequence.Ts_world_camera
         estimate = self.trajectory(network, sequence, device=device).Ts_world_camera
-        found = {"network": estimate, **motion_baselines(truth)}
-        return {name: motion_errors(poses, truth) for name, poses in found.items()}
+        estimates = {"network": estimate, **motion_baselines(truth)}
+        return {name: motion_errors(poses, truth) for name, poses in estimates.items()}
 
     def sequence_files(
         self, network: nn.Module, sequence: FrameSequence, frames: Sequence[int], device: str

@@ -31,7 +31,7 @@ _BOUND = 0.45
 """Distance between neighbors in a clump of chyme as a fraction of the sum of their radii."""
 _SCATTER = 0.7
 """Random deviation of directions from up or down, relative to the unit direction."""
-_LARGEST_ON_DOME = 1.0 * MM
+_MAX_ON_DOME = 1.0 * MM
 """Maximum radius of a bubble on the capsule [m]; the wall wipes larger ones off. The flow of the
 image takes a bubble whose near side is within 1 mm of the shell to move with the capsule."""
 _TRIES = 12
@@ -316,7 +316,7 @@ def place_dome_bubbles(
         before: Number of preceding bubble instances.
     """
     count = 2 * bubbles.on_dome
-    radius = np.minimum(cut_log_normal(bubbles, count, rng), _LARGEST_ON_DOME)
+    radius = np.minimum(cut_log_normal(bubbles, count, rng), _MAX_ON_DOME)
     vertex = rng.integers(0, len(organ.vertices), count)
     lift = (LIFT_BUBBLE * radius)[:, None] * organ.normals[vertex]
     return Spheres(

@@ -90,14 +90,14 @@ def _stated(path: Path, units: _Units, given: tuple[str, str]) -> tuple[str, str
     for what, own, argument, names in zip(
         ("length", "flux density"), units, given, known, strict=True
     ):
-        units = own | ({argument} if argument else set())
-        if len(units) != 1 or "" in units:
-            listed = ", ".join(sorted(unit or "none" for unit in units)) or "none"
+        named = own | ({argument} if argument else set())
+        if len(named) != 1 or "" in named:
+            listed = ", ".join(sorted(unit or "none" for unit in named)) or "none"
             raise InputError(
                 f"{path}: units of {what}: {listed}. Allowed: one of {', '.join(names)}, in the "
                 "names of all columns, such as x_mm and bx_mT."
             )
-        unit = units.pop()
+        unit = named.pop()
         if own and unit not in names:
             raise InputError(f"{path}: unit of {what} {unit!r}. Allowed: {', '.join(names)}.")
         stated.append(unit)

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 LINK_DENSITY = 1000.0
 """Density of an arm's collision capsules, of which the masses of its links are made [kg/m³]: an
 assumption, as arms state no masses here."""
-_LEAST_MASS = 0.1
+_MIN_MASS = 0.1
 _WALL_COLOR, _CAPSULE_COLOR, _MAGNET_COLOR, _LINK_COLOR = (
     (0.86, 0.55, 0.5, 0.35),
     (0.95, 0.95, 0.95, 1.0),
@@ -67,7 +67,7 @@ class PosedArm:
             length = math.dist(link.start, link.end)
             volume = math.pi * link.radius**2 * (length + 4.0 / 3.0 * link.radius)
             sums[link.frame] += LINK_DENSITY * volume
-        return [max(mass, _LEAST_MASS) for mass in sums[1:-1]]
+        return [max(mass, _MIN_MASS) for mass in sums[1:-1]]
 
 
 @dataclass(frozen=True)
@@ -276,7 +276,7 @@ _MODULES = ("Gf", "Usd", "UsdGeom", "UsdPhysics", "Vt")
 def _add_usd_arm(pxr: dict[str, Any], stage: Any, posed: PosedArm) -> None:
     arm = posed.arm
     poses = [posed.T_world_base, *(posed.T_world_base @ frames(arm, posed.angles))]
-    masses = [_LEAST_MASS, *posed.masses(), _LEAST_MASS]
+    masses = [_MIN_MASS, *posed.masses(), _MIN_MASS]
     names = ["base", *(f"link_{k}" for k in range(1, arm.num_joints + 1)), "flange"]
     for frame, (name, pose, mass) in enumerate(zip(names, poses, masses, strict=True)):
         _add_body(pxr, stage, f"/scene/{name}", pose, mass, np.full(3, mass * 0.01))

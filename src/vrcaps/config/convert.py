@@ -262,7 +262,7 @@ def _completed(f: Field, declared: Any, plain: Any, units: bool) -> Any:
     default = f.default if f.default_factory is MISSING else f.default_factory()
     if not (isinstance(plain, Mapping) and is_dataclass(default)):
         return plain
-    kinds = (type(default), *classes_by_kind(declared).values())
+    kinds: tuple[Any, ...] = (type(default), *classes_by_kind(declared).values())
     fits = [plain.keys() <= {_key(f, units) for f in fields(cls)} for cls in kinds]
     if "kind" not in plain and not fits[0] and any(fits):  # the kind is reported as missing
         return plain

@@ -103,7 +103,7 @@ def take_drive(tab: Page, path: Path) -> None:
 
 
 def take(tab: Page, path: Path) -> None:
-    """Write a picture when the page has been drawn anew."""
+    """Wait until the page is redrawn, then write a picture of it."""
     tab.wait_for_timeout(5000)
     tab.screenshot(path=path, type="jpeg", quality=85)
 

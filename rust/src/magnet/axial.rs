@@ -79,7 +79,7 @@ pub struct Shell {
     far: Multipole,
 }
 
-/// What the field of a cylinder magnetized across its axis is made of, see `solids::across`.
+/// Terms of the field of a cylinder magnetized across its axis, see `solids::across`.
 pub struct Potential {
     /// Field of the same cylinder magnetized along its axis.
     pub axial: AxialField,

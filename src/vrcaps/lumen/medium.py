@@ -79,10 +79,9 @@ class Medium:
             seed: Seed of the contents.
         """
         place = arc_length / self.patch_length
-        present = _presence(self.prevalence, normal_along(place, seed, "lumen/medium/presence"))
-        if present == 0.0:
-            return 0.0
-        return present * math.exp(self.spread * normal_along(place, seed, "lumen/medium/density"))
+        streams = ("lumen/medium/presence", "lumen/medium/density")
+        present, factor = _drawn(place, seed, streams, self.prevalence, self.spread)
+        return present * factor
 
 
 @dataclass(frozen=True)
@@ -124,11 +123,9 @@ class Film:
             seed: Seed of the contents.
         """
         place = arc_length / self.patch_length
-        present = _presence(self.prevalence, normal_along(place, seed, "lumen/film/presence"))
-        if present == 0.0:
-            return 0.0
-        spread = self.spread * normal_along(place, seed, "lumen/film/thickness")
-        return present * self.scattering * self.thickness * math.exp(spread)
+        streams = ("lumen/film/presence", "lumen/film/thickness")
+        present, factor = _drawn(place, seed, streams, self.prevalence, self.spread)
+        return present * self.scattering * self.thickness * factor
 
 
 MEDIUM_SEVERITIES: tuple[Medium | None, ...] = (
@@ -168,6 +165,24 @@ def normal_along(place: float, seed: int, purpose: str) -> float:
         for k in (cell, cell + 1)
     )
     return ((1.0 - t) * first + t * second) / math.hypot(1.0 - t, t)
+
+
+def _drawn(
+    place: float, seed: int, streams: tuple[str, str], prevalence: float, spread: float
+) -> tuple[float, float]:
+    """Presence at a position from 0 to 1, and a log-normal factor of the amount.
+
+    Args:
+        place: Position along the gut, in correlation lengths.
+        seed: Seed of the contents.
+        streams: Names of the random streams of presence and of the logarithm of the factor.
+        prevalence: Fraction of the gut's length where it is present.
+        spread: Standard deviation of the logarithm.
+    """
+    present = _presence(prevalence, normal_along(place, seed, streams[0]))
+    if present == 0.0:
+        return 0.0, 1.0
+    return present, math.exp(spread * normal_along(place, seed, streams[1]))
 
 
 def _presence(prevalence: float, noise: float) -> float:

@@ -236,7 +236,7 @@ class DrivePage(Page):
 
     def _settings(self) -> dict[str, Any]:
         """Settings that another browser may have changed."""
-        images, scene = self.images.settings, self.scene.settings
+        images = self.images.settings
         effects = self.session.scenario.effects
         return {
             "camera": images.camera,
@@ -249,14 +249,7 @@ class DrivePage(Page):
                 for each in self._constants["liveEffects"]
                 for given in [getattr(effects, each["name"])]
             },
-            "scene": {
-                "coloring": scene.coloring,
-                "opacity": scene.opacity,
-                "cut": scene.cut,
-                "cut_fraction": scene.cut_fraction,
-                "has_lines": scene.has_lines,
-                "has_patient": scene.has_patient,
-            },
+            "scene": asdict(self.scene.settings),
             "legend": self.scene.legend,
             "hasContents": self.session.has_contents,
         }

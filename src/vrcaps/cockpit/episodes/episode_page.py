@@ -5,6 +5,7 @@ from __future__ import annotations
 import time as wall_clock
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -127,7 +128,6 @@ class EpisodePage(Page):
 
     def status(self) -> dict[str, Any]:
         """Current values of the page."""
-        scene = self.scene.settings
         return {
             "frame": self.frame,
             "isPlaying": self._started is not None,
@@ -138,14 +138,7 @@ class EpisodePage(Page):
             "alignment": self._alignment,
             "estimate": self._estimate_text,
             "estimateErrors": self._estimate_errors,
-            "scene": {
-                "coloring": scene.coloring,
-                "opacity": scene.opacity,
-                "cut": scene.cut,
-                "cut_fraction": scene.cut_fraction,
-                "has_lines": scene.has_lines,
-                "has_patient": scene.has_patient,
-            },
+            "scene": asdict(self.scene.settings),
             "legend": self.scene.legend,
         }
 

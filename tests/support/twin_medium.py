@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-_STEP, _SLICES, _ORDERS, _OCTAVES = 4, 16, 5, 3
+_RAYS, _SLICES, _ORDERS, _OCTAVES = 40, 16, 5, 3
 _FARTHEST, _SCALE = 0.1, 0.33
 
 
@@ -118,10 +118,11 @@ def integrals(rays, start, farthest, pose, leds, medium):
 def immerse(planes, rays, distance, start, pose, leds, medium):
     """Twin of the core's function of this name."""
     height, width = distance.shape
+    grid = -(-max(height, width) // _RAYS)
     known = distance[np.isfinite(distance)]
     farthest = min(known.max(), _FARTHEST) if known.size and known.max() > 0 else _FARTHEST
-    rows = np.minimum(np.arange(-(-height // _STEP) + 1) * _STEP, height - 1)
-    columns = np.minimum(np.arange(-(-width // _STEP) + 1) * _STEP, width - 1)
+    rows = np.minimum(np.arange(-(-height // grid) + 1) * grid, height - 1)
+    columns = np.minimum(np.arange(-(-width // grid) + 1) * grid, width - 1)
     node_rays = rays[np.ix_(rows, columns)].astype(float)
     is_lit = np.isfinite(node_rays).all(axis=-1)
     nodes = np.zeros((*is_lit.shape, _SLICES + 1, 10))
@@ -135,9 +136,9 @@ def immerse(planes, rays, distance, start, pose, leds, medium):
     t, total, whole = (along - slice_)[..., None], 0.0, 0.0
     for down in (0, 1):
         for right in (0, 1):
-            v, u = (y % _STEP) / _STEP, (x % _STEP) / _STEP
+            v, u = (y % grid) / grid, (x % grid) / grid
             weight = (v if down else 1.0 - v) * (u if right else 1.0 - u)
-            cell = (y // _STEP + down, x // _STEP + right)
+            cell = (y // grid + down, x // grid + right)
             weight = (weight * is_lit[cell])[..., None]
             near, far = nodes[(*cell, slice_)], nodes[(*cell, slice_ + 1)]
             total, whole = total + weight * (near + t * (far - near)), whole + weight

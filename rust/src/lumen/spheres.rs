@@ -3,9 +3,10 @@
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
 use crate::wall::bvh::{Child, MAX_PER_LEAF, Node, WIDTH};
-use crate::wall::packet::{Pyramid, leaves};
+use crate::wall::packet::{LeafVisitor, Pyramid, leaves};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::{exceptions::PyValueError, prelude::*};
+use std::ops::Range;
 
 /// Kinds of spheres, as Python numbers them.
 pub const BUBBLE: u8 = 0;
@@ -97,6 +98,35 @@ pub struct Near {
     pub index: u32,
 }
 
+/// Search for the spheres near the rays of a tile.
+struct Gathering<'a> {
+    all: &'a [Sphere],
+    origin: Vec3,
+    rays: &'a Pyramid,
+    found: &'a mut Vec<Near>,
+}
+
+impl LeafVisitor for Gathering<'_> {
+    #[inline(always)]
+    fn visit(&mut self, leaf: Range<usize>, farthest: f32) -> Option<f32> {
+        for index in leaf {
+            let sphere = &self.all[index];
+            let offset = sub(sphere.center, self.origin);
+            let reach = -1.0001 * sphere.reach;
+            if self.rays.closed && self.rays.sides.iter().any(|side| dot(*side, offset) < reach) {
+                continue;
+            }
+            let square = dot(offset, offset);
+            if square.sqrt() - 1.0001 * sphere.reach > farthest {
+                continue;
+            }
+            let power = square - sphere.reach * sphere.reach;
+            self.found.push(Near { power, index: index as u32 });
+        }
+        Some(farthest)
+    }
+}
+
 impl Spheres {
     /// Builds the hierarchy by halving along the longest axis.
     pub fn build(mut all: Vec<Sphere>) -> Self {
@@ -136,22 +166,8 @@ impl Spheres {
         found: &mut Vec<Near>,
     ) {
         found.clear();
-        leaves(&self.nodes, origin, rays, extent, farthest, |range| {
-            for index in range {
-                let sphere = &self.all[index];
-                let offset = sub(sphere.center, origin);
-                let reach = -1.0001 * sphere.reach;
-                if rays.closed && rays.sides.iter().any(|side| dot(*side, offset) < reach) {
-                    continue;
-                }
-                let square = dot(offset, offset);
-                if square.sqrt() - 1.0001 * sphere.reach > farthest {
-                    continue;
-                }
-                let power = square - sphere.reach * sphere.reach;
-                found.push(Near { power, index: index as u32 });
-            }
-        });
+        let mut gathering = Gathering { all: &self.all, origin, rays, found };
+        leaves(&self.nodes, origin, rays, extent, farthest, &mut gathering);
     }
 
     /// Visits the spheres within whose reach a ray with a unit `heading` comes nearer than `reach`:

@@ -1,7 +1,7 @@
 //! Turbid fluid between the capsule and the wall: extinction of the wall's light, light scattered
 //! back from the LEDs, and the fraction of light that reaches the camera without being scattered.
 //!
-//! All are integrated along the rays of every few pixels (Wronski 2014, SIGGRAPH course "Volumetric
+//! All are integrated along some 40 rays across the image (Wronski 2014, SIGGRAPH course "Volumetric
 //! fog": a grid in the frustum) and interpolated at the distance of the wall in each pixel.
 //! Coefficients of extinction are those of transport, `absorption + (1 − g) scattering`: light that is
 //! scattered forward stays in the beam. Orders of scattering beyond the first have the attenuation
@@ -16,8 +16,8 @@ use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 use std::f32::consts::PI;
 
-/// Pixels between the rays that are integrated along.
-const STEP: usize = 4;
+/// Rays across the image that are integrated along, about; some 4 degrees apart in a wide view.
+const RAYS: usize = 40;
 /// Intervals along a ray; they grow with distance.
 const SLICES: usize = 16;
 /// Orders of scattering; the last stands for all beyond it.
@@ -136,6 +136,8 @@ pub fn immerse<'py>(
 
 /// Integrals along the rays of every few pixels, at the ends of all intervals.
 struct Grid {
+    /// Pixels between rays.
+    step: usize,
     columns: usize,
     /// None where the camera sees nothing.
     rays: Vec<Option<Box<[Node; SLICES + 1]>>>,
@@ -144,13 +146,14 @@ struct Grid {
 impl Grid {
     fn new(rig: &Rig<'_>, medium: &Medium) -> Self {
         let (height, width) = rig.size;
-        let (rows, columns) = (height.div_ceil(STEP) + 1, width.div_ceil(STEP) + 1);
+        let step = height.max(width).div_ceil(RAYS);
+        let (rows, columns) = (height.div_ceil(step) + 1, width.div_ceil(step) + 1);
         let rays = (0..rows * columns).into_par_iter().map(|k| {
             let (y, x) =
-                ((k / columns * STEP).min(height - 1), (k % columns * STEP).min(width - 1));
+                ((k / columns * step).min(height - 1), (k % columns * step).min(width - 1));
             rig.ray(y * width + x).map(|(ray, start)| medium.integrate(rig, ray, start))
         });
-        Grid { columns, rays: rays.collect() }
+        Grid { step, columns, rays: rays.collect() }
     }
 
     /// Numbers at a distance along the ray of a pixel; None where nothing near it is known.
@@ -162,9 +165,10 @@ impl Grid {
         let slice = (along as usize).min(SLICES - 1);
         let t = along - slice as f32;
         let (mut sum, mut whole) = ([0.0; VALUES], 0.0);
-        let (v, u) = ((y % STEP) as f32 / STEP as f32, (x % STEP) as f32 / STEP as f32);
-        for (row, v) in [(y / STEP, 1.0 - v), (y / STEP + 1, v)] {
-            for (column, u) in [(x / STEP, 1.0 - u), (x / STEP + 1, u)] {
+        let (step, size) = (self.step, self.step as f32);
+        let (v, u) = ((y % step) as f32 / size, (x % step) as f32 / size);
+        for (row, v) in [(y / step, 1.0 - v), (y / step + 1, v)] {
+            for (column, u) in [(x / step, 1.0 - u), (x / step + 1, u)] {
                 let weight = u * v;
                 let Some(ray) = &self.rays[row * self.columns + column] else { continue };
                 if weight > 0.0 {

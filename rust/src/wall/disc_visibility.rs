@@ -8,8 +8,9 @@
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
 use crate::wall::bvh::Triangle;
-use crate::wall::packet::{Plane, farthest_of, traverse};
+use crate::wall::packet::{LeafVisitor, Plane, farthest_of, traverse};
 use crate::wall::visibility::SHADOW_REACH;
+use std::ops::Range;
 
 /// Shadow rays from a disc.
 pub struct DiscRays<'a> {
@@ -49,20 +50,34 @@ pub fn visible_from_disc(
     most: u32,
 ) -> (u64, bool) {
     let (mut ways, shaft) = prepare(wall, rays, used);
-    let (mut left, farthest) = (most, ways.farthest());
-    let is_done = traverse(&wall.bvh.nodes, &shaft, farthest, |range, farthest| {
-        left = left.checked_sub(range.len() as u32)?;
-        let mut changed = false;
-        for triangle in &wall.bvh.triangles[range] {
-            changed |= ways.block(triangle);
-        }
-        Some(if changed { ways.farthest() } else { farthest })
-    });
+    let farthest = ways.farthest();
+    let mut search = Search { triangles: &wall.bvh.triangles, ways: &mut ways, left: most };
+    let is_done = traverse(&wall.bvh.nodes, &shaft, farthest, &mut search);
     let mut bits = 0;
     for i in 0..LANES {
         bits |= u64::from(ways.reach[i] > 0.0) << i;
     }
     (bits, is_done)
+}
+
+/// Search for triangles that block the rays.
+struct Search<'a, 'b> {
+    triangles: &'a [Triangle],
+    ways: &'a mut Ways<'b>,
+    /// Triangles that may still be tested.
+    left: u32,
+}
+
+impl LeafVisitor for Search<'_, '_> {
+    #[inline(always)]
+    fn visit(&mut self, leaf: Range<usize>, farthest: f32) -> Option<f32> {
+        self.left = self.left.checked_sub(leaf.len() as u32)?;
+        let mut changed = false;
+        for triangle in &self.triangles[leaf] {
+            changed |= self.ways.block(triangle);
+        }
+        Some(if changed { self.ways.farthest() } else { farthest })
+    }
 }
 
 /// The rays relative to the disc's center, and the shaft around them.

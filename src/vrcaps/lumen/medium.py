@@ -16,7 +16,7 @@ from vrcaps.core.rng import stream
 from vrcaps.core.units import MM
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, Int
 
 _EDGE = 0.1
 """Fraction of the gut over which fluid or film grows from nothing to its full amount."""
@@ -217,26 +217,34 @@ def film_relief(
     height, width = points.shape[:2]
     down, right = _upsampling(height), _upsampling(width)
     coarse = points[::_COARSE, ::_COARSE]
-    angles = np.tensordot(waves, np.nan_to_num(coarse), axes=([1], [2]))
+    angles = np.einsum("kc,yxc->kyx", waves, np.nan_to_num(coarse))
     basis = np.concatenate([np.cos(angles), -np.sin(angles)]).astype(np.float32)
     scale = film.relief * math.sqrt(2.0 / _WAVES)
 
     def at(arc_length: float) -> Float[np.ndarray, "h w"]:
         turned = phases + rates * arc_length
         factors = np.concatenate([np.cos(turned), np.sin(turned)]).astype(np.float32)
-        relief = 1.0 + scale * np.tensordot(factors, basis, axes=1)
-        return down @ np.maximum(relief, 0.0) @ right.T
+        # Without BLAS, whose idle threads would take time from the renderer.
+        relief = np.maximum(1.0 + scale * np.einsum("k,kyx->yx", factors, basis), 0.0)
+        first, second, t = down
+        relief = relief[first] + t[:, None] * (relief[second] - relief[first])
+        first, second, t = right
+        before, after = relief.take(first, axis=1), relief.take(second, axis=1)
+        return before + t * (after - before)
 
     return at
 
 
-def _upsampling(count: int) -> Float[np.ndarray, "n k"]:
-    """Matrix of linear interpolation from every few pixels to all, constant beyond the last."""
+def _upsampling(
+    count: int,
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Indices and weights of linear interpolation from every few pixels to all.
+
+    Returns:
+        Indices of the sample before and after each pixel, and the weight of the latter; the last
+        sample is repeated.
+    """
     place = np.arange(count) / _COARSE
     last = (count - 1) // _COARSE
-    cell = np.minimum(place.astype(int), max(last - 1, 0))
-    t = np.clip(place - cell, 0.0, 1.0)
-    matrix = np.zeros((count, last + 1), np.float32)
-    matrix[np.arange(count), cell] += 1.0 - t
-    matrix[np.arange(count), np.minimum(cell + 1, last)] += t
-    return matrix
+    first = np.minimum(place.astype(int), last)
+    return first, np.minimum(first + 1, last), (place - first).astype(np.float32)

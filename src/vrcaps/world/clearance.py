@@ -193,7 +193,10 @@ class WallDisplacement:
         (vertices, displaced), radius, (low, high) = wall, self.model.device.radius, ends
         reach = 2.0 * radius
         box = T_world_capsule[:3, 3], max(high, -low) + reach
-        near = np.union1d(_near(self._rows_at_rest, *box), displaced)
+        is_candidate = np.zeros(len(vertices), bool)
+        is_candidate[_near(self._rows_at_rest, *box)] = True
+        is_candidate[displaced] = True
+        near = np.flatnonzero(is_candidate)
         near = near[_near(vertices[near].T, *box)]
         local = transform_points(invert(T_world_capsule), vertices[near])
         local[:, 2] -= np.clip(local[:, 2], low, high)

@@ -19,7 +19,7 @@ import trimesh
 
 import vrcaps
 from vrcaps._core import Wall
-from vrcaps.core.transforms import transform_points
+from vrcaps.core.geometry import transform_points
 
 
 def make_phantom(path: Path) -> None:

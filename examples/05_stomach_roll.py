@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 import vrcaps
-from vrcaps.core.transforms import invert, transform_points
+from vrcaps.core.geometry import invert, transform_points
 from vrcaps.core.units import CM, DEG
 from vrcaps.world.schedule import PostureChange
 

@@ -17,7 +17,7 @@ import matplotlib
 import numpy as np
 
 import vrcaps
-from vrcaps.core.transforms import transform_points
+from vrcaps.core.geometry import transform_points
 from vrcaps.core.units import CM, MM
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.world.control import Control

@@ -22,8 +22,8 @@ from PIL import Image, ImageDraw
 import vrcaps
 from benchmarks.appearance.scenes import SETTINGS, at_lesions, exposed
 from benchmarks.common.scripts import ROOT
-from vrcaps.anatomy.catalog import DISTENSIONS
 from vrcaps.lesion.polyp import PATTERNS
+from vrcaps.organ.segments import DISTENSIONS
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.world.model import Model, State
 

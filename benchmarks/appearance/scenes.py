@@ -8,7 +8,7 @@ import vrcaps
 from docs.images.lesions import best_view, even_exposure
 from vrcaps import _core
 from vrcaps.capsule.device import Device
-from vrcaps.core.transforms import invert, look_along, transform_from
+from vrcaps.core.geometry import invert, look_along, transform_from
 from vrcaps.lesion import add_lesions, parse_lesion
 from vrcaps.world.model import Model, State
 

@@ -14,7 +14,7 @@ from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.core.color import linear_from_srgb
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import invert, matrix_from_quaternion, transform_from, transform_points
+from vrcaps.core.geometry import invert, matrix_from_quaternion, transform_from, transform_points
 from vrcaps.formats.io import read_format
 from vrcaps.formats.shared.stored_images import image_size, read_plane, read_rgb
 from vrcaps.formats.shared.text_files import read_yaml

@@ -24,7 +24,7 @@ import numpy as np
 from benchmarks.common.scripts import parser, table, write_section
 from benchmarks.speed.path import measure, noise
 from benchmarks.validation.path_scenes import FIELD, Scene, scenes
-from vrcaps.core.transforms import rotate_vectors, transform_points
+from vrcaps.core.geometry import rotate_vectors, transform_points
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.renderer import Renderer
 

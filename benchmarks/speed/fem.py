@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.common.scripts import options, table, write_section
 from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.capsule.device_file import read_device
-from vrcaps.core.transforms import transform_from
+from vrcaps.core.geometry import transform_from
 from vrcaps.core.units import MM
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.fem.deformation import FemDeformation

@@ -18,7 +18,7 @@ from benchmarks.common.scripts import ROOT, options, table, write_section
 from vrcaps import _core
 from vrcaps.capsule.device import Device
 from vrcaps.capsule.device_file import read_device
-from vrcaps.core.transforms import invert, transform_points
+from vrcaps.core.geometry import invert, transform_points
 from vrcaps.core.units import DEG
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.renderer import Renderer

@@ -22,8 +22,7 @@ from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.camera.camera import Camera, in_image, project_points
 from vrcaps.camera.lens import LensEquidistant
 from vrcaps.capsule.device_file import read_device
-from vrcaps.core.geometry import triangle_areas, wall_of
-from vrcaps.core.transforms import invert, transform_points
+from vrcaps.core.geometry import invert, transform_points, triangle_areas, wall_of
 from vrcaps.metrics.coverage import CoverageCriteria, vertices_in_frustum
 from vrcaps.metrics.view_coverage import ViewCoverage, coverable
 from vrcaps.organ.read_organ import read_organ

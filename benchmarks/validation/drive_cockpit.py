@@ -33,7 +33,7 @@ from tests.support.key_pilot import KeyPilot
 from tests.support.pad_pilot import PAD, PadPilot, push
 from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.cockpit.cockpit import Cockpit, open_cockpit
-from vrcaps.core.transforms import quaternion_from_matrix, transform_points
+from vrcaps.core.geometry import quaternion_from_matrix, transform_points
 from vrcaps.core.units import CM, MM
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.recording.check import check_episode

@@ -26,7 +26,7 @@ from benchmarks.common.scripts import options, table, write_section
 from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.camera.camera import camera_rays
 from vrcaps.capsule.device_file import read_device
-from vrcaps.core.transforms import look_along, transform_from
+from vrcaps.core.geometry import look_along, transform_from
 from vrcaps.core.units import MM
 from vrcaps.lesion import LesionPair, add_lesions, parse_lesion
 from vrcaps.mesh.self_intersection import self_intersections

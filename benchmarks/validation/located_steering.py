@@ -19,7 +19,7 @@ from vrcaps.actuation.capsule_target import centerline_target
 from vrcaps.actuation.steering_program import MagnetSteering, Waypoint
 from vrcaps.anatomy.stomach import StomachParameters, generate_stomach
 from vrcaps.capsule.device_file import read_device
-from vrcaps.core.transforms import rotation_vector
+from vrcaps.core.geometry import rotation_vector
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.motion import Step
 from vrcaps.motion.rollout import Rollout

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.common.scripts import options, table, write_section
 from vrcaps.actuation.arm.arm import forward, nearest, read_arm
-from vrcaps.core.transforms import transform_from, transform_points
+from vrcaps.core.geometry import transform_from, transform_points
 from vrcaps.magnet.field import field, wrench
 from vrcaps.magnet.presets import MAGNETS, dipole_distance, magnet_names, read_magnet
 from vrcaps.magnet.sources import (

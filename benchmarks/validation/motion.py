@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.common.scripts import parser, table, write_section
-from vrcaps.core.transforms import invert, transform_from
+from vrcaps.core.geometry import invert, transform_from
 from vrcaps.formats.io import read_sources
 from vrcaps.learn.checkpoint import TrainedNetwork, read_weights
 from vrcaps.learn.comparison import bootstrapped_errors

@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks.common.scripts import options, table, write_section
 from benchmarks.validation.labels import CHANNELS, HEAD, Tally, Written, _percent, compare_frame
 from vrcaps.camera.camera import Camera, camera_rays, pixel_grid, project_points
-from vrcaps.core.transforms import invert, rotate_vectors, transform_points
+from vrcaps.core.geometry import invert, rotate_vectors, transform_points
 from vrcaps.core.units import UM
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.recording.episode import Episode, read_episode

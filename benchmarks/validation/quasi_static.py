@@ -21,7 +21,7 @@ from benchmarks.common.scripts import parser, table, write_section
 from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import rotation_from_vector
+from vrcaps.core.geometry import rotation_from_vector
 from vrcaps.core.units import MM
 from vrcaps.magnet.sources import Cylinder
 from vrcaps.world.control import Control

@@ -23,7 +23,7 @@ from vrcaps.actuation.magnet_actuator import FreeActuator, MagnetActuator, Robot
 from vrcaps.actuation.magnet_controller import ControllerGains, MagnetController
 from vrcaps.actuation.magnet_pose_solver import Workspace
 from vrcaps.capsule.device_file import read_device
-from vrcaps.core.transforms import transform_from
+from vrcaps.core.geometry import transform_from
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import Coil, Cylinder, Dipole, magnet_pose
 from vrcaps.organ.surface import OrganSurface

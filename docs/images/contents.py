@@ -16,7 +16,7 @@ from PIL import Image, ImageDraw
 from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.color import luminance
-from vrcaps.core.transforms import look_along, transform_from, transform_points
+from vrcaps.core.geometry import look_along, transform_from, transform_points
 from vrcaps.core.units import MM
 from vrcaps.lumen.contents import (
     BUBBLE_SEVERITIES,

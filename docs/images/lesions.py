@@ -15,7 +15,7 @@ from vrcaps import _core
 from vrcaps._core import Wall
 from vrcaps.camera.camera import Camera, camera_rays
 from vrcaps.core.color import luminance
-from vrcaps.core.transforms import invert, look_along, transform_from
+from vrcaps.core.geometry import invert, look_along, transform_from
 from vrcaps.core.units import MM
 from vrcaps.lesion import LesionPair, add_lesions, parse_lesion
 from vrcaps.organ.surface import OrganSurface, interpolate

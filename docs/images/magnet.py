@@ -18,7 +18,7 @@ from vrcaps.actuation.arm.arm import frames
 from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.anatomy.stomach import StomachParameters, generate_stomach
 from vrcaps.capsule.device_file import read_device
-from vrcaps.core.transforms import invert, transform_points
+from vrcaps.core.geometry import invert, transform_points
 from vrcaps.core.units import CM
 from vrcaps.magnet.field import SourceSet
 from vrcaps.motion.dynamics import Dynamics

@@ -19,7 +19,7 @@ from vrcaps.actuation.arm.arm_with_payload import (
 from vrcaps.actuation.magnet_actuator import FreeActuator, RobotActuator, stopping_speed
 from vrcaps.actuation.magnet_pose_solver import Workspace
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import rotate_by_vector, vector_from_rotation
+from vrcaps.core.geometry import rotate_by_vector, vector_from_rotation
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import magnet_pose
 

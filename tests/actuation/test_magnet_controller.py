@@ -18,7 +18,7 @@ from vrcaps.actuation.magnet_pose_solver import Workspace
 from vrcaps.actuation.steering_program import GENTLE_GAINS
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import invert, transform_from
+from vrcaps.core.geometry import invert, transform_from
 from vrcaps.magnet.field import wrench
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import UniformField, magnet_pose

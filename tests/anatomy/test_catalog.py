@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from vrcaps.anatomy import colon
-from vrcaps.anatomy.catalog import DISTENSIONS, ORGANS, generate_organ, organ_segments
+from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.anatomy.colon import ColonParameters
 from vrcaps.anatomy.full_tract.patient import draw_patient_anatomy
 from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.organ.segments import DISTENSIONS, ORGANS, organ_segments
 from vrcaps.organ.surface import Appearance, Centerline, OrganSurface
 
 

@@ -22,7 +22,7 @@ from vrcaps.camera_pipeline.effect.optics import DepthOfField
 from vrcaps.camera_pipeline.effect.sensor import BayerFilter, SensorNoise
 from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES, Effects
 from vrcaps.camera_pipeline.pipeline import CameraPipeline, PipelineState
-from vrcaps.core.transforms import transform_from
+from vrcaps.core.geometry import transform_from
 from vrcaps.lumen.contents import Contents
 from vrcaps.motion.motion import Step
 from vrcaps.render.channels import Frame

@@ -9,7 +9,7 @@ import vrcaps
 from vrcaps.camera.camera import default_exposure
 from vrcaps.capsule.device_file import write_device
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import transform_from
+from vrcaps.core.geometry import transform_from
 from vrcaps.magnet.sources import InternalMagnet
 
 DEVICE = vrcaps.Device(

@@ -14,7 +14,7 @@ from vrcaps.camera.lens import LENSES, LensEquirectangular, LensKannalaBrandt, L
 from vrcaps.capsule.device import Device
 from vrcaps.capsule.device_file import device_names, read_device, write_device
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.core.transforms import invert, rotate_vectors, transform_points
+from vrcaps.core.geometry import invert, rotate_vectors, transform_points
 from vrcaps.core.units import MM
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import InternalMagnet

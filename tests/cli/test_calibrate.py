@@ -15,7 +15,7 @@ from tests.support.failing import fail
 from vrcaps import cli
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.capsule.device_file import read_device
-from vrcaps.core.transforms import transform_from
+from vrcaps.core.geometry import transform_from
 from vrcaps.scenario.scenario import read_scenario
 from vrcaps.tools.camera_calibration.board import Board, board_image
 

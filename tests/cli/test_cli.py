@@ -14,7 +14,7 @@ import pytest
 from vrcaps import cli
 from vrcaps.cli.episodes import Check
 from vrcaps.cli.record import Record, _free_folder
-from vrcaps.config.file_ref import FileRef
+from vrcaps.config.fields import FileRef
 from vrcaps.core.errors import InputError
 from vrcaps.lumen.contents import prepared
 from vrcaps.motion.dynamics import Dynamics
@@ -275,10 +275,10 @@ def test_a_demo_never_writes_where_something_is(tmp_path: Path) -> None:
 
 
 def test_list_names_all_that_goes_by_name(capsys: pytest.CaptureFixture[str]) -> None:
-    from vrcaps.anatomy.catalog import ORGANS
     from vrcaps.capsule.device_file import device_names
     from vrcaps.lesion import LESIONS
     from vrcaps.mucosa.mucosa import MUCOSAE
+    from vrcaps.organ.segments import ORGANS
 
     cli.main(["organ", "list"])
     text = capsys.readouterr().out

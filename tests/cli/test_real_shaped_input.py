@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from vrcaps import cli
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.core.transforms import transform_from
+from vrcaps.core.geometry import transform_from
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.tools.camera_calibration.board import Board, board_image
 

@@ -16,7 +16,7 @@ from tests.support.pad_pilot import PAD, PadPilot, push
 from tests.support.waiting import WATCHDOG
 from vrcaps.cockpit.scene.viewpoint import scene_clients
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import matrix_from_quaternion, transform_points
+from vrcaps.core.geometry import matrix_from_quaternion, transform_points
 from vrcaps.recording.episode import read_episode
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import (
+from vrcaps.core.geometry import (
     invert,
     look_along,
     matrix_from_quaternion,

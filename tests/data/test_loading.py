@@ -13,7 +13,7 @@ from torch.utils.data import DataLoader, IterableDataset
 
 from tests.support.waiting import WATCHDOG
 from vrcaps.core.errors import InputError, MissingExtraError, UnknownNameError
-from vrcaps.core.transforms import rotation_from_vector, transform_from
+from vrcaps.core.geometry import rotation_from_vector, transform_from
 from vrcaps.data import loading
 from vrcaps.data.loading import FrameStream, FrameWindows
 from vrcaps.recording.frame_sequence import FrameSequence

@@ -10,7 +10,7 @@ import pytest
 
 import vrcaps
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import transform_points
+from vrcaps.core.geometry import transform_points
 from vrcaps.data.check import check_dataset
 from vrcaps.data.ledger import entries
 from vrcaps.data.organs import store_organ

@@ -8,7 +8,7 @@ import pytest
 from tests.support.small_envs import simulation_of, small_settings
 from vrcaps.actuation.arm.arm_with_payload import clearances, magnet_pose_at
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.core.transforms import rotation_from_vector
+from vrcaps.core.geometry import rotation_from_vector
 from vrcaps.env.actuation import ArmActuation, MagnetActuation, Wrench
 from vrcaps.env.episode import Episode
 from vrcaps.env.simulation import Simulation

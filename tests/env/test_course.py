@@ -8,7 +8,7 @@ import pytest
 from tests.support.small_envs import GUT
 from tests.support.tubes import bent_tube
 from vrcaps.capsule.device_file import read_device
-from vrcaps.core.transforms import transform_points
+from vrcaps.core.geometry import transform_points
 from vrcaps.env.memory import Memory
 from vrcaps.env.worlds import Course
 from vrcaps.organ.surface import interpolate

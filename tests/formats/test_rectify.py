@@ -12,7 +12,7 @@ from vrcaps.camera.lens import LensEquidistant, LensKannalaBrandt, LensPinhole, 
 from vrcaps.cli import main
 from vrcaps.core.color import linear_from_srgb
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import invert, rotation_from_vector, transform_from, transform_points
+from vrcaps.core.geometry import invert, rotation_from_vector, transform_from, transform_points
 from vrcaps.formats.rectify import pinhole_camera, rectified, resampled, widest_field
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 

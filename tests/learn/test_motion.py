@@ -14,7 +14,7 @@ from tests.support.ellipsoid_sequence import ellipsoid_sequence  # noqa: E402
 from tests.support.small_frames import small_sequence  # noqa: E402
 from vrcaps.camera.lens import LensEquidistant  # noqa: E402
 from vrcaps.core.errors import InputError  # noqa: E402
-from vrcaps.core.transforms import transform_from  # noqa: E402
+from vrcaps.core.geometry import transform_from  # noqa: E402
 from vrcaps.learn.checkpoint import TrainedNetwork, write_weights  # noqa: E402
 from vrcaps.learn.comparison import compared_sequences  # noqa: E402
 from vrcaps.learn.dead_features import dead_features, require_alive  # noqa: E402

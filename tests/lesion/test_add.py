@@ -8,7 +8,7 @@ from scipy.spatial.distance import pdist
 from tests.support.shapes import DIRECT
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import look_along, transform_from
+from vrcaps.core.geometry import look_along, transform_from
 from vrcaps.core.units import MM
 from vrcaps.lesion import (
     LESIONS,

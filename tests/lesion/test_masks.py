@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.shapes import DIRECT
 from vrcaps.capsule.device_file import read_device
-from vrcaps.core.transforms import look_along, transform_from
+from vrcaps.core.geometry import look_along, transform_from
 from vrcaps.core.units import MM
 from vrcaps.lesion import Bleeding, Colitis, Location, Polyp, add_lesions
 from vrcaps.render.renderer import Renderer

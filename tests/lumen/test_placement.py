@@ -12,7 +12,7 @@ from tests.support.tubes import straight_gut
 from vrcaps import _core
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import rotation_from_vector, transform_from
+from vrcaps.core.geometry import rotation_from_vector, transform_from
 from vrcaps.core.units import MM
 from vrcaps.lumen.contents import (
     BUBBLE_SEVERITIES,

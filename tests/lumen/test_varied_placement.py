@@ -10,7 +10,7 @@ import pytest
 from tests.support.tubes import straight_gut
 from vrcaps import _core
 from vrcaps.capsule.device_file import read_device
-from vrcaps.core.transforms import transform_from
+from vrcaps.core.geometry import transform_from
 from vrcaps.core.units import MM
 from vrcaps.lumen.contents import CM2, Bubbles, Chyme, Contents
 from vrcaps.lumen.placement import place_bubbles, place_chyme

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from tests.support.programs import run_program
 from tests.support.scenes import random_directions, random_poses, relative
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import invert, rotate_vectors, transform_points
+from vrcaps.core.geometry import invert, rotate_vectors, transform_points
 from vrcaps.magnet.field import SourceSet, field
 from vrcaps.magnet.sources import (
     MAGNETIC_CONSTANT,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import invert, transform_points
+from vrcaps.core.geometry import invert, transform_points
 from vrcaps.core.units import MM
 from vrcaps.magnet.field import field_lines, magnet_lines
 from vrcaps.magnet.presets import read_magnet

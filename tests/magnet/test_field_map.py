@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.scenes import random_poses
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.core.transforms import invert, rotate_vectors, transform_points
+from vrcaps.core.geometry import invert, rotate_vectors, transform_points
 from vrcaps.magnet.field import field
 from vrcaps.magnet.field_map import read_field_map
 from vrcaps.magnet.sources import Cylinder, FieldMap

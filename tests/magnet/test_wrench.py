@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.support.scenes import random_directions, random_poses
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import transform_from, transform_points
+from vrcaps.core.geometry import transform_from, transform_points
 from vrcaps.magnet.field import field, wrench
 from vrcaps.magnet.sources import (
     MAGNETIC_CONSTANT,

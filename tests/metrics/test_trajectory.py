@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.core.transforms import invert, transform_from
+from vrcaps.core.geometry import invert, transform_from
 from vrcaps.metrics.simcol3d import score_poses
 from vrcaps.metrics.trajectory import (
     Similarity,

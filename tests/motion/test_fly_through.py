@@ -6,7 +6,7 @@ import pytest
 from tests.support.tubes import straight_tube
 from vrcaps.capsule.device_file import device_names, read_device
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import transform_points
+from vrcaps.core.geometry import transform_points
 from vrcaps.core.units import MM
 from vrcaps.motion.fly_through import FlyThrough, _free_part, fly_through
 from vrcaps.organ.surface import CLOSED_RADIUS

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.core.transforms import (
+from vrcaps.core.geometry import (
     invert,
     look_along,
     matrix_from_quaternion,

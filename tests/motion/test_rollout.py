@@ -10,7 +10,7 @@ import pytest
 from tests.support.tubes import straight_gut
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.core.transforms import transform_points
+from vrcaps.core.geometry import transform_points
 from vrcaps.core.units import CM, MM
 from vrcaps.lumen.contents import Contents
 from vrcaps.motion.dynamics import Dynamics

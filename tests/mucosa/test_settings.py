@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from vrcaps.config.convert import from_plain, to_plain
-from vrcaps.config.file_ref import with_checksums
+from vrcaps.config.fields import with_checksums
 from vrcaps.core.errors import InputError
 from vrcaps.mucosa.mucosa import MUCOSAE
 from vrcaps.mucosa.settings import MucosaSettings

@@ -14,7 +14,7 @@ import trimesh
 
 from tests.support.write_ply import write_ply
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import transform_from, transform_points
+from vrcaps.core.geometry import transform_from, transform_points
 from vrcaps.mesh.glb import read_document
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ import gltf_material

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from vrcaps.core.transforms import rotate_vectors, transform_from, transform_points
+from vrcaps.core.geometry import rotate_vectors, transform_from, transform_points
 from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.mesh.read_mesh import read_label_names, read_mesh
 from vrcaps.mesh.repair import repair

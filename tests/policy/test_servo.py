@@ -12,7 +12,7 @@ from tests.support.small_envs import small_settings
 from vrcaps.capsule.device import homogeneous_body
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import rotation_from_vector, transform_from
+from vrcaps.core.geometry import rotation_from_vector, transform_from
 from vrcaps.env.actuation import MagnetActuation, Wrench
 from vrcaps.env.settings import EnvSettings
 from vrcaps.policy.servo import Goal, heading_error, magnet_action, servo_actions

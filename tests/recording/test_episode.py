@@ -6,7 +6,7 @@ import pytest
 
 from vrcaps.camera.camera import camera_rays
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.core.transforms import transform_points
+from vrcaps.core.geometry import transform_points
 from vrcaps.recording.episode import read_episode
 from vrcaps.render.channels import CHANNELS
 from vrcaps.render.renderer import Renderer

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import transform_from
+from vrcaps.core.geometry import transform_from
 from vrcaps.motion.motion import Step, with_neighbors
 from vrcaps.recording.episode import read_episode
 from vrcaps.recording.recorder import record

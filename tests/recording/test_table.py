@@ -9,7 +9,7 @@ import pytest
 
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.core.transforms import transform_points
+from vrcaps.core.geometry import transform_points
 from vrcaps.motion.dynamics_settings import DYNAMICS_COLUMNS, MAGNET_COLUMNS
 from vrcaps.motion.fly_through import FlyThrough, fly_through
 from vrcaps.recording.sensing import pad_column_names

@@ -11,7 +11,7 @@ from tests.support import twin
 from tests.support.shapes import DIRECT, LENSES, looking, make_camera, make_model, pinhole, tube
 from vrcaps.camera.camera import Camera, pixel_grid, project_points, unproject_pixels
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import invert, rotate_vectors, transform_points
+from vrcaps.core.geometry import invert, rotate_vectors, transform_points
 from vrcaps.render.renderer import Renderer
 from vrcaps.world.model import Model, State
 

@@ -12,7 +12,7 @@ from vrcaps.camera.camera import camera_rays
 from vrcaps.camera.derive import scaled_camera
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import rotation_from_vector, transform_from
+from vrcaps.core.geometry import rotation_from_vector, transform_from
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.medium import Film, Medium, film_relief
 from vrcaps.render.immersion import _NOISE_DEVIATION, order_ratio, shell_distance

@@ -19,7 +19,7 @@ from tests.support.shapes import (
 from tests.support.twin import dot, unit
 from vrcaps.camera.camera import camera_rays
 from vrcaps.capsule.device_file import read_device
-from vrcaps.core.transforms import invert, rotate_vectors
+from vrcaps.core.geometry import invert, rotate_vectors
 from vrcaps.organ.surface import OrganSurface, face_label
 from vrcaps.render.renderer import Renderer
 from vrcaps.world.model import Model

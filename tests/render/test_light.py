@@ -25,7 +25,7 @@ from vrcaps import _core
 from vrcaps.camera.camera import Led, camera_rays
 from vrcaps.camera.lens import LensEquidistant
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.core.transforms import rotate_vectors
+from vrcaps.core.geometry import rotate_vectors
 from vrcaps.organ.surface import Appearance, OrganSurface, clearcoat_alpha
 from vrcaps.render.channels import Frame
 from vrcaps.render.renderer import Renderer

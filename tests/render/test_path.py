@@ -14,7 +14,7 @@ from tests.support.shapes import looking, make_camera, make_model, patterned, pi
 from vrcaps.camera.camera import Camera, Led, camera_rays
 from vrcaps.camera.lens import LensEquidistant
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.core.transforms import rotate_vectors
+from vrcaps.core.geometry import rotate_vectors
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings

@@ -19,7 +19,7 @@ from tests.support.shapes import (
     with_ball,
 )
 from vrcaps.camera.camera import Camera, Led, camera_rays
-from vrcaps.core.transforms import rotate_vectors
+from vrcaps.core.geometry import rotate_vectors
 from vrcaps.core.units import MM
 from vrcaps.lumen.contents import Bubbles, Contents, Liquid
 from vrcaps.lumen.lumen_contents import LumenContents

@@ -7,7 +7,7 @@ import pytest
 
 from vrcaps.camera_pipeline.effects import Effects, parse_effects
 from vrcaps.capsule.device_file import read_device
-from vrcaps.config.file_ref import FileRef
+from vrcaps.config.fields import FileRef
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.lesion import Location, Polyp
 from vrcaps.motion.fly_through import FlyThrough

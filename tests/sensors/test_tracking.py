@@ -11,7 +11,7 @@ import pytest
 from tests.support.tubes import straight_gut
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import rotate_by_vector, rotation_vector, transform_from
+from vrcaps.core.geometry import rotate_by_vector, rotation_vector, transform_from
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import magnet_pose
 from vrcaps.sensors.imu import Imu

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vrcaps.camera.camera import Camera, unproject_pixels
-from vrcaps.core.transforms import transform_from, transform_points
+from vrcaps.core.geometry import transform_from, transform_points
 from vrcaps.tools.camera_calibration.board import Board
 
 MARGIN = 6.0  # px around the board

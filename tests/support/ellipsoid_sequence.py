@@ -5,7 +5,7 @@ from functools import cache, partial
 import numpy as np
 
 from vrcaps.camera.camera import Camera, camera_rays, in_image, pixel_grid
-from vrcaps.core.transforms import invert, rotation_from_vector, transform_from, transform_points
+from vrcaps.core.geometry import invert, rotation_from_vector, transform_from, transform_points
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 
 AXES = np.array([0.031, 0.024, 0.019])

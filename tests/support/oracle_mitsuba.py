@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from vrcaps.camera.camera import Camera, Led, camera_rays
-from vrcaps.core.transforms import rotate_vectors
+from vrcaps.core.geometry import rotate_vectors
 from vrcaps.organ.surface import Appearance
 from vrcaps.world.model import Model, State
 

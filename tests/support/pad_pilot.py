@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.actuation.steering_program import workspace_above
-from vrcaps.core.transforms import invert, transform_points
+from vrcaps.core.geometry import invert, transform_points
 from vrcaps.env.actuation import MagnetActuation
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.policy.navigator import Guide

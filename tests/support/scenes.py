@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vrcaps.core.transforms import matrix_from_quaternion, transform_from
+from vrcaps.core.geometry import matrix_from_quaternion, transform_from
 
 
 def random_poses(rng: np.random.Generator, count: int, spread: float = 1.0) -> np.ndarray:

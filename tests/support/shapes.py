@@ -16,7 +16,7 @@ from vrcaps.camera.lens import (
     LensScaramuzza,
 )
 from vrcaps.capsule.device import Device
-from vrcaps.core.transforms import look_along, transform_from
+from vrcaps.core.geometry import look_along, transform_from
 from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.organ.surface import Appearance, Centerline, OrganSurface
 from vrcaps.render.settings import RenderSettings

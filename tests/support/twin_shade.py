@@ -9,7 +9,7 @@ import numpy as np
 from tests.support import twin
 from tests.support.twin import dot, unit
 from vrcaps.camera.camera import Camera, Led, camera_rays
-from vrcaps.core.transforms import invert, rotate_vectors, transform_points
+from vrcaps.core.geometry import invert, rotate_vectors, transform_points
 from vrcaps.organ.surface import Appearance, clearcoat_alpha, face_label
 from vrcaps.world.model import Model, State
 

@@ -13,7 +13,7 @@ from tests.support.threads import digests_by_threads
 from tests.support.tubes import bent_tube
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import rotation_from_vector, transform_from
+from vrcaps.core.geometry import rotation_from_vector, transform_from
 from vrcaps.magnet.sources import Cylinder
 from vrcaps.tissue.motility.motility import Motility, Propulsion
 from vrcaps.tissue.tissue import Tissue

@@ -9,7 +9,7 @@ import pytest
 
 from tests.support.tubes import bent_tube
 from vrcaps.capsule.device_file import read_device
-from vrcaps.core.transforms import invert, transform_points
+from vrcaps.core.geometry import invert, transform_points
 from vrcaps.core.units import MM
 from vrcaps.motion.fly_through import FlyThrough, fly_through
 from vrcaps.motion.trajectory import Trajectory

@@ -11,7 +11,7 @@ from scipy.special import ellipk
 from tests.support.tubes import bent_tube
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import matrix_from_quaternion, rotate_vectors, transform_from
+from vrcaps.core.geometry import matrix_from_quaternion, rotate_vectors, transform_from
 from vrcaps.magnet.field import field, wrench
 from vrcaps.magnet.sources import (
     MAGNETIC_CONSTANT,

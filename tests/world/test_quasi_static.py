@@ -11,7 +11,7 @@ from tests.support.walls import RADIUS, creased, floor, world_on
 from vrcaps import _core
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.core.transforms import rotation_from_vector, transform_from
+from vrcaps.core.geometry import rotation_from_vector, transform_from
 from vrcaps.core.units import MM
 from vrcaps.lumen.contents import Contents
 from vrcaps.magnet.sources import Cylinder, UniformField

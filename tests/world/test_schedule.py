@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.core.transforms import rotation_vector
+from vrcaps.core.geometry import rotation_vector
 from vrcaps.world.model import posture_transform
 from vrcaps.world.schedule import (
     WRENCH_COLUMNS,

@@ -16,7 +16,7 @@ import numpy as np
 
 from vrcaps.cli.benchmarks.stage import Stage
 from vrcaps.cli.benchmarks.timing import Subject
-from vrcaps.core.transforms import transform_points
+from vrcaps.core.geometry import transform_points
 from vrcaps.mesh.mesh import vertex_normals
 
 if TYPE_CHECKING:

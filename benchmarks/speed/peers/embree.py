@@ -8,7 +8,7 @@ from benchmarks.speed.peers import load_package
 from vrcaps.camera.camera import camera_rays
 from vrcaps.cli.benchmarks.stage import Stage
 from vrcaps.cli.benchmarks.timing import Subject
-from vrcaps.core.transforms import rotate_vectors
+from vrcaps.core.geometry import rotate_vectors
 
 PRIMARY_RAYS = "Embree, primary rays only"
 

@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.speed.peers import PeerMissingError, load_package, welded_mesh
 from vrcaps.cli.benchmarks.stage import Stage
 from vrcaps.cli.benchmarks.timing import Subject
-from vrcaps.core.transforms import quaternion_from_matrix
+from vrcaps.core.geometry import quaternion_from_matrix
 
 ALL = "MuJoCo, rgb + depth + segmentation"
 

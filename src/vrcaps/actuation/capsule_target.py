@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from vrcaps.core.errors import InputError, require
-from vrcaps.core.geometry import length
-from vrcaps.core.transforms import invert, rotate_vectors, transform_points
+from vrcaps.core.geometry import invert, length, rotate_vectors, transform_points
 from vrcaps.core.units import MM
 from vrcaps.organ.surface import Centerline, polyline_points
 

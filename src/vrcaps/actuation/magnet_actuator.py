@@ -13,8 +13,7 @@ from vrcaps import _core
 from vrcaps.actuation.arm.arm_with_payload import ArmWithPayload, magnet_pose_at, solve_joint_angles
 from vrcaps.actuation.magnet_pose_solver import Workspace
 from vrcaps.core.errors import InputError, require
-from vrcaps.core.geometry import clamp_norm, length
-from vrcaps.core.transforms import rotate_by_vector, vector_from_rotation
+from vrcaps.core.geometry import clamp_norm, length, rotate_by_vector, vector_from_rotation
 from vrcaps.magnet.sources import check_pose
 
 if TYPE_CHECKING:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from importlib import import_module
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
 
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.organ.cache import cached_organ, fingerprint
-from vrcaps.organ.segments import ORGANS, Distension
+from vrcaps.organ.segments import DISTENSIONS, ORGANS
 from vrcaps.organ.surface import OrganSurface
 
 if TYPE_CHECKING:
@@ -17,9 +17,6 @@ if TYPE_CHECKING:
     from vrcaps.mucosa.mucosa import Mucosa
 
     Generator = Callable[[PatientAnatomy], OrganSurface]
-
-DISTENSIONS: tuple[str, ...] = get_args(Distension)
-"""Distensions of a generated organ."""
 
 _GENERATORS: dict[str, Generator] = {}
 
@@ -106,14 +103,3 @@ def _generator(name: str) -> Generator:
     if name not in _GENERATORS:
         import_module(f"vrcaps.anatomy.{ORGANS[name].label}")
     return _GENERATORS[name]
-
-
-def organ_segments(name: str) -> tuple[str, ...]:
-    """Names of the segments of a generated organ, in order from its oral end.
-
-    Raises:
-        UnknownNameError: If the catalog has no such organ.
-    """
-    if name not in ORGANS:
-        raise UnknownNameError("organ", name, ORGANS)
-    return ORGANS[name].labels

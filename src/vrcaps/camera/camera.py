@@ -12,7 +12,7 @@ import numpy as np
 
 from vrcaps.camera.lens import AnyLens
 from vrcaps.core.errors import InputError, UnknownNameError, require
-from vrcaps.core.transforms import transform_from
+from vrcaps.core.geometry import transform_from
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float

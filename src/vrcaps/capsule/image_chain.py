@@ -7,7 +7,7 @@ from typing import Annotated
 
 import numpy as np
 
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import require
 from vrcaps.core.units import MM
 

@@ -41,8 +41,8 @@ def _machine() -> list[tuple[str, str]]:
     import platform
 
     from vrcaps import _core
-    from vrcaps.anatomy.catalog import ORGANS
     from vrcaps.capsule.device_file import device_names
+    from vrcaps.organ.segments import ORGANS
 
     return [
         ("vrcaps", version("vrcaps")),

@@ -208,8 +208,8 @@ class Scene:
     def run(self) -> None:
         """Write the file."""
         require_folder(self.episode, "an episode")
-        from vrcaps.formats.robotics.scene import scene_of, write_scene
         from vrcaps.recording.episode import read_episode
+        from vrcaps.tools.scene import scene_of, write_scene
 
         scene = scene_of(read_episode(self.episode), self.frame)
         written = write_scene(scene, self.out)

@@ -167,7 +167,7 @@ class Evaluate:
     def _stated(self, label: str, settings: EnvSettings) -> dict[str, Any]:
         """Description of the evaluation in the folder; seeds and episodes may be added later."""
         from vrcaps import __version__
-        from vrcaps.policy.training import plain_environment
+        from vrcaps.env.settings import plain_environment
 
         return {
             "policy": label,

@@ -136,7 +136,7 @@ def pull(
         inside: Magnets of the capsule, turned so that the sum of their moments is along z.
         gaps: Distances from the magnet's bounding cylinder to the capsule's center [m].
     """
-    from vrcaps.core.transforms import invert
+    from vrcaps.core.geometry import invert
     from vrcaps.magnet.field import SourceSet
     from vrcaps.magnet.sources import magnet_pose
 

@@ -276,11 +276,11 @@ class List:
 
     def run(self) -> None:
         """Print the tables."""
-        from vrcaps.anatomy.catalog import DISTENSIONS, ORGANS, organ_segments
         from vrcaps.camera_pipeline.effects import EFFECTS
         from vrcaps.capsule.device_file import device_names, read_device
         from vrcaps.lesion import lesion_library
         from vrcaps.mucosa.mucosa import MUCOSAE
+        from vrcaps.organ.segments import DISTENSIONS, ORGANS, organ_segments
 
         usual = "colon inflated, small bowel collapsed, all else normal"
         _print("organs", [(name, _joined(organ_segments(name))) for name in ORGANS])

@@ -15,7 +15,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from vrcaps.camera_pipeline.effect.base import MAX_SEVERITY
 from vrcaps.config.convert import from_plain
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.config.plain_files import decode_json
 from vrcaps.core.errors import InputError, UnknownNameError
 

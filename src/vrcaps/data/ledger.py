@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from vrcaps.config.convert import from_plain
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.config.plain_files import decode_json
 from vrcaps.core.build_info import made_here
 from vrcaps.core.errors import InputError, require

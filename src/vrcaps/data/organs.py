@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 from typing import Annotated, Any
 
 from vrcaps.config.convert import from_plain
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.config.plain_files import decode_json
 from vrcaps.core.errors import InputError, require
 from vrcaps.data.store import Store

@@ -9,12 +9,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from vrcaps.anatomy.catalog import ORGANS, organ_segments
-from vrcaps.capsule.device_file import device_of
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError, UnknownNameError, VrcapsError
 from vrcaps.data.distribution import PROBABILITY, Each, Prevalence, slots
 from vrcaps.data.plan import PATIENT_SLOTS, Plan
+from vrcaps.organ.segments import ORGANS, organ_segments
 from vrcaps.recording.frame_sequence import SPLITS
 from vrcaps.scenario.scenario import OrganGenerated, Scenario, scenario_from_plain
 
@@ -261,7 +260,7 @@ def check_plan(units: Units) -> None:
 
 def _check_capsule(scenario: Scenario, where: str) -> None:
     try:
-        device_of(scenario.capsule)
+        _ = scenario.device
     except VrcapsError as error:
         raise InputError(f"{where}: {error}") from error
 

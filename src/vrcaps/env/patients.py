@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.anatomy.catalog import ORGANS
 from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.metrics.point_coverage import WallPoints, wall_points
+from vrcaps.organ.segments import ORGANS
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.scenario.build import resolve
 from vrcaps.scenario.scenario import OrganFile, OrganGenerated, Scenario, organ_named

@@ -11,7 +11,7 @@ import numpy as np
 
 from vrcaps.camera.derive import scaled_lens
 from vrcaps.camera_pipeline.effects import Effects, parse_effects
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError
 from vrcaps.motion.trajectory import start_pose
 from vrcaps.tissue.contact_laws import SpringWall

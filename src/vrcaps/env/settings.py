@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_type_hints
 
 from vrcaps.capsule.device import Device
 from vrcaps.capsule.device_file import device_of
-from vrcaps.config.convert import from_plain
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.convert import from_plain, to_plain
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.core.registry import Registry
 from vrcaps.env.actuation import Wrench
@@ -31,7 +32,8 @@ from vrcaps.env.transmission import Transmission
 from vrcaps.lesion import Lesion
 from vrcaps.lesion.library import parse_lesion
 from vrcaps.metrics.coverage import CoverageCriteria
-from vrcaps.scenario.scenario import OrganGenerated
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.scenario.scenario import OrganFile, OrganGenerated
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.world.mechanics import RELAXATION_TIME
 from vrcaps.world.model import posture_transform
@@ -191,6 +193,23 @@ def env_settings(**keywords: Any) -> EnvSettings:
         name: tuple(value) if isinstance(value, list) else value for name, value in keywords.items()
     }
     return EnvSettings(**values)
+
+
+def plain_environment(env: EnvSettings) -> dict[str, Any]:
+    """Settings of an environment as plain values; an organ in memory as its name and checksum."""
+    hints = get_type_hints(EnvSettings)
+    plain = {
+        f.name: to_plain(getattr(env, f.name), hints[f.name])
+        for f in fields(env)
+        if f.name != "organs"
+    }
+    plain["organs"] = [
+        {"name": organ.name, "sha256": hashlib.sha256(organ.vertices.tobytes()).hexdigest()}
+        if isinstance(organ, OrganSurface)
+        else to_plain(organ, OrganGenerated | OrganFile)
+        for organ in env.organs
+    ]
+    return plain
 
 
 def _part(registry: Registry[Any], given: Any) -> Any:

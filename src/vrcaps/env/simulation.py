@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps._core import __version__
+from vrcaps import __version__
 from vrcaps.core.errors import InputError, reading, require
 from vrcaps.env.cameras import CameraImages
 from vrcaps.env.coverage import Coverage

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError
 from vrcaps.env.observations.image import ImageObservation

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.core.transforms import invert, rotate_vectors, transform_points
+from vrcaps.core.geometry import invert, rotate_vectors, transform_points
 from vrcaps.core.units import CM
 from vrcaps.organ.surface import interpolate
 from vrcaps.world.batch import WorldBatch

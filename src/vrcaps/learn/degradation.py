@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.learn.perturbation import jpeg_image
 
 if TYPE_CHECKING:

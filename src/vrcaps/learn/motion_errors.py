@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.core.transforms import invert, transform_from
+from vrcaps.core.geometry import invert, transform_from
 from vrcaps.metrics.trajectory import relative_pose_error
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from typing import (
 import numpy as np
 
 from vrcaps.config.convert import register_family
-from vrcaps.config.limits import Range, range_of
+from vrcaps.config.fields import Range, range_of
 from vrcaps.core.errors import InputError
 from vrcaps.core.registry import Registry
 from vrcaps.core.units import DEG, MM, parse_length

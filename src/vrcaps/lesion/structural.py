@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.config.limits import Range
+from vrcaps.config.fields import Range
 from vrcaps.core.color import mix
 from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import smoothstep

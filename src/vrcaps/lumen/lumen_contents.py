@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps._core import Wall, around_capsule
-from vrcaps.core.geometry import wall_of
+from vrcaps.core.geometry import transform_points, wall_of
 from vrcaps.core.rng import stream
-from vrcaps.core.transforms import transform_points
 from vrcaps.core.units import MM
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.particles import Spheres, joined

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.core.transforms import transform_points
+from vrcaps.core.geometry import transform_points
 from vrcaps.core.units import MM
 from vrcaps.lumen.contents import Liquid
 from vrcaps.organ.surface import OrganSurface

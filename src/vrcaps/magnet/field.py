@@ -16,8 +16,7 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.core.errors import InputError, require
-from vrcaps.core.geometry import unit
-from vrcaps.core.transforms import quaternion_from_matrix
+from vrcaps.core.geometry import quaternion_from_matrix, unit
 from vrcaps.magnet.sources import (
     Block,
     InternalMagnet,

@@ -30,10 +30,10 @@ from vrcaps.camera.camera import (
     project_points,
     unproject_pixels,
 )
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.color import LUMA_WEIGHTS
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import invert, transform_points
+from vrcaps.core.geometry import invert, transform_points
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int, UInt8

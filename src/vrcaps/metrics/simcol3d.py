@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.core.errors import require_one_shape
-from vrcaps.core.transforms import invert, transform_from
+from vrcaps.core.geometry import invert, transform_from
 from vrcaps.core.units import CM
 from vrcaps.metrics.trajectory import relative_pose_error
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from vrcaps.core.errors import InputError, UnknownNameError, require, require_one_shape
-from vrcaps.core.transforms import invert, transform_from
+from vrcaps.core.geometry import invert, transform_from
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -11,7 +11,7 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.camera.camera import camera_rays
 from vrcaps.camera.derive import scaled_camera
-from vrcaps.core.transforms import transform_from, transform_points
+from vrcaps.core.geometry import transform_from, transform_points
 from vrcaps.metrics.coverage import CoverageCriteria, CoverageLevel, pixel_solid_angles
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.capsule.device import Device
-from vrcaps.core.transforms import rotation_from_vector, transform_from
+from vrcaps.core.geometry import rotation_from_vector, transform_from
 from vrcaps.organ.surface import Centerline, interpolate
 from vrcaps.world.clearance import corrected
 

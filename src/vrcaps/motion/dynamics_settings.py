@@ -10,9 +10,9 @@ import numpy as np
 
 from vrcaps.actuation.coils.coil_program import CoilSteering, coil_column_names, coil_row
 from vrcaps.actuation.steering_program import MagnetSteering
-from vrcaps.config.file_ref import FileRef, file_ref
+from vrcaps.config.fields import FileRef, file_ref
 from vrcaps.core.errors import InputError, UnknownNameError, require
-from vrcaps.core.transforms import quaternion_from_matrix
+from vrcaps.core.geometry import quaternion_from_matrix
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.motion.motion import MotionSettings
 from vrcaps.tissue.contact_laws import Drag, SpringWall, WinklerFoundation

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError, require
+from vrcaps.core.geometry import transform_points, velocities_between
 from vrcaps.core.rng import stream
-from vrcaps.core.transforms import transform_points, velocities_between
 from vrcaps.core.units import MM
 from vrcaps.motion.centerline_follower import (
     BandLimitedNoise,

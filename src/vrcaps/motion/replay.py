@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.config.file_ref import FileRef, file_ref, path_of
-from vrcaps.config.limits import check_fields
+from vrcaps.config.fields import FileRef, check_fields, file_ref, path_of
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.core.transforms import (
+from vrcaps.core.geometry import (
     invert,
     matrix_from_quaternion,
     require_rigid,

@@ -11,9 +11,9 @@ import numpy as np
 
 from vrcaps.actuation.coils.coil_program import CoilProgram
 from vrcaps.actuation.steering_program import SteeringProgram
-from vrcaps.config.file_ref import path_of
+from vrcaps.config.fields import path_of
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import (
+from vrcaps.core.geometry import (
     invert,
     rotate_vectors,
     transform_from,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import (
+from vrcaps.core.geometry import (
     rotation_from_vector,
     rotation_vector,
     transform_from,

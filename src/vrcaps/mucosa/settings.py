@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from typing import Annotated
 
-from vrcaps.config.file_ref import FileRef
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import FileRef, Range, check_fields
 from vrcaps.core.errors import InputError
 from vrcaps.mucosa.mucosa import MUCOSAE, Mucosa, is_texture_path
 

@@ -12,7 +12,7 @@ from vrcaps import _core
 from vrcaps._core import encode_pngs
 from vrcaps.core.errors import InputError, narrow
 from vrcaps.core.files import write_bytes
-from vrcaps.core.transforms import invert, rotate_vectors, transform_points
+from vrcaps.core.geometry import invert, rotate_vectors, transform_points
 from vrcaps.mesh.glb import Glb, array_of, read_document, read_glb, vertices_of, view_of
 from vrcaps.organ.gltf_material import (
     RELIEF_STEP,

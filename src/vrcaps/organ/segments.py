@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, TypeVar
+from typing import Literal, TypeVar, get_args
 
-from vrcaps.core.errors import InputError
+from vrcaps.core.errors import InputError, UnknownNameError
 
 
 @dataclass(frozen=True)
@@ -73,6 +73,17 @@ def declare_organ(organ: OrganSegments) -> OrganSegments:
     """Add an organ to `ORGANS`."""
     ORGANS[organ.name] = organ
     return organ
+
+
+def organ_segments(name: str) -> tuple[str, ...]:
+    """Names of the segments of a generated organ, in order from its oral end.
+
+    Raises:
+        UnknownNameError: If there is no such organ.
+    """
+    if name not in ORGANS:
+        raise UnknownNameError("organ", name, ORGANS)
+    return ORGANS[name].labels
 
 
 def find_segment(label: str) -> Segment | None:
@@ -148,6 +159,9 @@ FULL_TRACT = declare_organ(
 
 
 Distension = Literal["inflated", "normal", "collapsed"]
+
+DISTENSIONS: tuple[str, ...] = get_args(Distension)
+"""Distensions of a generated organ."""
 
 T = TypeVar("T")
 

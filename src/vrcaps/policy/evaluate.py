@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from vrcaps.config.limits import Range, check_fields
-from vrcaps.core.transforms import quaternion_from_matrix
+from vrcaps.config.fields import Range, check_fields
+from vrcaps.core.geometry import quaternion_from_matrix
 from vrcaps.env.vector_env import CapsuleVectorEnv
 from vrcaps.policy.evaluation import (
     EpisodeCurves,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps._core import __version__
+from vrcaps import __version__
 from vrcaps.core.errors import InputError, import_extra, require
 from vrcaps.env.vector_env import CapsuleVectorEnv
 

@@ -22,8 +22,7 @@ import numpy as np
 from vrcaps.actuation.magnet_pose_solver import MagnetPoseSolver, Workspace, WrenchTarget
 from vrcaps.actuation.wall_path import WallPath, centerline_wall_path
 from vrcaps.core.errors import InputError
-from vrcaps.core.geometry import clamp_norm, unit
-from vrcaps.core.transforms import rotation_from_vector
+from vrcaps.core.geometry import clamp_norm, rotation_from_vector, unit
 from vrcaps.core.units import CM, MM
 from vrcaps.env.actuation import MagnetActuation
 from vrcaps.magnet.field import SourceSet

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.core import rng
-from vrcaps.core.geometry import unit
-from vrcaps.core.transforms import look_along, transform_from
+from vrcaps.core.geometry import look_along, transform_from, unit
 from vrcaps.core.units import CM, MM
 from vrcaps.metrics.point_coverage import POINT_LEVELS, mark_points
 from vrcaps.policy.baselines import Route, Routes

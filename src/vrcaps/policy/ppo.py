@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.core import rng
 from vrcaps.core.errors import MissingExtraError, import_extra, require
 from vrcaps.env.settings import EnvSettings

@@ -11,7 +11,7 @@ import numpy as np
 from vrcaps.actuation.magnet_pose_solver import MagnetPoseSolver, Workspace, WrenchTarget
 from vrcaps.capsule.device import homogeneous_body
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import rotation_from_vector, vector_from_rotation
+from vrcaps.core.geometry import rotation_from_vector, vector_from_rotation
 from vrcaps.core.units import MM
 from vrcaps.env.actuation import MagnetActuation, Wrench
 from vrcaps.magnet.field import SourceSet

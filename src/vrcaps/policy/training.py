@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
 from vrcaps.config.convert import to_plain
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import file_sha256, read_arrays, write_arrays, write_csv
 from vrcaps.env.patients import check_names
-from vrcaps.env.settings import EnvSettings
+from vrcaps.env.settings import EnvSettings, plain_environment
 from vrcaps.env.vector_env import CapsuleVectorEnv
-from vrcaps.organ.surface import OrganSurface
 from vrcaps.policy.mlp_policy import read_mlp_policy, write_mlp_policy
 from vrcaps.policy.ppo import Ppo, PpoSettings, require_learner
-from vrcaps.scenario.scenario import OrganFile, OrganGenerated
 from vrcaps.training.folder import PROGRESS, Progress, begin_training, restoring, run_training
 from vrcaps.training.settings import exact_torch
 
@@ -152,23 +149,6 @@ def plain_settings(settings: TrainingSettings) -> dict[str, Any]:
     """Settings as plain values, see `plain_environment`."""
     learner = to_plain(settings.learner, PpoSettings)
     return {"env": plain_environment(settings.env), "learner": learner, "seed": settings.seed}
-
-
-def plain_environment(env: EnvSettings) -> dict[str, Any]:
-    """Settings of an environment as plain values; an organ in memory as its name and checksum."""
-    hints = get_type_hints(EnvSettings)
-    plain = {
-        f.name: to_plain(getattr(env, f.name), hints[f.name])
-        for f in fields(env)
-        if f.name != "organs"
-    }
-    plain["organs"] = [
-        {"name": organ.name, "sha256": hashlib.sha256(organ.vertices.tobytes()).hexdigest()}
-        if isinstance(organ, OrganSurface)
-        else to_plain(organ, OrganGenerated | OrganFile)
-        for organ in env.organs
-    ]
-    return plain
 
 
 def _read_checkpoint(out: Path, learner: Ppo) -> Progress:

@@ -12,8 +12,7 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.camera.camera import Camera, camera_rays
 from vrcaps.core.errors import InputError, VrcapsError, reason_of
-from vrcaps.core.geometry import wall_of
-from vrcaps.core.transforms import rotate_vectors
+from vrcaps.core.geometry import rotate_vectors, wall_of
 from vrcaps.core.units import UM
 from vrcaps.lumen.lumen_contents import CHYME
 from vrcaps.mesh.mesh import Mesh

@@ -10,8 +10,8 @@ import numpy as np
 
 from vrcaps.camera.camera import Camera
 from vrcaps.core.errors import InputError, UnknownNameError, reading
+from vrcaps.core.geometry import require_rigid
 from vrcaps.core.names import require_name
-from vrcaps.core.transforms import require_rigid
 from vrcaps.lumen.particles import FIRST_CLUMP
 from vrcaps.render.channels import CHANNELS, Frame
 

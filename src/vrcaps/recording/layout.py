@@ -19,8 +19,8 @@ from vrcaps.config.plain_files import decode_json
 from vrcaps.core.build_info import EPISODE_PACKAGES, core_sha256, versions
 from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.core.files import scratch_folder
+from vrcaps.core.geometry import transform_points
 from vrcaps.core.names import inside
-from vrcaps.core.transforms import transform_points
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.read_mesh import read_mesh
 from vrcaps.organ.surface import json_safe

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.core.errors import InputError
+from vrcaps.core.geometry import rotate_vectors, transform_points
 from vrcaps.core.rng import stream
-from vrcaps.core.transforms import rotate_vectors, transform_points
 from vrcaps.magnet.field import field as flux_density
 from vrcaps.magnet.sources import Dipole, Source, UniformField, magnet_pose
 from vrcaps.sensors.hall import perturb_calibration, read_hall

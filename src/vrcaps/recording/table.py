@@ -13,8 +13,8 @@ import numpy as np
 from vrcaps._core import Wall
 from vrcaps.core.errors import InputError, UnknownNameError, reading
 from vrcaps.core.files import MAX_BYTES, write_bytes
-from vrcaps.core.geometry import barycentric
-from vrcaps.core.transforms import (
+from vrcaps.core.geometry import (
+    barycentric,
     matrix_from_quaternion,
     quaternion_from_matrix,
     rotate_vectors,

@@ -9,7 +9,7 @@ import numpy as np
 
 from vrcaps._core import Contents, Wall
 from vrcaps.camera.camera import Camera, in_image, pixel_grid, project_points
-from vrcaps.core.transforms import invert, transform_points
+from vrcaps.core.geometry import invert, transform_points
 from vrcaps.lumen.lumen_contents import LumenContents
 from vrcaps.render.refraction import RefractedPaths
 from vrcaps.world.model import State

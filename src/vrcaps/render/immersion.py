@@ -17,8 +17,8 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.camera.camera import camera_rays
 from vrcaps.camera.derive import focal_length_px
+from vrcaps.core.geometry import invert
 from vrcaps.core.rng import stream
-from vrcaps.core.transforms import invert
 from vrcaps.lumen.medium import Medium, film_relief
 from vrcaps.render.scattering import directions, h_function
 

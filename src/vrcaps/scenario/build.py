@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.capsule.device import Device
-from vrcaps.capsule.device_file import device_of
 from vrcaps.config.convert import to_plain
-from vrcaps.config.file_ref import path_of, with_checksums
+from vrcaps.config.fields import path_of, with_checksums
 from vrcaps.core.errors import InputError, require_extra
 from vrcaps.core.units import LENGTH_UNITS
 from vrcaps.lesion import Lesion, add_lesions, lesion_rng
@@ -83,7 +82,7 @@ def resolve(scenario: Scenario) -> ResolvedScenario:
         UnknownNameError: If the capsule is unknown.
     """
     scenario = varied(scenario)
-    device, given = device_of(scenario.capsule), scenario.organ
+    device, given = scenario.device, scenario.organ
     organ = resolve_organ(organ_named(given) if isinstance(given, str) else given)
     fps = device.frame_rate if scenario.fps is None else scenario.fps
     channels = tuple(channel for channel in CHANNELS if channel in scenario.channels)

@@ -9,9 +9,9 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from vrcaps.camera_pipeline.effects import Effects, parse_effects
 from vrcaps.capsule.device import Device
+from vrcaps.capsule.device_file import device_of
 from vrcaps.config.convert import from_plain, to_plain
-from vrcaps.config.file_ref import FileRef, file_ref
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import FileRef, Range, check_fields, file_ref
 from vrcaps.config.plain_files import read_plain
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.rng import stream
@@ -22,7 +22,7 @@ from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.motion.motion import MotionSettings
 from vrcaps.mucosa.mucosa import is_texture_path
 from vrcaps.mucosa.settings import MucosaSettings
-from vrcaps.organ.segments import ORGANS, Distension
+from vrcaps.organ.segments import ORGANS, Distension, organ_segments
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.channels import CHANNELS
 from vrcaps.render.settings import RenderSettings
@@ -182,6 +182,16 @@ class Scenario:
             if channel not in CHANNELS:
                 raise UnknownNameError("channel", channel, CHANNELS)
 
+    @property
+    def device(self) -> Device:
+        """The capsule, read by name or file if it is not in memory.
+
+        Raises:
+            InputError: If its file contains no device.
+            UnknownNameError: If no device has the name.
+        """
+        return device_of(self.capsule)
+
 
 def organ_named(organ: str) -> OrganGenerated | OrganFile:
     """Organ with a name, or from a file if the text is a path."""
@@ -273,8 +283,6 @@ def parse_lesions(
         InputError: If a text or the file cannot be read, or the table is for another organ.
         UnknownNameError: If a lesion or a key is unknown.
     """
-    from vrcaps.anatomy.catalog import ORGANS, organ_segments
-
     if source == PREVALENCE:
         colons = [name for name in ORGANS if "sigmoid" in organ_segments(name)]
         if organ in ORGANS and organ not in colons:

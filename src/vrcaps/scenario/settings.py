@@ -10,7 +10,7 @@ from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from vrcaps.config.convert import classes_by_kind
-from vrcaps.config.limits import Range, range_of
+from vrcaps.config.fields import Range, range_of
 from vrcaps.core.errors import InputError
 from vrcaps.scenario.scenario import Scenario
 
@@ -132,7 +132,7 @@ def _tables(declared: Any) -> list[type]:
     return [cls for cls in classes if cls.__module__ not in _NO_SETTINGS]
 
 
-_NO_SETTINGS = {"vrcaps.capsule.device", "vrcaps.config.file_ref"}
+_NO_SETTINGS = {"vrcaps.capsule.device", "vrcaps.config.fields"}
 """Modules whose tables are stored in separate files or as a path."""
 
 

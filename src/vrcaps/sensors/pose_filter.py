@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.core.transforms import rotate_by_vector, rotation_vector, transform_from
+from vrcaps.core.geometry import rotate_by_vector, rotation_vector, transform_from
 from vrcaps.magnet.sources import Dipole, InternalMagnet, magnet_pose
 from vrcaps.sensors.imu import Imu
 from vrcaps.sensors.localize import magnet_readings

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import numpy as np
 
-from vrcaps.config.limits import Range, check_fields
-from vrcaps.core.transforms import transform_from
+from vrcaps.config.fields import Range, check_fields
+from vrcaps.core.geometry import transform_from
 from vrcaps.core.units import MM
 from vrcaps.sensors.hall import HallArray, hall_grid
 from vrcaps.sensors.imu import Imu, Magnetometer

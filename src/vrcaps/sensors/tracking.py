@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError
+from vrcaps.core.geometry import rotate_by_vector, rotation_vector
 from vrcaps.core.rng import stream
-from vrcaps.core.transforms import rotate_by_vector, rotation_vector
 from vrcaps.core.units import DEG, MM
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.sources import Source, UniformField, magnet_pose

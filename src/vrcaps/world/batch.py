@@ -12,7 +12,7 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.core.errors import InputError, require
-from vrcaps.core.transforms import rotate_vectors
+from vrcaps.core.geometry import rotate_vectors
 from vrcaps.world.control import GRAVITY, Control, check_steps, loads_in_patient
 from vrcaps.world.lumen_dynamics import LUMEN_SUBSTEP, SUBSTEPS_PER_SWEEP
 from vrcaps.world.magnetic_coupling import rows_after

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.core.errors import require
-from vrcaps.core.geometry import smoothstep
-from vrcaps.core.transforms import transform_points
+from vrcaps.core.geometry import smoothstep, transform_points
 from vrcaps.core.units import MM
 from vrcaps.organ.surface import CLOSED_RADIUS, interpolate
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.core.errors import InputError, require
-from vrcaps.core.transforms import invert, rotate_vectors
+from vrcaps.core.geometry import invert, rotate_vectors
 from vrcaps.magnet.sources import check_pose
 
 if TYPE_CHECKING:

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.core.geometry import triangle_areas, triangle_normals, unit
-from vrcaps.core.transforms import transform_points
+from vrcaps.core.geometry import transform_points, triangle_areas, triangle_normals, unit
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

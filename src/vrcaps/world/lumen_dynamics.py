@@ -9,8 +9,8 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.capsule.device import Body
+from vrcaps.core.geometry import invert, matrix_from_quaternion, transform_points
 from vrcaps.core.rng import stream
-from vrcaps.core.transforms import invert, matrix_from_quaternion, transform_points
 from vrcaps.core.units import CM
 from vrcaps.lumen.lumen_contents import LumenContents
 from vrcaps.lumen.pools import Pools, Sections, cut_sections, level_pools, submerged

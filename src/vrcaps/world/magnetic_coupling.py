@@ -11,7 +11,7 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import matrix_from_quaternion, quaternion_from_matrix, transform_from
+from vrcaps.core.geometry import matrix_from_quaternion, quaternion_from_matrix, transform_from
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.sources import InternalMagnet, Source, UniformField, magnet_rows
 from vrcaps.world.control import Control

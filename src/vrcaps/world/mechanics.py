@@ -29,8 +29,8 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.capsule.device import Body, homogeneous_body
 from vrcaps.core.errors import InputError, UnknownNameError, require
+from vrcaps.core.geometry import invert, quaternion_from_matrix, rotate_vectors
 from vrcaps.core.rng import stream
-from vrcaps.core.transforms import invert, quaternion_from_matrix, rotate_vectors
 from vrcaps.magnet.sources import Source
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.motility.layout import arc_length_samples

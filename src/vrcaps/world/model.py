@@ -12,12 +12,12 @@ import numpy as np
 from vrcaps._core import Wall
 from vrcaps.capsule.device import Device
 from vrcaps.core.errors import UnknownNameError, require
-from vrcaps.core.geometry import wall_of
-from vrcaps.core.transforms import (
+from vrcaps.core.geometry import (
     invert,
     rotation_from_vector,
     transform_from,
     transform_points,
+    wall_of,
 )
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.lumen_contents import CHYME, LumenContents, populate, wall_anchors

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import (
+from vrcaps.core.geometry import (
     rotate_vectors,
     rotation_from_vector,
     rotation_vector,

@@ -8,7 +8,7 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import rotate_vectors
+from vrcaps.core.geometry import rotate_vectors
 from vrcaps.world.batch import advance
 from vrcaps.world.control import Control
 from vrcaps.world.mechanics import Mechanics, core_pose

@@ -22,7 +22,7 @@ from vrcaps.actuation.arm.arm_with_payload import (
 )
 from vrcaps.actuation.arm.chain import Link
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import transform_points
+from vrcaps.core.geometry import transform_points
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import magnet_pose
 

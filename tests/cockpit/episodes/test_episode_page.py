@@ -15,7 +15,7 @@ from tests.support.waiting import WATCHDOG
 from vrcaps.cockpit.episodes.episode_page import open_episodes
 from vrcaps.cockpit.episodes.episode_views import RecordedWalls
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import transform_points
+from vrcaps.core.geometry import transform_points
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.recording.episode import read_episode

@@ -10,7 +10,7 @@ import pytest
 
 from vrcaps.cockpit.episodes.episode_views import COLUMNS, read_path_estimate, values_of
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import rotation_from_vector, transform_from
+from vrcaps.core.geometry import rotation_from_vector, transform_from
 
 TIMES = np.arange(6) / 4.0
 

@@ -13,8 +13,7 @@ from vrcaps.capsule.device import homogeneous_body
 from vrcaps.capsule.device_file import read_device
 from vrcaps.cockpit.scene.colorings import LiveWall, coarse_mesh, coloring_names, make_coloring
 from vrcaps.cockpit.scene.nodes import Cut, PathNode
-from vrcaps.core.geometry import triangle_areas
-from vrcaps.core.transforms import transform_from
+from vrcaps.core.geometry import transform_from, triangle_areas
 from vrcaps.core.units import MM
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.contact_laws import WinklerFoundation

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from vrcaps.cockpit.scene.viewpoint import _FOV, frame_box, viewpoint_of
-from vrcaps.core.transforms import quaternion_from_matrix
+from vrcaps.core.geometry import quaternion_from_matrix
 from vrcaps.world.model import posture_transform
 
 

@@ -17,7 +17,7 @@ from vrcaps.actuation.steering_program import JoystickCommand, read_commands
 from vrcaps.cockpit.session.operator import PolicyDriver
 from vrcaps.cockpit.session.session import Session, cockpit_scenario
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.core.transforms import quaternion_from_matrix
+from vrcaps.core.geometry import quaternion_from_matrix
 from vrcaps.lumen.contents import Contents
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.recording.episode import read_episode

@@ -6,8 +6,7 @@ import pytest
 from tests.support.small_envs import GUT, SHORT_GUT, simulation_of
 from vrcaps import _core
 from vrcaps.core.errors import InputError
-from vrcaps.core.geometry import wall_of
-from vrcaps.core.transforms import transform_from
+from vrcaps.core.geometry import transform_from, wall_of
 from vrcaps.env.observations.landmarks import RAYS, LandmarksObservation
 from vrcaps.env.randomization import Start
 from vrcaps.env.tasks import NavigateTask

@@ -13,7 +13,7 @@ from tests.support.exported import assert_same_depth, assert_same_images, round_
 from tests.support.write_any import write_image
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import transform_points
+from vrcaps.core.geometry import transform_points
 from vrcaps.formats.endoscopy import simcol3d
 from vrcaps.formats.endoscopy.simcol3d import SimCol3D
 from vrcaps.formats.io import export

@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 
 from vrcaps.camera.lens import LensEquidistant, LensScaramuzza
 from vrcaps.core.errors import InputError, MissingExtraError
-from vrcaps.core.transforms import matrix_from_quaternion
+from vrcaps.core.geometry import matrix_from_quaternion
 from vrcaps.formats.io import export
 from vrcaps.formats.robotics.foxglove_schemas import time_ns
 from vrcaps.formats.robotics.mcap import Mcap

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vrcaps.core.errors import InputError, MissingExtraError
-from vrcaps.core.transforms import matrix_from_quaternion
+from vrcaps.core.geometry import matrix_from_quaternion
 from vrcaps.formats.io import export
 from vrcaps.formats.robotics.ros2_bag import Ros2Bag
 

@@ -11,7 +11,7 @@ from tests.support.ellipsoid_sequence import ellipsoid_sequence
 from tests.support.exported import assert_same_depth, assert_same_images, round_trip
 from vrcaps.camera.lens import LensEquidistant, LensKannalaBrandt, LensPinhole
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import invert, rotation_from_vector, transform_from
+from vrcaps.core.geometry import invert, rotation_from_vector, transform_from
 from vrcaps.formats.io import export
 from vrcaps.formats.shared.text_files import nearest_rows
 from vrcaps.formats.slam.euroc import Euroc, VslamLab

@@ -14,7 +14,7 @@ from vrcaps.camera.camera import project_points
 from vrcaps.camera.lens import LensEquidistant, LensKannalaBrandt, LensPinhole, LensScaramuzza
 from vrcaps.camera.lens.exchange import colmap_model, lens_from_colmap
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.core.transforms import invert, rotation_from_vector, transform_from, transform_points
+from vrcaps.core.geometry import invert, rotation_from_vector, transform_from, transform_points
 from vrcaps.formats.io import export
 from vrcaps.formats.splatting.colmap import Colmap
 

@@ -18,7 +18,7 @@ from tests.support.tubes import straight_gut
 from vrcaps import _core
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import transform_points
+from vrcaps.core.geometry import transform_points
 from vrcaps.core.units import MM
 from vrcaps.tissue.contact_laws import Drag
 from vrcaps.tissue.fem.assembly import assemble, surface_mass

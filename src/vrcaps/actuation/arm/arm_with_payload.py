@@ -12,7 +12,7 @@ from vrcaps import _core
 from vrcaps.actuation.arm.arm import forward, nearest
 from vrcaps.actuation.arm.chain import Arm, Link
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import invert
+from vrcaps.core.geometry import invert
 from vrcaps.magnet.sources import Magnet, check_pose
 
 if TYPE_CHECKING:

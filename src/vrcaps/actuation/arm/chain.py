@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError, require
 from vrcaps.magnet.pose import check_pose
 

@@ -12,10 +12,10 @@ from xml.etree import ElementTree
 import numpy as np
 
 from vrcaps.actuation.arm.chain import Arm, Joint, Link
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError, import_extra, reading, require
+from vrcaps.core.geometry import transform_points
 from vrcaps.core.names import inside
-from vrcaps.core.transforms import transform_points
 from vrcaps.magnet.pose import magnet_pose
 
 if TYPE_CHECKING:

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import numpy as np
 
 from vrcaps.config.convert import from_plain
-from vrcaps.config.file_ref import FileRef, file_ref, path_of
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import FileRef, Range, check_fields, file_ref, path_of
 from vrcaps.config.plain_files import CatalogFolder, read_plain
 from vrcaps.core.errors import InputError, require
 from vrcaps.core.names import inside

@@ -24,8 +24,7 @@ from vrcaps.actuation.steering_program import (
     JoystickCommand,
     check_joystick,
 )
-from vrcaps.config.file_ref import FileRef, file_ref, path_of
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import FileRef, Range, check_fields, file_ref, path_of
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import CM
 from vrcaps.world.control import Control

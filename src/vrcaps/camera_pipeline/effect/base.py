@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
 
-from vrcaps.config.limits import check_fields
+from vrcaps.config.fields import check_fields
 from vrcaps.core.errors import InputError
 
 if TYPE_CHECKING:

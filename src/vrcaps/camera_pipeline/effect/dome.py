@@ -20,7 +20,7 @@ from vrcaps.camera_pipeline.effect.dome_geometry import (
     pupil_disk_radius,
     unflatten,
 )
-from vrcaps.config.limits import Range
+from vrcaps.config.fields import Range
 from vrcaps.core.errors import require
 from vrcaps.core.geometry import unit
 from vrcaps.core.units import DEG, MM

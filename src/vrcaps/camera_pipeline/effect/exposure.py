@@ -17,7 +17,7 @@ from vrcaps.camera_pipeline.effect.base import (
     Stage,
     TimingEffect,
 )
-from vrcaps.config.limits import Range
+from vrcaps.config.fields import Range
 from vrcaps.core.errors import InputError, require
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from vrcaps.camera_pipeline.effect.base import (
     ImageEffect,
     Stage,
 )
-from vrcaps.config.limits import Range
+from vrcaps.config.fields import Range
 from vrcaps.core.errors import require
 from vrcaps.core.rng import stream
 

@@ -12,7 +12,7 @@ from typing import Annotated
 import numpy as np
 
 from vrcaps.camera_pipeline.effect.base import CameraSetup, ImageEffect
-from vrcaps.config.limits import Range
+from vrcaps.config.fields import Range
 from vrcaps.core.color import LUMINANCE
 from vrcaps.core.errors import require
 

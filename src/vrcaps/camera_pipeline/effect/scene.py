@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated
 
 from vrcaps.camera_pipeline.effect.base import SceneEffect
-from vrcaps.config.limits import Range
+from vrcaps.config.fields import Range
 from vrcaps.core.errors import InputError
 from vrcaps.lumen.contents import Bubbles
 

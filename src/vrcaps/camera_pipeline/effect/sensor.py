@@ -10,7 +10,7 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.camera.derive import scaled_camera
 from vrcaps.camera_pipeline.effect.base import CameraEffect, CameraSetup, ImageEffect
-from vrcaps.config.limits import Range
+from vrcaps.config.fields import Range
 from vrcaps.core.errors import InputError, require
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensEquidistant
 from vrcaps.capsule.device import Device
 from vrcaps.capsule.device_file import read_device
-from vrcaps.core.transforms import invert, transform_from
+from vrcaps.core.geometry import invert, transform_from
 from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.organ.surface import OrganSurface

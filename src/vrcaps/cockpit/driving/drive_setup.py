@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, get_args
 
 from vrcaps.actuation.arm.arm import arm_names
-from vrcaps.anatomy.catalog import ORGANS
 from vrcaps.camera_pipeline.effect.base import MAX_SEVERITY, ImageEffect
 from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES
 from vrcaps.cockpit.driving.readings import QUANTITIES, SPAN
@@ -14,6 +13,7 @@ from vrcaps.cockpit.scene.nodes import CUTS
 from vrcaps.cockpit.session.camera_images import LIVE_CHANNELS
 from vrcaps.cockpit.session.drive import CONTENTS, LASTING_EFFECTS, magnetic_capsules
 from vrcaps.magnet.presets import magnet_names
+from vrcaps.organ.segments import ORGANS
 from vrcaps.render.settings import Light
 from vrcaps.scenario.scenario import OrganGenerated
 from vrcaps.world.model import POSTURES

@@ -7,8 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
 
 from vrcaps.actuation.arm.arm import arm_names
-from vrcaps.anatomy.catalog import ORGANS
-from vrcaps.capsule.device_file import device_of, read_device
+from vrcaps.capsule.device_file import read_device
 from vrcaps.cockpit.driving.drive_commands import require_known
 from vrcaps.cockpit.driving.drive_setup import NO_ARM, arm_name, magnet_name
 from vrcaps.cockpit.page import FieldError
@@ -24,6 +23,7 @@ from vrcaps.cockpit.session.drive import (
 from vrcaps.core.errors import InputError, VrcapsError
 from vrcaps.magnet.presets import magnet_names
 from vrcaps.motion.dynamics import Dynamics
+from vrcaps.organ.segments import ORGANS
 from vrcaps.scenario.scenario import OrganGenerated
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def next_scenario(scenario: Scenario, command: NewDrive, host: str) -> Scenario:
     if file:
         _at("capsule_file", lambda: _require_here(host))
         _at("capsule_file", lambda: require_magnet(read_device(file)))
-    elif capsule and capsule != device_of(scenario.capsule).name:
+    elif capsule and capsule != scenario.device.name:
         _at("capsule", lambda: require_known("capsule", capsule, magnetic_capsules()))
     else:
         capsule = ""

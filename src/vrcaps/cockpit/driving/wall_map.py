@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.core.transforms import invert, transform_points
+from vrcaps.core.geometry import invert, transform_points
 from vrcaps.organ.surface import face_label
-from vrcaps.tools.reports.unroll import dissection, unroll
+from vrcaps.organ.unroll import dissection, unroll
 
 if TYPE_CHECKING:
     from jaxtyping import Int, UInt8

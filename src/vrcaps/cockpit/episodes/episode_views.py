@@ -16,7 +16,7 @@ from vrcaps.cockpit.scene.live_scene import OPACITY
 from vrcaps.cockpit.scene.nodes import OrganNode, add_capsule, add_path, cut_of, move
 from vrcaps.cockpit.scene.viewpoint import aim
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import transform_points
+from vrcaps.core.geometry import transform_points
 from vrcaps.core.units import MM
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.metrics.trajectory import TrajectoryAlignment, aligned_poses

@@ -16,7 +16,7 @@ import numpy as np
 
 from vrcaps.cockpit.scene.nodes import move
 from vrcaps.core.errors import import_extra
-from vrcaps.core.transforms import transform_from, transform_points
+from vrcaps.core.geometry import transform_from, transform_points
 from vrcaps.core.units import CM, MM
 from vrcaps.magnet.field import field, magnet_lines
 from vrcaps.magnet.magnets import magnet_mesh

@@ -29,7 +29,7 @@ from vrcaps.cockpit.scene.nodes import (
     move,
 )
 from vrcaps.cockpit.scene.viewpoint import aim
-from vrcaps.core.transforms import matrix_from_quaternion, transform_from
+from vrcaps.core.geometry import matrix_from_quaternion, transform_from
 from vrcaps.magnet.presets import read_magnet
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import numpy as np
 
 from vrcaps.cockpit.scene.colorings import PageMesh
 from vrcaps.core.errors import import_extra
-from vrcaps.core.transforms import quaternion_from_matrix
+from vrcaps.core.geometry import quaternion_from_matrix
 
 if TYPE_CHECKING:
     import viser

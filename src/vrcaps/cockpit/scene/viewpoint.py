@@ -9,7 +9,7 @@ import numpy as np
 
 from vrcaps.cockpit.messages import Viewpoint
 from vrcaps.cockpit.server import SCENE_PATH
-from vrcaps.core.transforms import matrix_from_quaternion
+from vrcaps.core.geometry import matrix_from_quaternion
 
 if TYPE_CHECKING:
     import viser

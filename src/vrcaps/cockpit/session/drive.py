@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vrcaps.actuation.steering_program import JOYSTICK_COLUMNS, JoystickCommand
-from vrcaps.anatomy.catalog import ORGANS
 from vrcaps.camera_pipeline.effect.base import ImageEffect
 from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES
-from vrcaps.capsule.device_file import device_names, device_of, read_device
-from vrcaps.config.file_ref import FileRef, path_of
+from vrcaps.capsule.device_file import device_names, read_device
+from vrcaps.config.fields import FileRef, path_of
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import is_new_folder, remove_stale, write_bytes, write_json
 from vrcaps.motion.dynamics import Dynamics
+from vrcaps.organ.segments import ORGANS
 from vrcaps.scenario.scenario import (
     PREVALENCE,
     SOURCE_ORGAN,
@@ -194,7 +194,7 @@ def require_drivable(scenario: Scenario) -> None:
             f"No file at {path_of(organ.path)}. Give the path of an organ, or one of "
             f"{', '.join(ORGANS)}."
         )
-    require_magnet(device_of(scenario.capsule))
+    require_magnet(scenario.device)
 
 
 def chosen_scenario(scenario: Scenario, choice: Choice) -> Scenario:
@@ -218,7 +218,7 @@ def chosen_scenario(scenario: Scenario, choice: Choice) -> Scenario:
         changed["lesions"] = _lesions(choice.lesions, changed["organ"], scenario.seed)
     if choice.capsule is not None:
         changed["capsule"] = read_device(choice.capsule)
-        before = device_of(scenario.capsule)
+        before = scenario.device
         if scenario.fps == before.frame_rate:
             changed["fps"] = None  # the capsule's own
         changed["effects"] = changed["effects"].without_device(before, scenario.seed)

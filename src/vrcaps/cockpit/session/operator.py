@@ -12,7 +12,7 @@ import numpy as np
 from vrcaps.actuation.steering_program import JoystickCommand, SteeringProgram
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError, VrcapsError
-from vrcaps.core.transforms import vector_from_rotation
+from vrcaps.core.geometry import vector_from_rotation
 from vrcaps.env.actuation import MagnetActuation
 from vrcaps.env.settings import EnvSettings, env_settings
 from vrcaps.env.tasks import NavigateTask

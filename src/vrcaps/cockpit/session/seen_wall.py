@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.core.transforms import invert
+from vrcaps.core.geometry import invert
 from vrcaps.metrics.coverage import CoverageCriteria
 from vrcaps.metrics.point_coverage import POINT_LEVELS, mark_points, wall_points
 from vrcaps.world.schedule import patient_at

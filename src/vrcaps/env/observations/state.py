@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.config.limits import check_fields
+from vrcaps.config.fields import check_fields
 from vrcaps.core.units import CM, MM
 from vrcaps.env.parts import EnvView, Observation
 from vrcaps.sensors.tracking import CapsuleTracker, TrackingSensors, check_locatable

@@ -10,8 +10,13 @@ import numpy as np
 
 from vrcaps._core import Wall
 from vrcaps.core.errors import InputError
-from vrcaps.core.geometry import octahedral_directions, wall_of
-from vrcaps.core.transforms import invert, transform_from, transform_points
+from vrcaps.core.geometry import (
+    invert,
+    octahedral_directions,
+    transform_from,
+    transform_points,
+    wall_of,
+)
 from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.organ.surface import face_label

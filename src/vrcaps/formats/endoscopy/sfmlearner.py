@@ -19,11 +19,11 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import write_bytes
+from vrcaps.core.geometry import transform_from
 from vrcaps.core.names import listed
-from vrcaps.core.transforms import transform_from
 from vrcaps.core.units import LENGTH_UNITS
 from vrcaps.formats.format import Needs
 from vrcaps.formats.shared.folders import (

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import (
+from vrcaps.core.geometry import (
     matrix_from_unit_quaternion,
     quaternion_from_matrix,
     transform_from,

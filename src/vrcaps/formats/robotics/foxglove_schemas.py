@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.camera.lens.exchange import OpenCvLens
-from vrcaps.core.transforms import quaternion_from_matrix
+from vrcaps.core.geometry import quaternion_from_matrix
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -12,8 +12,8 @@ import numpy as np
 
 from vrcaps.config.plain_files import read_plain
 from vrcaps.core.errors import InputError, import_extra, reading
+from vrcaps.core.geometry import matrix_from_unit_quaternion, transform_from
 from vrcaps.core.names import inside, listed
-from vrcaps.core.transforms import matrix_from_unit_quaternion, transform_from
 from vrcaps.formats.robotics.lerobot_tables import (
     DEPTH,
     EPISODES,

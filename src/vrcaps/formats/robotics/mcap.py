@@ -24,12 +24,12 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.camera.lens.exchange import OPENCV_LENSES
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.config.plain_files import decode_json
 from vrcaps.core.errors import InputError, import_extra, reading
 from vrcaps.core.files import MAX_BYTES
+from vrcaps.core.geometry import matrix_from_unit_quaternion, transform_from
 from vrcaps.core.names import inside, listed
-from vrcaps.core.transforms import matrix_from_unit_quaternion, transform_from
 from vrcaps.formats.format import Needs
 from vrcaps.formats.robotics import foxglove_schemas as foxglove
 from vrcaps.formats.shared.folders import recordings, split_of

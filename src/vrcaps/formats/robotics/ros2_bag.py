@@ -25,8 +25,8 @@ from vrcaps.camera.lens.exchange import OPENCV_LENSES, OpenCvLens
 from vrcaps.config.plain_files import decode_json
 from vrcaps.core.errors import InputError, import_extra, reading
 from vrcaps.core.files import MAX_BYTES
+from vrcaps.core.geometry import quaternion_from_matrix
 from vrcaps.core.names import listed
-from vrcaps.core.transforms import quaternion_from_matrix
 from vrcaps.formats.format import Needs
 from vrcaps.formats.robotics.foxglove_schemas import time_ns
 from vrcaps.formats.robotics.mcap import frame_of, plain_sequence, sequence_of, stored_channels

@@ -15,7 +15,7 @@ from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens.exchange import camera_matrix, lens_from_matrix, undistorted_pinhole
 from vrcaps.core.errors import InputError, import_extra, narrow
 from vrcaps.core.files import write_bytes
-from vrcaps.core.transforms import (
+from vrcaps.core.geometry import (
     matrix_from_unit_quaternion,
     quaternion_from_matrix,
     transform_from,

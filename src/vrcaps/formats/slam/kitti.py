@@ -20,8 +20,8 @@ from vrcaps.camera.lens import LensPinhole
 from vrcaps.camera.lens.exchange import camera_matrix
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import write_bytes
+from vrcaps.core.geometry import transform_from
 from vrcaps.core.names import listed
-from vrcaps.core.transforms import transform_from
 from vrcaps.formats.format import Needs
 from vrcaps.formats.shared.folders import (
     by_number,

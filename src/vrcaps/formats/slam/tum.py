@@ -17,15 +17,15 @@ import numpy as np
 
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens.exchange import lens_from_values, lens_values
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError, require
 from vrcaps.core.files import write_bytes
-from vrcaps.core.names import inside
-from vrcaps.core.transforms import (
+from vrcaps.core.geometry import (
     matrix_from_unit_quaternion,
     quaternion_from_matrix,
     transform_from,
 )
+from vrcaps.core.names import inside
 from vrcaps.formats.format import Needs
 from vrcaps.formats.shared.folders import find_folders, sequence_folders
 from vrcaps.formats.shared.stored_images import read_plane, read_rgb, stored_steps

@@ -24,18 +24,18 @@ from vrcaps.camera.lens.exchange import (
     colmap_model,
     lens_from_colmap,
 )
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import write_bytes
-from vrcaps.core.names import inside
-from vrcaps.core.transforms import (
+from vrcaps.core.geometry import (
     invert,
     matrix_from_unit_quaternion,
     quaternion_from_matrix,
     transform_from,
     transform_points,
 )
+from vrcaps.core.names import inside
 from vrcaps.formats.format import Needs
 from vrcaps.formats.shared.folders import find_folders, image_loader, rig_folders
 from vrcaps.formats.shared.stored_images import read_rgb

@@ -16,7 +16,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.config.plain_files import front_matter, size_category
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import write_bytes

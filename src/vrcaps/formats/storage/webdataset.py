@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.config.plain_files import decode_json
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError, reading

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
 import numpy as np
 from torch import Tensor, nn
 
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError, require
 from vrcaps.learn.augment import Augmentation, random_flip
 from vrcaps.learn.baselines import class_baselines

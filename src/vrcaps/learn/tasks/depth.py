@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.color import linear_from_srgb, srgb_from_linear, turbo
 from vrcaps.core.errors import InputError
 from vrcaps.learn.augment import Augmentation, flip, transpose

@@ -33,9 +33,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import invert
+from vrcaps.core.geometry import invert
 from vrcaps.formats.slam.tum import trajectory_text
 from vrcaps.learn.augment import with_gain
 from vrcaps.learn.baselines import log_depth_baselines

@@ -22,7 +22,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError
 from vrcaps.learn.augment import random_flip, with_gain
 from vrcaps.learn.baselines import upsampling_baselines

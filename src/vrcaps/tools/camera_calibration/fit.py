@@ -13,7 +13,7 @@ from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens.base import angles_to_axis
 from vrcaps.capsule.device import Device
 from vrcaps.core.errors import InputError, UnknownNameError, require
-from vrcaps.core.transforms import transform_from, transform_points
+from vrcaps.core.geometry import transform_from, transform_points
 from vrcaps.tools.camera_calibration.board import MIN_VIEWS, Board, BoardView
 from vrcaps.tools.camera_calibration.parameterization import (
     LensParameterization,

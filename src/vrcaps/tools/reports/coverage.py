@@ -11,8 +11,7 @@ import numpy as np
 
 from vrcaps.core.errors import InputError, import_extra
 from vrcaps.core.files import write_bytes
-from vrcaps.core.geometry import triangle_areas, wall_of
-from vrcaps.core.transforms import transform_points
+from vrcaps.core.geometry import transform_points, triangle_areas, wall_of
 from vrcaps.core.units import CM
 from vrcaps.metrics.coverage import (
     COVERAGE_LEVELS,
@@ -26,9 +25,9 @@ from vrcaps.metrics.coverage import (
 )
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import OrganSurface, face_label
+from vrcaps.organ.unroll import unroll
 from vrcaps.recording.table import FrameTable, write_table
 from vrcaps.tools.report import make_figure
-from vrcaps.tools.reports.unroll import unroll
 from vrcaps.tools.reports.views import VIEWS, outside_view
 
 if TYPE_CHECKING:

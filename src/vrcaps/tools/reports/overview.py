@@ -15,8 +15,8 @@ from vrcaps.core.geometry import wall_of
 from vrcaps.core.units import CM, MM
 from vrcaps.organ.measure import OrganMeasures, arc_length_bins, measure_organ, segment_spans
 from vrcaps.organ.surface import OrganSurface
+from vrcaps.organ.unroll import dissection_rows
 from vrcaps.tools.report import make_figure
-from vrcaps.tools.reports.unroll import dissection_rows
 from vrcaps.tools.reports.views import VIEWS, inside_views, outside_view, project
 
 if TYPE_CHECKING:

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.core.files import write_bytes
-from vrcaps.core.geometry import wall_of
-from vrcaps.core.transforms import invert, matrix_from_quaternion, transform_from
+from vrcaps.core.geometry import invert, matrix_from_quaternion, transform_from, wall_of
 from vrcaps.env.cameras import resized_camera
 from vrcaps.metrics.point_coverage import POINT_LEVELS, mark_points, wall_points
 from vrcaps.policy.evaluate import organ_name

@@ -10,8 +10,7 @@ import numpy as np
 from vrcaps import _core
 from vrcaps._core import Wall
 from vrcaps.capsule.device_file import read_device
-from vrcaps.core.geometry import barycentric, unit
-from vrcaps.core.transforms import invert, transform_from
+from vrcaps.core.geometry import barycentric, invert, transform_from, unit
 from vrcaps.core.units import MM
 from vrcaps.organ.surface import OrganSurface, face_label, interpolate
 from vrcaps.render.renderer import Renderer

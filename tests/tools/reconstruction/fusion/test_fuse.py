@@ -9,7 +9,7 @@ import pytest
 from vrcaps.camera.camera import Camera, pixel_grid
 from vrcaps.camera.lens import LensEquidistant
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import look_along, transform_from
+from vrcaps.core.geometry import look_along, transform_from
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import FrameSequence

@@ -9,7 +9,7 @@ from tests.support.ellipsoid_sequence import ellipsoid_sequence
 from vrcaps.camera.lens import LensEquidistant
 from vrcaps.cli import main
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import invert, rotation_from_vector, transform_from, transform_points
+from vrcaps.core.geometry import invert, rotation_from_vector, transform_from, transform_points
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.tools.reconstruction.estimates import aligned, with_depth, with_poses
 

@@ -11,7 +11,7 @@ from vrcaps.camera.camera import Camera, pixel_grid
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.cli import main
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import rotation_from_vector, transform_from
+from vrcaps.core.geometry import rotation_from_vector, transform_from
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.metrics.trajectory import Similarity
 from vrcaps.recording.frame_sequence import FrameSequence

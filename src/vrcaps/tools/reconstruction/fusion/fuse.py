@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from vrcaps.camera.camera import Camera, in_image, pixel_grid, project_points, unproject_pixels
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError, import_extra, require
-from vrcaps.core.transforms import invert, transform_points
+from vrcaps.core.geometry import invert, transform_points
 from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.recording.frame_sequence import FrameSequence

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.core import rng
-from vrcaps.core.transforms import invert, rotation_from_vector, transform_from, transform_points
+from vrcaps.core.geometry import invert, rotation_from_vector, transform_from, transform_points
 from vrcaps.tools.reconstruction.matching import is_trusted, matches, opencv
 
 if TYPE_CHECKING:

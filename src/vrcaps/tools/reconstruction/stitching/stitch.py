@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from vrcaps.camera.camera import Camera, in_image, pixel_grid, project_points
-from vrcaps.config.limits import Range, check_fields
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError
 from vrcaps.formats.rectify import rectified, widest_field
 from vrcaps.recording.frame_sequence import FrameSequence

@@ -26,8 +26,13 @@ from vrcaps.camera.camera import Camera, pixel_grid
 from vrcaps.core.color import linear_from_srgb, luminance
 from vrcaps.core.errors import InputError, import_extra, require
 from vrcaps.core.files import write_csv
-from vrcaps.core.geometry import triangle_normals, unit, wall_of
-from vrcaps.core.transforms import rotation_from_vector, transform_points
+from vrcaps.core.geometry import (
+    rotation_from_vector,
+    transform_points,
+    triangle_normals,
+    unit,
+    wall_of,
+)
 from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.metrics.trajectory import Similarity
@@ -103,9 +108,8 @@ def register(points: Float[np.ndarray, "n 3"], surface: Mesh, *, scale: bool) ->
 
 
 def _has_converged(errors: list[float]) -> bool:
-    if errors[-1] <= _EXACT or len(errors) == 1:
-        return errors[-1] <= _EXACT
-    return abs(errors[-2] - errors[-1]) <= _CONVERGED * errors[-2]
+    is_steady = len(errors) > 1 and abs(errors[-2] - errors[-1]) <= _CONVERGED * errors[-2]
+    return is_steady or errors[-1] <= _EXACT
 
 
 def registered(mesh: Mesh, surface: Mesh, *, scale: bool) -> tuple[Mesh, Registration]:
@@ -171,7 +175,6 @@ def depth_from_shading(rgb: UInt8[np.ndarray, "h w 3"], camera: Camera) -> Float
         camera: Pinhole camera of the image.
     """
     resize = import_extra("skimage.transform", "reconstruct", package="scikit-image").resize
-
     is_seen = rgb.max(axis=2) > 0
     light = luminance(linear_from_srgb(rgb))
     light = fill(np.maximum(light, _DARK)[..., None], is_seen)[..., 0] if is_seen.any() else light
@@ -211,9 +214,8 @@ def _solved(
         above, below = padded[:-2, 1:-1], padded[2:, 1:-1]
         across, down = (right - left) / (2.0 * steps[0]), (below - above) / (2.0 * steps[1])
         slope = square * (across**2 + down**2 + (column * across + row * down) ** 2)
-        smooth = (left + right - 2.0 * result) / steps[0] + (above + below - 2.0 * result) / steps[
-            1
-        ]
+        smooth = (left + right - 2.0 * result) / steps[0]
+        smooth += (above + below - 2.0 * result) / steps[1]
         rest = base - 0.25 * np.log1p(slope) - result
         result = result + dt * (rest + 0.5 * viscosity * smooth)
     return result

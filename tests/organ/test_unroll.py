@@ -11,7 +11,7 @@ from tests.support import tubes
 from tests.support.shapes import with_ball
 from vrcaps._core import Wall
 from vrcaps.organ.surface import Appearance, OrganSurface
-from vrcaps.tools.reports.unroll import dissection, instances, unroll
+from vrcaps.organ.unroll import dissection, instances, unroll
 
 RADIUS, LENGTH = 0.02, 0.2
 AROUND, ALONG = 128, 81

@@ -19,12 +19,12 @@ from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.capsule.device import homogeneous_body
 from vrcaps.cli import episodes as commands
 from vrcaps.core.errors import InputError
-from vrcaps.core.transforms import matrix_from_quaternion
-from vrcaps.formats.robotics.scene import Scene, scene_of, write_scene
+from vrcaps.core.geometry import matrix_from_quaternion
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.recorder import record
 from vrcaps.scenario.scenario import Scenario
+from vrcaps.tools.scene import Scene, scene_of, write_scene
 
 pytestmark = pytest.mark.slow  # of the recording with an arm
 

@@ -19,10 +19,9 @@ from vrcaps.actuation.arm.arm import Arm, frames, read_arm
 from vrcaps.actuation.arm.arm_with_payload import transverse_mount
 from vrcaps.actuation.steering_program import base_beside
 from vrcaps.capsule.device import Body, homogeneous_body
-from vrcaps.capsule.device_file import device_of
 from vrcaps.core.errors import InputError, import_extra, require
 from vrcaps.core.files import write_bytes
-from vrcaps.core.transforms import invert, quaternion_from_matrix
+from vrcaps.core.geometry import invert, quaternion_from_matrix
 from vrcaps.magnet.magnets import Magnet, magnet_mesh
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.mesh.mesh import Mesh
@@ -98,7 +97,7 @@ def scene_of(episode: Episode, frame: int = 0) -> Scene:
     count = len(episode)
     require(0 <= frame < count, "frame", frame, f"0 to {count - 1}")
     wall = episode.wall(frame) if "wall" in episode.head else episode.organ
-    body = homogeneous_body(device_of(episode.scenario.capsule))
+    body = homogeneous_body(episode.scenario.device)
     pose = episode.Ts_world_capsule[frame]
     motion = episode.scenario.motion
     if not isinstance(motion, Dynamics) or motion.magnet is None:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from vrcaps.config.file_ref import FileRef, file_ref, path_of, with_checksums
+from vrcaps.config.fields import FileRef, file_ref, path_of, with_checksums
 from vrcaps.core.errors import InputError
 
 

@@ -119,8 +119,8 @@ def main(args: Sequence[str] | None = None) -> None:
         args: Arguments after the program's name; None means those of the process.
     """
     configure_streams()
-    # NumPy is not imported yet. Its matrices are small here, and idle threads of BLAS keep spinning,
-    # which takes time from the renderer.
+    # NumPy is not imported yet. Its matrices are small here, and idle threads of BLAS keep
+    # spinning, which takes time from the renderer.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         _run(sys.argv[1:] if args is None else args)
